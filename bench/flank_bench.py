@@ -116,14 +116,14 @@ def _against_all(made: Any) -> dict[str, Any]:
     took = time.process_time() - start
     start = time.process_time()
     tips, axes, _ = milling_check.between(
-        path.tip, path.axis, section.end, milling_check.DENSE * section.radius
+        path.tip, path.axis, section.end, milling_check.PATH_SPACING * section.radius
     )
     worst = 0.0
     for i in range(0, len(points), SAMPLE):
         rest = points[i] - tips
         back = np.einsum("nd,nd->n", rest, axes)
         beside = np.linalg.norm(rest - back[:, None] * axes, axis=1)
-        all_of_them = min(float(section.off(back, beside).min()), milling_check.SIGHT)
+        all_of_them = min(float(section.off(back, beside).min()), milling_check.SIGHT_DISTANCE)
         worst = max(worst, abs(all_of_them - float(found[i])))
     peer = (time.process_time() - start) * SAMPLE
     note = f"{len(points)} places; against all {len(tips)} places of the path: {peer:.1f} s (one in {SAMPLE} "

@@ -105,7 +105,7 @@ def fields() -> str:
 
 def rules() -> str:
     """The table of the proof's rules."""
-    rows = [f"| `{code}` | {title} |" for code, title in prove.TITLES.items()]
+    rows = [f"| `{code}` | {title} |" for code, title in prove.RULE_TITLES.items()]
     return "\n".join(["| rule | what it asks |", "|---|---|", *rows, ""])
 
 

@@ -176,7 +176,8 @@ def _refuse(folder: Path, what: str) -> TandemError:
     return TandemError(Issue("output.folder", f"output folder {folder}: {what}", file=str(folder)))
 
 
-PACKAGES: Final = ("tandem-planner", "drake", "numpy", "scipy", "toppra")
+REPORTED_PACKAGES: Final = ("tandem-planner", "drake", "numpy", "scipy", "toppra")
+"""Distributions whose versions results state."""
 
 
 def versions() -> dict[str, str]:
@@ -185,7 +186,7 @@ def versions() -> dict[str, str]:
     import platform
 
     out = {"python": platform.python_version()}
-    for name in PACKAGES:
+    for name in REPORTED_PACKAGES:
         try:
             out[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:

@@ -248,7 +248,8 @@ def verify(problem: Problem, programs: Mapping[str, str]) -> Proof:
     return prove.prove(problem, processes.claims(problem), programs)
 
 
-_PROGRAMS = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src", ".dat", ".sub"})
+_PROGRAM_SUFFIXES = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src", ".dat", ".sub"})
+"""Suffixes of files that a controller reads as programs."""
 
 
 def read_partly(problem: Problem, programs: Mapping[str, str]) -> Partial:
@@ -265,7 +266,7 @@ def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
     texts = {
         p.relative_to(root).as_posix(): _text(p)
         for p in sorted(root.rglob("*"))
-        if p.is_file() and (not alone or p.suffix.lower() in _PROGRAMS)
+        if p.is_file() and (not alone or p.suffix.lower() in _PROGRAM_SUFFIXES)
     }
     if not texts:
         raise TandemError(

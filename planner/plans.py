@@ -151,9 +151,13 @@ class Plan:
 
 
 FORMAT: Final = "tandem-plan"
+"""Name of the format at the head of a plan file."""
 SCHEMA: Final = 1
-ARRAYS: Final = "plan.npz"
-DATA: Final = "plan.json"
+"""Version of the format; another one is refused."""
+ARRAYS_FILE: Final = "plan.npz"
+"""File of a plan with its arrays."""
+DATA_FILE: Final = "plan.json"
+"""File of a plan with all else."""
 
 
 def _held(kinds: Iterable[Any], known: dict[str, type]) -> dict[str, type]:
@@ -172,7 +176,7 @@ _VALUES: Final = _held((Plan, Cutter, KerfCurve), {})
 """Classes of values that plans hold; the last ones stand in exhibits, whose fields have no types."""
 _SEGMENTS: Final = {"segment", "segments"}
 """Fields of those classes that hold segments."""
-_BROKEN: Final = (
+_DAMAGED_FILE_ERRORS: Final = (
     ValueError,
     KeyError,
     TypeError,
@@ -182,6 +186,7 @@ _BROKEN: Final = (
     OSError,
     zipfile.BadZipFile,
 )
+"""What decoding a damaged file may raise."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -204,7 +209,7 @@ def dump(plan: Plan) -> dict[str, bytes]:
     packed = _pack(arrays)
     header = {"format": FORMAT, "schema": SCHEMA, "arrays": hashlib.sha256(packed).hexdigest(), "plan": tree}
     text = json.dumps(header, indent=1, ensure_ascii=False, allow_nan=False)
-    return {ARRAYS: packed, DATA: text.encode()}
+    return {ARRAYS_FILE: packed, DATA_FILE: text.encode()}
 
 
 def load(folder: str | os.PathLike[str]) -> Plan:
@@ -214,16 +219,16 @@ def load(folder: str | os.PathLike[str]) -> Plan:
     ``plan.damaged``.
     """
     source = Path(folder)
-    header = _header(source / DATA)
-    packed = _bytes(source / ARRAYS)
+    header = _header(source / DATA_FILE)
+    packed = _bytes(source / ARRAYS_FILE)
     if hashlib.sha256(packed).hexdigest() != header.get("arrays"):
-        raise _damaged(source / ARRAYS, "its hash is not the one that plan.json states")
+        raise _damaged(source / ARRAYS_FILE, "its hash is not the one that plan.json states")
     try:
         plan = _decode(header["plan"], _unpack(packed))
-    except _BROKEN as error:
-        raise _damaged(source / DATA, f"{type(error).__name__}: {error}") from error
+    except _DAMAGED_FILE_ERRORS as error:
+        raise _damaged(source / DATA_FILE, f"{type(error).__name__}: {error}") from error
     if not isinstance(plan, Plan):
-        raise _damaged(source / DATA, f"it holds a {type(plan).__name__}, not a plan")
+        raise _damaged(source / DATA_FILE, f"it holds a {type(plan).__name__}, not a plan")
     return plan
 
 
@@ -328,7 +333,8 @@ def _bytes(path: Path) -> bytes:
         raise TandemError(
             Issue(
                 "plan.missing_file",
-                f"{path.name} cannot be read: {error.strerror}; a plan is {DATA} and {ARRAYS} in one folder",
+                f"{path.name} cannot be read: {error.strerror}; "
+                f"a plan is {DATA_FILE} and {ARRAYS_FILE} in one folder",
                 file=str(path),
                 hint="give the folder that `tandem plan -o` wrote",
             )

@@ -50,7 +50,7 @@ GROUP: Final = "tandem.processes"
 
 
 @functools.cache
-def known() -> Mapping[str, Process | Issue]:
+def all_processes() -> Mapping[str, Process | Issue]:
     """All processes by the word that problem files use; of what cannot be used, or is claimed twice, the
     issue (``problem.process_package``) that says why. It stops no problem but those that name it."""
     found: dict[str, Process | Issue] = dict(PROCESSES)
@@ -82,18 +82,18 @@ def _loaded(point: EntryPoint, owner: str) -> Process | Issue:
 
 def schemas() -> dict[str, type[BaseModel]]:
     """The operation schema of every process that can be used, by the word that problem files use."""
-    return {name: one.schema for name, one in known().items() if isinstance(one, Process)}
+    return {name: one.schema for name, one in all_processes().items() if isinstance(one, Process)}
 
 
 def readers() -> dict[str, type[BaseModel] | Issue]:
     """What reads the operations of a problem file, by process: a schema, or why there is none."""
-    return {name: one.schema if isinstance(one, Process) else one for name, one in known().items()}
+    return {name: one.schema if isinstance(one, Process) else one for name, one in all_processes().items()}
 
 
 def job(problem: Problem, index: int) -> Job[Any]:
     """The job of one operation, by its index. Raises ``TandemError`` where its process cannot be used."""
     operation = problem.operations[index]
-    process = known()[operation.process]
+    process = all_processes()[operation.process]
     if isinstance(process, Issue):
         raise TandemError(process)
     return process.job(operation, problem.setup_of(index), problem.part)

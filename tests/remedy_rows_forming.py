@@ -88,7 +88,7 @@ def torn(*faces: int) -> Mesh:
 DISK: Final = change(small_forming.problem("dpif_p"), "cell.arms.1.tool", dict(small_forming.DISK))
 THICK: Final = tool(SPIF, 0, radius_mm=2, shaft_radius_mm=15, neck_mm=2.1)
 SLIM: Final = tool(SPIF, 0, radius_mm=4.5, shaft_radius_mm=4.5)
-TABLE: Final = adsif_response.BUILT_IN.read_text("utf-8")
+TABLE: Final = adsif_response.BUILT_IN_FILE.read_text("utf-8")
 OWN: Final = change(wide("adsif"), "operations.0.adsif", {"file": "own.csv"})
 SOFT: Final = {"force_n": 12000, "stiffness_n_mm": 5000}
 FILLETS: Final = small_forming.dish(30.0, 8.0, 45.0, 6.05)

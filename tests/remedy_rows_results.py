@@ -133,7 +133,7 @@ def prove(folder: Path, data: Any) -> list[Issue]:
             path.write_bytes(b"\xff\x00" if data.get("text") == name else text.encode("latin-1"))
 
     def work() -> Iterable[Issue]:
-        with mock.patch.object(playback, "LONGEST", data.get("longest", playback.LONGEST)):
+        with mock.patch.object(playback, "LONGEST_MOTION", data.get("longest", playback.LONGEST_MOTION)):
             last = "verify.continuity" if "longest" in data else "verify.files"
             prover = Prover(small_job.problem(), small_job.claims())
             return prover.prove(pipeline.read_programs(folder), last=last).issues

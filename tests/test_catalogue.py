@@ -100,7 +100,7 @@ def test_an_unknown_robot_is_refused_with_the_known_names() -> None:
 
 
 def test_missing_data_is_an_issue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robots, "_HERE", tmp_path / "planner")
+    monkeypatch.setattr(robots, "_PACKAGE", tmp_path / "planner")
     with pytest.raises(TandemError) as caught:
         robots.data_dir("urdf")
     assert caught.value.issues[0].code == "catalogue.missing_data"

@@ -17,9 +17,9 @@ RING = "{name: ring, process: ring, arms: [left], radius_mm: 40, height_mm: 300,
 
 @pytest.fixture(autouse=True)
 def _found_anew() -> Iterator[None]:
-    processes.known.cache_clear()
+    processes.all_processes.cache_clear()
     yield
-    processes.known.cache_clear()
+    processes.all_processes.cache_clear()
 
 
 def install(path: pytest.MonkeyPatch, folder: Path, package: str, *points: str) -> None:

@@ -227,7 +227,7 @@ def test_what_is_wrong_is_refused_where_it_is_said(message: str) -> None:
 
 
 def test_a_problem_larger_than_files_may_be_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(strict_yaml, "MAX_BYTES", 300)
+    monkeypatch.setattr(strict_yaml, "MAX_YAML_BYTES", 300)
     issue = refusal(lambda: planner.build(small()))
     assert issue.code == "problem.too_large"
     assert "give points as a mesh or a file of their own" in issue.message

@@ -18,6 +18,7 @@ from planner.issues import Issue, Severity, TandemError
 from planner.units import DEG, MM
 
 _MATERIALS_FILE: Final = Path(__file__).resolve().parents[1] / "data" / "materials.yaml"
+"""Foams and wires that are built in."""
 ROOM_TEMPERATURE: Final = 20.0
 """Temperature [C] of the air and of a block before the cut."""
 REFERENCE_TEMPERATURE: Final = 20.0
@@ -269,6 +270,7 @@ def _look_up(table: Table, temperature: float) -> float:
 
 
 _SHEETS_FILE: Final = Path(__file__).resolve().parents[1] / "data" / "sheets.yaml"
+"""Sheet metals that are built in."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,7 +19,8 @@ from planner.units import DEG
 
 DataKind = Literal["urdf", "problems"]
 
-_HERE: Final = Path(__file__).resolve().parents[1]
+_PACKAGE: Final = Path(__file__).resolve().parents[1]
+"""Folder of the package."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,10 +111,10 @@ def data_dir(kind: DataKind) -> Path:
 
     Raises :class:`TandemError` (``catalogue.missing_data``) when neither has it.
     """
-    for folder in (_HERE / "_installed" / kind, _HERE.parent / kind):
+    for folder in (_PACKAGE / "_installed" / kind, _PACKAGE.parent / kind):
         if folder.is_dir():
             return folder
-    raise _missing(_HERE / "_installed" / kind)
+    raise _missing(_PACKAGE / "_installed" / kind)
 
 
 def bundled(path: Path) -> Path:

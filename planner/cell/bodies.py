@@ -225,22 +225,26 @@ def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> d
 FilteredPair = tuple[str, str, str]
 
 RANDOM_POSTURES: Final = 200
+"""Postures that are drawn, from a fixed seed, to find bodies of one arm that are always near each other."""
 NEAR_SHARE: Final = 0.95
+"""Bodies that are near each other in more than this share of them always are."""
 NEAR_DISTANCE: Final = 0.012
 """Bodies of one arm within this distance [m] in nearly all postures tell nothing when they are near."""
 
 LINK_CHAIN: Final = ("base_link", *(f"link_{i}" for i in range(1, 7)), "tool")
+"""Bodies of an arm from its base to its tool."""
 EDGE_FILTERED: Final = {
     "tool": "the edge belongs to the tool",
     "link_6": "the edge is fixed to the flange",
     "link_5": "kept apart by the robot's own build",
 }
+"""Why an arm's own edge is not held apart from these bodies of the arm."""
 HELD_FILTERED: Final = {
     "tool": "the block is held by the tool",
     "link_6": "the block is fixed to the flange",
     "link_5": "of one arm and always near each other",
 }
-"""Why an arm's own edge, and a block that it holds, are not held apart from these bodies of the arm."""
+"""Why a block that an arm holds is not held apart from these bodies of the arm."""
 
 BUILT_APART: Final = frozenset({(0, 2), (1, 3), (2, 4), (3, 5), (4, 6), (5, 7)})
 """Places in the chain of pairs two joints apart whose solids, fatter than the real links, would touch."""

@@ -25,6 +25,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 Against = Literal["all", "no_stock"]
 
 GOLDEN_RATIO: Final = (np.sqrt(5.0) - 1.0) / 2.0
+"""Share of an interval that a golden-section step keeps."""
 GOLDEN_STEPS: Final = 36
 """Golden-section steps: an interval of 50 mm shrinks to below 2 nm."""
 
@@ -142,11 +143,13 @@ Pairs = frozenset[frozenset[str]]
 FEW_CONFIGURATIONS: Final = 16
 """Below so many configurations measuring at once is faster than bounds first."""
 
-NUDGE: Final = 1e-6
+NUDGE_ANGLE: Final = 1e-6
+"""Most that a joint is moved [rad] where Drake's solver cannot tell about a configuration."""
 NUDGE_TRIALS: Final = 8
-"""A configuration that Drake's solver cannot tell about is moved by up to NUDGE [rad], in so many trials."""
+"""Trials of that, each with a larger move than the one before."""
 
 CONFIGURATIONS_AT_ONCE: Final = 1024
+"""Configurations whose bounds are worked out at once, to bound memory."""
 BOUND_ERROR: Final = 1e-4
 """Bounds settle a distance only where they differ from the padding by more than this [m], above the
 solvers' errors."""
@@ -411,16 +414,16 @@ def _clearance(model: CellModel, reach: float, row: FloatArray) -> Any:
 
 
 def _steady(ask: Callable[[FloatArray], Any], row: FloatArray) -> Any:
-    """What Drake says of a configuration (nq,), or of one within NUDGE of it.
+    """What Drake says of a configuration (nq,), or of one within `NUDGE_ANGLE` of it.
 
     Its solver for two boxes gives up, with a ``RuntimeError``, where faces or edges lie exactly in one plane.
     """
     for trial in range(NUDGE_TRIALS):
         try:
-            return ask(row + trial * NUDGE / NUDGE_TRIALS * np.cos(np.arange(len(row)) + trial))
+            return ask(row + trial * NUDGE_ANGLE / NUDGE_TRIALS * np.cos(np.arange(len(row)) + trial))
         except RuntimeError:
             continue
-    return ask(row + NUDGE * np.sin(np.arange(len(row))))
+    return ask(row + NUDGE_ANGLE * np.sin(np.arange(len(row))))
 
 
 def _names(model: CellModel, a: int, b: int) -> tuple[str, str]:

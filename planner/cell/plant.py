@@ -46,7 +46,7 @@ from planner.tooling import working_solid
 
 Model = TypeVar("Model")
 MOST_MODELS: Final = 8
-"""So many models are kept, those last used."""
+"""Models of cells that are kept at most, those last used."""
 
 
 class ModelCache(Generic[Model]):
@@ -135,6 +135,7 @@ def _feed(state: Any, value: object) -> None:
 
 
 STOCK_COLOUR = np.array([0.93, 0.95, 0.90, 0.55])
+"""Colours of stock, support, obstacles, tools and edges: red, green, blue and opacity, each from 0 to 1."""
 SUPPORT_COLOUR = np.array([0.45, 0.47, 0.50, 1.0])
 OBSTACLE_COLOUR = np.array([0.60, 0.62, 0.66, 1.0])
 TOOL_COLOUR = np.array([0.20, 0.30, 0.42, 1.0])

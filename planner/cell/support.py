@@ -19,9 +19,10 @@ from planner.units import MM
 
 FOOT_HEIGHT: Final = 0.025
 """[m] what feet, shims and clamps may be between two bodies of which one stands on the other."""
-FLOOR: Final = "or correct the heights of the bases, the lowest of which tells the floor"
+FLOOR_HINT: Final = "or correct the heights of the bases, the lowest of which tells the floor"
+"""End of the remedy for a block that nothing bears; the floor is at the lowest base."""
 LEVEL_COSINE: Final = np.cos(np.deg2rad(1.0))
-"""A block whose side is level by so much stands on it."""
+"""Cosine of the angle (1 degree) by which the side may lean on which a block stands."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,7 +189,9 @@ def stood(setup: Setup) -> list[Issue]:
             lost = _hangs("", field, sunk)
             what = f"the block goes {sunk / MM:.0f} mm below the floor; allowed are {FOOT_HEIGHT / MM:g} mm"
             return [
-                dataclasses.replace(lost, message=what, hint=f"move it by {sunk / MM:.0f} mm in z, {FLOOR}")
+                dataclasses.replace(
+                    lost, message=what, hint=f"move it by {sunk / MM:.0f} mm in z, {FLOOR_HINT}"
+                )
             ]
         gap = float(air(Ground.of(cell), stock, stock.place[None])[0])
         return (
@@ -246,7 +249,7 @@ def _high(cell: Cell, stock: Stock, pedestal: Pedestal, place: FloatArray, field
     most, kind = pedestal.heights[-1], pedestal.kind
     if high < -FOOT_HEIGHT:
         what = f"the block is {-high / MM:.0f} mm below the floor, where no {kind} is"
-        hint = f"correct its place, {FLOOR}; or take support out"
+        hint = f"correct its place, {FLOOR_HINT}; or take support out"
         return [_unborne(what, field, -high, FOOT_HEIGHT, hint)]
     if high > most + 1e-9:
         what = f"the {kind} under the block would be {high / MM:.0f} mm high; those in stock are "

@@ -36,7 +36,7 @@ class Sentence:
 
     words: str
 
-    def say(self, **figures: float | str) -> str:
+    def filled(self, **figures: float | str) -> str:
         """The sentence with its figures."""
         return self.words.format(**figures)
 
@@ -155,12 +155,12 @@ class DialogueStep:
     seconds: float = 0.0
 
 
-def tell_step(sentence: Sentence, **figures: Figure) -> DialogueStep:
+def message_step(sentence: Sentence, **figures: Figure) -> DialogueStep:
     """The operator can read a sentence."""
     return DialogueStep("told", sentence, figures)
 
 
-def ask_step(sentence: Sentence, **figures: Figure) -> DialogueStep:
+def question_step(sentence: Sentence, **figures: Figure) -> DialogueStep:
     """The operator reads a sentence and confirms it."""
     return DialogueStep("asked", sentence, figures)
 

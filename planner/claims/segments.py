@@ -17,6 +17,7 @@ WORKING_KINDS: Final = frozenset({"cut", "form", "mill"})
 ON_ENDING: Final = "on"
 """Ends the label of a segment without a phase whose name ends as if it had one."""
 _ENDING: Final = re.compile(rf"(.+)_(in|out|{ON_ENDING})", re.DOTALL)
+"""Label of a segment with a phase, or with the mark that it has none."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

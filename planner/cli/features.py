@@ -52,7 +52,7 @@ def run(request: Features) -> tuple[Issue, ...]:
     from planner.catalogue.robots import bundled
     from planner.files import write_whole
     from planner.forming.features import tree as feature_tree
-    from planner.forming.features.tree import NOISE, build
+    from planner.forming.features.tree import LEAST_BUMP, build
     from planner.geometry.arrays import Mesh
     from planner.geometry.mesh import read_mesh
     from planner.reading.sheet import smooth_face
@@ -64,7 +64,7 @@ def run(request: Features) -> tuple[Issue, ...]:
     stated = None if request.tolerance_mm is None else request.tolerance_mm * MM
     face = smooth_face(read_mesh(path, LENGTH_UNITS[request.unit]), stated, path)
     mesh = Mesh(face.meant.vertices, face.meant.faces)
-    tree = build(mesh, request.step_mm * MM, max(NOISE, face.tolerance))
+    tree = build(mesh, request.step_mm * MM, max(LEAST_BUMP, face.tolerance))
     order = feature_tree.in_place if request.strategy == "in_place" else feature_tree.on_virgin_sheet
     out.print(_shown(tree, request.part.name))
     out.print(

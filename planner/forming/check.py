@@ -23,7 +23,7 @@ from planner.catalogue.robots import robot
 from planner.forming import two_point
 from planner.forming.contact import MIRROR, Face, Pass, ToolPath
 from planner.forming.operation import die_mesh
-from planner.forming.passes import ALIKE, pass_issues
+from planner.forming.passes import SAME_ANGLE, pass_issues
 from planner.forming.process_plan import Work
 from planner.forming.sheet_mechanics import ForceEstimate, estimate, payload_issue, steepest
 from planner.forming.sheet_state import clear_issues, states
@@ -51,7 +51,7 @@ def shift_issues(work: Work) -> Iterator[Issue]:
     shift, final = work.operation.shift_deg, {one.feature: one for one in work.passes}
     for number, one in final.items():
         wall = steepest(one.vertices, one.faces) / DEG
-        if shift > wall + ALIKE / DEG:
+        if shift > wall + SAME_ANGLE / DEG:
             what = (
                 f"feature {number}: shift_deg is {shift:g}, allowed is 0 to {wall:.1f}, the angle of its wall"
             )
@@ -140,18 +140,25 @@ def _forces(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) ->
             yield issue
 
 
-NEARLY: Final = 2e-5
+REACHED_WITHIN: Final = 2e-5
 """A ball that comes so near [m] to a place reaches it."""
-GRAIN: Final = 0.1
-"""Places are looked at a share of the ball's radius apart."""
-COARSE: Final = 0.35
-"""First they are so far apart, for corners are wider than that all along."""
-TOUCH: Final = 2e-6
-_WORST: Final = 12
-_MOST: Final = 800
-_PIECES: Final = 60_000
-_ROUNDS: Final = 12
-_SWEEPS: Final = 80
+FINE_SPACING: Final = 0.1
+"""Distance of the places that are looked at, over the ball's radius."""
+COARSE_SPACING: Final = 0.35
+"""Distance of the places that are looked at first, over the ball's radius: corners are wider than that all
+along."""
+CONTACT_TOLERANCE: Final = 2e-6
+"""A ball may cut into the face by so much [m]; heights that differ by less are one level."""
+_WORST_PLACES: Final = 12
+"""Places farthest from the ball around which corners of the mesh are looked at, too."""
+_MOST_NEIGHBOURS: Final = 800
+"""Places around those that are looked at, at most; of more, evenly spread ones."""
+_MOST_PIECES: Final = 60_000
+"""Pieces that the face is divided into at most."""
+_MOST_PLANES: Final = 12
+"""Planes of the face at most that bound the nearest centre of the ball; one is added in each round."""
+_PROJECTION_SWEEPS: Final = 80
+"""Sweeps over these planes by which the nearest centre beyond all of them is found."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,28 +181,30 @@ def unreached(one: Pass, radius: float) -> Unreached | None:
     box = np.stack([one.region.min(axis=0), one.region.max(axis=0)])[:, :2]
     face = Face(TriangleMesh(vertices, one.faces), radius, box)
     corners = vertices[face.mesh.faces]
-    moved = np.flatnonzero(corners[:, :, 2].min(axis=1) < start - TOUCH)  # the flat around is reached anyhow
+    moved = np.flatnonzero(
+        corners[:, :, 2].min(axis=1) < start - CONTACT_TOLERANCE
+    )  # the flat around is reached anyhow
     corners = corners[moved]
-    parts, owner = small_pieces(corners, GRAIN * radius, _PIECES)
+    parts, owner = small_pieces(corners, FINE_SPACING * radius, _MOST_PIECES)
     area = 0.5 * np.linalg.norm(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]), axis=1)
     corner = corners[owner][:, :, 2]
-    flat = [(np.abs(corner - level) < TOUCH).all(axis=1) for level in (start, end)]
+    flat = [(np.abs(corner - level) < CONTACT_TOLERANCE).all(axis=1) for level in (start, end)]
     wall = np.asarray(~(flat[0] | flat[1]))
     points, normal = parts.mean(axis=1), face.normals[moved[owner]]
-    few = _thinned(points, wall, COARSE * radius)[0]
-    hit = few[face.pushed(points[few], normal[few]) > NEARLY]
+    few = _thinned(points, wall, COARSE_SPACING * radius)[0]
+    hit = few[face.pushed(points[few], normal[few]) > REACHED_WITHIN]
     if not len(hit):
         return None
-    near = cKDTree(points[hit]).query(points, distance_upper_bound=2.0 * COARSE * radius)[0]
+    near = cKDTree(points[hit]).query(points, distance_upper_bound=2.0 * COARSE_SPACING * radius)[0]
     some = np.flatnonzero(np.isfinite(near))
-    first, cell = _thinned(points[some], wall[some], GRAIN * radius)
+    first, cell = _thinned(points[some], wall[some], FINE_SPACING * radius)
     total = np.bincount(cell, area[some])
     all_walls = float(area[wall].sum())
     rows = some[first]
     area[rows] = total
     back = nearest_centres(face, points[rows], normal[rows]) - points[rows]
     apart = np.linalg.norm(back, axis=1)
-    use = apart > radius + NEARLY
+    use = apart > radius + REACHED_WITHIN
     rows, back, apart = rows[use], back[use], apart[use]
     if not len(rows):
         return None
@@ -206,9 +215,9 @@ def unreached(one: Pass, radius: float) -> Unreached | None:
     at = points[rows[k]] if one.side > 0 else points[rows[k]] * MIRROR
     share = float(area[rows][wall[rows]].sum() / max(all_walls, 1e-12))
     # the farthest are corners of the mesh itself, beside these
-    worst = points[rows[np.argsort(apart)[-_WORST:]]]
-    around = np.unique(np.concatenate(cKDTree(points).query_ball_point(worst, 2.0 * GRAIN * radius)))
-    around = around[:: -(-len(around) // _MOST)].astype(np.int64)
+    worst = points[rows[np.argsort(apart)[-_WORST_PLACES:]]]
+    around = np.unique(np.concatenate(cKDTree(points).query_ball_point(worst, 2.0 * FINE_SPACING * radius)))
+    around = around[:: -(-len(around) // _MOST_NEIGHBOURS)].astype(np.int64)
     corner, up = parts[around].reshape(-1, 3), np.repeat(normal[around], 3, axis=0)
     far = np.linalg.norm(nearest_centres(face, corner, up) - corner, axis=1)
     most = max(float(far.max()), float(apart[k]))
@@ -231,9 +240,9 @@ def nearest_centres(face: Face, points: FloatArray, normal: FloatArray) -> Float
     # planes in the way: unit normals, and how far along them a centre is at least
     up = np.zeros((len(points), 0, 3))
     level = np.zeros((len(points), 0))
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_PLANES):
         distance, place, away = face.deepest(found[open_])
-        deep = distance < face.radius - TOUCH
+        deep = distance < face.radius - CONTACT_TOLERANCE
         open_, place, away = open_[deep], place[deep], away[deep]
         if not len(open_):
             break
@@ -247,7 +256,7 @@ def _projected(points: FloatArray, up: FloatArray, level: FloatArray) -> FloatAr
     """The nearest places (N, 3) to ``points`` (N, 3) beyond K planes, ``up`` (N, K, 3), ``level`` (N, K)."""
     place = points.copy()
     push = np.zeros(level.shape)
-    for _ in range(_SWEEPS if level.shape[1] > 1 else 1):
+    for _ in range(_PROJECTION_SWEEPS if level.shape[1] > 1 else 1):
         for k in range(level.shape[1]):
             free = dots(place, up[:, k]) - push[:, k]
             fresh = np.maximum(level[:, k] - free, 0.0)
@@ -259,7 +268,7 @@ def _projected(points: FloatArray, up: FloatArray, level: FloatArray) -> FloatAr
 def _groups(points: FloatArray, radius: float) -> int:
     """How many places that are apart points (N, 3) make up."""
     near = cKDTree(points).sparse_distance_matrix(
-        cKDTree(points), 4.0 * GRAIN * radius, output_type="coo_matrix"
+        cKDTree(points), 4.0 * FINE_SPACING * radius, output_type="coo_matrix"
     )
     return int(connected_components(near, directed=False)[0])
 

@@ -1,6 +1,6 @@
 """What must hold of a forming job, as claims, from the problem alone.
 
-The claim of the part (`wanted`) is what a forming operation is to make, copied from the problem and
+The claim of the part (`wanted_part`) is what a forming operation is to make, copied from the problem and
 worked out by nobody: all other claims of its passes are held against it.
 """
 
@@ -15,10 +15,10 @@ from planner.claims.claim import Claim
 from planner.claims.dialogue import (
     DialogueStop,
     OperatorDialogue,
-    ask_step,
+    message_step,
     power_off_steps,
     power_on_steps,
-    tell_step,
+    question_step,
 )
 from planner.claims.forming import (
     FollowsOpposite,
@@ -35,13 +35,13 @@ from planner.claims.forming import (
 )
 from planner.forming import two_point
 from planner.forming.contact import Pass
-from planner.forming.operation import GAPPED, Forming
+from planner.forming.operation import GAP_MODES, Forming
 from planner.forming.paths import adsif_response, level_lines
 from planner.forming.process_plan import Work, segment
 from planner.forming.sheet_mechanics import by_corner
 from planner.forming.sheet_state import State, states
 from planner.forming.support.modes import border_curve
-from planner.forming.support.opposite import FACING
+from planner.forming.support.opposite import FACING_TURN
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, TandemError
@@ -49,15 +49,15 @@ from planner.problem import Part, Setup
 from planner.tooling import FormingTool, profile
 from planner.units import DEG, MM
 
-BORDER: Final = 0.5 * MM
-"""How far a support may be off the border that it runs along."""
-OPPOSITE: Final = 2.0 * MM
-"""How far a source of heat may be off its place opposite the forming ball."""
-SQUARE: Final = 0.05 * DEG
-"""How far tools at the sheet's level may lean besides what the user allows."""
-AIMED: Final = 10.0 * DEG
-"""How far that place may be off the face's normal, and the nozzle off what is between that and the vertical:
-it follows the smooth face, not its facets."""
+BORDER_TOLERANCE: Final = 0.5 * MM
+"""How far a support may be off the border that it runs along [m]."""
+HEAT_TOLERANCE: Final = 2.0 * MM
+"""How far a source of heat may be off its place opposite the forming ball [m]."""
+LEVEL_LEAN: Final = 0.05 * DEG
+"""How far tools at the sheet's level may lean besides what the user allows [rad]."""
+NOZZLE_LEAN: Final = 10.0 * DEG
+"""How far [rad] that place may be off the face's normal, and the nozzle off what is between that and the
+vertical: it follows the smooth face, not its facets."""
 
 
 def claims(work: Work) -> tuple[Claim, ...]:
@@ -83,7 +83,7 @@ def _lean(work: Work, one: Pass) -> list[Claim]:
     if op.mode == "adsif":
         return []
     arms = (work.former(one), *(() if other is None or op.mode == "heat" else (other,)))
-    upper = SQUARE + (op.lean_deg + op.cone_deg) * DEG
+    upper = LEVEL_LEAN + (op.lean_deg + op.cone_deg) * DEG
     return [ToolsLean(segment(one), arms, tuple(work.above(arm) for arm in arms), upper)]
 
 
@@ -102,7 +102,7 @@ def _by_table(work: Work, one: Pass, other: str) -> FormsByTable:
         one.end,
         thickness=work.thickness,
         metal=work.sheet.metal.name,
-        table=adsif_response.table_text(held.file or adsif_response.BUILT_IN),
+        table=adsif_response.table_text(held.file or adsif_response.BUILT_IN_FILE),
         prefer=held.prefer,
         pitch=held.pitch_mm * MM,
         sag=_sag(op, one),
@@ -110,7 +110,7 @@ def _by_table(work: Work, one: Pass, other: str) -> FormsByTable:
         give=give,
         turning=1 if op.direction == "ccw" else -1,
         tolerance=op.gap_tol_mm * MM,
-        lean=SQUARE + op.cone_deg * DEG,
+        lean=LEVEL_LEAN + op.cone_deg * DEG,
     )
 
 
@@ -149,7 +149,7 @@ def _of(work: Work, one: Pass) -> list[Claim]:
     ]
     if other is None:
         return out
-    if op.mode in GAPPED:
+    if op.mode in GAP_MODES:
         vertices, faces, thick = by_corner(one, work.thickness)
         gap, tolerance = op.squeeze * thick, op.gap_tol_mm * MM
         radii, step = (radius, work.heads[other].radius), op.handshake_gap_mm * MM
@@ -163,21 +163,25 @@ def _of(work: Work, one: Pass) -> list[Claim]:
                 faces,
                 gap,
                 tolerance,
-                turn=FACING,
+                turn=FACING_TURN,
                 handshake=step,
             )
         )
     elif op.mode == "dpif_p":
         border = border_curve(one, work.heads[other], work.thickness)
-        out.append(SupportsBorder(segment(one), other, border, BORDER))
+        out.append(SupportsBorder(segment(one), other, border, BORDER_TOLERANCE))
     else:
         away = radius + float(np.median(one.thickness))
-        aim = AIMED + op.cone_deg * DEG
-        out.append(FollowsOpposite(segment(one), (arm, other), one.side, *face, away, OPPOSITE, AIMED, aim))
+        aim = NOZZLE_LEAN + op.cone_deg * DEG
+        out.append(
+            FollowsOpposite(
+                segment(one), (arm, other), one.side, *face, away, HEAT_TOLERANCE, NOZZLE_LEAN, aim
+            )
+        )
     return out
 
 
-def wanted(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
+def wanted_part(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
     """The part and the user's numbers. Raises ``TandemError`` (forming.no_sheet) where there is no sheet."""
     op, sheet = operation, setup.stock.sheet
     if sheet is None or part is None or part.formed is None:
@@ -232,12 +236,14 @@ def dialogue(
     come its pulses, any number: they are counted by the claim ``sinks``."""
     sheet = setup.stock.sheet
     x, y, z = (float(size) for size in setup.stock.size / MM)
-    first = [tell_step(words.SHEET, x_mm=x, y_mm=y, z_mm=z, metal="" if sheet is None else sheet.metal.name)]
+    first = [
+        message_step(words.SHEET, x_mm=x, y_mm=y, z_mm=z, metal="" if sheet is None else sheet.metal.name)
+    ]
     if wanted.sinking is not None:
-        first.append(ask_step(words.RIM, high_mm=float(np.ptp(wanted.vertices[:, 2])) / MM))
-    first.append(ask_step(words.SHEET_READY))
+        first.append(question_step(words.RIM, high_mm=float(np.ptp(wanted.vertices[:, 2])) / MM))
+    first.append(question_step(words.SHEET_READY))
     stops: tuple[DialogueStop, ...] = ()
     if sinks is not None:
         pulse = (*power_on_steps(sinks.signal, sinks.pulse), *power_off_steps(sinks.signal, sinks.pulse))
         stops = (DialogueStop(sinks.segment, "in", pulse, repeats=True),)
-    return OperatorDialogue(operation.arms, tuple(first), (ask_step(words.FORMED),), stops)
+    return OperatorDialogue(operation.arms, tuple(first), (question_step(words.FORMED),), stops)

@@ -28,16 +28,21 @@ from planner.geometry.mesh import (
 
 MIRROR: Final = np.array([1.0, 1.0, -1.0])
 """What turns points and directions of a face below the sheet over: times this, they are above."""
-CREASE: Final = math.radians(20.0)
-"""Faces that turn by more than this over an edge meet in a crease; by less, they stand for a smooth face."""
-TOUCH: Final = 1e-6
+CREASE_ANGLE: Final = math.radians(20.0)
+"""Faces that turn by more than this [rad] over an edge meet in a crease; by less, they stand for a smooth
+face."""
+CONTACT_TOLERANCE: Final = 1e-6
 """The ball may cut in by so much [m]; places so near to the nearest one are touched as well."""
 ON_FACE: Final = 3e-6
 """A place of contact so near [m] to the mesh counts as on it: facets are chords of a smooth face."""
-_ROUNDS: Final = 30
-_PAIRS: Final = 200_000
+_CLEARING_ROUNDS: Final = 30
+"""Rounds in which a ball is pushed out of the face at most."""
+_PAIRS_AT_ONCE: Final = 200_000
+"""Pairs of a ball and a piece of the face that are worked on at once."""
 _MOST_PAIRS: Final = 3_000_000
-_PIECES: Final = 150_000
+"""Balls are looked at in two halves where there would be more pairs than this, to bound memory."""
+_MOST_PIECES: Final = 150_000
+"""Pieces at most into which triangles of about one size are divided."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +71,7 @@ class Face:
             mesh = TriangleMesh(mesh.vertices, mesh.faces[near])
         self.mesh, self.radius = mesh, radius
         self.normals = face_normals(mesh)
-        self.smooth = corner_normals(mesh, CREASE)
+        self.smooth = corner_normals(mesh, CREASE_ANGLE)
         self._corners = mesh.vertices[mesh.faces]
         self._offset = dots(self._corners[:, 0], self.normals)
         edge = np.linalg.norm(np.roll(self._corners, -1, axis=1) - self._corners, axis=2).max(axis=1)
@@ -75,7 +80,7 @@ class Face:
         rank = np.clip(np.ceil(np.log2(np.maximum(edge / (0.05 * radius), 1e-9))), 0, 4).astype(np.int64)
         for one in np.unique(rank):
             members = np.flatnonzero(rank == one)
-            pieces, owner = small_pieces(self._corners[members], 0.05 * radius * 2.0**one, _PIECES)
+            pieces, owner = small_pieces(self._corners[members], 0.05 * radius * 2.0**one, _MOST_PIECES)
             if box is not None:
                 low, high = pieces[:, :, :2].min(axis=1), pieces[:, :, :2].max(axis=1)
                 kept = ((high >= box[0] - 2.5 * radius) & (low <= box[1] + 2.5 * radius)).all(axis=1)
@@ -149,7 +154,7 @@ class Face:
         nearest places (N, 3), and the unit ways (N, 3) from there to the centre."""
         return self._deepest(centres, None)
 
-    def clear(self, wanted: FloatArray, normal: FloatArray, rounds: int = _ROUNDS) -> Contact:
+    def clear(self, wanted: FloatArray, normal: FloatArray, rounds: int = _CLEARING_ROUNDS) -> Contact:
         """Put the ball to the ``wanted`` places (N, 3) along ``normal`` (N, 3) and push it aside until it
         cuts in nowhere, up to so many ``rounds``."""
         radius = self.radius
@@ -158,11 +163,11 @@ class Face:
         active, clear = np.arange(len(centre)), np.ones(len(centre), dtype=np.bool_)
         for _ in range(rounds):
             distance, _, away = self._deepest(centre[active], None)
-            deep = distance < radius - TOUCH
+            deep = distance < radius - CONTACT_TOLERANCE
             active = active[deep]
             if not len(active):
                 break
-            centre[active] += (radius - distance[deep] + 0.2 * TOUCH)[:, None] * away[deep]
+            centre[active] += (radius - distance[deep] + 0.2 * CONTACT_TOLERANCE)[:, None] * away[deep]
             lost = np.linalg.norm(centre[active] - first[active], axis=1) > 2.0 * radius
             clear[active[lost]] = False
             active = active[~lost]
@@ -198,7 +203,7 @@ class Face:
         """Signed distances (N,) of the face, infinite beyond the radius, the nearest places (N, 3) and the
         unit ways (N, 3) from there to the centre; of places that are equally near the one whose way is most
         ``like`` (N, 3) the given one."""
-        reach = self.radius + 20.0 * TOUCH
+        reach = self.radius + 20.0 * CONTACT_TOLERANCE
         best = np.full(len(centres), np.inf)
         place, away = centres.copy(), np.tile([0.0, 0.0, 1.0], (len(centres), 1))
         for start in range(0, len(centres), 4000):
@@ -226,7 +231,7 @@ class Face:
             first = _first_least(i, apart)
             best[start + i[first]] = apart[first]
             if like is not None:
-                tie = apart <= best[start + i] + TOUCH
+                tie = apart <= best[start + i] + CONTACT_TOLERANCE
                 i, apart, foot, way = i[tie], apart[tie], foot[tie], way[tie]
                 first = _first_least(i, -dots(way, like[start + i]))
             place[start + i[first]], away[start + i[first]] = foot[first], way[first]
@@ -252,8 +257,8 @@ class Face:
         for (tree, owner, size), far in zip(self._trees, most, strict=True):
             found = mine.sparse_distance_matrix(tree, far, output_type="ndarray")
             found = found[found["v"] <= reach[found["i"]] + size[found["j"]]]
-            for start in range(0, len(found), _PAIRS):
-                part = found[start : start + _PAIRS]
+            for start in range(0, len(found), _PAIRS_AT_ONCE):
+                part = found[start : start + _PAIRS_AT_ONCE]
                 yield part["i"], owner[part["j"]]
 
 

@@ -26,10 +26,19 @@ from planner.forming import two_point
 from planner.forming.check import check, force, of_die, shift_issues, step_issues, unreached_issues
 from planner.forming.claims import scallop
 from planner.forming.contact import Pass, ToolPath
-from planner.forming.operation import GAPPED, Forming
-from planner.forming.process_plan import NARROW, SHORTEST, Route, Work, lay_all, lay_out, segment, work
+from planner.forming.operation import GAP_MODES, Forming
+from planner.forming.process_plan import (
+    LEAST_MOVE_TIME,
+    TOO_NARROW,
+    Route,
+    Work,
+    lay_all,
+    lay_out,
+    segment,
+    work,
+)
 from planner.forming.sheet_mechanics import thickness_map, thinnest, wall_angle_map
-from planner.forming.support.opposite import DRIFT
+from planner.forming.support.opposite import DRIFT_SHARE
 from planner.geometry.arrays import BoolArray, FloatArray, read_only
 from planner.geometry.rigid import from_parts
 from planner.issues import Issue, TandemError, aggregate, has_errors
@@ -37,7 +46,7 @@ from planner.problem import Setup
 from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
 from planner.units import DEG, MM
 
-ALIGNED: Final = 0.95
+ALIGNED_COSINE: Final = 0.95
 """Cosine beyond which the sheet's x axis is too near to a tool's axis to fix its spin by."""
 
 
@@ -45,7 +54,7 @@ def poses(centre: FloatArray, axis: FloatArray) -> FloatArray:
     """Poses (N, 4, 4) in the sheet's frame of tools whose z axis is ``axis`` (N, 3) and whose TCP is
     ``centre`` (N, 3) [m]; x as near to the sheet's x as may be, so that it turns no more than it must."""
     reference = np.array([1.0, 0.0, 0.0])
-    if np.abs(axis @ reference).max() > ALIGNED:
+    if np.abs(axis @ reference).max() > ALIGNED_COSINE:
         reference = np.array([0.0, 1.0, 0.0])
     x = reference - (axis @ reference)[:, None] * axis
     x /= np.linalg.norm(x, axis=1, keepdims=True)
@@ -73,7 +82,7 @@ def freedoms(arms: tuple[str, ...], cone: float, count: int) -> tuple[ScrewFreed
 
 Laid = Sequence[tuple[Pass, ToolPath]]
 
-SHOWN: Final = 60
+LOOPS_SHOWN: Final = 60
 """Loops that the picture of a path shows at most."""
 
 
@@ -177,7 +186,7 @@ def _paths(paths: Laid) -> dict[str, Any]:
     for _, path in paths:
         ends = np.flatnonzero(np.diff(path.contact.loop) != 0) + 1
         loops = np.split(path.contact.point, ends)
-        step = max(1, int(np.ceil(len(loops) * len(paths) / SHOWN)))
+        step = max(1, int(np.ceil(len(loops) * len(paths) / LOOPS_SHOWN)))
         curves += [loop for loop in loops[::step] if len(loop) > 1]
     return {"kind": "paths", "title": "Path of the contact (some of its loops)", "curves": curves}
 
@@ -201,31 +210,33 @@ def _gap(work: Work, paths: Laid) -> dict[str, Any]:
     }
 
 
-APART: Final = 0.3
+TARGET_SHARE: Final = 0.3
 """Part of the gap's tolerance that fewer targets may take; straight moves between them take as much."""
 AIR_FEED: Final = 0.1
 """Upper limit of the tools' speed between passes [m/s]."""
-FROM_REST: Final = 0.5
+MEAN_FEED_FROM_REST: Final = 0.5
 """Part of the feed that moves from or to a stop have on average: at their other end they are up to twice as
 fast."""
 CLEARANCE: Final = 0.010
 """How far tools are off the sheet between passes, besides what the route adds [m]."""
-RUN: Final = 0.8
+MODULE_SHARE: Final = 0.8
 """Share of a module's most moves after which tools stop, so that a program can be split there."""
-MOST: Final = 4000
+MOST_MOVES_TO_STOP: Final = 4000
+"""Moves at most from one stop to the next where a program can be split; a clamp that sinks by pulses needs
+four stops in as many."""
 
 
 class FormingJob(Job[Forming]):
     """An operation that forms a sheet, with the tools that it finds."""
 
     @functools.cached_property
-    def made(self) -> Work:
+    def planned(self) -> Work:
         """Features, order and passes: worked out once, and nobody can write into their arrays."""
         return read_only(work(self.operation, self.setup, self.part))
 
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
-        made, setup = self.made, self.setup
+        made, setup = self.planned, self.setup
         steps = list(step_issues(made))
         if steps:
             raise TandemError(steps)
@@ -245,13 +256,14 @@ class FormingJob(Job[Forming]):
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
-        whole = forming_claims.wanted(self.operation, self.setup, self.part)
-        spoken = forming_claims.dialogue(self.operation, self.setup, whole, two_point.holder_claim(self.made))
-        return (whole, spoken, *forming_claims.claims(self.made))
+        whole = forming_claims.wanted_part(self.operation, self.setup, self.part)
+        holder = two_point.holder_claim(self.planned)
+        spoken = forming_claims.dialogue(self.operation, self.setup, whole, holder)
+        return (whole, spoken, *forming_claims.claims(self.planned))
 
 
 def _route(made: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
-    most = int(min(RUN * setup.cell.controller.max_moves, MOST))
+    most = int(min(MODULE_SHARE * setup.cell.controller.max_moves, MOST_MOVES_TO_STOP))
     return lay_out(made, paths, CLEARANCE, most)
 
 
@@ -276,18 +288,18 @@ def _targets(
     travel = np.concatenate([[0.0], np.max(steps, axis=0)])
     stop = _stops(route, actions)
     rest = np.append(False, stop[:-1]) | stop
-    feed = np.where(forming, np.where(rest, FROM_REST, 1.0) * op.feed_mm_s * MM, AIR_FEED)
+    feed = np.where(forming, np.where(rest, MEAN_FEED_FROM_REST, 1.0) * op.feed_mm_s * MM, AIR_FEED)
     return Targets(
         arms=op.arms,
         pose=placed,
         frame=dict.fromkeys(op.arms, "stock"),
         freedoms=freedoms(op.arms, op.cone_deg * DEG, count),
-        feed=np.where(travel > 0.0, np.minimum(feed, travel / SHORTEST), feed),
+        feed=np.where(travel > 0.0, np.minimum(feed, travel / LEAST_MOVE_TIME), feed),
         feed_min=np.zeros(count),
         travel=travel,
         stop=stop,
         segment=route.segment,
-        apart=APART * op.gap_tol_mm * MM,
+        apart=TARGET_SHARE * op.gap_tol_mm * MM,
         ahead=_ahead(made),
         actions=actions,
         claims=claims,
@@ -321,7 +333,7 @@ def _or_allowed(made: Work, narrow: Sequence[Issue], corners: Sequence[Issue]) -
         return list(narrow)
     hint = f"or allow the ball to stay off there: unreached_mm: {most + 0.01:.2f}"
     return [
-        dataclasses.replace(one, hint=hint) if one.code == NARROW and one.hint is None else one
+        dataclasses.replace(one, hint=hint) if one.code == TOO_NARROW and one.hint is None else one
         for one in narrow
     ]
 
@@ -329,7 +341,9 @@ def _or_allowed(made: Work, narrow: Sequence[Issue], corners: Sequence[Issue]) -
 def _ahead(made: Work) -> float:
     """How much [m] of the gap's change with one controller ahead may come of one move."""
     op = made.operation
-    return DRIFT * op.handshake_gap_mm * MM / made.every if made.every and op.mode in GAPPED else np.inf
+    return (
+        DRIFT_SHARE * op.handshake_gap_mm * MM / made.every if made.every and op.mode in GAP_MODES else np.inf
+    )
 
 
 def _stops(route: Route, actions: Sequence[Action]) -> BoolArray:
@@ -337,7 +351,7 @@ def _stops(route: Route, actions: Sequence[Action]) -> BoolArray:
     programs are split, so that no stops of the route come near to those."""
     stop = route.stop.copy()
     pulses = np.unique([action.at for action in actions if action.kind == "on"]).astype(np.int64)
-    if len(pulses) and np.diff(pulses, prepend=pulses[0]).max() <= MOST // 4:
+    if len(pulses) and np.diff(pulses, prepend=pulses[0]).max() <= MOST_MOVES_TO_STOP // 4:
         stop[pulses[0] : pulses[-1]] = False
     stop[[action.at for action in actions]] = True
     return stop
@@ -349,13 +363,13 @@ def _actions(
     """What the operator is told and asked, and the signal of a blank holder that sinks."""
     size = setup.stock.size / MM
     metal = made.sheet.metal.name
-    sheet = dialogue.SHEET.say(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
+    sheet = dialogue.SHEET.filled(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
     out = [Action(0, "message", sheet)]
     one, path = paths[0]
     if two_point.holder_sinks(made):
         high = abs(one.start - one.end) / MM
-        out.append(Action(0, "confirm", dialogue.RIM.say(high_mm=high)))
-    out.append(Action(0, "confirm", dialogue.SHEET_READY.say()))
+        out.append(Action(0, "confirm", dialogue.RIM.filled(high_mm=high)))
+    out.append(Action(0, "confirm", dialogue.SHEET_READY.filled()))
     first = route.segment.index(segment(one).at("in"))
     out += two_point.holder_actions(made, one, path, first)
-    return (*out, Action(len(route.segment) - 1, "confirm", dialogue.FORMED.say()))
+    return (*out, Action(len(route.segment) - 1, "confirm", dialogue.FORMED.filled()))

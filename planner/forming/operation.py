@@ -69,7 +69,7 @@ def _drawn(shape: Shape, along: float) -> Shape:
 
 
 Mode = Literal["spif", "tpif", "dsif", "dpif_l", "dpif_p", "adsif", "heat"]
-GAPPED = frozenset({"dsif", "dpif_l", "adsif"})
+GAP_MODES = frozenset({"dsif", "dpif_l", "adsif"})
 """Modes in which the sheet is held between both tools, so that their gap is part of the job."""
 
 

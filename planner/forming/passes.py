@@ -35,21 +35,30 @@ from planner.geometry.arrays import FloatArray, Mesh
 from planner.issues import Issue, Severity, TandemError
 from planner.units import DEG, MM
 
-_FILE: Final = Path(__file__).resolve().parents[1] / "data" / "forming_trials.yaml"
+_TRIALS_FILE: Final = Path(__file__).resolve().parents[1] / "data" / "forming_trials.yaml"
+"""Published trials of forming, each with its source."""
 
-MODES: Final = {"spif": "isf", "dpif_p": "dpif_p", "dpif_l": "dpif_l", "dsif": "dpif_l"}
+TRIAL_MODES: Final = {"spif": "isf", "dpif_p": "dpif_p", "dpif_l": "dpif_l", "dsif": "dpif_l"}
 """The trials' mode that is likest to a mode of forming; the others have none."""
-CAUSES: Final = {
+TRIAL_CAUSES: Final = {
     "force": "the robot stopped with a collision error, from the forming force,",
     "border_tear": "the sheet tore along the border",
     "local_tear": "the sheet tore at the forming tool",
     "completed": "the part was completed",
 }
-NAMES: Final = {"isf": "no support", "dpif_p": "support on the border", "dpif_l": "support opposite the tool"}
+"""What stopped a trial, in words."""
+TRIAL_MODE_NAMES: Final = {
+    "isf": "no support",
+    "dpif_p": "support on the border",
+    "dpif_l": "support opposite the tool",
+}
+"""The trials' modes in words."""
 ANGLE_SLACK: Final = 5.0 * DEG
+"""A part is like a trial where its wall angle is no smaller than the trial's less this [rad]."""
 DEPTH_SLACK: Final = 0.9
+"""A part is like a trial where its depth is at least this share of the trial's."""
 THICKNESS_SLACK: Final = 1.25
-"""How near to a trial's wall angle, depth and thickness a part must come to be like it."""
+"""A part is like a trial where its thickness is no worse than the trial's by this factor."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +94,7 @@ class Trial:
 @functools.lru_cache(maxsize=1)
 def trials() -> tuple[Trial, ...]:
     """All trials, in the order of their source."""
-    with _FILE.open(encoding="utf-8") as stream:
+    with _TRIALS_FILE.open(encoding="utf-8") as stream:
         return tuple(_trial(entry) for entry in yaml.safe_load(stream)["trials"])
 
 
@@ -96,14 +105,14 @@ def nearest_failed(family: str, thickness: float, angle: float, depth: float, mo
     ``mode`` of forming. A trial is like it if the metal is of the same family, the part as steep and deep at
     least, and its sheet no thinner than one that met too much force, or no thicker than one that tore.
     """
-    if mode not in MODES:
+    if mode not in TRIAL_MODES:
         return None
     like = [
         trial
         for trial in trials()
         if trial.failed
         and trial.family == family
-        and trial.mode == MODES[mode]
+        and trial.mode == TRIAL_MODES[mode]
         and angle >= trial.angle - ANGLE_SLACK
         and depth >= DEPTH_SLACK * trial.depth
         and _as_bad(trial, thickness)
@@ -122,8 +131,9 @@ def warning(family: str, thickness: float, angle: float, depth: float, mode: str
     )
     return Issue(
         "forming.trial",
-        f"{part}: in a trial ({trial.name}: {NAMES[trial.mode]}{helper}, {trial.thickness / MM:g} mm, "
-        f"{trial.angle / DEG:.0f} deg, {trial.lubricant}) {CAUSES[trial.cause]} at a depth of "
+        f"{part}: in a trial ({trial.name}: {TRIAL_MODE_NAMES[trial.mode]}{helper}, "
+        f"{trial.thickness / MM:g} mm, "
+        f"{trial.angle / DEG:.0f} deg, {trial.lubricant}) {TRIAL_CAUSES[trial.cause]} at a depth of "
         f"{trial.depth / MM:.0f} mm; one trial in one lab, with metal of unstated alloy: a hint, no limit",
         Severity.WARNING,
         value=depth / MM,
@@ -170,12 +180,13 @@ def _trial(entry: dict[str, Any]) -> Trial:
     )
 
 
-SUPPORTED: Final = frozenset({"dsif", "dpif_l", "adsif"})
+SUPPORTED_MODES: Final = frozenset({"dsif", "dpif_l", "adsif"})
 """Modes with a tool opposite the forming one."""
-UPRIGHT: Final = 89.0 * DEG
+UPRIGHT_WALL: Final = 89.0 * DEG
 """Walls [rad] from which on the sine law leaves nothing of the sheet."""
-ALIKE: Final = 0.1 * DEG
-LEAP: Final = 15.0 * DEG
+SAME_ANGLE: Final = 0.1 * DEG
+"""Wall angles [rad] that differ by less are one: no pass is made for so little."""
+LARGEST_ANGLE_STEP: Final = 15.0 * DEG
 """Angle [rad] from shape to shape beyond which walls tore in trials (30 deg tore, 15 deg did not)."""
 
 
@@ -199,7 +210,7 @@ def passes(
         male = operation.die is not None and operation.die.kind == "male"
         final = _final(tree, step, mesh, thickness, male)
         angle = steepest(final.vertices, final.faces)
-        if angle >= UPRIGHT:
+        if angle >= UPRIGHT_WALL:
             wrong.append(_upright(step.feature, angle))
             continue
         shapes = _shapes(final, pass_angles(angle, operation, metal)[:-1], thickness)
@@ -222,11 +233,11 @@ def pass_angles(angle: float, operation: Forming, metal: SheetMetal) -> tuple[fl
     if operation.mode == "adsif" or (operation.die is not None and operation.die.kind == "male"):
         return (angle,)
     if operation.passes != "auto":
-        return (*(a * DEG for a in operation.passes if a * DEG < angle - ALIKE), angle)
+        return (*(a * DEG for a in operation.passes if a * DEG < angle - SAME_ANGLE), angle)
     step = operation.angle_step_deg * DEG
-    limit = metal.wall_angle_limit(operation.mode in SUPPORTED)
-    count = max(math.ceil((angle - limit - ALIKE) / step), 0)
-    return tuple(angle - step * k for k in range(count, -1, -1) if angle - step * k > ALIKE)
+    limit = metal.wall_angle_limit(operation.mode in SUPPORTED_MODES)
+    count = max(math.ceil((angle - limit - SAME_ANGLE) / step), 0)
+    return tuple(angle - step * k for k in range(count, -1, -1) if angle - step * k > SAME_ANGLE)
 
 
 def pass_issues(
@@ -234,13 +245,16 @@ def pass_issues(
 ) -> tuple[Issue, ...]:
     """Warnings of ``found`` passes: walls that one pass may tear, and failed trials that are like them."""
     issues: list[Issue] = []
-    limit = metal.wall_angle_limit(operation.mode in SUPPORTED)
+    limit = metal.wall_angle_limit(operation.mode in SUPPORTED_MODES)
     for feature in dict.fromkeys(one.feature for one in found):
         mine = [one for one in found if one.feature == feature]
         angles = [steepest(one.vertices, one.faces) for one in mine]
         before = 0.0
         for one, angle in zip(mine, angles, strict=True):
-            if angle > limit + ALIKE and angle - before > max(LEAP, operation.angle_step_deg * DEG) + DEG:
+            if (
+                angle > limit + SAME_ANGLE
+                and angle - before > max(LARGEST_ANGLE_STEP, operation.angle_step_deg * DEG) + DEG
+            ):
                 auto = pass_angles(angles[-1], operation.model_copy(update={"passes": "auto"}), metal)
                 issues.append(_torn(one, angle, before, limit, auto))
             before = max(before, angle)
@@ -314,11 +328,12 @@ def _kept_thin(face: Mesh, final: Pass, earlier: Sequence[Limited], thickness: f
 def _upright(feature: int, angle: float) -> Issue:
     return Issue(
         "forming.wall_angle",
-        f"feature {feature}: a wall of {angle / DEG:.1f} deg, allowed below {UPRIGHT / DEG:.0f} deg; by the "
+        f"feature {feature}: a wall of {angle / DEG:.1f} deg, allowed below {UPRIGHT_WALL / DEG:.0f} deg; "
+        "by the "
         "sine law nothing is left of the sheet at 90 deg, and an undercut tore in trials",
         field="part",
         value=angle / DEG,
-        limit=UPRIGHT / DEG,
+        limit=UPRIGHT_WALL / DEG,
         unit="deg",
         hint="make the wall lean, or form it in another way",
     )
@@ -333,7 +348,8 @@ def _torn(one: Pass, angle: float, before: float, limit: float, auto: Sequence[f
     return Issue(
         "forming.wall_angle",
         f"pass {one.name}: a wall of {angle / DEG:.1f} deg {how}; the metal is good for "
-        f"{limit / DEG:.1f} deg at once and about {LEAP / DEG:.0f} deg more with each further pass",
+        f"{limit / DEG:.1f} deg at once and about {LARGEST_ANGLE_STEP / DEG:.0f} deg more with each "
+        "further pass",
         Severity.WARNING,
         value=angle / DEG,
         limit=limit / DEG,

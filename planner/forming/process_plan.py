@@ -17,11 +17,11 @@ from planner.claims.segments import Segment
 from planner.forming.contact import ContactPath, Pass, ToolPath
 from planner.forming.features import tree as feature_tree
 from planner.forming.features.tree import FeatureTree, OrderStep
-from planner.forming.operation import GAPPED, Forming
+from planner.forming.operation import GAP_MODES, Forming
 from planner.forming.passes import passes
 from planner.forming.paths.adsif_path import adsif_tool_path, pressed_by_support
 from planner.forming.paths.contact_path import make_path
-from planner.forming.paths.spiral import MISSED, PathOptions
+from planner.forming.paths.spiral import MISSED_DISTANCE, PathOptions
 from planner.forming.sheet_mechanics import steepest
 from planner.forming.support.clearance import Clamp, clamp_of
 from planner.forming.support.modes import tool_path
@@ -103,7 +103,7 @@ class Work:
             start_angle=op.seam_deg * DEG,
             direction=op.direction,
             longest=op.longest_mm * MM,
-            missed=max(MISSED, self.tolerance) if op.unreached_mm is None else np.inf,
+            missed=max(MISSED_DISTANCE, self.tolerance) if op.unreached_mm is None else np.inf,
         )
 
 
@@ -120,7 +120,7 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
         raise TandemError(Issue("forming.no_sheet", what, field="sheet"))
     heads = _heads(operation, setup)
     tolerance = part.formed.tolerance if part is not None and part.formed is not None else 0.0
-    tree = feature_tree.build(mesh, operation.feature_step_mm * MM, max(feature_tree.NOISE, tolerance))
+    tree = feature_tree.build(mesh, operation.feature_step_mm * MM, max(feature_tree.LEAST_BUMP, tolerance))
     order = _order(operation, tree)
     thickness = float(setup.stock.size[2])
     made = passes(tree, order, mesh, thickness, operation, sheet.metal)
@@ -133,7 +133,7 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
 
 def _order(op: Forming, tree: FeatureTree) -> tuple[OrderStep, ...]:
     if op.order is not None:
-        return feature_tree.given(tree, op.order, translated=op.strategy == "virgin")
+        return feature_tree.given_order(tree, op.order, translated=op.strategy == "virgin")
     return feature_tree.on_virgin_sheet(tree) if op.strategy == "virgin" else feature_tree.in_place(tree)
 
 
@@ -183,16 +183,17 @@ def _named(features: list[int]) -> str:
     return f"{len(features)} features ({shown}{', ...' if len(features) > FEATURES_NAMED else ''}) go"
 
 
-NARROW: Final = "forming.tool_radius"
-SHORTEST: Final = 0.006
+TOO_NARROW: Final = "forming.tool_radius"
+"""Code of a fillet or groove that is too narrow for the ball."""
+LEAST_MOVE_TIME: Final = 0.006
 """Moves take so long [s] at least at the stated feed; controllers plan none that are much shorter."""
-SPARE: Final = 0.01 * MM
-"""How far tools may be off their way, where fillets are that the ball just fits, times how steeply the
+WAY_TOLERANCE: Final = 0.01 * MM
+"""How far [m] tools may be off their way, where fillets are that the ball just fits, times how steeply the
 sheet's thickness changes with the wall's angle."""
-LEFT: Final = 0.06 * MM
-"""So far off the floor the ball may stay for it."""
-TOP: Final = 5.0 * MM
-"""Loops about the top of a male die that are no wider than this may be left out."""
+FLOOR_GAP: Final = 0.06 * MM
+"""How far [m] the ball may stay off the floor for that."""
+TOP_WIDTH: Final = 5.0 * MM
+"""Loops about the top of a male die that are no wider than this [m] may be left out."""
 
 
 def lay_all(work: Work) -> list[tuple[Pass, ToolPath]]:
@@ -204,7 +205,7 @@ def lay_all(work: Work) -> list[tuple[Pass, ToolPath]]:
         try:
             out.append((one, lay(work, one)))
         except TandemError as error:
-            if any(issue.code != NARROW for issue in error.issues):
+            if any(issue.code != TOO_NARROW for issue in error.issues):
                 raise
             narrow += error.issues
     if narrow:
@@ -219,11 +220,11 @@ def lay(work: Work, one: Pass) -> ToolPath:
     if op.mode == "adsif" and other is not None:
         return adsif_tool_path(one, op, former, work.heads[other], work.thickness, work.sheet.metal)
     options = work.options
-    if op.mode in GAPPED or op.mode == "heat":
+    if op.mode in GAP_MODES or op.mode == "heat":
         options = dataclasses.replace(options, spare=_spare(work, one))
     contact = make_path(one, former.radius, options)
     if work.tree.feature(one.feature).sign == one.side:
-        contact = _off_the_top(contact, SHORTEST * op.feed_mm_s * MM)
+        contact = _off_the_top(contact, LEAST_MOVE_TIME * op.feed_mm_s * MM)
     support = None if other is None else work.heads[other]
     return tool_path(one, contact, op, former, support, work.thickness, work.clamp, work.every)
 
@@ -232,8 +233,8 @@ def _spare(work: Work, one: Pass) -> float:
     """How much larger [m] than the ball fillets have to be so that it goes through them: beside the wall, in
     one that is hardly larger, it touches the floor for the wall: the gap of the tools is another, and the
     place to be heated is elsewhere."""
-    wanted = SPARE * work.operation.squeeze * work.thickness / (work.operation.gap_tol_mm * MM)
-    return min(wanted, LEFT / max(1.0 - float(np.cos(steepest(one.vertices, one.faces))), 1e-3))
+    wanted = WAY_TOLERANCE * work.operation.squeeze * work.thickness / (work.operation.gap_tol_mm * MM)
+    return min(wanted, FLOOR_GAP / max(1.0 - float(np.cos(steepest(one.vertices, one.faces))), 1e-3))
 
 
 def _off_the_top(path: ContactPath, shortest: float) -> ContactPath:
@@ -241,7 +242,7 @@ def _off_the_top(path: ContactPath, shortest: float) -> ContactPath:
     flat already, have moves of less than ``shortest`` [m]."""
     away = np.linalg.norm(path.centre - path.centre[0], axis=1)
     short = np.linalg.norm(np.diff(path.centre, axis=0), axis=1) < shortest
-    rows = np.flatnonzero(short & (np.maximum.accumulate(away)[1:] <= TOP))
+    rows = np.flatnonzero(short & (np.maximum.accumulate(away)[1:] <= TOP_WIDTH))
     if not len(rows):
         return path
     first = int(rows[-1]) + 1
@@ -254,11 +255,11 @@ def _off_the_top(path: ContactPath, shortest: float) -> ContactPath:
 AIR_CLEARANCE: Final = 0.005
 """How much farther than the clearance tools stay off the sheet between passes [m]."""
 SHARP_TURN: Final = 15.0 * DEG
-"""Tools stop where their way turns by more than this, and more than smooth ways do from target to target: a
-corner that is rounded at full feed costs two tools some of their gap."""
+"""Tools stop where their way turns by more than this [rad], and more than smooth ways do from target to
+target: a corner that is rounded at full feed costs two tools some of their gap."""
 LEAST_MOVE: Final = 1e-6
 """Moves that are shorter than this [m] have no direction."""
-DRAWN_BACK: Final = 0.06
+DRAWN_BACK_DISTANCE: Final = 0.06
 """How far tools are drawn back before and after the job [m], so that arms come to them in free space."""
 
 
@@ -294,12 +295,12 @@ def lay_out(work: Work, paths: Sequence[tuple[Pass, ToolPath]], clearance: float
             row = (
                 [start, start, *points, end]
                 if not first
-                else [start + DRAWN_BACK * rise, start, *points, end]
+                else [start + DRAWN_BACK_DISTANCE * rise, start, *points, end]
             )
             row = row[0 if first else 1 :]
             turns = [axes[:1]] * (2 if first else 1) + [axes, axes[-1:]]
             if last:
-                row.append(end + DRAWN_BACK * rise)
+                row.append(end + DRAWN_BACK_DISTANCE * rise)
                 turns.append(axes[-1:])
             centre[arm].append(np.array(row))
             axis[arm].append(np.concatenate(turns))

@@ -4,17 +4,7 @@
 keeps its area in plan, so its sheet of constant volume becomes as thick along the normal as t = t0
 cos(a) at a wall of angle a: the sine law t = t0 sin(90 deg - a).
 
-**Force** along the tool that single point incremental forming takes, for choosing robots.
-
-Formula of Aerens, Eyckens, Van Bael and Duflou, "Force prediction for single point incremental
-forming deduced from experimental and FEM observations", Int. J. Adv. Manuf. Technol. 46 (2010) 969,
-its general form for all of their metals:
-
-    F = 0.0716 Rm t^1.57 d^0.41 h^0.09 a cos a
-
-F [N], Rm tensile strength [N/mm^2], t sheet thickness, d tool diameter, h scallop height [mm], a
-wall angle [deg]. The figures are quoted from general knowledge; the paper itself was not at hand.
-It is the steady force of a cone in one pass without support, so with a second tool it is a guess.
+**Force** along the tool that single point incremental forming takes, for choosing robots: `axial_force`.
 """
 
 from __future__ import annotations
@@ -27,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.catalogue.materials import SheetMetal
-from planner.forming.contact import CREASE, Pass
+from planner.forming.contact import CREASE_ANGLE, Pass
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh, corner_normals, face_areas, face_normals
 from planner.issues import Issue, Severity, TandemError
@@ -85,7 +75,7 @@ def by_corner(surface: Pass, thickness: float) -> tuple[FloatArray, IntArray, Fl
     as their normals. ``thickness`` [m] of the flat sheet.
     """
     mesh = TriangleMesh(surface.vertices, surface.faces)
-    up = np.clip(corner_normals(mesh, CREASE)[:, :, 2], 0.0, 1.0)
+    up = np.clip(corner_normals(mesh, CREASE_ANGLE)[:, :, 2], 0.0, 1.0)
     single = thickness * _least_up(surface.vertices, surface.faces)
     earlier = np.where(single > 0.0, surface.thickness / np.maximum(single, 1e-12), 1.0)
     value = thickness * up * np.minimum(earlier, 1.0)[surface.faces]
@@ -95,17 +85,19 @@ def by_corner(surface: Pass, thickness: float) -> tuple[FloatArray, IntArray, Fl
 
 def _least_up(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """The least z (V,) of the unit normals about each vertex, smooth but over creases, within [0, 1]."""
-    up = np.clip(corner_normals(TriangleMesh(vertices, faces), CREASE)[:, :, 2], 0.0, 1.0)
+    up = np.clip(corner_normals(TriangleMesh(vertices, faces), CREASE_ANGLE)[:, :, 2], 0.0, 1.0)
     least = np.ones(len(vertices))
     np.minimum.at(least, faces.reshape(-1), up.reshape(-1))
     return least
 
 
-FACTOR: Final = 0.0716
+FORCE_COEFFICIENT: Final = 0.0716
+"""Coefficient of the formula in `axial_force`, for N, N/mm^2, mm and degrees."""
 OF_THICKNESS, OF_DIAMETER, OF_SCALLOP = 1.57, 0.41, 0.09
-"""Powers of the lengths in mm."""
-MPA: Final = 1e6
-FAR: Final = 2.0
+"""Exponents of thickness, tool diameter and scallop height [mm] in `axial_force`."""
+MEGAPASCAL: Final = 1e6
+"""One megapascal in pascals."""
+MOST_FORCE_FACTOR: Final = 2.0
 """Forces beyond so many times what a payload leaves are refused unless the problem accepts them: arms that
 push slowly bear more than they may swing about, but not any force. The factor is assumed."""
 
@@ -138,7 +130,17 @@ def axial_force(
 ) -> FloatArray:
     """Axial force [N]: tensile strength [Pa], sheet thickness, tool diameter, scallop height [m] and wall
     angle [rad], which broadcast. Largest at 49.3 deg; 0 at 0 and 90 deg. Raises `TandemError`
-    (forming.force_input)."""
+    (forming.force_input).
+
+    Formula of Aerens, Eyckens, Van Bael and Duflou, "Force prediction for single point incremental forming
+    deduced from experimental and FEM observations", Int. J. Adv. Manuf. Technol. 46 (2010) 969, its general
+    form for all of their metals:
+
+        F = 0.0716 Rm t^1.57 d^0.41 h^0.09 a cos a
+
+    F [N], Rm tensile strength [N/mm^2], t sheet thickness, d tool diameter, h scallop height [mm], a wall
+    angle [deg]. The figures are quoted from general knowledge; the paper itself was not at hand. It is the
+    steady force of a cone in one pass without support, so with a second tool it is a guess."""
     t, h, a = (np.asarray(value, dtype=np.float64) for value in (thickness, scallop, angle))
     _positive("tensile strength", tensile_stress, "Pa")
     _positive("thickness", t / MM, "mm")
@@ -148,7 +150,7 @@ def axial_force(
     if not np.all((a >= 0.0) & (a <= 90.0 * DEG)):
         raise _wrong(f"wall angle: got {_worst(a) / DEG:g} deg, allowed 0 to 90 deg")
     lengths = (t / MM) ** OF_THICKNESS * (diameter / MM) ** OF_DIAMETER * (h / MM) ** OF_SCALLOP
-    force: FloatArray = FACTOR * tensile_stress / MPA * lengths * (a / DEG) * np.cos(a)
+    force: FloatArray = FORCE_COEFFICIENT * tensile_stress / MEGAPASCAL * lengths * (a / DEG) * np.cos(a)
     return force
 
 
@@ -183,7 +185,7 @@ def estimate(
 
 def payload_issue(found: ForceEstimate, arm: str, robot: str, payload: float, carried: float) -> Issue | None:
     """A warning where the force is beyond the weight of the ``payload`` [kg] less what is ``carried`` [kg]
-    (forming.force); to be accepted where it is beyond `FAR` times that.
+    (forming.force); to be accepted where it is beyond `MOST_FORCE_FACTOR` times that.
     """
     free = max(payload - carried, 0.0) * GRAVITY
     if found.force <= free:
@@ -199,7 +201,7 @@ def payload_issue(found: ForceEstimate, arm: str, robot: str, payload: float, ca
         limit=free,
         unit="N",
         hint="take thinner or softer sheet, a smaller tool or a larger robot, or state a measured force",
-        accepted=False if found.force > FAR * free else None,
+        accepted=False if found.force > MOST_FORCE_FACTOR * free else None,
     )
 
 

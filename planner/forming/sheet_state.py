@@ -26,15 +26,18 @@ from planner.geometry.mesh import small_pieces
 from planner.issues import Issue
 from planner.units import MM
 
-SPACING: Final = 2e-3
+FORMED_SPACING: Final = 2e-3
+"""Distance [m] of points on what is formed."""
 FLAT_SPACING: Final = 4e-3
-"""Distances [m] of points on what is formed, and on the flat about it."""
-RIM: Final = 0.04
+"""Distance [m] of points on the flat about what is formed."""
+RIM_WIDTH: Final = 0.04
 """Width [m] of the flat around a feature that gets points."""
-REACH: Final = 0.1
+TOOL_REACH: Final = 0.1
 """Points farther [m] from the feature in plan are out of any tool's reach."""
-_MOST: Final = 60_000
-_MOVED: Final = 1e-9
+_MOST_POINTS: Final = 60_000
+"""Pieces at most into which what is formed is divided for its points."""
+_MOVED_SHARE: Final = 1e-9
+"""A vertex whose share of a feature is no larger has not been moved by it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,9 +82,9 @@ def _state(
 ) -> State:
     inside = shapely.Polygon(one.region[:, :2]).buffer(0.0)
     if tree.feature(one.feature).sign == one.side:  # over a male die the flat around sinks with the tool
-        flat = _grid(inside.buffer(RIM), one.start - (thickness if one.side > 0 else 0.0))
+        flat = _grid(inside.buffer(RIM_WIDTH), one.start - (thickness if one.side > 0 else 0.0))
         return _split(_both(flat + np.array([0.0, 0.0, sunk]), thickness), sunk != 0.0)
-    low, high = one.region[:, :2].min(axis=0) - REACH, one.region[:, :2].max(axis=0) + REACH
+    low, high = one.region[:, :2].min(axis=0) - TOOL_REACH, one.region[:, :2].max(axis=0) + TOOL_REACH
     inner = set(descendants(tree, one.feature))
     others = [number for number in done if number not in inner]
     formed = [number for number in done if number in inner]
@@ -105,7 +108,7 @@ def _height(
 ) -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.bool_]]]:
     """Height (V,) [m] of the sheet's lower face once ``done`` are formed, and what ``which`` have moved."""
     rows = np.array(done, dtype=np.int64) - 1
-    moved = (np.abs(tree.share[np.array(which, dtype=np.int64) - 1]) > _MOVED).any(axis=0)
+    moved = (np.abs(tree.share[np.array(which, dtype=np.int64) - 1]) > _MOVED_SHARE).any(axis=0)
     return tree.level + tree.share[rows].sum(axis=0), np.asarray(moved, dtype=np.bool_)
 
 
@@ -124,9 +127,9 @@ def _points(
     if not len(chosen):
         return np.zeros((0, 3))
     vertices = np.column_stack([mesh.vertices[:, :2], height])
-    pieces, _ = small_pieces(vertices[chosen], SPACING, _MOST)
+    pieces, _ = small_pieces(vertices[chosen], FORMED_SPACING, _MOST_POINTS)
     points = np.concatenate([pieces.mean(axis=1), vertices[np.unique(chosen)]])
-    cell = np.floor(points / (0.75 * SPACING)).astype(np.int64)
+    cell = np.floor(points / (0.75 * FORMED_SPACING)).astype(np.int64)
     points = points[np.sort(np.unique(cell, axis=0, return_index=True)[1])]
     return np.asarray(points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)])
 
@@ -134,7 +137,7 @@ def _points(
 def _flat_around(tree: FeatureTree, one: Pass, done: Sequence[int], inside: Any) -> FloatArray:
     """Points of the flat around a feature that starts on the flat sheet, at its level then; off whatever is
     formed there."""
-    around = inside.buffer(RIM).difference(inside)
+    around = inside.buffer(RIM_WIDTH).difference(inside)
     taken = [shapely.Polygon(tree.feature(number).region).buffer(0.0) for number in done]
     parent = tree.feature(one.feature).parent
     while parent is not None:
@@ -164,11 +167,13 @@ def _both(points: FloatArray, thickness: float) -> FloatArray:
     return np.concatenate([points, points + np.array([0.0, 0.0, thickness])])
 
 
-FINE: Final = 2e-5
-"""Between two places that are looked at a point may be deeper in a tool by so much [m] than at either."""
-HALF: Final = 0.5 * MM
-_PAIRS: Final = 2_000_000
-_RUN: Final = 16
+UNSEEN_DEPTH: Final = 2e-5
+"""Between two places that are looked at a point may be deeper in a tool than at either by so much [m]."""
+RADIUS_STEP: Final = 0.5 * MM
+"""Radii that are advised are multiples of this [m]."""
+_PAIRS_AT_ONCE: Final = 2_000_000
+"""Pairs of a tool and a point that are worked on at once."""
+_RUN_PLACES: Final = 16
 """Places in a row that are first looked at as one."""
 
 
@@ -226,7 +231,7 @@ def deepest(place: FloatArray, axis: FloatArray, profile: FloatArray, points: Fl
     # spheres along the axis that hold the tool, to find the points that are near
     along = np.linspace(back[0], back[-1], max(int(np.ceil((back[-1] - back[0]) / wide)), 1) + 1)
     reach = float(np.hypot(wide, 0.5 * (along[1] - along[0])))
-    at, centre, way = _sampled(place, axis, float(np.sqrt(8.0 * wide * FINE)))
+    at, centre, way = _sampled(place, axis, float(np.sqrt(8.0 * wide * UNSEEN_DEPTH)))
     # what no sphere of any place comes near is left out at once
     box = (points >= (centre.min(axis=0) - back[-1] - wide)) & (
         points <= centre.max(axis=0) + back[-1] + wide
@@ -238,7 +243,7 @@ def deepest(place: FloatArray, axis: FloatArray, profile: FloatArray, points: Fl
     best: Cut | None = None
     rows = _near(tree, centre, way, along, reach)
     at, centre, way = at[rows], centre[rows], way[rows]
-    chunk = min(max(_PAIRS // len(points), 20), 2000)
+    chunk = min(max(_PAIRS_AT_ONCE // len(points), 20), 2000)
     for start in range(0, len(centre), chunk):
         c, a = centre[start : start + chunk], way[start : start + chunk]
         spheres = (c[:, None] - along[None, :, None] * a[:, None]).reshape(-1, 3)
@@ -258,7 +263,7 @@ def deepest(place: FloatArray, axis: FloatArray, profile: FloatArray, points: Fl
 def _near(tree: cKDTree, centre: FloatArray, way: FloatArray, along: FloatArray, reach: float) -> IntArray:
     """Rows of places in those runs of places that points may be near to: spheres of radius ``reach`` [m],
     ``along`` (S,) behind the places ``centre`` (N, 3), are grown to hold those of their whole run."""
-    first = np.arange(0, len(centre), _RUN)
+    first = np.arange(0, len(centre), _RUN_PLACES)
     count = np.diff(np.append(first, len(centre)))
 
     def spread(values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -323,10 +328,10 @@ def _slimmest(profile: FloatArray, worst: Callable[[FloatArray], Cut | None]) ->
     if not 0.0 < low < high - 1e-6 or not clears(low):
         return None
     ball = low
-    while high - low > HALF:
+    while high - low > RADIUS_STEP:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if clears(middle) else (low, middle)
-    return max(ball, float(np.floor(low / HALF)) * HALF)
+    return max(ball, float(np.floor(low / RADIUS_STEP)) * RADIUS_STEP)
 
 
 def _issue(one: Pass, arm: str, cut: Cut, tolerance: float, slim: float | None) -> Issue:

@@ -36,13 +36,17 @@ from planner.targets import Action
 from planner.units import DEG, MM
 
 DIE_SPACING: Final = 3e-3
-FAR: Final = 0.5e-3
+"""Distance [m] of the points of a face that are held against a die."""
+SUPPORT_DISTANCE: Final = 0.5e-3
 """A full die farther [m] from the part than this does not support it there."""
-BEYOND: Final = 10e-3
+WRONG_PLACE_HEIGHT: Final = 10e-3
 """A die that stands out so far [m] over the whole part is in a wrong unit or place; no more is asked."""
-SHARE: Final = 0.02
-_MOST: Final = 20_000
-_FLATTEST: Final = 2.0 * DEG
+UNSUPPORTED_SHARE: Final = 0.02
+"""A warning is due where a full die is away from more than this share of the walls."""
+_MOST_POINTS: Final = 20_000
+"""Pieces at most into which a face is divided for its points."""
+_FLATTEST_WALL: Final = 2.0 * DEG
+"""Walls flatter than this [rad] need no die."""
 
 
 def die_issues(
@@ -51,7 +55,7 @@ def die_issues(
     """Issues of a die whose ``mesh`` is in the sheet's frame: forming.die_gouge, an error, where it stands in
     the part's far face by more than ``tolerance`` [m]; forming.die_far, a warning, where a full one is away
     from the walls. ``thickness`` [m] of the sheet."""
-    pieces, _ = small_pieces(mesh.vertices[mesh.faces], DIE_SPACING, _MOST)
+    pieces, _ = small_pieces(mesh.vertices[mesh.faces], DIE_SPACING, _MOST_POINTS)
     points = np.concatenate([pieces.mean(axis=1), mesh.vertices])
     out: list[Issue] = []
     for one in passes:
@@ -70,7 +74,7 @@ def _gouge(one: Pass, far: TriangleMesh, points: FloatArray, tolerance: float) -
     if not len(points):
         return []
     depth = one.side * points[:, 2] - float((one.side * far.vertices[:, 2]).max())
-    if depth.max() <= BEYOND:
+    if depth.max() <= WRONG_PLACE_HEIGHT:
         distance, face = Nearness(far, DIE_SPACING).distance(points)
         normals = face_normals(far)[face]
         ahead = one.side * dots(points - far.vertices[far.faces[face, 0]], normals)
@@ -95,26 +99,27 @@ def _gouge(one: Pass, far: TriangleMesh, points: FloatArray, tolerance: float) -
 
 def _away(one: Pass, far: TriangleMesh, mesh: TriangleMesh) -> list[Issue]:
     normals = face_normals(far)
-    wall = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)) > _FLATTEST
-    pieces, _ = small_pieces(far.vertices[far.faces[wall]], DIE_SPACING, _MOST)
+    wall = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)) > _FLATTEST_WALL
+    pieces, _ = small_pieces(far.vertices[far.faces[wall]], DIE_SPACING, _MOST_POINTS)
     points = pieces.mean(axis=1)
     area = np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     distance, _ = Nearness(mesh, DIE_SPACING).distance(points)
-    share = float(area[distance > FAR].sum() / area.sum())
-    if share <= SHARE:
+    share = float(area[distance > SUPPORT_DISTANCE].sum() / area.sum())
+    if share <= UNSUPPORTED_SHARE:
         return []
     k = int(np.argmax(distance))
     x, y, z = (float(value) / MM for value in points[k])
     return [
         Issue(
             "forming.die_far",
-            f"feature {one.feature}: the full die is more than {FAR / MM:g} mm away from {100 * share:.0f} % "
+            f"feature {one.feature}: the full die is more than {SUPPORT_DISTANCE / MM:g} mm away from "
+            f"{100 * share:.0f} % "
             f"of the walls, most {distance[k] / MM:.2f} mm at ({x:.1f}, {y:.1f}, {z:.1f}) mm; check its "
             "unit and place, or state full: false for a partial die",
             Severity.WARNING,
             field="die",
             value=float(distance[k]) / MM,
-            limit=FAR / MM,
+            limit=SUPPORT_DISTANCE / MM,
             unit="mm",
             accepted=False,
         )

@@ -28,19 +28,25 @@ from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import Guide, along, arc_length, pieces, rolled, turned
 
 _GRID: Final = 160
-_MOVES: Final = ((1, 0), (1, 1), (1, 2), (2, 1), (1, 3), (3, 1), (2, 3), (3, 2), (1, 5), (5, 1))
-_EVEN: Final = 1e-5
+"""Intervals per curve of the grid on which the first path is looked for; `_refine` leaves the grid."""
+_GRID_MOVES: Final = ((1, 0), (1, 1), (1, 2), (2, 1), (1, 3), (3, 1), (2, 3), (3, 2), (1, 5), (5, 1))
+"""Steps of the path on the grid (along the first curve, along the second one): ten directions between the two
+axes."""
+_EVEN_WEIGHT: Final = 1e-5
 """Weight of (s - t)^2 beside f^2: it decides where every ruling is torsal, as between curves of a plane."""
-_SMOOTH: Final = 1e-7
-"""Weight of bends of the path beside f^2 in the last steps."""
+_BEND_WEIGHT: Final = 1e-7
+"""Weight of squared bends of the path beside f^2 when it is refined."""
 
 
 def least_twist(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Ascending shares (K,) of the arc lengths of two curves (n, 3) that are to be joined."""
     curves = _spline(a), _spline(b)
     even = np.linspace(0.0, 1.0, _GRID + 1)
-    cost = _twist(curves, even[:, None], even[None, :]) ** 2 + _EVEN * (even[:, None] - even[None, :]) ** 2
-    return best_path(cost, lambda s, t: _twist(curves, s, t)[:, None], _EVEN, _SMOOTH)
+    cost = (
+        _twist(curves, even[:, None], even[None, :]) ** 2
+        + _EVEN_WEIGHT * (even[:, None] - even[None, :]) ** 2
+    )
+    return best_path(cost, lambda s, t: _twist(curves, s, t)[:, None], _EVEN_WEIGHT, _BEND_WEIGHT)
 
 
 def best_path(
@@ -93,7 +99,7 @@ def _cheapest(cost: FloatArray) -> tuple[FloatArray, FloatArray]:
         row, source = np.full(n, np.inf), np.zeros((n, 2), dtype=np.int64)
         if i == 0:
             row[0] = 0.0
-        for p, q in _MOVES:
+        for p, q in _GRID_MOVES:
             if i < p:
                 continue
             length = 0.5 * (p + q)

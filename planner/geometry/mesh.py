@@ -21,10 +21,14 @@ from planner.files import is_file
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.issues import Issue, TandemError
 
-MAX_BYTES: Final = 100_000_000
-SUFFIXES: Final = (".obj", ".stl", ".ply")
+MAX_MESH_BYTES: Final = 100_000_000
+"""Mesh files larger than this [bytes] are refused unread."""
+MESH_SUFFIXES: Final = (".obj", ".stl", ".ply")
+"""Mesh files that are read: Wavefront OBJ, STL, Stanford PLY."""
 SMALLEST_EXTENT: Final = 1e-3
+"""A mesh whose longest side is shorter [m] was stated in a wrong unit."""
 LARGEST_EXTENT: Final = 20.0
+"""A mesh whose longest side is longer [m] was stated in a wrong unit."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,13 +48,13 @@ def read_mesh(path: Path, unit: float) -> TriangleMesh:
     if not is_file(path):
         raise _refuse("problem.missing_file", path, "there is no such file; check the path")
     size = path.stat().st_size
-    if size > MAX_BYTES:
+    if size > MAX_MESH_BYTES:
         raise _refuse(
             "problem.too_large",
             path,
-            f"{size / 1e6:.0f} MB, up to {MAX_BYTES / 1e6:.0f} MB are read; export it with fewer facets",
+            f"{size / 1e6:.0f} MB, up to {MAX_MESH_BYTES / 1e6:.0f} MB are read; export it with fewer facets",
         )
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in MESH_SUFFIXES:
         raise _refuse("mesh.unreadable", path, f"got '{path.suffix}', read are OBJ, STL and PLY; convert it")
     try:
         data = path.read_bytes()

@@ -17,7 +17,9 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh, face_normals
 
 _NEAREST_PIECES: Final = 8
+"""Pieces with the nearest middles to a point whose triangles are held against it."""
 _MOST_PIECES: Final = 400_000
+"""Triangles are divided no further where that might make more pieces than this."""
 
 
 class Nearness:

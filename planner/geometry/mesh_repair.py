@@ -35,8 +35,9 @@ CRACK_WIDTH: Final = 1e-5
 RIM_OFFSET: Final = 2e-5
 """Corners of a sharp rim so near to the flat [m] are on it."""
 SHARP_RIM_COSINE: Final = float(np.cos(np.radians(20.0)))
-"""Cosine of the slope from which on a rim is sharp."""
+"""Cosine of the slope (20 degrees) from which on a rim is sharp."""
 _SEWING_ROUNDS: Final = 8
+"""Rounds in which open rims are joined at most; each one closes what the one before left."""
 
 
 def sewn(mesh: TriangleMesh) -> TriangleMesh:
@@ -148,43 +149,44 @@ def _zipped(mesh: TriangleMesh) -> TriangleMesh:
 
 LEAST_NOISE: Final = 4e-6
 """Noise [m] below which a mesh is what its maker meant: rounding of coordinates and chords of curves."""
-BOUND_DEVIATIONS: Final = 3.0
-"""Vertices are within so many standard deviations of their face, but for 0.3 % of them."""
-_QUANTILE: Final = 0.2
+NOISE_BOUND_DEVIATIONS: Final = 3.0
+"""Vertices are within so many standard deviations of their face, but for 0.3 % of them (normal noise)."""
+_SMOOTH_HINGE_SHARE: Final = 0.2
 """Share of the hinges that are surely no folds."""
-_OF_NORMAL: Final = 0.2533
-"""The size that so many of normal values of unit deviation are less than."""
-_AROUND: Final = 20
-"""Neighbours of a quadric."""
-_SAMPLES: Final = 4000
-"""How many quadrics are fitted."""
-_LOWER: Final = 0.86
-"""Lower quartile of their residual for unit noise."""
+_NORMAL_QUANTILE: Final = 0.2533
+"""This share of normal values of unit deviation (`_SMOOTH_HINGE_SHARE`, 0.2) is smaller in size."""
+_QUADRIC_NEIGHBOURS: Final = 20
+"""Vertices that one quadric is fitted to."""
+_MOST_QUADRICS: Final = 4000
+"""Quadrics that are fitted at most, at vertices evenly spread over the list."""
+_UNIT_RESIDUAL_QUARTILE: Final = 0.86
+"""Lower quartile of the residual of quadrics for unit noise."""
 _SLOPE: Final = 0.005
-"""Noise [rad] of the slope that the smooth face may have left, and [1/mm] of its curvature."""
-_BEND: Final = 2.5e-3
+"""Noise [rad] of the slope that the smoothed face may have left, and [1/mm] of its curvature."""
+_FOLD_RADIUS: Final = 2.5e-3
 """Smooth faces are bent less than a ball of this radius [m]; what is bent more may be a fold."""
-_STEPS: Final = (8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
+_FOLD_FACTORS: Final = (8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
 """Hinges that turn by more than a smooth face's, times these, count less, in one round after the other."""
-_STIFF: Final = 20.0
+_MOST_COTANGENT: Final = 20.0
 """Largest cotangent of a triangle's angle that counts: slivers are not stiffer."""
-_WIDE: Final = 6
-"""Over so many neighbours in a row the mean is taken by which a plate is too stiff."""
-_BIASED: Final = 4.0
-"""Times the median of such means: what chance hardly makes."""
-_MEANT: Final = 0.6
+_MEAN_RINGS: Final = 6
+"""Rings of neighbours over which the mean is taken by which a plate is too stiff."""
+_BIAS_FACTOR: Final = 4.0
+"""Means of deviations beyond so many times their median are no chance: the plate is too stiff there."""
+_BIAS_SHARE: Final = 0.6
 """Share of the noise by which the face may be off in the mean."""
 _SOFTEST: Final = 1e-6
 """Least share of its stiffness that a plate keeps."""
-_LYING: Final = float(np.cos(np.radians(2.5)))
-"""Cosine of the slope up to which a place may be part of a flat."""
+_FLAT_COSINE: Final = float(np.cos(np.radians(2.5)))
+"""Cosine of the slope (2.5 degrees) up to which a place may be part of a flat."""
 _FLAT_AREA: Final = 5e-5
 """Area [m^2] from which on a flat is one: 8 mm across."""
-_ASIDE: Final = 0.5
+_ASIDE_COSINE: Final = 0.5
 """Cosine of the angle by which noise may turn a triangle aside before its corners are moved."""
-_THIN: Final = 0.05
+_SLIVER_RATIO: Final = 0.05
 """Height over longest edge below which a triangle is a sliver."""
 _UNTANGLING_ROUNDS: Final = 20
+"""Rounds at most in which corners of folded triangles and slivers are moved to their neighbours' mean."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -210,8 +212,8 @@ def vertex_noise(mesh: TriangleMesh) -> float:
     order = np.argsort(size)
     # slivers that divide an edge are as flat as can be and say nothing
     passed = np.cumsum(face_areas(mesh)[hinges.faces].min(axis=1)[order])
-    place = int(np.searchsorted(passed, _QUANTILE * passed[-1]))
-    by_hinge = float(size[order[min(place, len(order) - 1)]]) / _OF_NORMAL
+    place = int(np.searchsorted(passed, _SMOOTH_HINGE_SHARE * passed[-1]))
+    by_hinge = float(size[order[min(place, len(order) - 1)]]) / _NORMAL_QUANTILE
     if by_hinge < LEAST_NOISE:
         return 0.0
     found = min(by_hinge, _by_quadric(mesh))
@@ -220,10 +222,10 @@ def vertex_noise(mesh: TriangleMesh) -> float:
 
 def _by_quadric(mesh: TriangleMesh) -> float:
     points = mesh.vertices
-    if len(points) <= _AROUND:
+    if len(points) <= _QUADRIC_NEIGHBOURS:
         return 0.0
-    rows = np.unique(np.linspace(0, len(points) - 1, _SAMPLES).astype(np.int64))
-    _, near = cKDTree(points).query(points[rows], k=_AROUND)
+    rows = np.unique(np.linspace(0, len(points) - 1, _MOST_QUADRICS).astype(np.int64))
+    _, near = cKDTree(points).query(points[rows], k=_QUADRIC_NEIGHBOURS)
     normal = _smoothed(mesh, vertex_normals(mesh), 3)[rows]
     u, v = _tangents(normal)
     rest = points[near] - points[rows][:, None]
@@ -232,8 +234,8 @@ def _by_quadric(mesh: TriangleMesh) -> float:
     z = np.einsum("nkd,nd->nk", rest, normal)
     q, _ = np.linalg.qr(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1))
     left = z - np.einsum("nkc,nc->nk", q, np.einsum("nkc,nk->nc", q, z))
-    sigma = np.sqrt((left**2).sum(axis=1) / (_AROUND - 6))
-    return float(np.quantile(sigma, 0.25)) / _LOWER
+    sigma = np.sqrt((left**2).sum(axis=1) / (_QUADRIC_NEIGHBOURS - 6))
+    return float(np.quantile(sigma, 0.25)) / _UNIT_RESIDUAL_QUARTILE
 
 
 def fitted_face(mesh: TriangleMesh, sigma: float, level: float) -> TriangleMesh:
@@ -253,9 +255,9 @@ def fitted_face(mesh: TriangleMesh, sigma: float, level: float) -> TriangleMesh:
     target = np.zeros(count)
     target[rim] = level - mesh.vertices[rim, 2]
     vertices, moved, share = mesh.vertices, np.zeros(count), np.ones(count)
-    for wide in _STEPS:
+    for wide in _FOLD_FACTORS:
         bend, stiff, angle, spacing = _bending(TriangleMesh(vertices, mesh.faces), hinges, sigma)
-        limit = wide * np.maximum(spacing / _BEND, np.deg2rad(3.0))
+        limit = wide * np.maximum(spacing / _FOLD_RADIUS, np.deg2rad(3.0))
         held = stiff * share[hinges.ends[:, :2]].mean(axis=1) / (1.0 + (angle / limit) ** 2)
         middle = _middle(vertices, mesh.faces, hinges)
         values = bend * np.einsum("nkd,nd->nk", way[hinges.ends], middle)
@@ -269,8 +271,8 @@ def fitted_face(mesh: TriangleMesh, sigma: float, level: float) -> TriangleMesh:
         moved, _ = cg(whole, right, x0=moved, M=scale, rtol=1e-5, maxiter=400)
         vertices = mesh.vertices + moved[:, None] * way
         # where the plate is off in the mean it is too stiff for the face
-        biased = np.abs(_spread(graph, moved, _WIDE))
-        share /= 1.0 + (biased / max(_BIASED * float(np.median(biased)), _MEANT * sigma)) ** 2
+        biased = np.abs(_spread(graph, moved, _MEAN_RINGS))
+        share /= 1.0 + (biased / max(_BIAS_FACTOR * float(np.median(biased)), _BIAS_SHARE * sigma)) ** 2
         share = np.exp(_spread(graph, np.log(np.maximum(share, _SOFTEST)), 1))
     face = TriangleMesh(vertices, mesh.faces)
     return TriangleMesh(_untangled(face, _smoothed(face, vertex_normals(face), 2), rim), mesh.faces)
@@ -293,7 +295,7 @@ def levelled(mesh: TriangleMesh, within: float, sheet: float) -> TriangleMesh:
     """
     graph = _neighbours(mesh)
     normal = _spread(graph, vertex_normals(mesh), 2)
-    lying = normal[:, 2] > _LYING * np.linalg.norm(normal, axis=1)
+    lying = normal[:, 2] > _FLAT_COSINE * np.linalg.norm(normal, axis=1)
     area = np.bincount(
         mesh.faces.reshape(-1), weights=np.repeat(face_areas(mesh) / 3.0, 3), minlength=len(normal)
     )
@@ -340,8 +342,8 @@ def _untangled(mesh: TriangleMesh, way: FloatArray, rim: IntArray) -> FloatArray
         lean = dots(face_normals(now), up) / np.maximum(np.linalg.norm(up, axis=1), 1e-300)
         corner = vertices[mesh.faces]
         longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
-        thin = 2.0 * face_areas(now) < _THIN * longest**2
-        bad = np.setdiff1d(mesh.faces[(lean < _ASIDE) | thin], rim)
+        thin = 2.0 * face_areas(now) < _SLIVER_RATIO * longest**2
+        bad = np.setdiff1d(mesh.faces[(lean < _ASIDE_COSINE) | thin], rim)
         if not len(bad):
             break
         off = (graph[bad] @ vertices) / degree[bad] - vertices[bad]
@@ -374,7 +376,7 @@ def _bending(
 
 def _cotangent(one: FloatArray, two: FloatArray) -> FloatArray:
     cross = np.linalg.norm(np.cross(one, two), axis=1)
-    return np.asarray(np.clip(dots(one, two) / np.maximum(cross, 1e-300), -_STIFF, _STIFF))
+    return np.asarray(np.clip(dots(one, two) / np.maximum(cross, 1e-300), -_MOST_COTANGENT, _MOST_COTANGENT))
 
 
 def _middle(vertices: FloatArray, faces: IntArray, hinges: _Hinges) -> FloatArray:

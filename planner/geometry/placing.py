@@ -124,7 +124,9 @@ SHORTEST_RULING: Final = 1e-3
 LONGEST_EXTENT: Final = 20.0
 """Longest extent [m] of a part."""
 _FITS_WITHIN: Final = 1e-6
+"""A part that stands out of a block by no more than this [m] fits."""
 _ALIGNED_ANGLE: Final = float(np.deg2rad(35.0))
+"""A direction nearer to an axis of the block than this [rad] is also tried turned onto that axis."""
 
 
 def lay_along(parts: Sequence[Ruled], size: FloatArray, longest_first: bool) -> FloatArray:

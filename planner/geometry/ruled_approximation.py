@@ -195,10 +195,11 @@ MOST_STRIPS: Final = 200
 _CELLS_ACROSS: Final = 128
 """Cells in which a surface is looked at across the strips."""
 _RULINGS_PER_STRIP: Final = 240
+"""Intervals between the rulings of a strip."""
 _SAME_FOLD: Final = 2e-5
 """Folds of two curves that differ by less of the parameter are on one ruling."""
 KINK_ANGLE: Final = 2.0 * DEG
-"""A curve that turns by more than this at one edge between facets has a kink there."""
+"""A curve that turns by more than this [rad] at one edge between facets has a kink there."""
 SMOOTH_FACET_LENGTH: Final = 3e-3
 """[m] facets shorter than this stand for a smooth surface."""
 
@@ -350,8 +351,10 @@ def strip_notes(found: Strips) -> str:
     )
 
 
-_GRID: Final = 40
+_CURVE_GRID: Final = 40
+"""Intervals of the grid over two curves on which rulings that lie in a face are looked for first."""
 _RULING_SHARES: Final = np.array([1.0, 2.0, 3.0, 4.0, 5.0]) / 6.0
+"""Places along a ruling whose distance from the face counts."""
 _POINTS_PER_SIDE: Final = 400
 """Points along each side of a patch."""
 
@@ -423,9 +426,9 @@ def _matched(name: str, start: Guide, end: Guide, near: Nearness) -> Ruled:
         sight = (1.0 - _RULING_SHARES[:, None]) * a[:, None] + _RULING_SHARES[:, None] * b[:, None]
         return near.distance(sight.reshape(-1, 3))[0].reshape(len(s), -1) / size
 
-    even = np.linspace(0.0, 1.0, _GRID + 1)
+    even = np.linspace(0.0, 1.0, _CURVE_GRID + 1)
     s, t = (w.ravel() for w in np.meshgrid(even, even, indexing="ij"))
-    cost = np.sum(ruling(s, t) ** 2, axis=1).reshape(_GRID + 1, _GRID + 1)
+    cost = np.sum(ruling(s, t) ** 2, axis=1).reshape(_CURVE_GRID + 1, _CURVE_GRID + 1)
     cost += 1e-9 * (even[:, None] - even[None, :]) ** 2
     s, t = best_path(cost, ruling, 1e-9, 1e-11)
     path = np.unique(np.concatenate([s + t, np.linspace(0.0, 2.0, _POINTS_PER_SIDE + 1)]))

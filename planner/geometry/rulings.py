@@ -214,7 +214,9 @@ def _normals(tangent: FloatArray, lines: FloatArray) -> FloatArray:
 
 
 EDGES_NAME: Final = "edges"
-_CHORD: Final = 1e-5
+"""Name of the ruled surface between the outlines of two opposite faces."""
+_GUIDE_CHORD: Final = 1e-5
+"""Chords of resampled guides may be off them by this [m]."""
 
 
 def boundaries(mesh: TriangleMesh) -> list[IntArray]:
@@ -253,7 +255,7 @@ def edge_surface(front: TriangleMesh, back: TriangleMesh, same: bool) -> Ruled |
     if same:
         start, end = front.vertices[first], back.vertices[first]
         corner = (turns(start, True) > CORNER_ANGLE) | (turns(end, True) > CORNER_ANGLE)
-        return resample(Ruled(EDGES_NAME, start, end, corner, closed=True), _CHORD, 1.0)
+        return resample(Ruled(EDGES_NAME, start, end, corner, closed=True), _GUIDE_CHORD, 1.0)
     guide = polyline(front.vertices[first], closed=True)
     other = polyline(back.vertices[rings[1][0]], closed=True)
     counts = int(guide.corner.sum()), int(other.corner.sum())
@@ -261,7 +263,7 @@ def edge_surface(front: TriangleMesh, back: TriangleMesh, same: bool) -> Ruled |
         why = f"the front's boundary has {counts[0]} corners and the back's {counts[1]}"
         return _without(why, "give both as many corners")
     guide, other, _ = aligned(guide, other, "arc_length")
-    return resample(join(EDGES_NAME, guide, other), _CHORD, 1.0)
+    return resample(join(EDGES_NAME, guide, other), _GUIDE_CHORD, 1.0)
 
 
 def _without(why: str, do: str) -> Issue:

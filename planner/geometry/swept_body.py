@@ -153,7 +153,9 @@ COARSE_PIECE: Final = 4e-3
 PIECES_AT_ONCE: Final = 20_000
 """Pieces that are divided at once."""
 TRIED_TRIANGLES: Final = 200
+"""Triangles by whose size it is told whether a mesh is to be divided at all."""
 ANY_NUMBER: Final = np.iinfo(np.int64).max
+"""As many pieces as there are."""
 SAME_DISTANCE: Final = 1e-10
 """Places at which a point is nearer by less than this [m] are one as good as the other."""
 

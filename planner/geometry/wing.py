@@ -237,14 +237,18 @@ def _placed(guide: Guide, chord: float, quarter: FloatArray, twist: float, y: fl
     return dataclasses.replace(guide, points=placed)
 
 
-FEWEST_POINTS: Final = 15
+FEWEST_SECTION_POINTS: Final = 15
 """Fewest points of a section; with less a spline through them says little of the nose."""
-MOST_POINTS: Final = 5000
+MOST_SECTION_POINTS: Final = 5000
+"""Most points of a section: a file with more is no section of a wing."""
 WIDEST_TRAILING_EDGE: Final = 0.10
 """Widest trailing edge, per chord; a larger gap means that points are missing."""
-_MOST_BYTES: Final = 2_000_000
-_NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
-_PAIR: Final = re.compile(rf"^\s*\(?\s*({_NUMBER})[\s,;]+({_NUMBER})\s*\)?\s*$")
+_MAX_SECTION_BYTES: Final = 2_000_000
+"""Files of sections larger than this [bytes] are refused unread."""
+_COORDINATE: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
+"""A number, perhaps with an exponent as in Fortran."""
+_COORDINATE_PAIR: Final = re.compile(rf"^\s*\(?\s*({_COORDINATE})[\s,;]+({_COORDINATE})\s*\)?\s*$")
+"""A line with the two coordinates of a point."""
 
 
 def read_airfoil(path: Path, field: str) -> tuple[FloatArray, list[Issue]]:
@@ -257,7 +261,7 @@ def read_airfoil(path: Path, field: str) -> tuple[FloatArray, list[Issue]]:
     """
     if not is_file(path):
         raise _refuse_file("problem.missing_file", path, field, "there is no such file; check the path")
-    if path.stat().st_size > _MOST_BYTES:
+    if path.stat().st_size > _MAX_SECTION_BYTES:
         raise _refuse_file(
             "problem.too_large", path, field, "more than 2 MB; an airfoil has some hundred points"
         )
@@ -268,8 +272,8 @@ def read_airfoil(path: Path, field: str) -> tuple[FloatArray, list[Issue]]:
     if repeated.any():
         points = points[~repeated]
         notes.append(_note(path, field, f"left out {int(repeated.sum())} points that repeat the one before"))
-    if not FEWEST_POINTS <= len(points) <= MOST_POINTS:
-        what = f"has {len(points)} points, {FEWEST_POINTS} to {MOST_POINTS} are wanted; "
+    if not FEWEST_SECTION_POINTS <= len(points) <= MOST_SECTION_POINTS:
+        what = f"has {len(points)} points, {FEWEST_SECTION_POINTS} to {MOST_SECTION_POINTS} are wanted; "
         what += "take another file of the same section"
         raise _refuse_file("part.airfoil_points", path, field, what)
     points = _ordered(points, path, field, notes)
@@ -284,7 +288,7 @@ def _numbers(path: Path, field: str) -> FloatArray:
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        pair = _PAIR.match(line)
+        pair = _COORDINATE_PAIR.match(line)
         if pair is None:
             if found and remark is None:
                 remark = number, line.strip()[:40]

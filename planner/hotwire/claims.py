@@ -34,10 +34,10 @@ from planner.claims.dialogue import (
     DialogueStop,
     Figure,
     OperatorDialogue,
-    ask_step,
+    message_step,
     power_off_steps,
     power_on_steps,
-    tell_step,
+    question_step,
 )
 from planner.claims.segments import Segment
 from planner.claims.wire_physics import cold_length, slot, stiffness
@@ -52,9 +52,9 @@ from planner.units import MM
 
 SAME_WAY: Final = 1e-6
 """Surfaces whose mean rulings, as unit vectors, differ by less lie in one another or beside one another."""
-UPRIGHT: Final = 0.5
+LEVEL_SHARE: Final = 0.5
 """An axis of the block is level where the vertical's share along it is below this."""
-PLANES: Final = {
+SIDE_PLANES: Final = {
     "left": (0, -1.0),
     "right": (0, 1.0),
     "front": (1, -1.0),
@@ -170,7 +170,7 @@ def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
 
 def datum_side(op: Straight, stock: Stock, side: str, cut: TrimCut, span: float) -> Ruled:
     """A side of the block without its oversize, as two rulings whose surface faces away from the block."""
-    axis, outwards = PLANES[side]
+    axis, outwards = SIDE_PLANES[side]
     along = "xyz".index(cut.along) if cut.along != "auto" else _auto(op, stock, axis, span)
     sweep = ({0, 1, 2} - {axis, along}).pop()
     low, high = np.array([-0.5, -0.5, 0.0]) * stock.size, np.array([0.5, 0.5, 1.0]) * stock.size
@@ -187,17 +187,18 @@ def datum_side(op: Straight, stock: Stock, side: str, cut: TrimCut, span: float)
 def _auto(op: Straight, stock: Stock, axis: int, span: float) -> int:
     """The axis that the wire is parallel to: one along which the block as found, with its margins, is no
     longer than the wire; of these a level one; of these the shorter."""
-    length, upright = stock.upper - stock.lower, np.abs(stock.gravity) >= UPRIGHT
+    length, upright = stock.upper - stock.lower, np.abs(stock.gravity) >= LEVEL_SHARE
     choice = [k for k in range(3) if k != axis]
     fit = [k for k in choice if length[k] <= span - 2.0 * op.margin_mm * MM] or choice
     level = [k for k in fit if not upright[k]] or fit
     return min(level, key=lambda k: float(length[k]))
 
 
-RESTS: Final = 0.7
+RESTING_COSINE: Final = 0.7
 """What is above a slot rests on it where the cosine of the slot's lean is more than this."""
-NEARLY: Final = 0.01
-"""Leans are told apart by more than this: nearer to `RESTS`, spacers may be asked for or not."""
+RESTING_MARGIN: Final = 0.01
+"""Cosines of leans that differ from `RESTING_COSINE` by less are not told apart: spacers may be asked for or
+not."""
 SURFACE_CHORD: Final = 2e-5
 """[m] the triangles of a wanted surface are as near to it as this."""
 
@@ -241,21 +242,21 @@ def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[Claimed]
     material = f" {op.wire_material}" if op.wire_material.strip() else ""
     wire: dict[str, Figure] = {"diameter_mm": 2.0 * bow.radius / MM, "material": material}
     if op.power_w is not None:
-        mounted = tell_step(dialogue.BOW_POWER, **wire, power_w=op.power_w)
+        mounted = message_step(dialogue.BOW_POWER, **wire, power_w=op.power_w)
     else:
-        mounted = tell_step(dialogue.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
+        mounted = message_step(dialogue.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
     on, off = power_on_steps(op.signal, op.heat_up_s), power_off_steps(op.signal, op.cool_down_s)
-    spaced = (*off, tell_step(dialogue.SPACERS, kerf_mm=op.kerf_mm), ask_step(dialogue.SPACED), *on)
+    spaced = (*off, message_step(dialogue.SPACERS, kerf_mm=op.kerf_mm), question_step(dialogue.SPACED), *on)
     stops = []
     for cut in cuts if op.spacers and setup.stock.held_by is None else ():
         lean = 0.0 if cut.ruled.closed else abs(float(_normal(cut.ruled) @ setup.stock.gravity))
-        if lean > RESTS - NEARLY:
-            optional = lean < RESTS + NEARLY
+        if lean > RESTING_COSINE - RESTING_MARGIN:
+            optional = lean < RESTING_COSINE + RESTING_MARGIN
             stops.append(DialogueStop(cut.segment.at("out"), "behind", spaced, optional=optional))
     return OperatorDialogue(
         op.arms,
-        (mounted, ask_step(dialogue.TAUT), *on),
-        (*off, ask_step(dialogue.COLD)),
+        (mounted, question_step(dialogue.TAUT), *on),
+        (*off, question_step(dialogue.COLD)),
         tuple(stops),
     )
 
@@ -356,14 +357,14 @@ def _elastic_dialogue(op: ElasticWire, own: WireFile) -> OperatorDialogue:
     return OperatorDialogue(
         op.arms,
         (
-            tell_step(dialogue.WIRE, material=own.material, size=own.size),
-            tell_step(dialogue.MOUNT, cold_mm=cold / MM),
-            tell_step(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
-            ask_step(dialogue.CLAMPED),
+            message_step(dialogue.WIRE, material=own.material, size=own.size),
+            message_step(dialogue.MOUNT, cold_mm=cold / MM),
+            message_step(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            question_step(dialogue.CLAMPED),
             *power_on_steps(op.signal, op.heat_up_s),
-            ask_step(dialogue.LOCKED, hot_mm=own.length_mm),
+            question_step(dialogue.LOCKED, hot_mm=own.length_mm),
         ),
-        (*power_off_steps(op.signal, op.cool_down_s), ask_step(dialogue.TAKEN_OFF)),
+        (*power_off_steps(op.signal, op.cool_down_s), question_step(dialogue.TAKEN_OFF)),
         joined=True,
     )
 

@@ -23,6 +23,10 @@ from planner.reading.materials import WireFile
 from planner.reading.strict_yaml import Angle, Far, Name, Strict
 from planner.units import MM
 
+AIR_FEED: Final = 0.1
+"""Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
+AIR_STEP: Final = 0.012
+"""Largest move [m] of any point of the wire between targets in the air."""
 KERF_SPEEDS: Final = (1e-3, 50e-3)
 """Speeds [m/s] of a kerf curve. A wire that hardly moves has no kerf of its own: it counts as 1 mm/s."""
 
@@ -36,7 +40,7 @@ class Heat(Strict):
     kerf_range_mm: Annotated[
         tuple[Annotated[float, Field(gt=0, le=20)], Annotated[float, Field(gt=0, le=20)]],
         Field(description="slots that leave usable faces, where power_w is given"),
-    ] = (width.DOMAIN[0] / MM, width.DOMAIN[1] / MM)
+    ] = (width.USABLE_KERFS[0] / MM, width.USABLE_KERFS[1] / MM)
 
     @model_validator(mode="after")
     def _one_heat(self) -> Heat:
@@ -179,7 +183,7 @@ class ElasticWire(HotWireOperation):
 
 
 Side = Literal["left", "right", "front", "back", "bottom", "top"]
-SIDES: Final[dict[str, tuple[int, int]]] = {
+BLOCK_SIDES: Final[dict[str, tuple[int, int]]] = {
     "left": (0, 0),
     "right": (0, 1),
     "front": (1, 0),
@@ -234,7 +238,7 @@ class TrimCut(_Cut):
     def _each_once(self) -> Self:
         if len(set(self.trim)) != len(self.trim):
             raise ValueError("trim: each side is cut once")
-        if any("xyz"[SIDES[side][0]] == self.along for side in self.trim):
+        if any("xyz"[BLOCK_SIDES[side][0]] == self.along for side in self.trim):
             raise ValueError("along: the wire cannot stand across the side that it trims")
         return self
 
@@ -333,6 +337,6 @@ class Straight(HotWireOperation):
         for cut in () if self.cuts == "all" else self.cuts:
             if isinstance(cut, TrimCut):
                 for side in cut.trim:
-                    axis, end = SIDES[side]
+                    axis, end = BLOCK_SIDES[side]
                     oversize[end, axis] = 0.0
         return dataclasses.replace(stock, oversize=oversize) if np.any(oversize != stock.oversize) else stock

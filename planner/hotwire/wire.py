@@ -46,11 +46,6 @@ class Wire:
         return self.young * self.width * self.thickness**3 / 12.0
 
     @property
-    def stiff_bending(self) -> float:
-        """EI [N m^2] across the plane."""
-        return self.bending * self.section.stiff
-
-    @property
     def torsion(self) -> float:
         """GJ [N m^2]."""
         return self.bending * self.section.torsion
@@ -72,11 +67,6 @@ class Wire:
         """Weight per length over EI [1/m^3]: the size of q in `heavy`; times the unit vector of gravity
         it is q."""
         return self.weight / self.bending
-
-    @property
-    def length_scale(self) -> float:
-        """(EI / weight)^(1/3) [m]: wires much shorter than this do not feel their weight."""
-        return float(self.load ** (-1.0 / 3.0))
 
     @property
     def min_bend_radius(self) -> float:

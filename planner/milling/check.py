@@ -17,18 +17,18 @@ from planner.geometry.arrays import FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, corner_normals
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.issues import Issue
-from planner.milling.face import CREASE
+from planner.milling.face import CREASE_ANGLE
 from planner.milling.operation import FlankCut
 from planner.milling.process_plan import Done, Face, Work
 from planner.milling.tool_path import Run
 from planner.tooling import Cutter
 from planner.units import MM
 
-DENSE: Final = 0.15
+PATH_SPACING: Final = 0.15
 """Distance of places along the path, over the radius of the section."""
-LEAST: Final = 0.5e-3
+LEAST_SPACING: Final = 0.5e-3
 """The same at least [m]."""
-SIGHT: Final = 2e-3
+SIGHT_DISTANCE: Final = 2e-3
 """Points that are farther off than this [m] are as good as any other."""
 
 
@@ -92,10 +92,11 @@ def between(
 
 
 def comes_near(vertices: FloatArray, tip: FloatArray, axis: FloatArray, section: Section) -> bool:
-    """Whether a section on a path (N,) may come within ``SIGHT`` of a face of ``vertices`` (V, 3), by the
-    boxes around both. On moves it stays in that of their ends, but for what a turning axis goes beyond."""
+    """Whether a section on a path (N,) may come within ``SIGHT_DISTANCE`` of a face of ``vertices`` (V, 3),
+    by the boxes around both. On moves it stays in that of their ends, but for what a turning axis goes
+    beyond."""
     turns = np.linalg.norm(0.5 * (axis[1:] + axis[:-1]), axis=1)
-    room = section.radius + SIGHT + section.end * (1.0 - float(turns.min(initial=1.0)))
+    room = section.radius + SIGHT_DISTANCE + section.end * (1.0 - float(turns.min(initial=1.0)))
     ends = np.stack([tip + section.start * axis, tip + section.end * axis])
     low, high = ends.min(axis=(0, 1)) - room, ends.max(axis=(0, 1)) + room
     return bool(((low <= vertices.max(axis=0)) & (high >= vertices.min(axis=0))).all())
@@ -106,44 +107,45 @@ def body_places(
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Tips and axes (M, 3) at which a section on a path (N,) is looked at, and the place (M,) that each move
     leads to."""
-    return between(tip, axis, section.end, max(DENSE * section.radius, LEAST))
+    return between(tip, axis, section.end, max(PATH_SPACING * section.radius, LEAST_SPACING))
 
 
 def distance_off(
     points: FloatArray, tip: FloatArray, axis: FloatArray, section: Section, below: float = np.inf
 ) -> tuple[FloatArray, IntArray]:
     """Least distance (P,) [m] of points (P, 3) from a section along a path (N,), negative inside, and the
-    place (P,) that the move leads to at which it is least; no more than ``SIGHT`` is told. With ``below`` [m]
-    what is not less may be told too large, but for the least of all."""
+    place (P,) that the move leads to at which it is least; no more than ``SIGHT_DISTANCE`` is told. With
+    ``below`` [m] what is not less may be told too large, but for the least of all."""
     tips, axes, to = body_places(tip, axis, section)
-    best, place = least_distances(points, tips, axes, section.round, SIGHT, below)
-    return best, np.where(best < SIGHT, to[place], 0)
+    best, place = least_distances(points, tips, axes, section.round, SIGHT_DISTANCE, below)
+    return best, np.where(best < SIGHT_DISTANCE, to[place], 0)
 
 
-POINTS: Final = 3_000_000
+MOST_FACE_POINTS: Final = 3_000_000
 """Most places of a face beside one piece of a tool that this is held against; the proof takes some more."""
-EDGE: Final = 5.0 * MM
+EDGE_BACK: Final = 5.0 * MM
 """How far behind it a sharp edge of a tool is looked at [m],"""
-NARROW: Final = 2.0
+EDGE_SPACING: Final = 2.0
 """at places of a face that are so much nearer to one another, over the tolerance; never nearer than"""
-FINEST: Final = 0.4 * MM
+FINEST_SPACING: Final = 0.4 * MM
 """[m] this."""
-SPARE: Final = 0.5
+SPACING_SHARE: Final = 0.5
 """Share of the tolerance that may lie between places of a face."""
-RISE: Final = 0.2
+RISE_LENGTH: Final = 0.2
 """Length of the ways down and up [m] that are looked at, along the tool's own axis."""
-APART: Final = 0.25
+BOUND_SPACING: Final = 0.25
 """Places of a face that bound a ball are so far apart at least, over the cutter's radius."""
-TWISTED: Final = 0.1
+TWIST_SHARE: Final = 0.1
 """A cutter that is off a surface by more than this share of its radius does not fit, twisted or not."""
-LEVEL: Final = 0.5 * MM
-"""Places whose levels along an axis differ by less are at one level."""
-ROUNDED: Final = 2e-5
+SAME_LEVEL: Final = 0.5 * MM
+"""Places whose levels along an axis differ by less [m] are at one level."""
+CHORD_ALLOWANCE: Final = 2e-5
 """What facets of the part and of the path may hide [m]."""
 
-BEHIND: Final = ("holder", "spindle")
-LONGER: Final = (5.0 * MM, 10.0 * MM, 20.0 * MM, 40.0 * MM, 80.0 * MM)
-"""By so much more overhang is tried where a holder or a spindle goes into the part."""
+PARTS_BEHIND: Final = ("holder", "spindle")
+"""What is behind a cutter, by names of the tool's pieces."""
+LONGER_OVERHANGS: Final = (5.0 * MM, 10.0 * MM, 20.0 * MM, 40.0 * MM, 80.0 * MM)
+"""By so much [m] more overhang is tried where a holder or a spindle goes into the part."""
 
 
 def check(work: Work) -> list[Issue]:
@@ -159,7 +161,7 @@ def check(work: Work) -> list[Issue]:
 
 def _twist(work: Work, one: Done) -> list[Issue]:
     radius = work.cutter.radius
-    if not isinstance(one.cut, FlankCut) or not one.tolerance < one.off < TWISTED * radius:
+    if not isinstance(one.cut, FlankCut) or not one.tolerance < one.off < TWIST_SHARE * radius:
         return []
     slim = f"a radius of {np.floor(one.fits / MM * 100.0) / 100.0:.2f} mm or less, " if one.fits else ""
     what = f"flank {one.cut.flank}: its rulings are twisted, and the cutter of radius {radius / MM:g} mm is "
@@ -191,16 +193,18 @@ def _gouges(work: Work, one: Done, face: Face) -> list[Issue]:
             continue
         places = [body_places(*way[1:], section) for way in ways]
         tips, axes = (np.concatenate([place[k] for place in places]) for k in (0, 1))
-        size = max(float(np.sqrt(8.0 * section.radius * SPARE * one.tolerance)), 0.3 * MM)
-        points, owner, count = places_near(corners, tips, axes, section.round, SIGHT, size, POINTS)
-        narrow = max(NARROW * one.tolerance, FINEST)
+        size = max(float(np.sqrt(8.0 * section.radius * SPACING_SHARE * one.tolerance)), 0.3 * MM)
+        points, owner, count = places_near(
+            corners, tips, axes, section.round, SIGHT_DISTANCE, size, MOST_FACE_POINTS
+        )
+        narrow = max(EDGE_SPACING * one.tolerance, FINEST_SPACING)
         for edge in _edges(section):
-            some = places_near(corners, tips, axes, edge.round, SIGHT, narrow, POINTS)[2]
+            some = places_near(corners, tips, axes, edge.round, SIGHT_DISTANCE, narrow, MOST_FACE_POINTS)[2]
             count, size = max((count, size), (some, narrow))
-        if count > POINTS:
+        if count > MOST_FACE_POINTS:
             out.append(_too_large(one, face, section, count, size))
             continue
-        allowed = one.tolerance + ROUNDED + (deep if section.name == "cutter" else 0.0)
+        allowed = one.tolerance + CHORD_ALLOWANCE + (deep if section.name == "cutter" else 0.0)
         for run, tip, axis in ways if len(points) else ():
             apart, where = distance_off(points, tip, axis, section, -allowed)
             k = int(apart.argmin())
@@ -208,7 +212,7 @@ def _gouges(work: Work, one: Done, face: Face) -> list[Issue]:
                 continue
             told.add(section.name)
             found = _gouge(work, one, run, face, section, points, owner, apart, k, int(where[k]), allowed)
-            if section.name in BEHIND:
+            if section.name in PARTS_BEHIND:
                 found = dataclasses.replace(found, hint=_longer(work, one, points, allowed))
             out.append(found)
     return out
@@ -219,8 +223,8 @@ def _longer(work: Work, one: Done, points: FloatArray, allowed: float) -> str:
     does."""
     cutter = work.cutter
     ways = [_way(run) for run in one.runs]
-    behind = [section for section in sections(cutter) if section.name in BEHIND]
-    for more in LONGER:
+    behind = [section for section in sections(cutter) if section.name in PARTS_BEHIND]
+    for more in LONGER_OVERHANGS:
         tool = [dataclasses.replace(own, start=own.start + more, end=own.end + more) for own in behind]
         tool.append(Section("shank", cutter.flute, cutter.overhang + more, cutter.shank))
         if _clear(points, ways, tool, allowed):
@@ -246,32 +250,34 @@ def _clear(
 
 def _edges(section: Section) -> tuple[Section, ...]:
     """Slices of a section at its sharp edges."""
-    front = dataclasses.replace(section, end=min(section.end, section.start + EDGE))
-    back = dataclasses.replace(section, start=max(section.start, section.end - EDGE), corner=0.0)
+    front = dataclasses.replace(section, end=min(section.end, section.start + EDGE_BACK))
+    back = dataclasses.replace(section, start=max(section.start, section.end - EDGE_BACK), corner=0.0)
     return (back,) if section.corner > 0.0 else (front, back)
 
 
 def _too_large(one: Done, face: Face, section: Section, count: int, size: float) -> Issue:
     """What to do where a face would take ``count`` places, whose pieces have edges of ``size`` [m]."""
-    fewer = 1.05 * size * float(np.sqrt(count / POINTS))
-    narrow = size <= max(NARROW * one.tolerance, FINEST)
-    wanted = fewer / NARROW if narrow else fewer**2 / (8.0 * section.radius * SPARE)
+    fewer = 1.05 * size * float(np.sqrt(count / MOST_FACE_POINTS))
+    narrow = size <= max(EDGE_SPACING * one.tolerance, FINEST_SPACING)
+    wanted = fewer / EDGE_SPACING if narrow else fewer**2 / (8.0 * section.radius * SPACING_SHARE)
     what = (
         f"{one.runs[0].name}: beside the {section.name}, {face.name} would have to be looked at in {count} "
     )
-    what += f"places, {size / MM:.2f} mm apart, so that no gouge is missed; allowed: {POINTS}: take a "
+    what += (
+        f"places, {size / MM:.2f} mm apart, so that no gouge is missed; allowed: {MOST_FACE_POINTS}: take a "
+    )
     what += (
         f"shape_tol_mm of {np.ceil(wanted / MM * 100.0) / 100.0:.2f} or more, or part the surface and mill "
     )
     what += "it in several operations"
-    measure = {"value": float(count), "limit": float(POINTS)}
+    measure = {"value": float(count), "limit": float(MOST_FACE_POINTS)}
     return Issue("milling.too_large", what, field="operations.cuts", **measure)  # type: ignore[arg-type]
 
 
 def _way(run: Run) -> tuple[FloatArray, FloatArray]:
     """Tips and axes of a run with the ways down and up along the tool's own axis."""
     path = run.path
-    start, end = path.tip[0] + RISE * path.axis[0], path.tip[-1] + RISE * path.axis[-1]
+    start, end = path.tip[0] + RISE_LENGTH * path.axis[0], path.tip[-1] + RISE_LENGTH * path.axis[-1]
     tip = np.concatenate([start[None], path.tip, end[None]])
     return tip, np.concatenate([path.axis[:1], path.axis, path.axis[-1:]])
 
@@ -310,7 +316,7 @@ def _gouge(
     leads = flank and not run.first < where - 1 <= run.last
     if section.name == "shank":
         what += "take a longer flute or a slimmer shank, or lean the tool's axis away"
-    elif section.name in BEHIND:
+    elif section.name in PARTS_BEHIND:
         what = what.removesuffix("; ")
     elif leads:
         what += "that is on its way in or out: give a lead_mm that ends before (0: down and up at the wall)"
@@ -341,15 +347,15 @@ def largest_that_fits(
     some = some[:: max(1, len(some) // 400)]
     corners = face.mesh.vertices[face.mesh.faces][owner[some]]
     share = closest_on_triangles(points[some], corners[:, 0], corners[:, 1], corners[:, 2])
-    smooth = corner_normals(TriangleMesh(face.mesh.vertices, face.mesh.faces), CREASE)[owner[some]]
+    smooth = corner_normals(TriangleMesh(face.mesh.vertices, face.mesh.faces), CREASE_ANGLE)[owner[some]]
     normal = np.einsum("nk,nkd->nd", share, smooth)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
     way = points[some][None] - points[some][:, None]
     height = np.einsum("ijd,id->ij", way, normal)
     square = dots(way, way)
     # facets are chords: places that are near to one another see corners where the face is round
-    level = np.abs(way @ along) < LEVEL if along is not None else np.ones(height.shape, dtype=bool)
-    real = level & (height > 0.02 * np.sqrt(square)) & (square > np.square(APART * radius))
+    level = np.abs(way @ along) < SAME_LEVEL if along is not None else np.ones(height.shape, dtype=bool)
+    real = level & (height > 0.02 * np.sqrt(square)) & (square > np.square(BOUND_SPACING * radius))
     found = np.where(real, square / np.maximum(2.0 * height, 1e-12), np.inf)
     least = float(found.min(initial=np.inf))
     return least if np.isfinite(least) else None

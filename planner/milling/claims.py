@@ -9,7 +9,13 @@ import numpy as np
 
 from planner.claims import dialogue
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow
-from planner.claims.dialogue import OperatorDialogue, ask_step, power_off_steps, power_on_steps, tell_step
+from planner.claims.dialogue import (
+    OperatorDialogue,
+    message_step,
+    power_off_steps,
+    power_on_steps,
+    question_step,
+)
 from planner.claims.milling import (
     DrawnCurve,
     Engraves,
@@ -26,7 +32,7 @@ from planner.geometry.arrays import FloatArray, Mesh, Ruled
 from planner.milling.flank_cut import surface
 from planner.milling.operation import EngraveCut, FlankCut, GCodeCut, GCodeFile, LinesCut, Milling
 from planner.milling.process_plan import Done, Work
-from planner.milling.tool_path import SIDES
+from planner.milling.tool_path import BLOCK_SIDES
 from planner.problem import Part
 from planner.reading.part_ruled import GuideFile
 from planner.units import DEG, MM
@@ -35,10 +41,10 @@ MILL: Final = "mill"
 """The kind of segments in which a cutter mills."""
 
 AXIS_TURN: Final = 0.5 * DEG
-"""How far a tool may be turned off the axis that it is to follow."""
+"""How far [rad] a tool may be turned off the axis that it is to follow."""
 
 TIP_OFFSET: Final = 0.5 * MM
-"""How far the tip may be off its way where a surface says what is to be made: corners are rounded."""
+"""How far [m] the tip may be off its way where a surface says what is to be made: corners are rounded."""
 
 
 def claims(work: Work, part: Part | None) -> tuple[Claim, ...]:
@@ -73,17 +79,17 @@ def _dialogue(work: Work) -> OperatorDialogue:
     block = {"x_mm": float(size[0]), "y_mm": float(size[1]), "z_mm": float(size[2])}
     cutter = {"kind": work.cutter.kind, "diameter_mm": 2.0 * work.cutter.radius / MM}
     if op.by_files:
-        tell = tell_step(dialogue.BLOCK_OF_FILE, **block, **cutter)
+        tell = message_step(dialogue.BLOCK_OF_FILE, **block, **cutter)
     else:
-        tell = tell_step(dialogue.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
+        tell = message_step(dialogue.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
     return OperatorDialogue(
         op.arms,
         (
             tell,
-            ask_step(dialogue.BLOCK_READY),
+            question_step(dialogue.BLOCK_READY),
             *power_on_steps(op.signal, op.spin_up_s),
         ),
-        (*power_off_steps(op.signal, op.spin_down_s), ask_step(dialogue.STANDS)),
+        (*power_off_steps(op.signal, op.spin_down_s), question_step(dialogue.STANDS)),
     )
 
 
@@ -157,7 +163,7 @@ def _drawn(own: GuideFile) -> DrawnCurve:
 
 def _safe(op: Milling, box: FloatArray) -> SafeWays:
     """The ways to passes and from them, by the numbers of the problem."""
-    across, end = SIDES[op.safe_side]
+    across, end = BLOCK_SIDES[op.safe_side]
     up = 1.0 if end else -1.0
     level = float(box[end, across]) + up * op.safe_mm * MM
     return SafeWays(across, up, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)

@@ -24,9 +24,9 @@ from planner.geometry.rulings import boundaries
 from planner.issues import Issue
 from planner.units import MM
 
-CREASE: Final = float(np.deg2rad(20.0))
-"""Triangles that turn by more than this over an edge meet in a crease."""
-INSIDE: Final = -1e-9
+CREASE_ANGLE: Final = float(np.deg2rad(20.0))
+"""Triangles that turn by more than this [rad] over an edge meet in a crease."""
+INSIDE_WEIGHT: Final = -1e-9
 """Least barycentric weight of a place inside a triangle."""
 
 
@@ -46,7 +46,7 @@ class Over:
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         self._corners = vertices[faces]
-        self._normals = corner_normals(TriangleMesh(vertices, faces), CREASE)
+        self._normals = corner_normals(TriangleMesh(vertices, faces), CREASE_ANGLE)
         flat = self._corners[..., :2]
         self.low, self.high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
         area = float(np.prod(np.maximum(self.high - self.low, 1e-9)))
@@ -75,7 +75,7 @@ class Over:
             np.repeat(start, each) + np.arange(len(row)) - np.repeat(np.cumsum(each) - each, each)
         ]
         weights = _weights(xy[row], self._corners[triangle][..., :2])
-        hit = np.flatnonzero(weights.min(axis=1) >= INSIDE)
+        hit = np.flatnonzero(weights.min(axis=1) >= INSIDE_WEIGHT)
         row, triangle, weights = row[hit], triangle[hit], weights[hit]
         there = np.einsum("nk,nkd->nd", weights, self._corners[triangle])
         order = np.argsort(there[:, 2], kind="stable")  # the highest is written last
@@ -98,10 +98,11 @@ def _weights(xy: FloatArray, corners: FloatArray) -> FloatArray:
     return np.where(good[:, None], np.stack([1.0 - v - w, v, w], axis=1), -1.0)
 
 
-FINE: Final = 0.5 * MM
-"""Triangles across the strip's inner edge are parted until they are so small; those not all inside are left
-out."""
-MOST: Final = 400_000
+INNER_EDGE_SIZE: Final = 0.5 * MM
+"""Triangles across the strip's inner edge are parted until they are no larger [m]; those not all inside are
+left out."""
+MOST_PIECES: Final = 400_000
+"""Pieces into which these triangles are parted at most."""
 
 
 def inner(front: Mesh, margin: float) -> shapely.Geometry:
@@ -130,7 +131,7 @@ def clipped(front: Mesh, area: shapely.Geometry) -> Mesh:
     across = rest[shapely.intersects(area, shapely.polygons(rest[..., :2]))]
     parts = [corners[whole]]
     if len(across):
-        pieces, _ = small_pieces(across, FINE, MOST)
+        pieces, _ = small_pieces(across, INNER_EDGE_SIZE, MOST_PIECES)
         parts.append(pieces[_inside(area, pieces)])
     kept = np.concatenate(parts)
     return Mesh(kept.reshape(-1, 3), np.arange(3 * len(kept), dtype=np.int64).reshape(-1, 3))
@@ -141,18 +142,19 @@ def _inside(area: shapely.Geometry, corners: FloatArray) -> BoolArray:
     return np.asarray(shapely.contains(area, shapely.polygons(corners[..., :2])))
 
 
-POINTS: Final = 40_000
+MOST_BOUNDING_POINTS: Final = 40_000
 """Most places of a face that bound a ball."""
-TOUCHED: Final = 5000
+TRIED_POINTS: Final = 5000
 """Of these, places at which it is tried; lines are held against all of them once they are laid."""
-SPARE: Final = 0.4
+SPACING_SHARE: Final = 0.4
 """Share of the tolerance that places between the places may hide."""
-HIDDEN: Final = 0.1
+DISTANCE_SHARE: Final = 0.1
 """Share of it that is not told apart in distances."""
-SAFE: Final = 0.8
+CUT_IN_SHARE: Final = 0.8
 """The largest ball that fits cuts in by this share of the tolerance at most."""
-HALVINGS: Final = 9
-TRIED: Final = 800
+RADIUS_HALVINGS: Final = 9
+"""Halvings by which the largest ball that fits is found."""
+SMALLER_BALL_POINTS: Final = 800
 """Places at which smaller balls are tried."""
 
 
@@ -175,27 +177,29 @@ def unreached(
     """What a ball of ``radius`` [m] leaves of a face, of which what lies in ``area`` [m] in plan is wanted;
     None where it reaches all of that within ``tolerance`` [m]."""
     corners = face.vertices[face.faces]
-    pieces, owner = small_pieces(corners, float(np.sqrt(8.0 * radius * SPARE * tolerance)), POINTS)
+    pieces, owner = small_pieces(
+        corners, float(np.sqrt(8.0 * radius * SPACING_SHARE * tolerance)), MOST_BOUNDING_POINTS
+    )
     size = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     points = pieces.mean(axis=1)
     own = corners[owner]
     weights = closest_on_triangles(points, own[:, 0], own[:, 1], own[:, 2])
-    smooth = corner_normals(TriangleMesh(face.vertices, face.faces), CREASE)[owner]
+    smooth = corner_normals(TriangleMesh(face.vertices, face.faces), CREASE_ANGLE)[owner]
     normal = np.einsum("nk,nkd->nd", weights, smooth)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
     chosen = within(area, points[:, :2]) if area is not None else np.ones(len(points), dtype=np.bool_)
     whole = float(size[chosen].sum())
     tree = cKDTree(points)
-    some = slice(None, None, -(-len(points) // TOUCHED))
+    some = slice(None, None, -(-len(points) // TRIED_POINTS))
     points, normal, size = points[some], normal[some], size[some]
     wanted = chosen[some]
-    hidden = HIDDEN * tolerance
+    hidden = DISTANCE_SHARE * tolerance
     deep = _cuts(tree, points, normal, radius, hidden)
     tight = np.flatnonzero(wanted & (deep > tolerance))
     if not len(tight):
         return None
-    few = tight[:: -(-len(tight) // TRIED)]
-    fits = _largest(tree, points[few], normal[few], radius, SAFE * tolerance)
+    few = tight[:: -(-len(tight) // SMALLER_BALL_POINTS)]
+    fits = _largest(tree, points[few], normal[few], radius, CUT_IN_SHARE * tolerance)
     worst = int(np.argmax(np.where(wanted, deep, 0.0)))
     share = float(size[tight].sum()) / max(float(size[wanted].sum()), 1e-30)
     return Unreached(float(deep[worst]), points[worst], share * whole, share, fits)
@@ -215,9 +219,9 @@ def _largest(
     """Radius [m] of the largest ball that cuts in by ``most`` [m] at most, below ``radius``: a ball that
     touches at the same place and is smaller lies within the larger one."""
     low, high = 0.0, radius
-    for _ in range(HALVINGS):
+    for _ in range(RADIUS_HALVINGS):
         middle = 0.5 * (low + high)
-        if float(_cuts(tree, points, normal, middle, HIDDEN * most).max()) > most:
+        if float(_cuts(tree, points, normal, middle, DISTANCE_SHARE * most).max()) > most:
             high = middle
         else:
             low = middle

@@ -67,22 +67,26 @@ def strips(ruled: Ruled, tip_at_start: bool, chord: float, step: float) -> list[
     return out
 
 
-LEVELS: Final = np.array([0.1, 0.25, 0.4, 0.6, 0.75, 0.9])
+RULING_SHARES: Final = np.array([0.1, 0.25, 0.4, 0.6, 0.75, 0.9])
 """Places along a ruling, from the tip guide to the other, at which the cylinder is held against the
 surface."""
-AHEAD: Final = 0.8
+MOST_AHEAD: Final = 0.8
 """How far a place on the upper guide may be ahead, over the cutter's radius."""
-LOOKED: Final = 72
+CHOSEN_RULINGS: Final = 72
 """Rulings at which the choice is made; it is smooth between them."""
-TRIED: Final = 9
-ZOOMS: Final = 4
-ROUNDS: Final = 40
-SETTLED: Final = 1e-12
-WINDOW: Final = 20
+AHEAD_TRIALS: Final = 9
+"""Values of being ahead that are tried at once at each of these rulings."""
+AHEAD_ZOOMS: Final = 4
+"""So often they are tried, each time between the neighbours of the best one."""
+AXIS_ROUNDS: Final = 40
+"""Rounds at most in which the axis of a cylinder that touches both guides settles."""
+AXIS_SETTLED: Final = 1e-12
+"""The axis, a unit vector, has settled where a round changes it by less than this."""
+RULING_WINDOW: Final = 20
 """Rulings on either side that are looked at for the place that a cylinder comes nearest to."""
-STIFF: Final = 1e-4
+AHEAD_COST: Final = 1e-4
 """What being ahead by a whole radius costs, over the radius: it settles surfaces that leave it open."""
-SOFT: Final = 3.0
+SMOOTHING_RULINGS: Final = 3.0
 """Rulings over which the choice is made smooth."""
 
 
@@ -94,7 +98,7 @@ def axes(strip: Strip, radius: float) -> tuple[FloatArray, FloatArray]:
     longer = _longer(strip)
     ahead = _ahead(longer, radius, strip.ring)
     low, high = _touching(longer, radius, np.arange(len(longer.low)), ahead)
-    return low[WINDOW:-WINDOW], high[WINDOW:-WINDOW]
+    return low[RULING_WINDOW:-RULING_WINDOW], high[RULING_WINDOW:-RULING_WINDOW]
 
 
 def deviation(strip: Strip, radius: float, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -102,23 +106,23 @@ def deviation(strip: Strip, radius: float, low: FloatArray, high: FloatArray) ->
     levels: left where positive, cut too deep where negative."""
     at = np.arange(len(strip.low), dtype=np.float64)
     if strip.ring:
-        return _off(_longer(strip), radius, low, high, at + WINDOW)
+        return _off(_longer(strip), radius, low, high, at + RULING_WINDOW)
     return _off(strip, radius, low, high, at)
 
 
 def _longer(strip: Strip) -> Strip:
-    """The strip with ``WINDOW`` more rulings at both ends, so that what is ahead of the last one is there:
-    a ring goes on as it began, others straight."""
+    """The strip with ``RULING_WINDOW`` more rulings at both ends, so that what is ahead of the last one is
+    there: a ring goes on as it began, others straight."""
     if strip.ring:
         around = len(strip.low) - 1
-        rows = np.arange(-WINDOW, around + 1 + WINDOW) % around
+        rows = np.arange(-RULING_WINDOW, around + 1 + RULING_WINDOW) % around
         return Strip(strip.low[rows], strip.high[rows], strip.out)
     return Strip(_on(strip.low), _on(strip.high), strip.out)
 
 
 def _on(side: FloatArray) -> FloatArray:
-    """A guide (M + 2 WINDOW, 3) that goes on by ``WINDOW`` even steps at both ends."""
-    more = np.arange(1, WINDOW + 1)[:, None]
+    """A guide (M + 2 RULING_WINDOW, 3) that goes on by ``RULING_WINDOW`` even steps at both ends."""
+    more = np.arange(1, RULING_WINDOW + 1)[:, None]
     before, behind = side[0] - side[1], side[-1] - side[-2]
     return np.concatenate([side[0] + more[::-1] * before, side, side[-1] + more * behind])
 
@@ -129,27 +133,27 @@ def _ahead(strip: Strip, radius: float, ring: bool) -> FloatArray:
     if count < 5:
         return np.zeros(count)
     step = float(np.median(np.linalg.norm(np.diff(strip.high, axis=0), axis=1)))
-    most = min(AHEAD * radius / max(step, 1e-9), WINDOW - 2.0)
-    edge = WINDOW if ring else 0
-    rows = np.unique(np.linspace(edge, count - 1 - edge, min(count, LOOKED)).astype(np.int64))
+    most = min(MOST_AHEAD * radius / max(step, 1e-9), RULING_WINDOW - 2.0)
+    edge = RULING_WINDOW if ring else 0
+    rows = np.unique(np.linspace(edge, count - 1 - edge, min(count, CHOSEN_RULINGS)).astype(np.int64))
     best, width = np.zeros(len(rows)), most
-    for _ in range(ZOOMS):
-        tried = best[:, None] + np.linspace(-width, width, TRIED)
+    for _ in range(AHEAD_ZOOMS):
+        tried = best[:, None] + np.linspace(-width, width, AHEAD_TRIALS)
         tried = np.clip(tried, -most, most)
-        which, ahead = np.repeat(rows, TRIED), tried.ravel()
+        which, ahead = np.repeat(rows, AHEAD_TRIALS), tried.ravel()
         low, high = _touching(strip, radius, which, ahead)
         worst = np.abs(_off(strip, radius, low, high, which + 0.5 * ahead)).max(axis=1)
-        cost = worst.reshape(tried.shape) + STIFF * radius * np.square(tried * step / radius)
+        cost = worst.reshape(tried.shape) + AHEAD_COST * radius * np.square(tried * step / radius)
         best = tried[np.arange(len(rows)), cost.argmin(axis=1)]
-        width *= 2.0 / (TRIED - 1)
+        width *= 2.0 / (AHEAD_TRIALS - 1)
     spread = np.interp(np.arange(count), rows, best)
     # the guides end: what is ahead of the last ruling is not there
     room = np.minimum(np.arange(count), np.arange(count)[::-1]).astype(np.float64)
     if ring:
-        spread = gaussian_filter1d(spread[WINDOW : -WINDOW - 1], SOFT, mode="wrap")
-        spread = spread[np.arange(-WINDOW, count - WINDOW) % len(spread)]
+        spread = gaussian_filter1d(spread[RULING_WINDOW : -RULING_WINDOW - 1], SMOOTHING_RULINGS, mode="wrap")
+        spread = spread[np.arange(-RULING_WINDOW, count - RULING_WINDOW) % len(spread)]
     else:
-        spread = gaussian_filter1d(spread, SOFT, mode="nearest")
+        spread = gaussian_filter1d(spread, SMOOTHING_RULINGS, mode="nearest")
     return np.asarray(np.clip(spread, -room, room))
 
 
@@ -163,13 +167,13 @@ def _touching(
     at = np.clip(rows + ahead, 0, len(strip.low) - 1)
     above, along = _at(strip.high, at), unit(_at(second, at))
     way = unit(above - below)
-    for _ in range(ROUNDS):
+    for _ in range(AXIS_ROUNDS):
         low = below + radius * unit(strip.out * np.cross(tangent, way))
         high = above + radius * unit(strip.out * np.cross(along, way))
         fresh = unit(high - low)
         moved = float(np.abs(fresh - way).max(initial=0.0))
         way = fresh
-        if moved < SETTLED:
+        if moved < AXIS_SETTLED:
             break
     return low, high
 
@@ -177,10 +181,10 @@ def _touching(
 def _off(strip: Strip, radius: float, low: FloatArray, high: FloatArray, about: FloatArray) -> FloatArray:
     """How far (N, K) [m] the surface's lines at the levels stay off cylinders near rulings ``about`` (N,)."""
     centre = np.clip(np.round(about).astype(np.int64), 0, len(strip.low) - 1)
-    rows = np.clip(centre[:, None] + np.arange(-WINDOW, WINDOW + 1), 0, len(strip.low) - 1)
+    rows = np.clip(centre[:, None] + np.arange(-RULING_WINDOW, RULING_WINDOW + 1), 0, len(strip.low) - 1)
     way = unit(high - low)
-    out = np.empty((len(low), len(LEVELS)))
-    for k, share in enumerate(LEVELS):
+    out = np.empty((len(low), len(RULING_SHARES)))
+    for k, share in enumerate(RULING_SHARES):
         line = (1.0 - share) * strip.low + share * strip.high
         # by coordinate, (3, N, W), which is how so many short vectors are worked out fastest
         rest = np.ascontiguousarray(line.T).take(rows, axis=1) - low.T[..., None]

@@ -22,19 +22,19 @@ from planner.tooling import Cutter
 from planner.units import DEG, MM
 
 CORNER_STEP: Final = np.deg2rad(5.0)
-"""Turn of the cutter about a corner from target to target."""
-PIECES: Final = 6
+"""Turn [rad] of the cutter about a corner from target to target."""
+LEAD_TARGETS: Final = 6
 """Targets of a way in or out on which the tool still turns."""
 LEAD_TURN: Final = np.deg2rad(10.0)
-"""How far a tool turns on along a way in or out at most."""
-FARTHEST: Final = 5.0
+"""How far [rad] a tool turns on along a way in or out at most."""
+LONGEST_LEAD: Final = 5.0
 """A way that is not off the block after so much [m] never is."""
 
 
 def off_block(ends: FloatArray, way: FloatArray, box: FloatArray, clear: float) -> float:
     """How far [m] a cutter has to go along the unit vector ``way`` (3,) until all its ``ends`` (K, 3) are
     ``clear`` [m] beyond one side of the block ``box`` (2, 3)."""
-    best = FARTHEST
+    best = LONGEST_LEAD
     for axis in range(3):
         if way[axis] > 1e-6:
             best = min(best, (box[1, axis] + clear - float(ends[:, axis].min())) / way[axis])
@@ -55,7 +55,7 @@ def beyond(
     whole = length / max(float(np.linalg.norm(straight)), 0.1)
     rate = float(np.linalg.norm(turn)) * 2.0 / max(float(np.linalg.norm(high - low)), 1e-9)
     during = min(whole, 2.0 * LEAD_TURN / max(rate, 1e-9))
-    at = np.unique(np.append(np.linspace(0.0, during, PIECES + 1), whole))[:, None]
+    at = np.unique(np.append(np.linspace(0.0, during, LEAD_TARGETS + 1), whole))[:, None]
     slowing = np.where(at < during, at - at * at / (2.0 * during), 0.5 * during)
     return low + at * straight - slowing * turn, high + at * straight + slowing * turn
 
@@ -91,20 +91,22 @@ def round_corner(
 
 RULING_SPACING: Final = 1.0 / 10.0
 """Distance of the rulings at which the cutter is placed, over its radius."""
-MOST: Final = 6000
-CHORD: Final = 0.1
+MOST_RULINGS: Final = 6000
+"""Rulings of a surface at which the cutter is placed, about, at most."""
+CHORD_SHARE: Final = 0.1
 """Share of the tolerance that straight moves between targets may cost."""
-CLEAR: Final = 2.0 * MM
-"""How far the cutter is off the block at the ends of its ways in and out."""
-INNER: Final = 3.0 * DEG
-"""An inner corner that turns by more than this cannot be milled by a round cutter."""
-LOOSE: Final = 1.05
+BLOCK_CLEARANCE: Final = 2.0 * MM
+"""How far [m] the cutter is off the block at the ends of its ways in and out."""
+INNER_CORNER_TURN: Final = 3.0 * DEG
+"""An inner corner that turns by more than this [rad] cannot be milled by a round cutter."""
+ROUNDING_FACTOR: Final = 1.05
 """Radius of a rounded corner, over the cutter's, that is advised: as tight as the cutter it would rub."""
-TRIES: Final = 4
+SLIMMER_TRIALS: Final = 4
 """Slimmer cutters that are tried along twisted rulings."""
-NEARER: Final = 0.97
-SLIM: Final = 0.5 * MM
-"""Cutters of smaller radius are not advised."""
+TOLERANCE_SHARE: Final = 0.97
+"""Share of the tolerance that a slimmer cutter is to keep, so that it surely does."""
+LEAST_ADVISED_RADIUS: Final = 0.5 * MM
+"""Cutters of smaller radius [m] are not advised."""
 LENGTH_RATIO: Final = 2.0
 """Guides one of which is longer than the other by this factor are told: its end moves so much faster."""
 
@@ -169,14 +171,14 @@ def _fits(op: Milling, cut: FlankCut, ruled: Ruled, radius: float, off: float) -
     """Radius [m] of a cutter that is near enough to twisted rulings: tried, for the deviation goes with the
     radius only about."""
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
-    for _ in range(TRIES):
+    for _ in range(SLIMMER_TRIALS):
         if off <= tolerance:
             return None
-        radius *= NEARER * tolerance / off
-        if radius < SLIM:
+        radius *= TOLERANCE_SHARE * tolerance / off
+        if radius < LEAST_ADVISED_RADIUS:
             return None
         off = placed(op, cut, ruled, radius).off
-        if off <= NEARER * tolerance:
+        if off <= TOLERANCE_SHARE * tolerance:
             return radius
     return None
 
@@ -264,16 +266,23 @@ def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, radius: float, fi
     around = [*pieces, pieces[0]] if closed and not pieces[0].ring else pieces
     for before, after in itertools.pairwise(around):
         turn = float(np.arcsin(np.clip(after.tangents()[0][0] @ before.normals()[0][-1], -1.0, 1.0)))
-        if turn > INNER:
+        if turn > INNER_CORNER_TURN:
             at = ", ".join(f"{v / MM:.1f}" for v in after.low[0])
             what = f"flank {cut.flank} has an inner corner of {turn / DEG:.0f} degrees at {at} mm, "
             # between two walls at the angle pi - turn a circle is so far off the corner
             stays = radius * (1.0 / np.cos(0.5 * turn) - 1.0)
             what += f"where a cutter of {radius / MM:g} mm radius leaves a fillet of its own, "
             what += f"{stays / MM:.2f} mm off the corner; round both guides there by "
-            what += f"{_up(LOOSE * radius):.2f} mm or more"
+            what += f"{_up(ROUNDING_FACTOR * radius):.2f} mm or more"
             out.append(
-                Issue("milling.corner", what, field=field, value=turn / DEG, limit=INNER / DEG, unit="deg")
+                Issue(
+                    "milling.corner",
+                    what,
+                    field=field,
+                    value=turn / DEG,
+                    limit=INNER_CORNER_TURN / DEG,
+                    unit="deg",
+                )
             )
     return out
 
@@ -282,7 +291,7 @@ def _pieces(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> list[Str
     whole = sum(
         float(np.linalg.norm(np.diff(side, axis=0), axis=1).sum()) for side in (ruled.start, ruled.end)
     )
-    step = max(radius * RULING_SPACING, 0.5 * whole / MOST)
+    step = max(radius * RULING_SPACING, 0.5 * whole / MOST_RULINGS)
     pieces = strips(ruled, cut.tip == "start", 0.02 * op.shape_tol_mm * MM, step)
     if cut.direction == "against" or (
         cut.direction in ("climb", "conventional") and cut.direction != _way(pieces[0])
@@ -303,7 +312,7 @@ def _run(
 ) -> Run:
     """One pass with the tip ``lift`` [m] above the tip guide."""
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
-    rows = thinned(np.stack([on.low, on.high], axis=1), CHORD * tolerance, op.step_mm * MM)
+    rows = thinned(np.stack([on.low, on.high], axis=1), CHORD_SHARE * tolerance, op.step_mm * MM)
     low, high = on.low[rows], on.high[rows]
     into = _lead(cut, low, high, (0, 1), lift, cutter, box)
     out = _lead(cut, low, high, (-1, -2), lift, cutter, box)
@@ -332,7 +341,7 @@ def _lead(
     way /= max(float(np.linalg.norm(way)), 1e-12)
     if cut.lead_mm is None:
         far = np.stack([low[k] + min(lift, 0.0) * unit(high[k] - low[k]), high[k]])
-        length = off_block(far, way, box, cutter.radius + CLEAR)
+        length = off_block(far, way, box, cutter.radius + BLOCK_CLEARANCE)
     else:
         length = cut.lead_mm * MM
     if length < 1e-6:

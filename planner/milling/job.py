@@ -59,8 +59,9 @@ def spin(arm: str, orient: Orient, count: int) -> ScrewFreedom:
     return ScrewFreedom(f"spin_{arm}", {arm: twist}, -turn, turn, None, True, aim)
 
 
-KINDS: Final = ((FlankCut, "flank"), (LinesCut, "lines"), (GCodeCut, "G\u2011code"))
-SHOWN: Final = 80
+CUT_NAMES: Final = ((FlankCut, "flank"), (LinesCut, "lines"), (GCodeCut, "G\u2011code"))
+"""Kinds of cuts in words."""
+CURVES_SHOWN: Final = 80
 """Curves that the picture of the ways shows at most."""
 
 
@@ -99,7 +100,7 @@ def _feeds(work: Work) -> str:
 def _cuts(work: Work) -> dict[str, Any]:
     rows = []
     for one in work.cuts:
-        kind = next((name for model, name in KINDS if isinstance(one.cut, model)), "engraving")
+        kind = next((name for model, name in CUT_NAMES if isinstance(one.cut, model)), "engraving")
         for run in one.runs:
             way = np.linalg.norm(np.diff(run.path.tip, axis=0), axis=1).sum()
             off = f"{one.off / MM:.4f}" if one.off > 0.0 and run is one.runs[-1] else ""
@@ -114,13 +115,13 @@ def _cuts(work: Work) -> dict[str, Any]:
 
 def _paths(work: Work) -> dict[str, Any]:
     runs = work.runs
-    curves = [run.path.tip for run in runs[:: max(1, len(runs) // SHOWN)]]
+    curves = [run.path.tip for run in runs[:: max(1, len(runs) // CURVES_SHOWN)]]
     return {"kind": "paths", "title": "Way of the cutter's tip", "curves": curves}
 
 
-FROM_REST: Final = 0.66
+MEAN_FEED_FROM_REST: Final = 0.66
 """Part of the feed that moves from or to a stop have on average, as they are faster in between."""
-LEVER: Final = 0.05
+AIR_LEVER: Final = 0.05
 """A point so far [m] behind the tip counts for the speed in the air, where the tool turns."""
 
 
@@ -128,13 +129,13 @@ class MillingJob(Job[Milling]):
     """An operation that mills, with the cutter and the block that it finds."""
 
     @functools.cached_property
-    def made(self) -> Work:
+    def planned(self) -> Work:
         """Cuts as passes: worked out once, and nobody can write into their arrays."""
         return read_only(work(self.operation, self.setup, self.part))
 
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``milling.*``."""
-        made = self.made
+        made = self.planned
         route = lay_out(self.operation, made.runs, made.box)
         issues = check(made)
         if has_errors(issues):
@@ -143,7 +144,7 @@ class MillingJob(Job[Milling]):
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
-        return mill_claims.claims(self.made, self.part)
+        return mill_claims.claims(self.planned, self.part)
 
 
 def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[Claim, ...]) -> Targets:
@@ -157,7 +158,7 @@ def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[
         pose={arm: poses(route.tip, route.axis)},
         frame={arm: "stock"},
         freedoms=(spin(arm, op.orient, count),),
-        feed=np.where(np.append(False, stop[:-1]) | stop, FROM_REST, 1.0) * route.feed,
+        feed=np.where(np.append(False, stop[:-1]) | stop, MEAN_FEED_FROM_REST, 1.0) * route.feed,
         feed_min=np.zeros(count),
         travel=_travel(route),
         stop=stop,
@@ -230,7 +231,7 @@ def _curves(claims: Sequence[Claim]) -> dict[str, tuple[tuple[float, float], ...
 def _travel(route: Route) -> FloatArray:
     """Way (N,) [m] of the fastest point of the cutter that works, on the move to each target."""
     out = np.zeros(len(route.tip))
-    for reach in (0.0, np.maximum(route.reach[1:], LEVER)[:, None]):
+    for reach in (0.0, np.maximum(route.reach[1:], AIR_LEVER)[:, None]):
         ends = route.tip[1:] + reach * route.axis[1:], route.tip[:-1] + reach * route.axis[:-1]
         out[1:] = np.maximum(out[1:], np.linalg.norm(ends[0] - ends[1], axis=1))
     return out
@@ -243,13 +244,13 @@ def _actions(made: Work, route: Route) -> tuple[Action, ...]:
     return (
         Action(0, "message", _cuts_message(made)),
         *(Action(0, "confirm", run.before) for run in made.runs[:1] if run.before),
-        Action(0, "confirm", dialogue.BLOCK_READY.say()),
+        Action(0, "confirm", dialogue.BLOCK_READY.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.spin_up_s),
         *_between(made, route),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.spin_down_s),
-        Action(last, "confirm", dialogue.STANDS.say()),
+        Action(last, "confirm", dialogue.STANDS.filled()),
     )
 
 
@@ -258,8 +259,8 @@ def _cuts_message(made: Work) -> str:
     size, op = (made.box[1] - made.box[0]) / MM, made.operation
     figures = {"x_mm": size[0], "y_mm": size[1], "z_mm": size[2], "diameter_mm": 2e3 * made.cutter.radius}
     if op.by_files:
-        return dialogue.BLOCK_OF_FILE.say(kind=made.cutter.kind, **figures)
-    return dialogue.BLOCK.say(kind=made.cutter.kind, rpm=op.spindle_rpm, **figures)
+        return dialogue.BLOCK_OF_FILE.filled(kind=made.cutter.kind, **figures)
+    return dialogue.BLOCK.filled(kind=made.cutter.kind, rpm=op.spindle_rpm, **figures)
 
 
 def _between(made: Work, route: Route) -> Iterator[Action]:

@@ -22,9 +22,9 @@ from pydantic import (
 
 from planner.claims.segments import fold
 from planner.milling.gcode.state import (
-    CONVENTIONS,
     INCH,
-    NOWHERE,
+    KINEMATICS,
+    UNKNOWN_POSITION,
     ConventionName,
     Dialect,
     FeedMode,
@@ -39,8 +39,10 @@ from planner.units import DEG, MM
 
 Offset = Literal["G54", "G55", "G56", "G57", "G58", "G59"]
 Code = Annotated[str, Field(pattern=r"^[GM](0|[1-9][0-9]{0,2})(\.[1-9])?$")]
-NORMAL: Final = {"xy": 2, "zx": 1, "yz": 0}
-MOTION: Final = {"rapid": 0, "linear": 1}
+PLANE_NORMALS: Final = {"xy": 2, "zx": 1, "yz": 0}
+"""Axis normal to a plane."""
+MOTION_MODES: Final = {"rapid": 0, "linear": 1}
+"""Mode of motion by its word in problem files."""
 
 
 def _from_the_problem_file(value: Path, info: ValidationInfo) -> Path:
@@ -111,7 +113,7 @@ class GCodeFile(Strict):
             raise ValueError("convention goes with tool_axis: rotary, which needs one; give both or neither")
         if len(set(self.reverse)) != len(self.reverse):
             raise ValueError("reverse: each axis is named once")
-        letters = CONVENTIONS[self.convention].letters if self.convention is not None else ""
+        letters = KINEMATICS[self.convention].letters if self.convention is not None else ""
         strange = [axis for axis in self.reverse if axis not in letters]
         if strange:
             raise ValueError(
@@ -132,8 +134,8 @@ class GCodeFile(Strict):
             field=field,
             unit={"mm": MM, "in": INCH, None: None}[self.unit],
             absolute={"absolute": True, "incremental": False, None: None}[self.distance],
-            motion=None if self.motion is None else MOTION[self.motion],
-            plane=None if self.plane is None else NORMAL[self.plane],
+            motion=None if self.motion is None else MOTION_MODES[self.motion],
+            plane=None if self.plane is None else PLANE_NORMALS[self.plane],
             feed_mode=self.feed_mode,
             feed=None if self.feed_mm_min is None else self.feed_mm_min * MM / 60.0,
             spindle=None if self.spindle_rpm is None else self.spindle_rpm * 360.0 * DEG / 60.0,
@@ -143,7 +145,7 @@ class GCodeFile(Strict):
             convention=rotary,
             to_spindle=1 if self.ijk_to == "spindle" else -1,
             block_delete=self.block_delete,
-            start=NOWHERE if self.start_mm is None else _metres(self.start_mm),
+            start=UNKNOWN_POSITION if self.start_mm is None else _metres(self.start_mm),
             offsets={int(name[1:]): _metres(shift) for name, shift in self.offsets.items()},
             skip=frozenset(self.skip),
             tool=self.tool,

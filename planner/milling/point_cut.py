@@ -23,7 +23,7 @@ from planner.reading.part_ruled import GuideFile, guide
 from planner.tooling import Cutter
 from planner.units import DEG, MM
 
-UPRIGHT: Final = 1e-3
+UPRIGHT_ANGLE: Final = 1e-3
 """A flat end that leans off the normal by less than this [rad] touches with its middle."""
 
 
@@ -44,7 +44,7 @@ def tips(contact: FloatArray, normal: FloatArray, axis: FloatArray, cutter: Cutt
     """
     across = normal - dots(normal, axis)[:, None] * axis
     lean = np.linalg.norm(across, axis=1, keepdims=True)
-    side = np.where(lean > UPRIGHT, across / np.maximum(lean, 1e-15), 0.0)
+    side = np.where(lean > UPRIGHT_ANGLE, across / np.maximum(lean, 1e-15), 0.0)
     circle = cutter.radius - cutter.corner
     return np.asarray(contact + cutter.corner * (normal - axis) + circle * side)
 
@@ -65,20 +65,21 @@ def ridge_height(step: float, radius: float, bend: FloatArray) -> FloatArray:
     return np.asarray(step**2 / 8.0 * np.maximum(1.0 / radius + bend, 0.0))
 
 
-EDGE: Final = 1e-6
+EDGE_MARGIN: Final = 1e-6
 """Lines keep so far [m] inside the edge, on which a place is neither on the face nor off it."""
 LINE_SPACING: Final = 0.5 * MM
-"""Distance of the places at which a line is laid on the face."""
-LEVER: Final = 0.05
+"""Distance [m] of the places at which a line is laid on the face."""
+AXIS_LEVER: Final = 0.05
 """How far behind the tip [m] the tool keeps within the chord between targets, too."""
-CHORD: Final = 0.1
-MOST: Final = 5000
+CHORD_SHARE: Final = 0.1
+"""Share of the tolerance that straight moves between targets may cost."""
+MOST_LINES: Final = 5000
 """Lines of one cut at most."""
 BEND_SPAN: Final = 2.0 * MM
-"""Distance over which the bend of the face across a line is measured."""
+"""Distance [m] over which the bend of the face across a line is measured."""
 RIDGE_SHARE: Final = 0.85
 """Share of the highest ridges that are allowed that is advised: with those, the tolerance holds."""
-RIDGE_SLACK: Final = 1.1
+RIDGE_FACTOR: Final = 1.1
 """Ridges so many times as high as the tolerance allows are refused: those below are left to the proof."""
 
 
@@ -92,8 +93,8 @@ def line_runs(
     corners = np.array([[x, y] for x in (over.low[0], over.high[0]) for y in (over.low[1], over.high[1])])
     if area is not None:
         corners = shapely.get_coordinates(area)
-    ends = [(corners @ axis).min() + EDGE if len(corners) else 0.0 for axis in (way, side)]
-    tops = [(corners @ axis).max() - EDGE if len(corners) else 0.0 for axis in (way, side)]
+    ends = [(corners @ axis).min() + EDGE_MARGIN if len(corners) else 0.0 for axis in (way, side)]
+    tops = [(corners @ axis).max() - EDGE_MARGIN if len(corners) else 0.0 for axis in (way, side)]
     if min(tops[0] - ends[0], tops[1] - ends[1]) <= 0.0:
         most = 0.25 * float((over.high - over.low).min()) / MM
         raise TandemError(
@@ -109,7 +110,7 @@ def line_runs(
     places = np.linspace(ends[0], tops[0], count)[:, None] * way
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     most = (
-        RIDGE_SLACK * tolerance / op.share**2
+        RIDGE_FACTOR * tolerance / op.share**2
     )  # of a round ridge the share sqrt(tolerance / height) is within
     offsets = _offsets(cut, over, places, side, (ends[1], tops[1]), cutter, most)
     pieces: list[list[tuple[FloatArray, FloatArray]]] = []
@@ -133,7 +134,7 @@ def line_runs(
     out = []
     for number, piece in enumerate(pieces, 1):
         kept = [
-            thinned(np.stack([t, t + LEVER * a], axis=1), CHORD * tolerance, op.step_mm * MM)
+            thinned(np.stack([t, t + AXIS_LEVER * a], axis=1), CHORD_SHARE * tolerance, op.step_mm * MM)
             for t, a in piece
         ]
         tip = np.concatenate([t[rows] for (t, _), rows in zip(piece, kept, strict=True)])
@@ -173,14 +174,14 @@ def _offsets(
         step, ridge = _step(cut, over, places, side, found[-1], ends, cutter)
         lowest = min(lowest, ridge)
         found.append(found[-1] + step)
-        if len(found) > MOST:
+        if len(found) > MOST_LINES:
             raise TandemError(
                 Issue(
                     "milling.pattern",
-                    f"lines: more than {MOST} lines; give {_wider(cut, found, ends)}",
+                    f"lines: more than {MOST_LINES} lines; give {_wider(cut, found, ends)}",
                     field="operations.cuts",
                     value=float(len(found)),
-                    limit=float(MOST),
+                    limit=float(MOST_LINES),
                 )
             )
     out = np.array(found)
@@ -283,7 +284,7 @@ def _line_tool(
 
 
 CURVE_SPACING: Final = 0.25 * MM
-"""Distance of the places at which a curve is laid on the face."""
+"""Distance [m] of the places at which a curve is laid on the face."""
 
 
 def engraved_runs(op: Milling, cut: EngraveCut, over: Over, cutter: Cutter) -> list[Run]:
@@ -298,7 +299,9 @@ def engraved_runs(op: Milling, cut: EngraveCut, over: Over, cutter: Cutter) -> l
         except TandemError as error:
             faults += error.issues
             continue
-        rows = thinned(np.stack([tip, tip + LEVER * axis], axis=1), CHORD * tolerance, op.step_mm * MM)
+        rows = thinned(
+            np.stack([tip, tip + AXIS_LEVER * axis], axis=1), CHORD_SHARE * tolerance, op.step_mm * MM
+        )
         feed = (cut.feed_mm_s or op.feed_mm_s) * MM
         out.append(
             Run(f"{cut.name}_c{number + 1}", plain_path(tip[rows], axis[rows], feed), 0, len(rows) - 1, 0.0)

@@ -22,9 +22,9 @@ from planner.problem import Part, Setup
 from planner.tooling import Cutter, Mill
 from planner.units import MM
 
-CHORD: Final = 2e-5
+SURFACE_CHORD: Final = 2e-5
 """[m] the triangles of a wanted ruled surface are as near to it as this."""
-UP: Final = 0.05
+LEAST_UPWARD: Final = 0.05
 """Least z of a front's normals: it must look up to be seen from above."""
 
 
@@ -129,7 +129,7 @@ def _flank(
     ruled = flank_cut.surface(part, cut.flank)
     made = flank_cut.passes(op, cut, ruled, cutter, box)
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
-    face = None if cut.guides == "tool" else Face(cut.flank, tessellate(ruled, CHORD))
+    face = None if cut.guides == "tool" else Face(cut.flank, tessellate(ruled, SURFACE_CHORD))
     return Done(cut, made.runs, face, tolerance, made.off, fits=made.fits), made.notes
 
 
@@ -169,10 +169,10 @@ def _front(part: Part | None) -> Mesh:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     up = cross[:, 2] / np.maximum(np.linalg.norm(cross, axis=1), 1e-30)
     worst = int(np.argmin(up))
-    if float(up[worst]) < UP:
+    if float(up[worst]) < LEAST_UPWARD:
         lean = float(np.rad2deg(np.arccos(np.clip(up, -1.0, 1.0)))[worst])
-        most = float(np.rad2deg(np.arccos(UP)))
-        if float(up.max()) < -UP:
+        most = float(np.rad2deg(np.arccos(LEAST_UPWARD)))
+        if float(up.max()) < -LEAST_UPWARD:
             what = "all of the part's front looks down in the block and cannot be milled from above"
             hint = "where only its faces are turned round, change flip (part.front.loft or part.front.mesh: "
             hint += "flip: true unless it stands there), else turn the part over in the block (in_stock)"
@@ -202,7 +202,7 @@ def _faces(op: Milling, part: Part | None) -> tuple[Face, ...]:
     if part is None:
         return ()
     led = {cut.flank for cut in op.cuts if isinstance(cut, FlankCut) and cut.guides == "tool"}
-    out = [Face(own.name, tessellate(own, CHORD)) for own in part.ruled if own.name not in led]
+    out = [Face(own.name, tessellate(own, SURFACE_CHORD)) for own in part.ruled if own.name not in led]
     sides: Sequence[tuple[str, Mesh | None]] = (("front", part.front), ("back", part.back))
     out += [Face(name, mesh) for name, mesh in sides if mesh is not None]
     return tuple(out)

@@ -23,9 +23,11 @@ from planner.milling.operation import Milling, SafeSide
 from planner.units import DEG, MM
 
 CUT: Final = "cut"
+"""A straight move at the feed."""
 RAPID: Final = "rapid"
+"""A straight move in the air, fast."""
 ARC: Final = "arc"
-"""Kinds of moves: straight at the feed, straight and fast, and a piece of an arc (``arc`` or ``arc/...``)."""
+"""A piece of an arc at the feed: ``arc`` or ``arc/...``."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,9 +108,9 @@ def plain_path(tip: FloatArray, axis: FloatArray, feed: float | FloatArray) -> T
     return ToolPath(tip, axis, speed, (CUT,) * count, np.zeros(count), whole, whole)
 
 
-LEAN: Final = 6.0 * DEG
-"""Longest turn of an axis between targets: a tool that spins as well takes its axis off the shortest turn, by
-a quarter where moves are half as long."""
+LONGEST_AXIS_TURN: Final = 6.0 * DEG
+"""Longest turn [rad] of an axis between targets: a tool that spins as well takes its axis off the shortest
+turn, by a quarter where moves are half as long."""
 
 
 def thinned(points: FloatArray, chord: float, step: float) -> IntArray:
@@ -131,12 +133,12 @@ def thinned(points: FloatArray, chord: float, step: float) -> IntArray:
 
 def filled(tip: FloatArray, axis: FloatArray, step: float) -> tuple[IntArray, FloatArray, FloatArray]:
     """Tips and axes (M, 3) with evenly laid places between those of ``tip``, ``axis`` (N, 3) that are farther
-    apart than ``step`` [m] or :data:`LEAN`, and the row (M,) that each of them leads to. Axes turn evenly,
-    the shorter way.
+    apart than ``step`` [m] or :data:`LONGEST_AXIS_TURN`, and the row (M,) that each of them leads to. Axes
+    turn evenly, the shorter way.
     """
     way = np.linalg.norm(np.diff(tip, axis=0), axis=1)
     lean = np.linalg.norm(np.diff(axis, axis=0), axis=1)
-    count = np.maximum(np.ceil(np.maximum(way / step, lean / LEAN) - 1e-9).astype(np.int64), 1)
+    count = np.maximum(np.ceil(np.maximum(way / step, lean / LONGEST_AXIS_TURN) - 1e-9).astype(np.int64), 1)
     to = np.repeat(np.arange(1, len(tip)), count)
     share = (np.arange(len(to)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[to - 1]
     return _placed(tip, axis, to, share)
@@ -190,7 +192,7 @@ def _off(rows: FloatArray, along: FloatArray) -> float:
     return float(np.linalg.norm(rest - share[:, None, None] * way, axis=2).max())
 
 
-SIDES: Final[dict[SafeSide, tuple[int, int]]] = {
+BLOCK_SIDES: Final[dict[SafeSide, tuple[int, int]]] = {
     "left": (0, 0),
     "right": (0, 1),
     "front": (1, 0),
@@ -199,11 +201,12 @@ SIDES: Final[dict[SafeSide, tuple[int, int]]] = {
 }
 """Axis of the stock frame and end (0 low, 1 high) of each side."""
 LEAST_RISE: Final = 15.0 * DEG
-"""Tools must rise from the block's side by this angle at least, or they never reach the safe plane."""
+"""Tools must rise from the block's side by this angle [rad] at least, or they never reach the safe plane."""
 LEAST_PLUNGE: Final = 2.0 * MM
-"""Least way down to a pass and up from it, where the pass begins or ends on the safe plane or beyond it."""
+"""Least way [m] down to a pass and up from it, where the pass begins or ends on the safe plane or beyond
+it."""
 SHARP_TURN: Final = 31.0 * DEG
-"""The tool stops where its way turns by more than this."""
+"""The tool stops where its way turns by more than this [rad]."""
 LEAST_MOVE: Final = 1e-6
 """Moves that are shorter than this [m] have no direction."""
 RUN_TARGETS: Final = 2000
@@ -268,7 +271,7 @@ def ends(op: Milling, run: Run, box: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def _above(op: Milling, tip: FloatArray, axis: FloatArray, box: FloatArray) -> FloatArray:
-    side, end = SIDES[op.safe_side]
+    side, end = BLOCK_SIDES[op.safe_side]
     sign = 1.0 if end else -1.0
     level = box[end, side] + sign * op.safe_mm * MM
     return np.asarray(tip + max((level - tip[side]) / float(axis[side]), LEAST_PLUNGE) * axis)
@@ -278,7 +281,9 @@ def _refuse_flat(op: Milling, passes: Sequence[Run]) -> None:
     """Raises ``TandemError`` with ``milling.safe_plane`` where a pass begins or ends with the tool too flat
     to the safe side; names the sides that would do for all passes."""
     axis = np.stack([run.path.axis[[0, -1]] for run in passes])
-    rise = {side: (axis[..., k] if end else -axis[..., k]).min(axis=1) for side, (k, end) in SIDES.items()}
+    rise = {
+        side: (axis[..., k] if end else -axis[..., k]).min(axis=1) for side, (k, end) in BLOCK_SIDES.items()
+    }
     here = rise[op.safe_side]
     worst = int(np.argmin(here))
     if here[worst] >= np.sin(LEAST_RISE):
@@ -286,7 +291,7 @@ def _refuse_flat(op: Milling, passes: Sequence[Run]) -> None:
     lean = float(np.rad2deg(np.arccos(np.clip(here[worst], -1.0, 1.0))))
     good = [
         side
-        for side in sorted(SIDES, key=lambda s: -float(rise[s].min()))
+        for side in sorted(BLOCK_SIDES, key=lambda s: -float(rise[s].min()))
         if rise[side].min() >= np.sin(LEAST_RISE)
     ]
     raise TandemError(

@@ -96,7 +96,8 @@ def _wrist(
     return theta4, theta5, theta6
 
 
-TWO_PI = 2.0 * np.pi
+FULL_TURN = 2.0 * np.pi
+"""One turn of a joint [rad]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,14 +138,14 @@ class Chain:
         """Whole turns (T, 6) [rad] that can be added to angles of :meth:`inverse` and may stay within the
         limits."""
         span = 0.5 * (self.robot.upper - self.robot.lower)
-        most = np.floor((span + np.pi - 1e-9) / TWO_PI).astype(int)
+        most = np.floor((span + np.pi - 1e-9) / FULL_TURN).astype(int)
         choices = itertools.product(*(range(-m, m + 1) for m in most))
-        return TWO_PI * np.array(sorted(choices, key=lambda c: (sum(map(abs, c)), c)), dtype=np.float64)
+        return FULL_TURN * np.array(sorted(choices, key=lambda c: (sum(map(abs, c)), c)), dtype=np.float64)
 
     @property
     def many_turns(self) -> BoolArray:
         """(6,) which joints may turn more than once."""
-        return np.asarray(self.robot.upper - self.robot.lower > TWO_PI + 1e-9)
+        return np.asarray(self.robot.upper - self.robot.lower > FULL_TURN + 1e-9)
 
     def continuous(self, q: FloatArray, near: FloatArray) -> FloatArray:
         """The angles q (..., 6), with joints that may turn more than once brought nearest to ``near`` (...,
@@ -221,4 +222,4 @@ def _plain_margin(margin: FloatArray) -> FloatArray:
 
 def wrap(angle: FloatArray, near: FloatArray) -> FloatArray:
     """Angles brought within pi of ``near`` by whole turns."""
-    return np.asarray(angle - TWO_PI * np.round((angle - near) / TWO_PI))
+    return np.asarray(angle - FULL_TURN * np.round((angle - near) / FULL_TURN))

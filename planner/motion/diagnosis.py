@@ -20,7 +20,7 @@ from planner.targets import Targets
 from planner.units import DEG, MM
 
 REPORTED_DISTANCE_M: Final = 0.2
-"""Distances [m] up to this are told."""
+"""Distances [m] up to this are reported."""
 
 LEAST_MARGIN_DEG: Final = 0.5
 """Smaller margins [deg] to limits and singularities are not advised."""

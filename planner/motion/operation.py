@@ -29,15 +29,15 @@ from planner.targets import Targets
 from planner.units import DEG, MM
 
 CLEARANCE_WEIGHT = 0.5
+"""Weight of bodies that are nearer than wanted beside the rest of the cost."""
 CORRIDORS = ((4, np.pi), (8, 0.3), (16, 0.2), (32, 0.1), (64, 0.1), (10**6, 0.06), (0, 0.06))
 """How far around a place that is too near the next path is kept to the ladder's [targets], and how close this
 one is kept where others were too near [rad]."""
 
-RIM = 24
+DETOUR_MARGIN = 24
 """Targets on either side of those over which a better path goes from the one that is kept to its own."""
 
-REPORTED_DISTANCE_M = 0.2
-JOININGS = 3
+JOINING_ROUNDS = 3
 """So often short moves are joined, each time by the clock that the last time led to."""
 
 Timed = tuple[Targets, Clock, float]
@@ -170,7 +170,7 @@ def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tup
             cost = path_cost(scene, targets, better.values, better.q)
             return dataclasses.replace(better, cost=cost, cost_before=plain, iterations=iterations), True
         rows |= trajopt.targets_around(targets.count, bad, reach)
-        moved = trajopt.targets_around(targets.count, bad, reach + RIM)
+        moved = trajopt.targets_around(targets.count, bad, reach + DETOUR_MARGIN)
         back = moved & rows
         values = np.where(back[:, None], start, better.values)
         q = {arm: np.where(back[:, None], found.q[arm], better.q[arm]) for arm in targets.arms}
@@ -198,7 +198,7 @@ def _joined(
     ``timed``, as they are before."""
     kept = np.arange(targets.count)
     some, path = targets, better
-    for _ in range(JOININGS):
+    for _ in range(JOINING_ROUNDS):
         fewer = thinning.joined(targets, better.values, timed[1].time, kept)
         if len(fewer) == len(kept):
             break
@@ -283,7 +283,7 @@ def _margins(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dic
         out["limit_margin_deg"][arm] = float(limit.min()) / DEG
         out["singularity_margin_deg"][arm] = float(single.min()) / DEG
     if scene.model is not None:
-        distance, pair, index = scene.nearest(targets, q, REPORTED_DISTANCE_M)
+        distance, pair, index = scene.nearest(targets, q, diagnosis.REPORTED_DISTANCE_M)
         out["clearance_mm"] = distance / MM
         out["clearance_pair"] = list(pair)
         out["clearance_index"] = index

@@ -28,17 +28,25 @@ from planner.targets import Targets
 from planner.units import DEG
 
 FIRST_CANDIDATES: Final = 384
+"""Places that are drawn first, from a fixed seed."""
 GENERATIONS: Final = 7
+"""Rounds of a search that draws places about the best ones, ever nearer to them."""
 PARENTS: Final = 8
+"""Best places that the next round starts from."""
 CHILDREN: Final = 10
+"""Places drawn about each of them."""
 MOST_CHECKED_PLACES: Final = 60
 """Places that are looked at for collisions at most; the search ends with so many that are free:"""
 
 MOST_FREE_PLACES: Final = 6
+"""Free places with which the search ends."""
 COARSE_TARGETS: Final = 10
+"""Targets of an operation by which places are compared first."""
 FINE_TARGETS: Final = 20
+"""Targets by which the best of them are compared again."""
 QUARTER_TURN: Final = 0.5 * np.pi
-UPRIGHT: Final = np.array(
+"""A quarter of a turn [rad]."""
+SIDE_UP_TURNS: Final = np.array(
     [
         [0, 0, 0],
         [QUARTER_TURN, 0, 0],
@@ -52,7 +60,7 @@ UPRIGHT: Final = np.array(
 """Turns [rad] that bring each of a held block's six sides up."""
 
 ENOUGH_MARGIN_RAD: Final = np.deg2rad(40.0)
-"""Margins wider than this count no more."""
+"""Margins wider than this [rad] count no more."""
 
 ROUND_POSITION_M: Final = 0.005
 """[m] round figures of a place: positions are multiples of this,"""
@@ -64,7 +72,9 @@ ROUND_TURN_SHARES: Final = ((QUARTER_TURN, 0.98), (ROUND_TURN_RAD, 0.985))
 """Steps of turns with the share of the best margin for which places with them are taken."""
 
 ROUND_GENERATIONS: Final = 3
+"""Rounds among places with round figures."""
 ROUND_CHILDREN: Final = 6
+"""Places drawn about each of the best ones in these."""
 
 LEAST_APART_M: Final = 0.08
 """Places that are tried one after the other differ by at least this much [m, or rad of yaw times 0.3 m]."""
@@ -253,7 +263,7 @@ class Search:
             columns = [np.column_stack([place, yaw])]
             if self._leans:
                 lean = self._rng.uniform(-np.pi, np.pi, (count, 3))
-                lean[::2] = self._rng.choice(UPRIGHT, len(lean[::2]))
+                lean[::2] = self._rng.choice(SIDE_UP_TURNS, len(lean[::2]))
                 columns.append(lean)
         for _ in self._movable:
             shift = self._rng.uniform(-0.5 * reach, 0.5 * reach, (count, 2))
@@ -373,7 +383,7 @@ def margins_at(
     out, joints = {}, {}
     for arm in few.targets.arms:
         chain = scene.chains[arm]
-        rows, back = few.same.get(arm, (every, every))
+        rows, back = few.distinct_poses.get(arm, (every, every))
         pose = poses[arm][..., rows, :, :]
         pose = np.broadcast_to(pose, (*np.broadcast_shapes(pose.shape, (*stock.shape[:-2], 1, 1)),))
         q = chain.inverse(pose)

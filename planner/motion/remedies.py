@@ -29,23 +29,28 @@ from planner.problem import Cell, Obstacle, Problem
 from planner.targets import Targets
 from planner.units import DEG, MM
 
-PATH: Final = frozenset({"no_reach", "joint_limit", "singular", "no_path", "collision", "linear_move"})
-HOME: Final = frozenset({"entry", "home"})
+PATH_CODES: Final = frozenset({"no_reach", "joint_limit", "singular", "no_path", "collision", "linear_move"})
+"""Words of codes (behind ``motion.``) that another path may mend."""
+HOME_CODES: Final = frozenset({"entry", "home"})
+"""Words of codes that another home may mend."""
 
-SIZES: Final = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
+MOVE_SIZES_M: Final = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
 """Moves [m] that are tried, smallest first."""
 
 HOME_TURNS_DEG: Final = (30.0, 60.0, 90.0, 120.0)
 """Turns [deg] of axis 1 at home that are tried, and of axis 2 the first, drawn back."""
 
-MOST_LOOKS: Final = 150
-SEARCHES: Final = 8
-PLANS: Final = 3
-"""So many changes are looked at, searched for a path and planned whole at most."""
-TURNING_SEARCHES: Final = 4
-"""The same for jobs with several freedoms that turn, whose searches take some times as long."""
+MOST_TRIALS: Final = 150
+"""Changes that are looked at at most."""
+MOST_SEARCHES: Final = 8
+"""Changes for which a path is searched at most."""
+MOST_PLANS: Final = 3
+"""Changes that are planned whole at most."""
+MOST_TURNING_SEARCHES: Final = 4
+"""As `MOST_SEARCHES` for jobs with several freedoms that turn, whose searches take some times as long."""
 
 MOST_REMOVED: Final = 4
+"""Obstacles that are tried to be taken out one by one, those in the way first."""
 LARGE_SIDE_M: Final = 1.5
 """An obstacle with two sides longer than this [m] is a floor or a wall, which nobody moves."""
 
@@ -55,22 +60,29 @@ STANDING_GAP_M: Final = 0.005
 FOOT_RANGE_M: Final = 0.1
 """Obstacles are not moved as near [m] as this to where a base stands."""
 
-NEAR: Final = 2
-FEW: Final = 12
-SLIDES: Final = 3
+NEIGHBOURS: Final = 2
+"""Targets on either side of the one that fails at which a change is tried."""
+SPREAD_TARGETS: Final = 12
+"""Targets over the whole job at which it is tried besides."""
+SLIDE_SAMPLES: Final = 3
+"""Samples of a slide there."""
 
-FAR_STEP: Final = 0.05
+FAR_STEP_M: Final = 0.05
 """Moves of a stock that is out of reach are multiples of this [m],"""
-FAR_COUNT: Final = 32
+FAR_STEPS: Final = 32
 """so that there are about so many along x and y;"""
-FAR_LEVELS: Final = (-0.6, -0.4, -0.2, 0.2, 0.4, 0.6)
+FAR_LEVELS_M: Final = (-0.6, -0.4, -0.2, 0.2, 0.4, 0.6)
 """a stock that hangs in the air is moved by these [m] too."""
-FAR_FEW: Final = 3
-FAR_BATCH: Final = 64
+FAR_TARGETS: Final = 3
+"""Targets at which all of these places are tried first, those that pass at `SPREAD_TARGETS`."""
+PLACES_AT_ONCE: Final = 64
+"""Places whose reach is worked out at once."""
 FAR_SHARE: Final = 0.6
-"""Places with this share of the best margin are tried, nearest first: at most so many, so far [m] apart."""
+"""Places with this share of the best margin are tried, nearest first,"""
 FAR_TRIED: Final = 5
-FAR_APART: Final = 0.2
+"""at most so many of them,"""
+FAR_APART_M: Final = 0.2
+"""so far [m] apart."""
 
 Plans = Callable[[Problem], bool]
 
@@ -83,14 +95,16 @@ def advised(
     ``operation`` is the one that has no path, ``targets`` are those of all operations. ``plans`` tells
     whether a changed problem has a whole plan.
     """
-    first = next((k for k, i in enumerate(issues) if i.code.removeprefix("motion.") in PATH | HOME), None)
+    first = next(
+        (k for k, i in enumerate(issues) if i.code.removeprefix("motion.") in PATH_CODES | HOME_CODES), None
+    )
     if first is None or any(setup.stock.place is None for setup in problem.setups):
         return list(issues)
     trial = _Trial(problem, targets[operation], operation, issues[first].index or 0, plans)
     code = issues[first].code.removeprefix("motion.")
-    found = trial.homes(issues[first]) if code in HOME else trial.moves(issues[first])
+    found = trial.homes(issues[first]) if code in HOME_CODES else trial.moves(issues[first])
     if found is None:
-        hint = f"{issues[first].hint}; tried without success: {trial.told()}" if trial.tried else None
+        hint = f"{issues[first].hint}; tried without success: {trial.summary()}" if trial.tried else None
         told = dataclasses.replace(issues[first], hint=hint or issues[first].hint)
     else:
         told = dataclasses.replace(
@@ -138,18 +152,18 @@ class _Trial:
 
     def __init__(self, problem: Problem, job: Targets, operation: int, index: int, plans: Plans) -> None:
         self._problem, self._job, self._operation, self._plans = problem, job, operation, plans
-        around = np.arange(index - NEAR, index + NEAR + 1)
-        spread = np.linspace(0, job.count - 1, FEW).round().astype(np.intp)
+        around = np.arange(index - NEIGHBOURS, index + NEIGHBOURS + 1)
+        spread = np.linspace(0, job.count - 1, SPREAD_TARGETS).round().astype(np.intp)
         rows = np.concatenate([[index], around, spread])
         rows = rows[(rows >= 0) & (rows < job.count)]
         self._rows = rows[np.sort(np.unique(rows, return_index=True)[1])]
         self._overlaps, self._unborne = self._fixed(problem), len(support.issues(problem))
-        searches = SEARCHES if turning(job) <= 1 else TURNING_SEARCHES
-        self._looks, self._searches, self._whole = MOST_LOOKS, searches, PLANS
+        searches = MOST_SEARCHES if turning(job) <= 1 else MOST_TURNING_SEARCHES
+        self._looks, self._searches, self._whole = MOST_TRIALS, searches, MOST_PLANS
         self.tried: dict[str, float] = {}
         self.removed: list[str] = []
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """What was tried, for people."""
         out = [f"{', '.join(self.removed)} taken away one by one"] if self.removed else []
         out += [
@@ -167,8 +181,8 @@ class _Trial:
     def moves(self, issue: Issue) -> Remedy | None:
         """The smallest move of an obstacle, the stock or a base after which the whole job is planned."""
         least = (issue.value or 0.0) * MM if issue.code == "motion.no_reach" else 0.0
-        obstacles = self._obstacles(issue) if least < SIZES[-1] else []
-        for size in SIZES:
+        obstacles = self._obstacles(issue) if least < MOVE_SIZES_M[-1] else []
+        for size in MOVE_SIZES_M:
             if size < least:  # the wrist stays out of reach by the rest
                 continue
             for remedy in self._candidates(size, obstacles):
@@ -190,7 +204,7 @@ class _Trial:
         for move in self._good_places():
             if len(tried) >= FAR_TRIED or not self._left:
                 break
-            if any(np.linalg.norm(move - other) < FAR_APART for other in tried):
+            if any(np.linalg.norm(move - other) < FAR_APART_M for other in tried):
                 continue
             tried.append(move)
             self.tried[f"the {name}"] = max(float(np.linalg.norm(one)) for one in tried)
@@ -215,19 +229,19 @@ class _Trial:
         )
         feet = np.array([c.base[:2, 3] for c in chains])
         low, high = feet.min(axis=0) - reach, feet.max(axis=0) + reach
-        step = FAR_STEP * max(1.0, float(np.ceil((high - low).max() / FAR_STEP / FAR_COUNT)))
+        step = FAR_STEP_M * max(1.0, float(np.ceil((high - low).max() / FAR_STEP_M / FAR_STEPS)))
         x, y = (
             np.arange(np.floor((low[k] - here[k, 3]) / step), (high[k] - here[k, 3]) / step) for k in (0, 1)
         )
         stands = bool(setup.stock.support) or _stands(_stock_box(problem), problem.cell, "")
-        for levels in ((0.0,), () if stands else FAR_LEVELS):
+        for levels in ((0.0,), () if stands else FAR_LEVELS_M):
             moves = np.stack(np.meshgrid(x * step, y * step, np.array(levels), indexing="ij"), axis=-1)
             moves, score = moves.reshape(-1, 3), np.zeros(0)
-            for count in (FAR_FEW, FEW):
+            for count in (FAR_TARGETS, SPREAD_TARGETS):
                 few = few_of(setup.cell, self._job, count, shifted=turning(self._job) > 1)
                 places = np.repeat(here[None, None], len(moves), axis=0)
                 places[:, 0, :3, 3] += moves
-                parts = np.array_split(places, -(-len(places) // FAR_BATCH)) if len(places) else []
+                parts = np.array_split(places, -(-len(places) // PLACES_AT_ONCE)) if len(places) else []
                 got = [margin(few, part, {}, scene.settings) for part in parts]
                 score = np.concatenate([np.zeros(0), *got])
                 moves, score = moves[score > 0.0], score[score > 0.0]
@@ -348,10 +362,10 @@ class _Trial:
         """Whether some choice of branches has a free sample at each of a few targets, among them those where
         paths end: without that a search is no use."""
         if turning(self._job) > 1:  # too many samples: at least the arms must reach a few targets
-            few = few_of(problem.setup_of(self._operation).cell, self._job, FEW, shifted=True)
+            few = few_of(problem.setup_of(self._operation).cell, self._job, SPREAD_TARGETS, shifted=True)
             return bool(margin(few, scene.stock[None, None], {}, scene.settings)[0] > 0.0)
         some = subset(self._job, self._rows)
-        grid = sample(some, SPIN_STEP, SLIDES)
+        grid = sample(some, SPIN_STEP, SLIDE_SAMPLES)
         table = reach(scene, some, grid)
         for branches in itertools.product(*(r.branches for r in table.values())):
             rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}

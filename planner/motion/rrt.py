@@ -21,10 +21,12 @@ MOST_GROWTH_STEPS = 8
 """A tree grows by at most this many steps at a time."""
 
 MOST_ROUNDS = 3000
+"""Samples that are drawn at most."""
 MOST_ORDERED_COORDINATES = 6
 """With more coordinates than this there are too many orders in which they may go."""
 
 SHORTCUT_TRIES = 40
+"""Pairs of points of a way between which a straight one is tried."""
 
 
 def connect(

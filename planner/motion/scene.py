@@ -19,13 +19,13 @@ from planner.problem import Cell, Settings
 from planner.targets import Targets
 from planner.tooling import FormingTool, working_solid
 
-SKIP_ENDS = 0.05
+SKIPPED_END_LENGTH = 0.05
 """Arc length [m] at either end of the flexible edge that is not held against the tool which holds it."""
 
-TRANSIT = "transit"
+TRANSIT_KIND = "transit"
 """Kind of segments in which joined TCPs go from one work to the next and keep their relative pose."""
 
-HELD = "held:"
+HELD_PREFIX = "held:"
 """Work frames that another arm's tool carries are named by this and that arm."""
 
 
@@ -85,7 +85,7 @@ class Scene:
         return points if frame == "world" else transform(self.stock, points)
 
     @functools.cached_property
-    def reached(self) -> dict[str, tuple[FloatArray, tuple[int, int], object]]:
+    def last_reach(self) -> dict[str, tuple[FloatArray, tuple[int, int], object]]:
         """What was found last of each arm's reach: the poses, how many targets and samples, and the table."""
         return {}
 
@@ -213,7 +213,7 @@ class Scene:
             if len(rows):
                 part = {arm: q[arm][rows] for arm in targets.arms}
                 found = edge_clearance(
-                    self.model, part, points[rows], targets.edge.radius, SKIP_ENDS, against
+                    self.model, part, points[rows], targets.edge.radius, SKIPPED_END_LENGTH, against
                 )
                 distance[rows] = found.distance
                 for row, pair in zip(rows, found.pair, strict=True):
@@ -224,7 +224,9 @@ class Scene:
 def holders(targets: Targets) -> list[tuple[str, str | None]]:
     """Arms, each with the arm that holds its work frame or None, holders first."""
     frames = {arm: targets.frame.get(arm, "stock") for arm in targets.arms}
-    pairs = [(arm, f.removeprefix(HELD) if f.startswith(HELD) else None) for arm, f in frames.items()]
+    pairs = [
+        (arm, f.removeprefix(HELD_PREFIX) if f.startswith(HELD_PREFIX) else None) for arm, f in frames.items()
+    ]
     return sorted(pairs, key=lambda pair: pair[1] is not None)
 
 

@@ -79,8 +79,10 @@ def _near_stops(targets: Targets) -> BoolArray:
 Progress = Callable[[str, float], None]
 
 PLACES_TRIED: Final = 6
-AWAY: Final = 50.0
-ASIDE: Final = 0.01
+"""Places of a stock that are planned whole at most."""
+AWAY_M: Final = 50.0
+"""A stock is put so far away [m] along each axis to judge homes without it."""
+ASIDE_STEP_M: Final = 0.01
 """[m] by whole multiples of this a block is told to be moved out of what it stands in."""
 
 
@@ -121,7 +123,7 @@ def _solve(problem: Problem, targets: Sequence[Targets], tell: Progress, at: lis
     bases = {arm.name: arm.base for arm in problem.cell.arms}
     places: list[FloatArray] = []
     operations: list[OperationPlan] = []
-    for stand in stands(problem, targets):
+    for stand in setup_groups(problem, targets):
         stand = stand if not places else stand.based(bases)
         place, made = _settle(problem, stand, metrics, tell, at)
         bases.update(place.bases)
@@ -147,7 +149,7 @@ def check(problem: Problem, targets: Sequence[Targets], advise: bool = True) -> 
     ``advise``: changes that may help are tried."""
     problem, targets = with_room(problem, targets)
     bases: Mapping[str, FloatArray] | None = None
-    for stand in stands(problem, targets):
+    for stand in setup_groups(problem, targets):
         at = [0]
         place, reasons = _look(problem, stand if bases is None else stand.based(bases), at)
         if place is None:
@@ -205,7 +207,7 @@ class Stand:
         return Search(first.cell, first.stock, [job for _, job in jobs], settings, cells=cells, in_air=in_air)
 
 
-def stands(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
+def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
     """The setups of a problem with their targets, those together between which the block is not moved."""
     out: list[Stand] = []
     for setup in problem.setups:
@@ -289,7 +291,7 @@ def _first_that_works(
 
 def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> None:
     """Homes that are not free wherever the stock is need no search for its place."""
-    away = from_parts(np.eye(3), np.array([AWAY, AWAY, AWAY]))  # so is what it stands on
+    away = from_parts(np.eye(3), np.array([AWAY_M, AWAY_M, AWAY_M]))  # so is what it stands on
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         for job in jobs:
             scene = Scene.of(setup.cell, job.arms, away, problem.settings, model.with_stock(away))
@@ -353,10 +355,10 @@ def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list
 
 
 def _out_of(setup: Setup, model: CellModel, place: FloatArray) -> FloatArray | None:
-    """The smallest straight move (3,) [m] along an axis of the world, in steps of `ASIDE`, after which the
-    block stands in nothing and is borne as it was; None where there is none within 20 of them."""
+    """The smallest straight move (3,) [m] along an axis of the world, in steps of `ASIDE_STEP_M`, after
+    which the block stands in nothing and is borne as it was; None where there is none within 20 of them."""
     borne = {issue.code for issue in support.stood(setup)}
-    for size in ASIDE * np.arange(1, 21):
+    for size in ASIDE_STEP_M * np.arange(1, 21):
         for way in size * np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1.0]]):
             at = from_parts(place[:3, :3], place[:3, 3] + way)
             moved = dataclasses.replace(setup, stock=dataclasses.replace(setup.stock, place=at))

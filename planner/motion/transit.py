@@ -20,7 +20,7 @@ from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.rigid import exp_rotation, from_parts, interpolate, inverse, log_rotation
 from planner.issues import Issue, TandemError
 from planner.motion.rrt import connect, way_free
-from planner.motion.scene import TRANSIT, Scene
+from planner.motion.scene import TRANSIT_KIND, Scene
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.subsampling import subset
 from planner.motion.trajectory.hinges import levers
@@ -31,9 +31,10 @@ SAME_SHAPE: Final = 1e-6
 """Relative poses of the TCPs that differ by less [m, rad] count as the same."""
 
 LIFTS_M: Final = (0.1, 0.2, 0.3, 0.45, 0.6)
+"""Heights [m] by which a pair of tools is lifted between cuts, smallest first."""
 MOST_TURN_RAD: Final = np.deg2rad(1.0)
-"""A turn of the pair is cut into moves of at most this angle, since straight moves of both ends shorten the
-pair."""
+"""A turn of the pair is cut into moves of at most this angle [rad], since straight moves of both ends
+shorten the pair."""
 
 CHECK_SPACING_M: Final = 0.02
 """Distance [m] between checks along a transit move."""
@@ -49,7 +50,7 @@ def mend(scene: Scene, targets: Targets, found: Found) -> Targets | None:
     """
     ways: dict[int, list[FloatArray]] = {}
     for i in range(1, targets.count):
-        if targets.segment[i].kind == TRANSIT and targets.coupled:
+        if targets.segment[i].kind == TRANSIT_KIND and targets.coupled:
             way = _Transit(scene, targets, found, i).way()
             if way:
                 ways[i] = way

@@ -37,7 +37,8 @@ from planner.post.rapid.syntax import identifier
 from planner.problem import Controller, Problem, Setup
 from planner.targets import Targets
 
-_HINT = "use one MultiMove controller for both arms (sync: multimove)"
+_MULTIMOVE_HINT = "use one MultiMove controller for both arms (sync: multimove)"
+"""What to do where two controllers cannot do a job."""
 
 
 def meeting_rows(stop: BoolArray, every: int) -> BoolArray:
@@ -82,7 +83,7 @@ def handshake_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue
                 "share digital signals only; one arm may be a whole step ahead of the other, which bends the "
                 "wire out of its shape, kinks it or tears it"
             )
-            issues.append(Issue("post.handshake_process", what, index=i, hint=_HINT))
+            issues.append(Issue("post.handshake_process", what, index=i, hint=_MULTIMOVE_HINT))
         holder = problem.setup_of(i).stock.held_by
         carried = any(frame.startswith("held:") for frame in targets.frame.values())
         if len(targets.arms) > 1 and (carried or holder in targets.arms):
@@ -91,14 +92,14 @@ def handshake_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue
                 "other arm works on it, and their controllers share digital signals only; one arm may be a "
                 "whole step ahead of the other, so the tool would leave its path on the block"
             )
-            issues.append(Issue("post.handshake_process", what, index=i, hint=_HINT))
+            issues.append(Issue("post.handshake_process", what, index=i, hint=_MULTIMOVE_HINT))
         row = _halted(targets, problem.cell.controller.handshake.every)
         if row is not None:
             what = (
                 f"operation {operation.name}: the arms stop at {targets.name(row)}, where their controllers "
                 "meet or one arm stands still, and a least feed is asked for there"
             )
-            hint = f"lower feed_min_mm_s there, or {_HINT}"
+            hint = f"lower feed_min_mm_s there, or {_MULTIMOVE_HINT}"
             issues.append(Issue("post.handshake_process", what, index=i, hint=hint))
     return tuple(issues)
 
@@ -119,9 +120,9 @@ def _halted(targets: Targets, every: int) -> int | None:
 
 DRIFT_SAMPLES: Final = 8
 """Instants looked at on each move of the arm that is in question; the other arm's are all looked at."""
-_DENSE: Final = 100
+_DENSE_INSTANTS: Final = 100
 """Instants of a long interval, if it has not more moves."""
-_CHUNK: Final = 500_000
+_PAIRS_AT_ONCE: Final = 500_000
 """Pairs of an instant and a move that are worked on at once."""
 
 
@@ -143,7 +144,7 @@ def distance_change(first: FloatArray, second: FloatArray, meets: IntArray) -> F
     begins = np.concatenate([[0], ends[:-1] + 1]).astype(np.int64)
     lengths = ends + 1 - begins
     for length in np.unique(lengths).tolist():
-        share = max(1, _CHUNK // (length * length * (DRIFT_SAMPLES + 1)))
+        share = max(1, _PAIRS_AT_ONCE // (length * length * (DRIFT_SAMPLES + 1)))
         group = begins[lengths == length]
         for low in range(0, len(group), share):
             begin = group[low : low + share]
@@ -156,7 +157,7 @@ def distance_change(first: FloatArray, second: FloatArray, meets: IntArray) -> F
 
 def _ahead(a: FloatArray, b: FloatArray) -> FloatArray:
     """The largest change (G,) for the stations (G, L + 1, 3) of G intervals, ``a`` at sampled instants."""
-    samples = max(1, min(DRIFT_SAMPLES, _DENSE // (a.shape[1] - 1)))
+    samples = max(1, min(DRIFT_SAMPLES, _DENSE_INSTANTS // (a.shape[1] - 1)))
     share = np.linspace(0.0, 1.0, samples + 1)[:, None]
 
     def along(x: FloatArray) -> FloatArray:
@@ -233,7 +234,9 @@ def drift_sentence(drift: Drift) -> str:
 
 
 PARTNER_STANDS: Final = "The program of arm {other} does not run: {input} is 0."
+"""Shown while a program waits for the other one to run."""
 PARTNER_RUNS: Final = "Stop the program of arm {other}: {input} is 1. If it stands, the wire is stuck."
+"""Shown while a program waits for the other one to stop."""
 KRL_PARTNER_SEEN: Final = "TANDEM_SEEN"
 """The variable of a KUKA controller that says that both programs have run since the last stop."""
 KRL_RUNS: Final = "$PRO_ACT AND $PERI_RDY"
@@ -417,15 +420,15 @@ class Partner:
 
         ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
         """
-        earlier = f"{dialogue.KRL_EARLIER.say(other=self.other)} {ok}"
+        earlier = f"{dialogue.KRL_EARLIER.filled(other=self.other)} {ok}"
         limit = self.handshake.timeout
         out: list[PartnerStep] = [Ask(earlier.strip()), SetLine(0), AwaitRunning(0, limit)]
         wait = limit if self.lead else self.handshake.patience
         if self.lead:
-            ready = dialogue.PARTNER_READY.say(other=self.other, arm=self.arm, start=ask)
-            out += [Tell(dialogue.START_PARTNER.say(other=self.other)), Halt(ready), AwaitLine(0, wait)]
+            ready = dialogue.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
+            out += [Tell(dialogue.START_PARTNER.filled(other=self.other)), Halt(ready), AwaitLine(0, wait)]
         else:
-            out += [AwaitLine(0, wait), Tell(dialogue.READY_TO_MEET.say(other=self.other))]
+            out += [AwaitLine(0, wait), Tell(dialogue.READY_TO_MEET.filled(other=self.other))]
         return [*out, Note("First meeting: both programs run."), *self.meeting(1, wait)]
 
     def end(self) -> list[PartnerStep]:
@@ -437,7 +440,7 @@ class Partner:
     @property
     def unanswered(self) -> str:
         """What is said of a wait that was over its time."""
-        return dialogue.UNANSWERED.say(other=self.other)
+        return dialogue.UNANSWERED.filled(other=self.other)
 
     def not_as_wanted(self, value: int) -> str:
         """What is said when the other one's running wire did not come to this level in time."""

@@ -27,9 +27,13 @@ from planner.issues import Issue, TandemError
 from planner.problem import Arm
 from planner.targets import Action
 
+LINE_END = "\r\n"
+"""Ends the lines of all files for controllers: a RAPID program list with bare line feeds does not load, and
+the others are written alike."""
 POSITION_DECIMALS = 4
 """Decimals of positions in mm; what is equal after rounding is the same place."""
 QUATERNION_DECIMALS = 8
+"""Decimals of quaternions."""
 TIME_DECIMALS = 5
 """Decimals of the times of moves in s."""
 
@@ -228,7 +232,7 @@ def plain(text: str) -> str:
     return "".join(c if 32 <= ord(c) < 127 else "?" for c in kept)
 
 
-_GRAIN = 200
+_LEAST_PART_MOVES = 200
 """Where arms meet at every move a part has so many moves at least, or what a module takes."""
 
 
@@ -257,7 +261,7 @@ def parts(
         program = next(t.operations[number] for t in job.tasks if t.operations[number].track is not None)
         begins = [run.first for run in runs]
         largest = max(1, int(max(sizes[number], default=1)))
-        grain = max(1, min(_GRAIN, max_moves // 4, max_bytes // (4 * largest)))
+        grain = max(1, min(_LEAST_PART_MOVES, max_moves // 4, max_bytes // (4 * largest)))
         for first, last in _spans(runs, program, grain):
             load.add(program, first, last, sizes[number][first:last])
             inside = slice(bisect.bisect_right(begins, first) - 1, bisect.bisect_left(begins, last))

@@ -88,6 +88,7 @@ def _load(plan: Plan, setup: Setup, holder: str) -> Load:
 
 
 MAX_TASKS = 2
+"""Motion tasks of a program at most."""
 SAME_JOINTS = 1e-6
 """Joints [rad] that differ by less are one place, some 0.00005 deg apart."""
 

@@ -23,7 +23,7 @@ from planner.post.handshake import handshake_refusals
 from planner.post.krl import controller_files as krl_files
 from planner.post.krl import program as krl_program
 from planner.post.krl import spline_blocks
-from planner.post.program import Job
+from planner.post.program import LINE_END, Job
 from planner.post.rapid import controller_files as rapid_files
 from planner.post.rapid import program as rapid_program
 from planner.post.rapid.syntax import alike, procedure
@@ -31,8 +31,8 @@ from planner.post.steps import build
 from planner.problem import Arm, Problem
 from planner.targets import Targets
 
-FOLDER: Final = "controller"
-LINE_END: Final = "\r\n"
+CONTROLLER_FOLDER: Final = "controller"
+"""Folder of files for a controller's configuration, beside the programs."""
 
 
 def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
@@ -60,11 +60,17 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
             made, folder = rapid_files.files(controller, tasks, signals, name), task.task
         else:
             continue  # files of the first task are for all of one controller
-        out |= {f"{FOLDER}/{folder}/{name}": text.replace("\n", LINE_END) for name, text in made.items()}
+        out |= {
+            f"{CONTROLLER_FOLDER}/{folder}/{name}": text.replace("\n", LINE_END)
+            for name, text in made.items()
+        }
     return out
 
 
-_ALONE: Final = "one controller for both arms (sync: multimove) is ABB's; KUKA arms have one each"
+_ONE_CONTROLLER_HINT: Final = (
+    "one controller for both arms (sync: multimove) is ABB's; KUKA arms have one each"
+)
+"""Said where arms that are not ABB's shall have one controller."""
 
 
 def used(problem: Problem, made: Sequence[Targets]) -> list[Arm]:
@@ -86,7 +92,7 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
     if together and any(map(speaks_krl, arms)) and problem.cell.controller.sync != "handshake":
         names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
         hint = "set controller: {sync: handshake} and wire two outputs each way, or take ABB robots for both"
-        return (Issue("post.controller", f"{names} cannot move together: {_ALONE}", hint=hint),)
+        return (Issue("post.controller", f"{names} cannot move together: {_ONE_CONTROLLER_HINT}", hint=hint),)
     issues = []
     for arm in filter(speaks_krl, arms):
         wanted = _signals(problem, made, arm, together)
@@ -119,7 +125,7 @@ def _signals(problem: Problem, made: Sequence[Targets], arm: Arm, together: bool
     return list(dict.fromkeys(out))
 
 
-_OWN: Final = re.compile(
+_OWN_NAMES: Final = re.compile(
     r"main|operation_\d+|handshake\w*|block_\d+_\w+|meet_\d+|j_\w+|t_\w+|w_\w+|z_turn_\d+|z\d+[mu]m|v_entry|"
     r"load_block\w*|check_(cell|pose|true|stop)|base_frame|problem_digest|all_tasks"
 )
@@ -149,7 +155,7 @@ def _refused(segment: Segment, field: str) -> tuple[Issue, ...]:
         name = procedure(segment)
     except TandemError as error:
         return tuple(dataclasses.replace(issue, field=field) for issue in error.issues)
-    if _OWN.fullmatch(name.lower()) is None:
+    if _OWN_NAMES.fullmatch(name.lower()) is None:
         return ()
     what = f"segment {str(segment)!r} would be called {name}, as other things in RAPID programs are"
     return (Issue("post.name", what, field=field, hint="give it another kind or name"),)

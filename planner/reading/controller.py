@@ -327,9 +327,10 @@ def _wrong(field: str, message: str) -> TandemError:
     return TandemError(Issue("problem.field", message, field=place))
 
 
-RAPID_NAME: Final = 32
-SWITCHED_NAME: Final = 28
-"""The longest names [characters] of signals, and of those that programs switch."""
+MAX_RAPID_NAME: Final = 32
+"""Longest name in RAPID [characters]."""
+MAX_SWITCHED_NAME: Final = 28
+"""Longest name [characters] of a signal that programs switch."""
 
 _COORDINATED: Final = {6: "604-1 MultiMove Coordinated", 7: "3102-1 MultiMove Coordinated"}
 """What one ABB controller needs to move two arms together, by RobotWare."""
@@ -348,7 +349,7 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
     uses: dict[str, str] = {}
     issues: list[Issue] = []
 
-    def use(name: str, what: str, field: str, longest: int = RAPID_NAME) -> None:
+    def use(name: str, what: str, field: str, longest: int = MAX_RAPID_NAME) -> None:
         before = uses.setdefault(name.lower(), what)
         if before != what:
             got = f"{name} is to be {before} and {what}; a signal has one use"
@@ -369,11 +370,11 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
     for field, operation in operations:
         die = getattr(operation, "die", None)
         if die is not None and getattr(die, "holder", "") == "sinking":
-            use(die.signal, "the pulse of a clamp that sinks", f"{field}.die.signal", SWITCHED_NAME)
+            use(die.signal, "the pulse of a clamp that sinks", f"{field}.die.signal", MAX_SWITCHED_NAME)
         signal = getattr(operation, "signal", None)
         if isinstance(signal, str):
             what = "the power of a spindle" if operation.process == "milling" else "the power of a wire"
-            use(signal, what, f"{field}.signal", SWITCHED_NAME)
+            use(signal, what, f"{field}.signal", MAX_SWITCHED_NAME)
             use(lock.of(signal).signal, f"the output that {signal} drives", f"{place}.outputs")
     for arm in cell.arms:
         for request, output in lock.outputs.items():

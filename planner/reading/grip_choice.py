@@ -28,17 +28,17 @@ from planner.tooling import Gripper, gripper_plate
 from planner.units import DEG, GRAVITY, MM
 
 GRIP_POINT_STEP: Final = 5.0 * MM
-"""Grip points are multiples of this, where one of them is free."""
+"""Grip points are multiples of this [m], where one of them is free."""
 RULING_SPACING: Final = 5.0 * MM
-"""Rulings between two that are stated are at most so far apart."""
+"""Rulings between two that are stated are at most so far apart [m]."""
 WIRE_SPARE: Final = 0.5 * MM
-"""How much more than the margin the wires keep off: they run beside their rulings, and are sampled."""
+"""How much more than the margin the wires keep off [m]: they run beside their rulings, and are sampled."""
 WIRE_MARGIN: Final = 10.0 * MM
-"""What wires keep off where the operation states no margin."""
+"""What wires keep off the gripper [m] where the operation states no margin."""
 FACE_THICKNESS: Final = 0.012
 """[m] thickness of the face."""
 PLATE_STEP: Final = 10.0 * MM
-"""Sizes of plates that are advised are multiples of this."""
+"""Sizes of plates that are advised are multiples of this [m]."""
 
 
 class Grip(NamedTuple):
@@ -118,7 +118,7 @@ def choose(setup: Setup, part: Part | None, margin: float) -> Grip | None:
     mounted = arm.tool
     payload = robot(arm.robot).payload
     known = [mounted, *setup.cell.grippers] if isinstance(mounted, Gripper) else list(setup.cell.grippers)
-    strong = [one for one in known if holds(one, stock, payload)]
+    strong = [one for one in known if can_hold(one, stock, payload)]
     if strong and strong[0] is mounted:
         usual = Grip(strong[0], (0.0, 0.0), 0.0)
         if fits(usual, stock, wires, margin):
@@ -131,7 +131,7 @@ def choose(setup: Setup, part: Part | None, margin: float) -> Grip | None:
     return None
 
 
-def holds(tool: Gripper, stock: Stock, payload: float) -> bool:
+def can_hold(tool: Gripper, stock: Stock, payload: float) -> bool:
     """Whether a gripper holds the block firmly enough and an arm of that ``payload`` [kg] carries both."""
     mass = stock.mass or 0.0
     return tool.mass + mass <= payload and GRIP_FORCE_FACTOR * mass * GRAVITY <= tool.holding
@@ -158,7 +158,7 @@ def advice(setup: Setup, part: Part | None, margin: float) -> str:
     where = f"[{at[0] / MM + 0.0:g}, {at[1] / MM + 0.0:g}] mm{turned}"
     plate = gripper_plate(*size)
     told = f"the largest plate that fits has width_mm: {width}, depth_mm: {depth}, with its middle at {where}"
-    if not holds(plate, stock, robot(arm.robot).payload):
+    if not can_hold(plate, stock, robot(arm.robot).payload):
         needed = GRIP_FORCE_FACTOR * (stock.mass or 0.0) * GRAVITY
         return f"{told}; it holds with {plate.holding:.0f} N, {needed:.0f} N are needed"
     return f"{told}; list it in the cell's grippers, or mount it, and leave grip out: Tandem finds it"

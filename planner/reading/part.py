@@ -43,6 +43,7 @@ from planner.units import DEG, LENGTH_UNITS, MM
 
 Flat = tuple[Far, Far]
 _MOST_OUTLINES = 26 * 27
+"""Outlines of a plate at most: as many as have names of one or two letters (a ... z, aa ... zz)."""
 
 
 class CircleFile(Strict):
@@ -204,7 +205,8 @@ def _guide(spec: OutlineFile, angle: float) -> Guide:
     return spline("bspline", np.concatenate([points, points[:1]]), SPLINE_CHORD, closed=True)
 
 
-KINDS = ("front", "ruled", "wing", "plate", "mesh", "strips", "sheet_mesh")
+PART_KINDS = ("front", "ruled", "wing", "plate", "mesh", "strips", "sheet_mesh")
+"""Keys of a part, one for each kind; exactly one is given."""
 
 
 class PlaceFile(Strict):
@@ -244,10 +246,10 @@ class PartFile(Strict):
 
     @model_validator(mode="after")
     def _one(self) -> PartFile:
-        given = [kind for kind in KINDS if getattr(self, kind) is not None]
+        given = [kind for kind in PART_KINDS if getattr(self, kind) is not None]
         if len(given) != 1:
             got = " and ".join(given) or "none of them"
-            raise ValueError(f"give exactly one of {', '.join(KINDS)}; got {got}")
+            raise ValueError(f"give exactly one of {', '.join(PART_KINDS)}; got {got}")
         if self.back is not None and self.front is None:
             raise ValueError("a back belongs to a front")
         names = [fold(ruled.name) for ruled in self.ruled or ()]

@@ -108,11 +108,15 @@ def _thickness(points: FloatArray) -> float:
 
 
 CAD_INSTALL: Final = "pip install 'tandem-planner[cad]'"
+"""What to run where the reader of DXF files is missing."""
 ENTITY_KINDS: Final = ("LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "LWPOLYLINE", "POLYLINE")
+"""Kinds of DXF entities that are read as curves."""
 FLATNESS: Final = 2e-6
 """How far [m] the points of arcs and splines may be off them."""
-_MOST_BYTES: Final = 50_000_000
-_MOST_PIECES: Final = 2000
+_MAX_DXF_BYTES: Final = 50_000_000
+"""DXF files larger than this [bytes] are refused unread."""
+_MOST_CURVES: Final = 2000
+"""Curves of a DXF file at most."""
 _JOINED_WITHIN: Final = 1e-5
 """Ends [m] that are this near are joined."""
 
@@ -133,7 +137,7 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
     """
     if not is_file(path):
         raise _refuse("problem.missing_file", path, field, "there is no such file; check the path")
-    if path.stat().st_size > _MOST_BYTES:
+    if path.stat().st_size > _MAX_DXF_BYTES:
         raise _refuse("problem.too_large", path, field, "more than 50 MB; export only the curves")
     try:
         from ezdxf import path as ezpath
@@ -160,8 +164,8 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
         notes.append(Issue("part.dxf_left_out", what, Severity.NOTE, file=str(path), field=field))
     pieces = [_flat(e, ezpath, unit) for e in curves]
     pieces = [p for p in pieces if len(p) > 1]
-    if len(pieces) > _MOST_PIECES:
-        what = f"has {len(pieces)} curves, {_MOST_PIECES} are read; name a layer, or join them to polylines"
+    if len(pieces) > _MOST_CURVES:
+        what = f"has {len(pieces)} curves, {_MOST_CURVES} are read; name a layer, or join them to polylines"
         raise _refuse("part.dxf", path, field, what)
     if any(not np.isfinite(p).all() for p in pieces):
         raise _refuse("part.dxf", path, field, "has numbers that are not finite; export it again")

@@ -28,17 +28,24 @@ from planner.targets import Job, ScrewFreedom, Targets
 from planner.units import DEG, MM
 
 MAX_TABLE_BYTES = 100_000_000
+"""Tables of poses larger than this [bytes] are refused unread."""
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+"""Columns of an arm's pose: position [mm] and unit quaternion."""
 ROW_COLUMNS = ("feed_mm_s", "feed_min_mm_s", "segment", "stop")
+"""Columns that a row may have besides."""
 FARTHEST_MM = 100_000.0
+"""Positions farther out [mm] are refused: metres or micrometres were meant."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 10_000.0
-MOST_OF_FEED = 0.95
+MOST_LEAST_FEED_SHARE = 0.95
 """A least feed is at most this share of the feed: plans keep a reserve to the feed."""
-LEAST_WAY = 1e-6
+LEAST_DISTANCE = 1e-6
 """A tool that goes no farther than this [m] stands."""
-SEGMENT = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(/[A-Za-z0-9_]{1,32})?")
-FLAGS = {"": False, "0": False, "false": False, "no": False, "1": True, "true": True, "yes": True}
-AXES = {"x": 0, "y": 1, "z": 2}
+SEGMENT_LABEL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(/[A-Za-z0-9_]{1,32})?")
+"""Form of a segment's label: its kind, and perhaps a name behind a slash."""
+FLAG_WORDS = {"": False, "0": False, "false": False, "no": False, "1": True, "true": True, "yes": True}
+"""Words of the column ``stop``."""
+AXIS_INDEX = {"x": 0, "y": 1, "z": 2}
+"""Index of each axis of a tool frame."""
 
 
 class FreeAxis(Strict):
@@ -105,8 +112,8 @@ class Posed(Strict):
         for axis in self.free:
             if not set(axis.arms) <= set(self.arms) or len(set(axis.arms)) != len(axis.arms):
                 raise ValueError(f"free: axis '{axis.name}' must name arms of this operation, each once")
-        if self.feed_mm_s is not None and self.feed_min_mm_s > MOST_OF_FEED * self.feed_mm_s:
-            raise ValueError(f"feed_min_mm_s must not exceed {MOST_OF_FEED:g} of feed_mm_s")
+        if self.feed_mm_s is not None and self.feed_min_mm_s > MOST_LEAST_FEED_SHARE * self.feed_mm_s:
+            raise ValueError(f"feed_min_mm_s must not exceed {MOST_LEAST_FEED_SHARE:g} of feed_mm_s")
         return self
 
 
@@ -171,7 +178,7 @@ class PosedJob(Job[Posed]):
         free = tuple(
             claimed.FreeAxis(
                 tuple(axis.arms),
-                AXES[axis.axis],
+                AXIS_INDEX[axis.axis],
                 axis.turn_deg is not None,
                 *(
                     bound * (DEG if axis.turn_deg else MM)
@@ -209,8 +216,14 @@ def _least(
     coupled = [operation.coupled and own.kind == "transit" for own in segment]
     wrong = (
         (least < 0.0, "is below 0; give 0 for none"),
-        (least > MOST_OF_FEED * feed, f"is over {MOST_OF_FEED:g} of the feed; lower it or raise feed_mm_s"),
-        ((least > 0.0) & (travel < LEAST_WAY), "is asked for where the tools stand or only turn; give 0"),
+        (
+            least > MOST_LEAST_FEED_SHARE * feed,
+            f"is over {MOST_LEAST_FEED_SHARE:g} of the feed; lower it or raise feed_mm_s",
+        ),
+        (
+            (least > 0.0) & (travel < LEAST_DISTANCE),
+            "is asked for where the tools stand or only turn; give 0",
+        ),
         (
             (least > 0.0) & np.array(coupled),
             "is asked for in a transit of joined tools, which may be led otherwise; give 0",
@@ -232,7 +245,7 @@ def _least(
 
 def _twist(axis: FreeAxis) -> FloatArray:
     twist = np.zeros(6)
-    twist[AXES[axis.axis] + (0 if axis.turn_deg is not None else 3)] = 1.0
+    twist[AXIS_INDEX[axis.axis] + (0 if axis.turn_deg is not None else 3)] = 1.0
     return twist
 
 
@@ -352,7 +365,7 @@ def _number(
 
 def _segment(row: Mapping[str, Any], index: int, operation: Posed) -> Segment:
     value = row.get("segment") or "cut/path"
-    if not isinstance(value, str) or not SEGMENT.fullmatch(value):
+    if not isinstance(value, str) or not SEGMENT_LABEL.fullmatch(value):
         what = f"segment is {repr(value)[:60]}; use <kind> or <kind>/<name> of letters, digits and _"
         raise TandemError(_fault(operation, index, what))
     return Segment.of(value)
@@ -361,9 +374,9 @@ def _segment(row: Mapping[str, Any], index: int, operation: Posed) -> Segment:
 def _flag(row: Mapping[str, Any], index: int, operation: Posed) -> bool:
     value = row.get("stop")
     text = "" if value is None else str(value).strip().lower()
-    if text not in FLAGS:
+    if text not in FLAG_WORDS:
         raise TandemError(_fault(operation, index, f"stop is {repr(value)[:40]}; use true or false"))
-    return FLAGS[text]
+    return FLAG_WORDS[text]
 
 
 def _fault(operation: Posed, index: int | None, what: str) -> Issue:

@@ -19,7 +19,7 @@ from planner.geometry.arrays import FloatArray, IntArray, Mesh, dots
 from planner.geometry.mesh import TriangleMesh, check_surface, read_mesh, vertex_normals
 from planner.geometry.mesh_queries import outer_hull
 from planner.geometry.mesh_repair import (
-    BOUND_DEVIATIONS,
+    NOISE_BOUND_DEVIATIONS,
     RIM_OFFSET,
     beside,
     border,
@@ -142,10 +142,10 @@ FLATTENED_SHARE: Final = 0.5
 """How far the flat of a fitted face may be off it, as a share of the mesh's noise."""
 NOISE_TOLD_FACTOR: Final = 1.5
 """Noise beyond so many times the stated tolerance is told."""
-OFF_RIDGE: Final = 0.02 * MM
-RIDGE: Final = 5
-"""Of a face that is fitted at most so many vertices beside one another may be off to one side by so much more
-than noise is."""
+RIDGE_HEIGHT: Final = 0.02 * MM
+"""A ridge stands out of a fitted face by so much more [m] than the tolerance for noise."""
+RIDGE_VERTICES: Final = 5
+"""Of a face that is fitted at most so many vertices beside one another may stand out by that to one side."""
 TURNED_AREA_SHARE: Final = 0.05
 """Share of the area of faces that may look the other way before a mesh counts as inside out."""
 
@@ -200,7 +200,7 @@ def build(spec: SheetMeshFile, folder: Path, stock: Stock, pose: FloatArray | No
     stated = None if spec.tolerance_mm == "auto" else spec.tolerance_mm * MM
     noise = vertex_noise(mesh)
     face = _meant(mesh, noise, stated, 0.0, path)
-    _require_flat_rim(mesh, rim, RIM_FLATNESS + max(face.tolerance, BOUND_DEVIATIONS * noise), path)
+    _require_flat_rim(mesh, rim, RIM_FLATNESS + max(face.tolerance, NOISE_BOUND_DEVIATIONS * noise), path)
     _require_fits(face.meant, sheet, path)
     planned, given = (Mesh(one.vertices, one.faces) for one in (face.meant, mesh))
     return Part(formed=Formed(planned, given, face.tolerance, stated), notes=face.notes)
@@ -230,23 +230,23 @@ def smooth_face(mesh: TriangleMesh, stated: float | None, path: Path) -> MeantFa
 
 def _meant(mesh: TriangleMesh, noise: float, stated: float | None, level: float, path: Path) -> MeantFace:
     """As :func:`smooth_face`, of a mesh with normals up whose edge is flat at ``level`` [m]."""
-    tolerance = BOUND_DEVIATIONS * noise if stated is None else stated
+    tolerance = NOISE_BOUND_DEVIATIONS * noise if stated is None else stated
     _require_tolerance(mesh, tolerance, stated, level, path)
     meant = mesh
     if noise > 0.0:
-        sigma = min(noise, tolerance / BOUND_DEVIATIONS)
+        sigma = min(noise, tolerance / NOISE_BOUND_DEVIATIONS)
         meant = levelled(fitted_face(mesh, sigma, level), FLATTENED_SHARE * sigma, level)
     meant = rims_levelled(meant, level, RIM_OFFSET)
     if noise > 0.0:
-        _require_no_ridge(mesh, meant, max(tolerance, BOUND_DEVIATIONS * noise), path)
+        _require_no_ridge(mesh, meant, max(tolerance, NOISE_BOUND_DEVIATIONS * noise), path)
     return MeantFace(meant, tolerance, _noise_notes(mesh, meant, noise, tolerance, stated, path))
 
 
 def _require_no_ridge(mesh: TriangleMesh, meant: TriangleMesh, tolerance: float, path: Path) -> None:
     """What is narrower than what noise is smoothed over would be smoothed away without a word."""
     off = dots(mesh.vertices - meant.vertices, vertex_normals(meant))
-    group = beside(mesh, off, tolerance + OFF_RIDGE)
-    if len(group) <= RIDGE:
+    group = beside(mesh, off, tolerance + RIDGE_HEIGHT)
+    if len(group) <= RIDGE_VERTICES:
         return
     most, kind = float(np.abs(off[group]).max()), "ridge" if off[group].sum() > 0.0 else "groove"
     x, y, _ = mesh.vertices[group].mean(axis=0) / MM
@@ -366,9 +366,9 @@ def _noise_notes(
         f"{usual:.2g} mm at 95 % and {most:.2g} mm at most"
     )
     told = Issue("part.mesh_noise", what, Severity.NOTE, field=field, value=tolerance / MM, unit="mm")
-    if stated is None or BOUND_DEVIATIONS * noise <= NOISE_TOLD_FACTOR * stated:
+    if stated is None or NOISE_BOUND_DEVIATIONS * noise <= NOISE_TOLD_FACTOR * stated:
         return (told,)
-    bound = BOUND_DEVIATIONS * noise / MM
+    bound = NOISE_BOUND_DEVIATIONS * noise / MM
     what = (
         f"{path.name}: the vertices are off any smooth face by {bound:.3g} mm, the stated tolerance of the "
         f"mesh is {stated / MM:.3g} mm: the rest of it stays in the face that is formed"

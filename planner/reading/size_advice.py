@@ -15,15 +15,17 @@ from planner.reading.problem import SettingsFile
 from planner.reading.sheet import ClampFile
 from planner.reading.strict_yaml import Document
 
-SMALL: Final = "part.stock_too_small"
-CLAMP: Final = "forming.clamp"
-ROOM: Final = (30.0, 60.0)
+STOCK_TOO_SMALL: Final = "part.stock_too_small"
+"""Code of what a larger block mends."""
+CLAMP_TOO_SMALL: Final = "forming.clamp"
+"""Code of what a larger opening of the clamp mends."""
+ADDED_HEIGHTS_MM: Final = (30.0, 60.0)
 """Blocks that are higher by these [mm] are tried where arms have no room for the work on a tight one."""
-MOST: Final = 3.0
+MOST_FACTOR: Final = 3.0
 """A part that needs a block or an opening of more than so many times the given one is not tried: its unit is
 wrong."""
-NAMED: Final = 2
-"""So many of the faults that are left are named."""
+MOST_NAMED: Final = 2
+"""Faults left over that are named at most."""
 
 Data = dict[str, Any]
 Check = Callable[[Document, bool], Sequence[Issue]]
@@ -39,7 +41,7 @@ def advised(document: Document, issues: Sequence[Issue], check: Check, wider: Wi
     """The issues of the problem in a file; where the one error is a block or sheet that is too small, it is
     told with a size that was tried, and with what is still wrong then."""
     errors = [issue for issue in issues if issue.severity is Severity.ERROR]
-    if len(errors) != 1 or errors[0].code != SMALL:
+    if len(errors) != 1 or errors[0].code != STOCK_TOO_SMALL:
         return list(issues)
     data = copy.deepcopy(document.data)
 
@@ -61,7 +63,7 @@ def _block(data: Data, issue: Issue, look: Look) -> Issue:
         return issue
     stock, old = data["stock"], data["stock"]["size_mm"]
     stock["size_mm"] = size = list(issue.remedy.size_mm)
-    if any(new > MOST * was for new, was in zip(size, old, strict=True)):
+    if any(new > MOST_FACTOR * was for new, was in zip(size, old, strict=True)):
         return issue
     left = look(True)
     if _earlier(left) and data["part"].get("in_stock", "auto") == "auto":
@@ -69,7 +71,7 @@ def _block(data: Data, issue: Issue, look: Look) -> Issue:
         stock["size_mm"] = other = [max(old[0], size[1]), max(old[1], size[0]), size[2]]
         found = look(True)
         size, left = (size, left) if _earlier(found) else (other, found)
-    for more in ROOM:
+    for more in ADDED_HEIGHTS_MM:
         if not left or _earlier(left):
             break
         stock["size_mm"] = other = [*size[:2], round(size[2] + more, 1)]
@@ -90,7 +92,7 @@ def _sheet(data: Data, issue: Issue, look: Look, wider: Wider) -> Issue:
     clear = settings.get("clearance_mm", SettingsFile().clearance_mm)
     more = 2.0 * (issue.value or 0.0)
     old, rim = sheet["opening_mm"], 2.0 * (sheet.get("clamp") or {}).get("width_mm", ClampFile().width_mm)
-    if more > (MOST - 1.0) * (min(old) if isinstance(old, list) else old):
+    if more > (MOST_FACTOR - 1.0) * (min(old) if isinstance(old, list) else old):
         return issue
 
     def widened() -> list[float] | float:
@@ -103,7 +105,7 @@ def _sheet(data: Data, issue: Issue, look: Look, wider: Wider) -> Issue:
         return opening
 
     widened()
-    deep = max((one.value or 0.0 for one in look(False) if one.code == CLAMP), default=0.0)
+    deep = max((one.value or 0.0 for one in look(False) if one.code == CLAMP_TOO_SMALL), default=0.0)
     more += 2.0 * clear + wider(deep, not isinstance(old, list))
     opening, left = widened(), look(False)
     shown = _list(opening) if isinstance(opening, list) else f"{opening:g}"
@@ -116,7 +118,7 @@ def _left(left: Sequence[Issue]) -> str:
     """What is still wrong with a size that was tried."""
     if not left:
         return " (tried)"
-    codes = list(dict.fromkeys(one.code for one in left))[:NAMED]
+    codes = list(dict.fromkeys(one.code for one in left))[:MOST_NAMED]
     first = [next(one for one in left if one.code == code) for code in codes]
     told = (f"{one.message}; {one.hint}" if one.hint else one.message for one in first)
     return f"; then there is still: {'; and '.join(told)}"

@@ -27,11 +27,12 @@ from planner.units import DEG, GRAVITY, MM
 TABLE: Final = Pedestal(
     "table", tuple(0.2 * k for k in range(1, 21)), tuple(0.05 * k for k in range(10, 23)), 1.0, 0.1
 )
+"""What `support: table` stands for: sizes by 200 mm along the sides, 50 mm of height."""
 PEDESTAL: Final = Pedestal(
     "pedestal", tuple(0.04 * k for k in range(1, 26)), tuple(0.1 * k for k in range(2, 16)), 0.6
 )
-"""What `support: table` and `support: pedestal` stand for: tables by 200 mm along their sides and 50 mm of
-height, pedestals by 40 mm and 100 mm, which leave wires and tools room beside them."""
+"""What `support: pedestal` stands for: sizes by 40 mm along the sides, 100 mm of height; it leaves wires and
+tools room beside it."""
 GRIP_FORCE_FACTOR: Final = 3.0
 """Times its weight that a gripper must hold a block with: the arm's accelerations, and foam that gives."""
 
@@ -51,8 +52,9 @@ SupportFile = Annotated[
 Extra = Annotated[float, Field(ge=0, le=5000)]
 Sides = tuple[Extra, Extra]
 FLAT_ANGLE: Final = 1.0 * DEG
+"""How far a block's bottom face may be turned off the gripper that holds it [rad]."""
 FLAT_GAP: Final = 0.5 * MM
-"""How far a block's bottom face may be turned and moved off the gripper that holds it [rad, m]."""
+"""How far a block's bottom face may be off the gripper that holds it [m]."""
 
 
 class FoamReference(Strict):

@@ -25,18 +25,21 @@ except ImportError:
     from yaml import SafeDumper as _SafeDumper  # type: ignore[assignment]
     from yaml import SafeLoader as _SafeLoader  # type: ignore[assignment]
 
-MAX_BYTES = 5_000_000
+MAX_YAML_BYTES = 5_000_000
 """A problem or cell file larger than this is refused unread; parts belong in files of their own."""
 
 
 MAX_VALUES = 500_000
 """At most so many values in a file, aliases written out: a few lines of them can stand for billions."""
 MAX_DEPTH = 50
-_TOO_MANY = f"has over {MAX_VALUES} values; put meshes and point lists into files of their own"
-_TOO_DEEP = f"is nested more than {MAX_DEPTH} deep; write it flatter"
-PLAIN = {
+"""Mappings and lists inside one another at most: deeper ones would exhaust the stack."""
+_TOO_MANY_VALUES = f"has over {MAX_VALUES} values; put meshes and point lists into files of their own"
+_TOO_DEEPLY_NESTED = f"is nested more than {MAX_DEPTH} deep; write it flatter"
+"""What is said of files beyond these two limits."""
+PLAIN_TAGS = {
     f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "seq", "map", "merge")
 }
+"""YAML tags of plain values; others would build objects."""
 
 
 class _Loader(_SafeLoader):
@@ -112,15 +115,15 @@ def read(path: Path) -> Document:
     if not is_file(path):
         raise TandemError(Issue("problem.missing_file", f"{name}: no such file; check the path", file=name))
     size = path.stat().st_size
-    if size > MAX_BYTES:
+    if size > MAX_YAML_BYTES:
         raise TandemError(
             Issue(
                 "problem.too_large",
-                f"{name}: {size / 1e6:.1f} MB, at most {MAX_BYTES / 1e6:.0f} MB are read as a problem file; "
-                "put meshes and point lists into files of their own",
+                f"{name}: {size / 1e6:.1f} MB, at most {MAX_YAML_BYTES / 1e6:.0f} MB are read as a problem "
+                "file; put meshes and point lists into files of their own",
                 file=name,
                 value=size / 1e6,
-                limit=MAX_BYTES / 1e6,
+                limit=MAX_YAML_BYTES / 1e6,
                 unit="MB",
             )
         )
@@ -144,7 +147,7 @@ def parse(raw: bytes, name: str) -> tuple[dict[str, Any], yaml.Node | None]:
             _refuse_repeated(root, name)
         data = yaml.load(text, Loader=_Loader)  # a SafeLoader
     except RecursionError as error:
-        raise _not_yaml(name, _TOO_DEEP) from error
+        raise _not_yaml(name, _TOO_DEEPLY_NESTED) from error
     except (
         yaml.YAMLError,
         ValueError,
@@ -239,7 +242,7 @@ def _refuse_too_large(text: str, name: str) -> None:
             depth += isinstance(event, yaml.CollectionStartEvent)
         if nodes > 2 * MAX_VALUES or depth > MAX_DEPTH:
             line = event.start_mark.line + 1 if event.start_mark else None
-            raise _not_yaml(name, _TOO_DEEP if depth > MAX_DEPTH else _TOO_MANY, line)
+            raise _not_yaml(name, _TOO_DEEPLY_NESTED if depth > MAX_DEPTH else _TOO_MANY_VALUES, line)
 
 
 def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
@@ -254,8 +257,8 @@ def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
         if id(node) in open_nodes:
             raise _not_yaml(name, "has an alias that contains itself; write the values out", line)
         if depth > MAX_DEPTH:
-            raise _not_yaml(name, _TOO_DEEP, line)
-        if node.tag not in PLAIN:
+            raise _not_yaml(name, _TOO_DEEPLY_NESTED, line)
+        if node.tag not in PLAIN_TAGS:
             raise _not_yaml(name, f"has a value with the tag {node.tag!r}; write plain values", line)
         if isinstance(node, yaml.ScalarNode):
             if any("\ud800" <= letter <= "\udfff" for letter in node.value):
@@ -280,7 +283,7 @@ def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
         total = 1 + sum(size(child, depth + 1) for child in children)
         open_nodes.remove(id(node))
         if total > MAX_VALUES:
-            raise _not_yaml(name, _TOO_MANY, line)
+            raise _not_yaml(name, _TOO_MANY_VALUES, line)
         sizes[id(node)] = total
         return total
 

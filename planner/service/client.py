@@ -167,7 +167,7 @@ class Client:
             raise TandemError(issues or [stopped])
         files = self.files(str(job["id"]))
         with tempfile.TemporaryDirectory() as folder:
-            for name in (plans.ARRAYS, plans.DATA):
+            for name in (plans.ARRAYS_FILE, plans.DATA_FILE):
                 (Path(folder) / name).write_bytes(files[name])
             plan = plans.load(folder)
         prefix = "programs/"

@@ -14,7 +14,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 
 from planner.issues import Issue
-from planner.reading.strict_yaml import MAX_BYTES
+from planner.reading.strict_yaml import MAX_YAML_BYTES
 from planner.service.security import MB, Limits, RefusedError, too_large
 from planner.service.storage import DISK_FULL, Blob, Storage
 from planner.service.uploaded_files import base_name
@@ -48,8 +48,8 @@ async def take_upload(request: Request, storage: Storage, owner: str, limits: Li
         body = bytearray()
         async for chunk in request.stream():
             body += chunk
-            if len(body) > MAX_BYTES:
-                raise too_large("the problem", MAX_BYTES / MB, "problem")
+            if len(body) > MAX_YAML_BYTES:
+                raise too_large("the problem", MAX_YAML_BYTES / MB, "problem")
         (blob,) = await anyio.to_thread.run_sync(storage.put, owner, [io.BytesIO(body)])
         return Upload(blob, {})
     if kind != "multipart/form-data":
@@ -57,7 +57,7 @@ async def take_upload(request: Request, storage: Storage, owner: str, limits: Li
         raise RefusedError(422, _fault("Content-Type", what))
     try:
         async with request.form(
-            max_files=limits.files + 1, max_fields=len(FIELDS), max_part_size=MAX_BYTES
+            max_files=limits.files + 1, max_fields=len(FIELDS), max_part_size=MAX_YAML_BYTES
         ) as form:
             problem, uploads = _sorted(form, limits)
             return await anyio.to_thread.run_sync(_store, storage, owner, problem, uploads)
@@ -121,7 +121,7 @@ def _fault(field: str, what: str) -> Issue:
 
 def documented(problem: Mapping[str, Any]) -> dict[str, Any]:
     """The request body for OpenAPI; ``problem`` is the schema of problem files."""
-    text = {"type": "string", "maxLength": MAX_BYTES, "description": "the same as YAML or JSON text"}
+    text = {"type": "string", "maxLength": MAX_YAML_BYTES, "description": "the same as YAML or JSON text"}
     form = {
         "type": "object",
         "required": ["problem"],

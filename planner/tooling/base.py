@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Final
 
 from planner.geometry.arrays import FloatArray
 from planner.geometry.rigid import Shape
+
+ALUMINIUM_DENSITY: Final = 2700.0
+"""Density [kg/m^3] of aluminium."""
 
 
 @dataclasses.dataclass(frozen=True)

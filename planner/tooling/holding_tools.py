@@ -14,12 +14,13 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.geometry.rigid import Shape, corners, from_parts, from_rpy, inverse, transform
-from planner.tooling.base import OnFlange
+from planner.tooling.base import ALUMINIUM_DENSITY, OnFlange
 
 Mounting = Literal["along", "across", "diagonal"]
 Side = Literal["start", "end"]
 
 TILT_DEG: Final[dict[Mounting, float]] = {"along": 0.0, "diagonal": 45.0, "across": 90.0}
+"""Angle [deg] between the flange axis and the clamp's slide, by how the holder is mounted."""
 REACH: Final[dict[Mounting, float]] = {"along": 0.120, "diagonal": 0.110, "across": 0.100}
 """Distance [m] of the TCP from the flange's face, on the flange axis, with the slide at zero."""
 
@@ -101,8 +102,9 @@ def wire_holder(
 STEM_LENGTH: Final = 0.060
 """[m] from the flange's face to the middle of the beam."""
 BEAM_WIDTH: Final = 0.030
+"""Side [m] of the square tube of the beam, assumed."""
 PRONG_WIDTH: Final = 0.020
-"""Sides [m] of the square tubes of the beam and of the prongs, assumed."""
+"""Side [m] of the square tubes of the prongs, assumed."""
 TIP_SIZE: Final = (0.024, 0.036, 0.030)
 """[m] the insulated clamp with its spring at a prong's end: along the wire, across it, along the prong."""
 TUBE_LINE_DENSITY: Final = 0.6
@@ -202,8 +204,6 @@ def bow(
 
 PLATE_THICKNESS: Final = 0.012
 """[m] thickness of the plate that lies on the foam."""
-ALUMINIUM_DENSITY: Final = 2700.0
-"""[kg/m^3] of aluminium."""
 NEEDLE_PRESSURE: Final = 8e3
 """[Pa] what slanted needles hold per area of their plate in foam, assumed."""
 SUCTION_PRESSURE: Final = 25e3

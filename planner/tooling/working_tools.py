@@ -15,7 +15,7 @@ import trimesh
 
 from planner.geometry.arrays import FloatArray
 from planner.geometry.rigid import Shape, from_parts
-from planner.tooling.base import OnFlange
+from planner.tooling.base import ALUMINIUM_DENSITY, OnFlange
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,8 +84,7 @@ FORMING_HOLDER_SIZE: Final = (0.038, 0.090)
 """Radius and length [m] of the holder on the flange, a shaft of 3 inches as in Fischer's thesis on
 roboforming (Carnegie Mellon); its length is assumed."""
 STEEL_DENSITY: Final = 7800.0
-ALUMINIUM_DENSITY: Final = 2700.0
-"""Densities [kg/m^3]."""
+"""Density [kg/m^3] of tools and plates of steel."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -225,7 +225,7 @@ class Context:
 
     def holder(self, index: int) -> HoldsStock | None:
         """Who holds the block in setup ``index``, from its claims, else from the problem."""
-        stock, claims = self.stock(index), self.setup_claims[index].holds
+        stock, claims = self.stock(index), self.setup_claims[index].stock_holders
         if stock.held_by is None:
             return None
         if claims:

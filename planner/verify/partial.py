@@ -19,7 +19,7 @@ from planner.problem import Problem
 from planner.verify.context import Context
 from planner.verify.job import JobText, Stage, TaskText
 from planner.verify.programs import partial_reader
-from planner.verify.programs.partial_reader import KINDS, Gap, Read
+from planner.verify.programs.partial_reader import KNOWN_MOVES, Gap, Read
 from planner.verify.programs.steps import JointTarget, MoveStep, RobTarget, StatusTarget
 from planner.verify.prove import Prover
 from planner.verify.replay import arm_model, inverse_kinematics
@@ -27,11 +27,12 @@ from planner.verify.replay.clearance_samples import least_distances
 from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.replay.motion import Motion
 from planner.verify.replay.moves import chosen, flange_at
-from planner.verify.replay.playback import LONGEST
+from planner.verify.replay.playback import LONGEST_MOTION
 from planner.verify.rules.clearance import MEASURED_REACH, accepted
 from planner.verify.rules.robot_motion import JOINT_JUMP, TCP_SLACK
 
-CODE = "verify.unread"
+UNREAD = "verify.unread"
+"""Code of what was not read, and is not proven."""
 _STRIDE = 0.005
 """Looks at clearance are so far apart [m] that no point of an arm moves farther between them."""
 _MOST_LOOKS = 200_000
@@ -99,11 +100,11 @@ def read_partly(problem: Problem, programs: Mapping[str, str]) -> Partial:
         for key, good in sorted(own.proven.items()):
             if not good and key not in unread:
                 why = f"{own.why[key]}: read, not proven"
-                issues.append(Issue(CODE, why, file=key[0], line=key[1], arm=one.arm.name))
+                issues.append(Issue(UNREAD, why, file=key[0], line=key[1], arm=one.arm.name))
         for key in dict.fromkeys(one.moves):
             if key not in own.proven and key not in unread:
                 what = "the move is on no way that is read: not proven"
-                issues.append(Issue(CODE, what, file=key[0], line=key[1], arm=one.arm.name))
+                issues.append(Issue(UNREAD, what, file=key[0], line=key[1], arm=one.arm.name))
         total += len(one.moves)
         count.proven |= {key: good for key, good in own.proven.items() if key in set(one.moves)}
         count.sums += own.sums
@@ -113,7 +114,7 @@ def read_partly(problem: Problem, programs: Mapping[str, str]) -> Partial:
 
 
 def _unread(file: str, line: int | None, what: str, arm: str | None = None) -> Issue:
-    return Issue(CODE, f"{what}: not read, not proven", file=file, line=line, arm=arm)
+    return Issue(UNREAD, f"{what}: not read, not proven", file=file, line=line, arm=arm)
 
 
 def _runs(problem: Problem, one: Read, count: _Count) -> list[tuple[list[MoveStep], FloatArray]]:
@@ -170,7 +171,7 @@ def _by_joints(one: Read, move: MoveStep) -> MoveStep:
 
 def _strange(move: MoveStep) -> str:
     """Why the way of a move is not known, "" where it is."""
-    if move.kind not in KINDS:
+    if move.kind not in KNOWN_MOVES:
         return f"the way of {move.kind} between its targets is not known"
     if move.wobj.held or not move.wobj.fixed or not move.tool.held:
         return "its tool or its work object is not the arm's own, or moves"
@@ -210,7 +211,7 @@ def _prove(
 ) -> None:
     """Replays a stretch and counts its moves."""
     keys = [_key(one, move) for move in run]
-    if count.looks > _MOST_LOOKS or count.sums[2] > LONGEST:
+    if count.looks > _MOST_LOOKS or count.sums[2] > LONGEST_MOTION:
         for key in keys:
             count.no(key, "the programs are too long to be proven here as a whole")
         return

@@ -25,7 +25,7 @@ from planner.verify.forming import swept
 from planner.verify.forming.state import Forming
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.tool_motion import Milling
-from planner.verify.programs.operator_dialogue import told_choice
+from planner.verify.programs.operator_dialogue import chosen_groups
 from planner.verify.result import CutFace, Proof, RuleResult
 from planner.verify.rules import (
     block_support,
@@ -56,7 +56,7 @@ from planner.verify.wire.wire_motion import wires as all_wires
 
 _RuleTable = tuple[Rule[[Context], Outcome], ...]
 
-TEXT: _RuleTable = (
+TEXT_RULES: _RuleTable = (
     text.syntax,
     text.declarations,
     text.persistents,
@@ -67,9 +67,12 @@ TEXT: _RuleTable = (
     text.files,
     text.digest,
 )
-_OF_TEXT = frozenset(rule.code for rule in TEXT)
-ROBOTS: _RuleTable = (robot_motion.robot_model,)
-TASKS: _RuleTable = (
+"""Rules about the text alone."""
+_TEXT_CODES = frozenset(rule.code for rule in TEXT_RULES)
+"""Codes of rules that need no motion."""
+ROBOT_RULES: _RuleTable = (robot_motion.robot_model,)
+"""Rules about the robots' data."""
+TASK_RULES: _RuleTable = (
     synchronisation.task_list,
     synchronisation.sync_order,
     handshake.handshake,
@@ -81,9 +84,10 @@ TASKS: _RuleTable = (
     controller_files.cell_check,
     controller_files.controller_files,
 )
-STAGES: _RuleTable = (
+"""Rules about the tasks and how they meet."""
+STAGE_RULES: _RuleTable = (
     setups_and_frames.setup,
-    dialogue.told_and_asked,
+    dialogue.messages_and_questions,
     synchronisation.move_count,
     synchronisation.move_ids,
     synchronisation.zone_kind,
@@ -106,7 +110,8 @@ STAGES: _RuleTable = (
     moves_and_settings.zero_length,
     wire.wire_mount,
 )
-MOTION: _RuleTable = (
+"""Rules about the steps of each setup."""
+MOTION_RULES: _RuleTable = (
     robot_motion.reach,
     robot_motion.corners,
     robot_motion.continuity,
@@ -121,21 +126,23 @@ MOTION: _RuleTable = (
     given_poses.follows,
     cut_part.order,
 )
-WIRE: tuple[Rule[[Context, tuple[Wire, ...]], Outcome], ...] = (
+"""Rules about any motion."""
+WIRE_RULES: tuple[Rule[[Context, tuple[Wire, ...]], Outcome], ...] = (
     wire.wire_length,
     wire.wire_stability,
     wire.curvature,
     wire.contact,
     wire.stop_in_foam,
     wire.wire_power,
-    dialogue.told_figures,
+    dialogue.message_figures,
     wire.feed,
     straight_wire.bow,
     straight_wire.rulings,
     cut_part.part,
     straight_wire.slit,
 )
-OTHERS: tuple[Rule[..., Any], ...] = (
+"""Rules about wires."""
+OTHER_RULES: tuple[Rule[..., Any], ...] = (
     robot_motion.kinematics,
     clearance.bodies,
     clearance.step_apart,
@@ -145,7 +152,8 @@ OTHERS: tuple[Rule[..., Any], ...] = (
     cut_part.ridges,
     part_file.part_file,
 )
-FORMING: tuple[Rule[[Context, Forming], Outcome], ...] = (
+"""Rules about any motion that ask the most time."""
+FORMING_RULES: tuple[Rule[[Context, Forming], Outcome], ...] = (
     forming_part.forming_part,
     forming_claims.forming_claims,
     forming_tool.feature_order,
@@ -159,19 +167,24 @@ FORMING: tuple[Rule[[Context, Forming], Outcome], ...] = (
     forming_tool.holder,
     forming_two_tools.by_table,
 )
-FORMED: tuple[Rule[..., Any], ...] = (forming_tool.formed,)
+"""Rules about sheets."""
+FORMED_RULES: tuple[Rule[..., Any], ...] = (forming_tool.formed,)
+"""The rule about the formed part, behind all others about sheets."""
 
-MILLED: tuple[Rule[..., Any], ...] = (milling_cutter.milled,)
-MILLING: tuple[Rule[[Context, Milling], Outcome], ...] = (
+MILLED_RULES: tuple[Rule[..., Any], ...] = (milling_cutter.milled,)
+"""The rule about the milled part, before all others about mills."""
+MILLING_RULES: tuple[Rule[[Context, Milling], Outcome], ...] = (
     milling_cutter.mill_gouge,
     milling_cutter.mill_path,
     milling_cutter.mill_feed,
     milling_cutter.spindle,
 )
+"""Rules about mills."""
 
-SPLINES: tuple[Rule[..., Any], ...] = (krl_spline.spline,)
+SPLINE_RULES: tuple[Rule[..., Any], ...] = (krl_spline.spline,)
+"""The rule about spline blocks."""
 
-NEEDED = (
+NEEDED_RULES = (
     "verify.setup",
     "verify.move_count",
     "verify.sync_order",
@@ -182,18 +195,28 @@ NEEDED = (
 )
 """What must hold for a motion to follow from the text."""
 
-_ALL = (
-    *(TEXT, ROBOTS, TASKS, STAGES, SPLINES, MOTION, FORMING, FORMED),
-    *(MILLED, MILLING, WIRE, OTHERS),
+_ALL_RULES = (
+    *(
+        TEXT_RULES,
+        ROBOT_RULES,
+        TASK_RULES,
+        STAGE_RULES,
+        SPLINE_RULES,
+        MOTION_RULES,
+        FORMING_RULES,
+        FORMED_RULES,
+    ),
+    *(MILLED_RULES, MILLING_RULES, WIRE_RULES, OTHER_RULES),
 )
-RULES: tuple[str, ...] = tuple(rule.code for table in _ALL for rule in table)
+"""All rules, in the order in which they run."""
+RULE_CODES: tuple[str, ...] = tuple(rule.code for table in _ALL_RULES for rule in table)
 """Codes of all rules."""
 
-TITLES: Mapping[str, str] = {rule.code: rule.title for table in _ALL for rule in table}
+RULE_TITLES: Mapping[str, str] = {rule.code: rule.title for table in _ALL_RULES for rule in table}
 """What each rule asks, by code."""
 PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
-    kind: tuple(rule.code for table in _ALL for rule in table if kind in rule.proves)
-    for kind in dict.fromkeys(kind for table in _ALL for rule in table for kind in rule.proves)
+    kind: tuple(rule.code for table in _ALL_RULES for rule in table if kind in rule.proves)
+    for kind in dict.fromkeys(kind for table in _ALL_RULES for rule in table for kind in rule.proves)
 }
 """The rules that prove each kind of claim."""
 
@@ -231,7 +254,7 @@ class Prover:
         the same). ``last``: stop behind that rule; such a proof never holds."""
         if self._worked_out is None:
             self._worked_out = wanted_ways.worked_out(self.claims)
-        context = told_choice(Context(self.problem, self._worked_out[0], programs, self._worked_out[1]))
+        context = chosen_groups(Context(self.problem, self._worked_out[0], programs, self._worked_out[1]))
         run = _Run(context)
         for _ in self._steps(context, run):
             if (first_error and run.broken) or last in run.results:
@@ -249,27 +272,27 @@ class Prover:
 
     def _steps(self, context: Context, run: _Run) -> Iterator[None]:
         """Runs the rules one after the other and hands control back behind each."""
-        for rule in (*TEXT, *ROBOTS):
+        for rule in (*TEXT_RULES, *ROBOT_RULES):
             run.add(rule.code, rule(context))
             yield
         if run.broken_any("verify.robot_model"):
             return  # where arms are does not follow from their files
         if not context.readable:
             return
-        for rule in TASKS:
+        for rule in TASK_RULES:
             run.add(rule.code, rule(context))
             yield
         if not context.playable:
             return
-        for rule in STAGES:
+        for rule in STAGE_RULES:
             run.add(rule.code, rule(context))
             yield
-        if run.broken_any(*NEEDED):
+        if run.broken_any(*NEEDED_RULES):
             return
         outcome, context = krl_spline.spline(context)  # from here on with what its curves leave of room
         run.add("verify.spline", outcome)
         yield
-        for rule in MOTION:
+        for rule in MOTION_RULES:
             run.add(rule.code, rule(context))
             yield
         if run.broken_any("verify.reach"):
@@ -278,7 +301,7 @@ class Prover:
 
     def _physics(self, context: Context, run: _Run) -> Iterator[None]:
         forming = run.forming = Forming(context)
-        for form_rule in FORMING:
+        for form_rule in FORMING_RULES:
             run.add(form_rule.code, form_rule(context, forming))
             yield
         outcome, formed = forming_tool.formed(context, forming)
@@ -288,12 +311,12 @@ class Prover:
         outcome, milled = milling_cutter.milled(context, milling)
         run.add("verify.milled", outcome)
         yield
-        for mill_rule in MILLING:
+        for mill_rule in MILLING_RULES:
             run.add(mill_rule.code, mill_rule(context, milling))
             yield
         wires = all_wires(context)
         run.wires = wires
-        for rule in WIRE:
+        for rule in WIRE_RULES:
             run.add(rule.code, rule(context, wires))
             yield
         sweeps = cut_part.sweeps(context, wires)
@@ -348,7 +371,7 @@ class _Run:
         return text.marks(self.context.job)
 
     def add(self, code: str, outcome: Outcome) -> None:
-        at_moves = code not in _OF_TEXT
+        at_moves = code not in _TEXT_CODES
         self.issues += [
             text.with_pendant_cause(self._changed, with_remedy(issue))
             if at_moves
@@ -356,12 +379,13 @@ class _Run:
             for issue in outcome.issues
         ]
         passed, measure = not has_errors(outcome.issues), (outcome.worst, outcome.limit, outcome.unit)
-        self.results[code] = RuleResult(code, TITLES[code], passed, *measure, outcome.where)
+        self.results[code] = RuleResult(code, RULE_TITLES[code], passed, *measure, outcome.where)
 
     def proof(self) -> Proof:
         rules = tuple(
-            self.results.get(code) or RuleResult(code, TITLES[code], False, where="not reached", ran=False)
-            for code in RULES
+            self.results.get(code)
+            or RuleResult(code, RULE_TITLES[code], False, where="not reached", ran=False)
+            for code in RULE_CODES
         )
         series: dict[str, Any] = {}
         if self.context.playable and "verify.reach" in self.results:

@@ -107,7 +107,8 @@ class Proof:
         raise KeyError(code)
 
 
-_MOST = 6000
+_MOST_CURVE_POINTS = 6000
+"""Points of a curve in a proof at most."""
 
 
 def series(
@@ -127,7 +128,7 @@ def series(
     form: what they leave between them and what is wanted.
     """
     motion = context.motion
-    stride = max(1, len(motion.time) // _MOST)
+    stride = max(1, len(motion.time) // _MOST_CURVE_POINTS)
     rows = np.arange(0, len(motion.time), stride)
     out: dict[str, Any] = {"time": motion.time[rows], "label": motion.labels(rows)}
     for arm, q in motion.q.items():
@@ -164,7 +165,9 @@ def series(
         if len(wire_clearance) >= n:
             out[f"wire/{n}/clearance"] = wire_clearance[n - 1]
     for n, gap in enumerate(forming.opened if forming is not None else (), 1):
-        some = np.unique(np.linspace(0, max(len(gap.knots) - 1, 0), _MOST).astype(np.int64))[: len(gap.knots)]
+        some = np.unique(np.linspace(0, max(len(gap.knots) - 1, 0), _MOST_CURVE_POINTS).astype(np.int64))[
+            : len(gap.knots)
+        ]
         out |= {
             f"gap/{n}/time": motion.time[gap.track.rows[gap.knots[some]]],
             f"gap/{n}/got": gap.got[some],
@@ -183,19 +186,20 @@ def _peaks(values: FloatArray, rows: IntArray) -> FloatArray:
     return np.asarray(np.where(high > -low, high, low))
 
 
-SHOWN: dict[str, str] = {
+SHOWN_RESULTS: dict[str, str] = {
     "verify.clearance": "clearance",
     "verify.joint_limits": "joint limits",
     "verify.joint_speed": "joint speed",
     "verify.singularity": "singularity",
     "verify.surface": "cut surface",
 }
+"""Rules whose results a person at the robot is shown, with their names there."""
 
 
 def text(proof: Proof) -> dict[str, str]:
     """Results of the rules that a person at the robot asks for: {name: "worst (limit)"}."""
     out = {}
-    for code, name in SHOWN.items():
+    for code, name in SHOWN_RESULTS.items():
         rule = next((r for r in proof.rules if r.code == code), None)
         if rule is not None and rule.worst is not None:
             limit = "" if rule.limit is None else f", allowed {rule.limit:.4g} {rule.unit}"

@@ -8,7 +8,7 @@ import shapely
 
 from planner.catalogue.materials import sheet_metal
 from planner.forming.contact import ContactPath, Pass
-from planner.forming.features.tree import NOISE, build, in_place
+from planner.forming.features.tree import LEAST_BUMP, build, in_place
 from planner.forming.passes import passes
 from planner.forming.support.modes import border_curve, border_path, tool_path
 from planner.geometry.arrays import FloatArray, Mesh
@@ -125,7 +125,7 @@ def test_the_border_is_around_all_that_is_off_the_flat(noise: float) -> None:
         ),
         part.faces,
     )
-    tree = build(part, 5e-4, max(NOISE, 2.0 * noise))
+    tree = build(part, 5e-4, max(LEAST_BUMP, 2.0 * noise))
     one = passes(tree, in_place(tree), part, T0, operation("dpif_p"), sheet_metal("aluminium"))[-1]
     ring = shapely.points(border_curve(one, BALL, T0)[:, :2])
     corners = one.vertices[one.faces]

@@ -8,7 +8,7 @@ from scipy.interpolate import LinearNDInterpolator
 from shapely.geometry import Point, Polygon
 
 from planner.forming.features.surface import plan_area
-from planner.forming.features.tree import FeatureTree, build, given, in_place, on_virgin_sheet
+from planner.forming.features.tree import FeatureTree, build, given_order, in_place, on_virgin_sheet
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.issues import TandemError
 from tests.forming.nests import Nest, dome, frustum, over, random_nest, revolved, sheet
@@ -367,7 +367,7 @@ def test_strategies_and_orders_of_ones_own(dish: Mesh) -> None:
     assert [step.feature for step in second] == [*range(2, 11), 1]
     for step in second:
         assert tree.feature(step.feature).start + step.shift == pytest.approx(tree.level, abs=1e-12)
-    mixed = given(tree, [5, 1, 10, 9, 8, 7, 6, 4, 3, 2], translated=True)
+    mixed = given_order(tree, [5, 1, 10, 9, 8, 7, 6, 4, 3, 2], translated=True)
     assert mixed[0].shift == pytest.approx(20 * MM, abs=0.02 * MM)
     assert all(step.shift == 0.0 for step in mixed[1:])
     for wrong, what in (
@@ -377,14 +377,14 @@ def test_strategies_and_orders_of_ones_own(dish: Mesh) -> None:
         (list(range(1, 12)), "feature 11 does not exist"),
     ):
         with pytest.raises(TandemError, match=r"forming\.order.*" + what):
-            given(tree, wrong)
+            given_order(tree, wrong)
 
 
 def test_shifts_in_a_nest_of_three_take_what_is_formed_around() -> None:
     profile = [(60, 0), (50, 0), (45, -10), (35, -10), (30, -4), (22, -4), (18, -9), (0, -9)]
     tree = build(revolved([(r * MM, z * MM) for r, z in profile]), 1e-3)
     assert outline(tree) == [(None, "concave", 0, -10), (1, "convex", -10, -4), (2, "concave", -4, -9)]
-    shifts = {step.feature: step.shift / MM for step in given(tree, [1, 3, 2], translated=True)}
+    shifts = {step.feature: step.shift / MM for step in given_order(tree, [1, 3, 2], translated=True)}
     # with the dish done, and the island not yet, the innermost one starts 10 mm below the sheet
     assert shifts == pytest.approx({1: 0.0, 3: -6.0, 2: 0.0}, abs=1e-6)
     assert [step.feature for step in on_virgin_sheet(tree)] == [3, 2, 1]

@@ -11,12 +11,12 @@ from planner.forming.contact import ContactPath, Pass, ToolPath
 from planner.forming.paths.contact_path import make_path
 from planner.forming.paths.spiral import PathOptions
 from planner.forming.support.modes import tool_path
-from planner.forming.support.opposite import FACING, Touching, opposite_path
+from planner.forming.support.opposite import FACING_TURN, Touching, opposite_path
 from planner.geometry.arrays import FloatArray
 from planner.tooling import FormingHead
 from planner.units import MM
 from planner.verify.forming.face import Face
-from planner.verify.forming.state import TIED, Track, pieces
+from planner.verify.forming.state import TOUCHED_WITHIN, Track, pieces
 from planner.verify.rules.forming_two_tools import _off_directions
 from tests.forming.path_faces import cone
 from tests.forming.shapes import BALL, T0, operation
@@ -185,7 +185,7 @@ def off_touched(one: Pass, places: FloatArray, directions: FloatArray, ball: flo
     way = Track(
         ("left",), rows, places[:, None], np.ones(len(rows), dtype=np.bool_), none, (), np.eye(4)[None]
     )
-    found = face.nearest(places, TIED)
+    found = face.nearest(places, TOUCHED_WITHIN)
     return float(np.degrees(_off_directions(directions, way, rows, face, found, 1, upright=True).max()))
 
 
@@ -290,7 +290,7 @@ def test_over_facets_the_ball_leans_on_the_smooth_face() -> None:
     lean = Touching(one, ball, 1.0, T0).lean((radius - ball) * outward)
     off = np.arccos(np.clip(np.einsum("nd,nd->n", lean.normal, -outward), -1.0, 1.0))
     assert np.degrees(off.max()) < 1.0
-    assert off.max() < FACING
+    assert off.max() < FACING_TURN
     assert np.abs(lean.gap - T0 * np.cos(tilt)).max() < 0.03 * T0
 
 

@@ -100,7 +100,7 @@ def test_moves_that_do_not_keep_the_gap_are_told(side: int, monkeypatch: pytest.
     one, contact = made(side, per_loop=24)
     whole = tool_path(one, contact, operation(), BALL, BALL, T0)
     assert whole.loose is not None and not whole.loose.any()
-    monkeypatch.setattr(opposite, "_ROUNDS", 1)
+    monkeypatch.setattr(opposite, "_SPLIT_ROUNDS", 1)
     path = tool_path(one, contact, operation(), BALL, BALL, T0)
     assert path.loose is not None and len(path.former) < len(whole.former)
     (issue,) = support_issues(one, path, operation(), BALL, BALL, T0)

@@ -274,8 +274,8 @@ def test_a_die_in_the_part_is_refused() -> None:
 def test_a_die_that_is_not_the_parts_is_told_before_a_ball_that_is_too_large() -> None:
     problem = coarse()
     job = forming.FormingJob(operation(problem, {"unit": "cm"}), problem.setups[0], problem.part)
-    heads = {arm: dataclasses.replace(head, radius=0.05) for arm, head in job.made.heads.items()}
-    job.__dict__["made"] = dataclasses.replace(job.made, heads=heads)
+    heads = {arm: dataclasses.replace(head, radius=0.05) for arm, head in job.planned.heads.items()}
+    job.__dict__["planned"] = dataclasses.replace(job.planned, heads=heads)
     with pytest.raises(TandemError) as caught:
         job.targets()
     assert {issue.code for issue in caught.value.issues} == {"forming.die_gouge"}

@@ -122,15 +122,6 @@ def test_sliding_keeps_the_curve(shapes):
     np.testing.assert_allclose(again.points, moved.points, atol=1e-8)
 
 
-def test_blend_runs_from_one_wire_to_the_other(shapes):
-    a, b = shapes.params[:2], shapes.params[2:]
-    path = heavy.blend(a, b, np.linspace(0, 1, 5))
-    assert path.shape == (5, 2, 6)
-    np.testing.assert_array_equal(path[0], a)
-    np.testing.assert_array_equal(path[-1], b)
-    np.testing.assert_allclose(heavy.blend(a, b, 0.5), path[2])
-
-
 def test_fit_recovers_wires_from_their_middles(shapes):
     s = np.tile(np.linspace(0.2, 0.36, 50), (4, 1))
     got = heavy.fit(shapes.at(s)[..., :2], LENGTH, WEIGHT, tail_weight=0.0)
@@ -194,8 +185,6 @@ def test_end_sensitivity_is_the_difference_of_solved_wires(shapes):
 def test_straight_wire_has_no_linear_answer_to_end_errors():
     straight = heavy.integrate(np.zeros((1, 6)), np.ones(1), np.zeros((1, 2)))
     assert np.isinf(heavy.end_sensitivity(straight).position).all()
-    bow = heavy.straight_bow(np.array([0.6, 0.9]), np.array([5e-5, 5e-5]))
-    np.testing.assert_allclose(bow, [3.487e-3, 4.271e-3], atol=1e-6)
 
 
 def test_weight_deviation_is_the_gap_to_the_light_wire(shapes, light):

@@ -175,7 +175,7 @@ def test_every_fault_of_a_file_is_named_with_its_line(tmp_path: Path) -> None:
 
 def test_files_that_are_no_text(tmp_path: Path) -> None:
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x01")
-    (tmp_path / "large.csv").write_text("1" * (calibration.MAX_BYTES + 1))
+    (tmp_path / "large.csv").write_text("1" * (calibration.MAX_TEST_CUT_BYTES + 1))
     for name in ("nowhere.csv", "binary.csv", "large.csv", "."):
         with pytest.raises(TandemError) as caught:
             calibration.read_cuts(tmp_path / name, 0.0004, 0.43, 0.05)

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from planner.geometry.arrays import Ruled
 from planner.hotwire.straight import job
-from planner.hotwire.straight.order import depths, wanted
+from planner.hotwire.straight.order import depths, wanted_surfaces
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Part
 from tests.hotwire import foam_blocks as blocks
@@ -136,7 +136,7 @@ def test_the_inmost_is_cut_first_and_comes_to_be_told_through_which_slit() -> No
     deep = [*ring, square("bore", 0.0, 0.008, hole=True)]
     assert depths(deep) == [0, 1, 2, 3]
     part = blocks.part(*deep)
-    order = [w.name for w in wanted(blocks.operation(cuts="all"), blocks.setup(), part)]
+    order = [w.name for w in wanted_surfaces(blocks.operation(cuts="all"), blocks.setup(), part)]
     assert order == ["bore", "core", "gap", "rim"]
     found = issues(part)
     assert {i.field for i in found if i.code == "straight.slit"} == {"cut/bore", "cut/core", "cut/gap"}

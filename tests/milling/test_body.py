@@ -76,14 +76,14 @@ def test_the_proof_finds_the_nearest_of_all_places(cutter: Cutter, path: int) ->
         points = _near(tip, axis, solid.start, solid.end, solid.radius)
         wanted = tool_motion.signed(solid, *_all(points, tip, axis))
         got, place = tool_motion.sweep(points, tip, axis, solid)
-        _agrees(wanted, got, tool_motion.SIGHT)
-        seen = np.flatnonzero(got < tool_motion.SIGHT)
+        _agrees(wanted, got, tool_motion.SIGHT_DISTANCE)
+        seen = np.flatnonzero(got < tool_motion.SIGHT_DISTANCE)
         np.testing.assert_allclose(got[seen], wanted[seen, place[seen]], rtol=0.0, atol=1e-12)
-        near = np.flatnonzero(wanted.min(axis=1) < tool_motion.SIGHT)[::10]
+        near = np.flatnonzero(wanted.min(axis=1) < tool_motion.SIGHT_DISTANCE)[::10]
         assert all(tool_motion.comes_near(points[[i]], tip, axis, solid) for i in near)
         for below in (-0.005, -0.0001):
             deep, _ = tool_motion.sweep(points, tip, axis, solid, below)
-            _agrees_below(wanted, deep, tool_motion.SIGHT, below)
+            _agrees_below(wanted, deep, tool_motion.SIGHT_DISTANCE, below)
 
 
 @pytest.mark.parametrize("path", range(len(PATHS)))
@@ -92,18 +92,18 @@ def test_the_planner_finds_the_nearest_of_all_places(cutter: Cutter, path: int) 
     tip, axis = PATHS[path]
     for section in check.sections(cutter):
         points = _near(tip, axis, section.start, section.end, section.radius)[::4]
-        step = max(check.DENSE * section.radius, check.LEAST)
+        step = max(check.PATH_SPACING * section.radius, check.LEAST_SPACING)
         tips, axes, to = check.between(tip, axis, section.end, step)
         wanted = section.off(*_all(points, tips, axes))
         got, where = check.distance_off(points, tip, axis, section)
-        _agrees(wanted, got, check.SIGHT)
-        for i in np.flatnonzero(got < check.SIGHT):
+        _agrees(wanted, got, check.SIGHT_DISTANCE)
+        for i in np.flatnonzero(got < check.SIGHT_DISTANCE):
             assert np.isclose(wanted[i, to == where[i]], got[i], rtol=0.0, atol=1e-12).any()
-        near = np.flatnonzero(wanted.min(axis=1) < check.SIGHT)[::10]
+        near = np.flatnonzero(wanted.min(axis=1) < check.SIGHT_DISTANCE)[::10]
         assert all(check.comes_near(points[[i]], tip, axis, section) for i in near)
         for below in (-0.005, -0.0001):
             deep, _ = check.distance_off(points, tip, axis, section, below)
-            _agrees_below(wanted, deep, check.SIGHT, below)
+            _agrees_below(wanted, deep, check.SIGHT_DISTANCE, below)
 
 
 def _agrees(wanted: FloatArray, got: FloatArray, sight: float) -> None:
@@ -169,9 +169,9 @@ def test_a_job_is_worked_out_once_for_one_problem_and_anew_for_another(tmp_path:
     one = problem(tmp_path, WALL)
     other = problem(tmp_path, WALL, stock={**WALL["stock"], "size_mm": [120, 90, 50]})
     mine = MillingJob(one.operations[0], one.setup_of(0), one.part)
-    first = mine.made
-    assert mine.made is first
-    second = MillingJob(other.operations[0], other.setup_of(0), other.part).made
+    first = mine.planned
+    assert mine.planned is first
+    second = MillingJob(other.operations[0], other.setup_of(0), other.part).planned
     assert second.box[1, 1] > first.box[1, 1]
     fresh = work(one.operations[0], one.setup_of(0), one.part)
     for a, b in zip(claims(fresh, one.part), claims(first, one.part), strict=True):

@@ -67,7 +67,7 @@ def test_the_deviation_on_a_hyperboloid_is_what_a_brute_search_finds(radius: flo
     middle = np.arctan2(low[k, 1], low[k, 0])
     turn = middle + np.linspace(-1.0, 1.0, 4001)
     found = []
-    for share in flank.LEVELS:
+    for share in flank.RULING_SHARES:
         z = -0.04 + 0.08 * share
         ring = np.sqrt(waist**2 + (slope * z) ** 2)
         places = np.stack([ring * np.cos(turn), ring * np.sin(turn), np.full(len(turn), z)], axis=1)

@@ -94,7 +94,7 @@ def test_random_programs_are_read_as_by_a_plain_evaluator(seed: int, size: int, 
 def test_it_does_not_matter_where_a_file_is_parted(monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
     text = START + program(5, 400, 0.95)
     whole = rows(text)
-    monkeypatch.setattr(reader, "CHUNK", chunk)
+    monkeypatch.setattr(reader, "BYTES_AT_ONCE", chunk)
     np.testing.assert_array_equal(rows(text), whole)
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from planner.milling.gcode.state import CONVENTIONS, convention, pieces
+from planner.milling.gcode.state import KINEMATICS, convention, pieces
 from tests.milling.gcode_programs import HEAD, read
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -33,7 +33,7 @@ CHAINS = {
 ANGLE = st.floats(-200, 200)
 
 
-@pytest.mark.parametrize("name", CONVENTIONS)
+@pytest.mark.parametrize("name", KINEMATICS)
 @settings(max_examples=40, deadline=None)
 @given(angles=st.tuples(ANGLE, ANGLE, ANGLE))
 def test_axes_are_products_of_rotations(name: Any, angles: tuple[float, float, float]) -> None:

@@ -64,7 +64,7 @@ def test_what_a_cutter_sweeps_is_what_booleans_say(cutter: Cutter, lean: float) 
     outside = (wanted > FACETS) & (wanted < 1.5e-3)
     assert outside.sum() > 25 and (wanted < -FACETS).sum() > 25
     # a round edge hides s^2 / 8 r between places s apart, a sharp one leaves stairs half as deep as s at most
-    step = check.DENSE * cutter.radius
+    step = check.PATH_SPACING * cutter.radius
     stairs = 0.25 * step if cutter.corner == 0.0 else step**2 / (8.0 * cutter.corner)
     for got, hidden in ((proof, 3e-6), (own, stairs)):
         np.testing.assert_allclose(got[outside], wanted[outside], atol=FACETS + hidden)

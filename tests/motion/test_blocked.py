@@ -180,8 +180,8 @@ def test_the_change_that_is_named_opens_the_way() -> None:
 
 
 def test_where_no_change_helps_what_was_tried_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(remedies, "SIZES", (0.5,))
-    monkeypatch.setattr(remedies, "PLANS", 1)
+    monkeypatch.setattr(remedies, "MOVE_SIZES_M", (0.5,))
+    monkeypatch.setattr(remedies, "MOST_PLANS", 1)
     job, targets = walled()
     bodies = ("left/link_3", "wall")
     issue = Issue("motion.collision", "nothing is free", index=4, bodies=bodies, hint="move it")

@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from planner.motion.arm_kinematics import TWO_PI
+from planner.motion.arm_kinematics import FULL_TURN
 from planner.motion.search.ladder import LARGEST_STEP, TIE_SHARE, Ladder, joint_path, steps
 from planner.motion.search.ladder_search import Choice, Found, search, speed_limits
 from planner.motion.search.reach import Grid, Rungs, reach, sample
@@ -117,7 +117,7 @@ def test_axis_6_winds_up_within_its_limits_and_never_jumps() -> None:
     range.
     """
     scene, targets = one_arm(60)
-    turn = np.linspace(0.0, 1.9 * TWO_PI, targets.count)
+    turn = np.linspace(0.0, 1.9 * FULL_TURN, targets.count)
     c, s, o, e = np.cos(turn), np.sin(turn), np.zeros_like(turn), np.ones_like(turn)
     spin = np.stack([np.stack([c, -s, o, o], -1), np.stack([s, c, o, o], -1)], 1)
     spin = np.concatenate([spin, np.stack([np.stack([o, o, e, o], -1), np.stack([o, o, o, e], -1)], 1)], 1)
@@ -128,12 +128,12 @@ def test_axis_6_winds_up_within_its_limits_and_never_jumps() -> None:
     q = found.q["arm"]
     assert np.abs(np.diff(q, axis=0)).max() < np.deg2rad(13.0)
     assert scene.chains["arm"].limit_margin(q).min() >= scene.settings.joint_margin
-    assert abs(abs(q[-1, 5] - q[0, 5]) - 1.9 * TWO_PI) < 1e-6
+    assert abs(abs(q[-1, 5] - q[0, 5]) - 1.9 * FULL_TURN) < 1e-6
 
 
 def test_a_turn_beyond_all_limits_has_no_path() -> None:
     scene, targets = one_arm(80)
-    turn = np.linspace(0.0, 2.5 * TWO_PI, targets.count)
+    turn = np.linspace(0.0, 2.5 * FULL_TURN, targets.count)
     pose = np.repeat(targets.pose["arm"][:1], targets.count, axis=0)
     spin = np.zeros_like(pose)
     spin[:, 0, 0] = spin[:, 1, 1] = np.cos(turn)

@@ -11,7 +11,7 @@ from planner.catalogue.robots import robot, robot_names
 from planner.cell.kinematics import forward
 from planner.geometry.rigid import exp_twist, from_parts
 from planner.motion import arm_kinematics
-from planner.motion.arm_kinematics import TWO_PI, Chain, wrap
+from planner.motion.arm_kinematics import FULL_TURN, Chain, wrap
 
 
 @pytest.mark.parametrize("name", robot_names())
@@ -72,7 +72,7 @@ def test_angles_come_wrapped_around_the_middle_of_each_range() -> None:
 
 
 def test_turns_are_those_of_axes_4_and_6_of_the_irb140() -> None:
-    counts = np.round(chain().turns / TWO_PI).astype(int)
+    counts = np.round(chain().turns / FULL_TURN).astype(int)
     assert np.array_equal(counts[0], np.zeros(6))
     assert {tuple(row[[3, 5]]) for row in counts} == {(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)}
     assert not counts[:, [0, 1, 2, 4]].any()

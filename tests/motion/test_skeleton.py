@@ -27,7 +27,7 @@ AWAY = np.array([[1.0, 0, 0, 0], [0, 1, 0, 3.0], [0, 0, 1, 0], [0, 0, 0, 1]])
 
 @pytest.fixture(autouse=True)
 def _few_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(skeleton, "LONG", 100)
+    monkeypatch.setattr(skeleton, "LONG_JOB", 100)
 
 
 def facing(count: int, tilt: float = 0.0, obstacles: tuple[Obstacle, ...] = ()) -> tuple[Scene, Targets]:

@@ -17,7 +17,7 @@ from planner.motion.placement import Search
 from planner.motion.scene import Scene
 from planner.motion.search.ladder_search import Found, search
 from planner.motion.search.reach import sample
-from planner.motion.solve import _require_home, check, solve, stands
+from planner.motion.solve import _require_home, check, setup_groups, solve
 from planner.motion.trajectory import timing
 from planner.motion.trajectory.joint_path import dense
 from planner.problem import Change, Problem, Settings
@@ -283,7 +283,7 @@ def test_a_block_on_a_pedestal_is_as_high_as_one_in_stock(targets: Targets) -> N
 def test_homes_are_judged_without_what_the_block_will_stand_on(targets: Targets) -> None:
     job = problem(two_arms(1.8), targets, None)
     job = dataclasses.replace(job, stock=dataclasses.replace(job.stock, pedestal=PEDESTAL))
-    (stand,) = stands(job, [targets])
+    (stand,) = setup_groups(job, [targets])
     _require_home(job, stand, stand.models())
     assert stand.models()[0].stock.pedestal is PEDESTAL
 

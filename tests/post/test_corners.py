@@ -129,7 +129,12 @@ def test_a_tight_cutter_takes_half_of_what_is_allowed_and_a_ball_its_share():
 
 def test_sizes_of_zones_are_no_farther_apart_than_the_clock_counts_with():
     rapid = sorted([15.0, 8.0, 1.0, 0.3, *rapid_syntax.OWN_ZONES.values()])
-    for sizes in (rapid, rapid_syntax.TURN_ZONES.values(), linear_moves.DISTANCES, linear_moves.ANGLES):
+    for sizes in (
+        rapid,
+        rapid_syntax.TURN_ZONES.values(),
+        linear_moves.APPROXIMATION_DISTANCES,
+        linear_moves.APPROXIMATION_ANGLES,
+    ):
         found = np.sort(np.array(list(sizes)))
         coarse = found[1:] > corner_rounding.PATH_ACCURACY_MM
         assert (found[1:] / found[:-1] <= corner_rounding.ZONE_STEP + 1e-9)[coarse].all()

@@ -10,7 +10,7 @@ from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.geometry.rigid import from_rpy
 from planner.issues import Severity
-from planner.post.krl.controller_files import MEMORY, notes
+from planner.post.krl.controller_files import MEMORY_BYTES, notes
 from planner.post.krl.program import ptp_percent
 from planner.post.steps import build
 from planner.post.write import notes as told
@@ -45,8 +45,8 @@ def test_a_large_turn_in_one_move_is_told_with_what_it_may_be_off(dialect, sever
 def test_programs_that_fill_a_controller_are_told():
     plan, problem = krl_job.alone()
     job = build(plan, problem)
-    assert notes(job, plan, problem, {"left/test.src": "x" * MEMORY, "right/test.src": "x" * 99}) == ()
-    (issue,) = notes(job, plan, problem, {"left/test.src": "x" * MEMORY, "left/test.dat": "x"})
+    assert notes(job, plan, problem, {"left/test.src": "x" * MEMORY_BYTES, "right/test.src": "x" * 99}) == ()
+    (issue,) = notes(job, plan, problem, {"left/test.src": "x" * MEMORY_BYTES, "left/test.dat": "x"})
     assert (issue.code, issue.severity) == ("post.krl_size", Severity.WARNING)
 
 

@@ -83,8 +83,8 @@ def test_what_no_panel_can_show_is_refused(text, word):
 @pytest.mark.parametrize("arm", ["a", "n" * NAME_LENGTH])
 def test_texts_with_the_longest_names_fit(arm):
     for form in (dialogue.WAITING, dialogue.TOGETHER, dialogue.FOOT):
-        assert len(form.say(arm=arm)) <= 80
-    assert len(texts(krl_syntax.during(dialogue.TOGETHER.say(arm=arm), ["x()"], "krc4"))) == 1
+        assert len(form.filled(arm=arm)) <= 80
+    assert len(texts(krl_syntax.during(dialogue.TOGETHER.filled(arm=arm), ["x()"], "krc4"))) == 1
     assert all(len(line) <= 200 for line in krl_syntax.robroot_check(arm, "krc4"))
 
 

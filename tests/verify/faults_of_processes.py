@@ -299,8 +299,14 @@ STRAIGHT: Final = (
     ),
     Fault("straight_slide_too_far", "ruled", {"hotwire.straight.job:freedoms": result(_far_slide)}),
     Fault("straight_slit_through_part", "plate", {"hotwire.straight.cut:choose": result(_through)}),
-    Fault("straight_outline_first", "plate", {"hotwire.straight.order:wanted": result(lambda w: w[::-1])}),
-    Fault("straight_surface_lost", "plate", {"hotwire.straight.order:wanted": result(lambda w: w[:-1])}),
+    Fault(
+        "straight_outline_first",
+        "plate",
+        {"hotwire.straight.order:wanted_surfaces": result(lambda w: w[::-1])},
+    ),
+    Fault(
+        "straight_surface_lost", "plate", {"hotwire.straight.order:wanted_surfaces": result(lambda w: w[:-1])}
+    ),
     Fault("straight_feed_times_ten", "ruled", {"hotwire.straight.job:_feeds": result(_scaled(10.0))}),
     Fault("straight_feed_tenth", "ruled", {"hotwire.straight.job:_feeds": result(_scaled(0.1))}),
     Fault("straight_no_heating", "ruled", {"hotwire.straight.route:actions": result(_short_waits)}),
@@ -488,7 +494,7 @@ MILLING: Final = (
     Fault("gcode_increments_absolute", "gcode", {"milling.gcode.moves:_place": _always_absolute}),
     Fault("gcode_feed_per_second", "gcode", {"milling.gcode.moves:_feed": result(_scaled(60.0))}),
     Fault("gcode_line_lost", "gcode", {"milling.gcode.passes:_kept": result(_rows_lost)}),
-    Fault("gcode_thinned", "gcode", {"milling.gcode.passes:CHORD": value(20.0)}),
+    Fault("gcode_thinned", "gcode", {"milling.gcode.passes:CHORD_SHARE": value(20.0)}),
     Fault(
         "gcode_rotary_sign",
         "gcode_rotary",

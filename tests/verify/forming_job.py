@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims.dialogue import Handshake, OperatorDialogue, Sentence, ask_step
+from planner.claims.dialogue import Handshake, OperatorDialogue, Sentence, question_step
 from planner.claims.forming import FormingFeed, FormsInOrder, FormsPart, FormsSheet, SheetState, ToolGap
 from planner.claims.segments import Segment
 from planner.geometry.rigid import from_parts, from_rpy
@@ -168,7 +168,7 @@ def claims(more=(), **changes):
         ToolGap(SEGMENT, ARMS, 1, (BALL, BALL), vertices, faces, thickness(vertices), GAP_TOLERANCE),
         FormingFeed(SEGMENT, ARMS, FEED),
     )
-    spoken = OperatorDialogue(ARMS, (ask_step(Sentence("Sheet clamped, nobody in the cell?")),))
+    spoken = OperatorDialogue(ARMS, (question_step(Sentence("Sheet clamped, nobody in the cell?")),))
     made = (*made, spoken)
     return {
         "dish": tuple(dataclasses.replace(c, **changes.get(type(c).__name__, {})) for c in (*made, *more))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 
-from planner.claims.dialogue import DialogueStep, Handshake, OperatorDialogue, Sentence, ask_step
+from planner.claims.dialogue import DialogueStep, Handshake, OperatorDialogue, Sentence, question_step
 from planner.post import write
 from planner.problem import Controller
 from planner.targets import Action
@@ -38,7 +38,7 @@ def plan(count=8):
 
 def claims():
     """Nothing is claimed but what the operator is asked, and what always has to hold."""
-    first = (ask_step(Sentence("Is the block in place?")), DialogueStep("wait", seconds=1.0))
+    first = (question_step(Sentence("Is the block in place?")), DialogueStep("wait", seconds=1.0))
     return {"panel": (OperatorDialogue(ARMS, first),)}
 
 

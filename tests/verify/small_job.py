@@ -19,10 +19,10 @@ from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, KerfCur
 from planner.claims.dialogue import (
     OperatorDialogue,
     Sentence,
-    ask_step,
+    message_step,
     power_off_steps,
     power_on_steps,
-    tell_step,
+    question_step,
 )
 from planner.claims.segments import Segment
 from planner.geometry.rigid import from_parts, from_rpy, inverse
@@ -143,12 +143,12 @@ def claims():
 def dialogue():
     """What the operator is told and asked."""
     first = (
-        tell_step(Sentence("Mount a wire of 495 mm, cold.")),
-        ask_step(Sentence("Press OK when the wire is mounted.")),
+        message_step(Sentence("Mount a wire of 495 mm, cold.")),
+        question_step(Sentence("Press OK when the wire is mounted.")),
         *power_on_steps(SIGNAL, 10.0),
-        ask_step(Sentence("Take up the slack at the slide, then press OK.")),
+        question_step(Sentence("Take up the slack at the slide, then press OK.")),
     )
-    last = (*power_off_steps(SIGNAL, 5.0), ask_step(Sentence("Take the wire off, then press OK.")))
+    last = (*power_off_steps(SIGNAL, 5.0), question_step(Sentence("Take the wire off, then press OK.")))
     return OperatorDialogue(("left", "right"), first, last, joined=True)
 
 

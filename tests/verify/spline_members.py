@@ -7,7 +7,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.spatial.transform import Rotation
 
-from planner.verify.krl.spline_curve import BENDS, ENDS, LEVER, OUTER
+from planner.verify.krl.spline_curve import BENDS, ENDS, OUTER, TURN_LEVER
 
 RULES = ("even", "chord", "centripetal", "time", "any")
 KINDS = ("random", "extreme", "catmull-rom", "five points", "akima", "minimum jerk", "flat")
@@ -16,7 +16,7 @@ KINDS = ("random", "extreme", "catmull-rom", "five points", "akima", "minimum je
 def rows(pose, i):
     """Steps (6,) of all segments of a block as segment i sees them, and the points (N + 1, 6)."""
     turn = (Rotation.from_matrix(pose[i, :3, :3]).inv() * Rotation.from_matrix(pose[:, :3, :3])).as_rotvec()
-    points = np.concatenate([pose[:, :3, 3] - pose[i, :3, 3], LEVER * turn], axis=1)
+    points = np.concatenate([pose[:, :3, 3] - pose[i, :3, 3], TURN_LEVER * turn], axis=1)
     return np.diff(points, axis=0), points
 
 
@@ -126,7 +126,7 @@ def member(i, pose, times, rule, kind, rng):
 
 def off(curve, steps, i, count=200):
     """How far a member of segment i is off the straight ways at most, its own and those beside it: in all six
-    numbers, by place, by turn [m, turns by LEVER]; and its highest rates: of all, and of the TCP."""
+    numbers, by place, by turn [m, turns by TURN_LEVER]; and its highest rates: of all, and of the TCP."""
     u = np.linspace(0.0, 1.0, count)
     own = steps[i]
     x = np.stack([p(u) for p in curve], axis=1)

@@ -8,7 +8,7 @@ import functools
 import numpy as np
 import pytest
 
-from planner.verify.prove import RULES, Prover
+from planner.verify.prove import RULE_CODES, Prover
 from tests.verify import held_job, straight_job
 from tests.verify.bow_mutants import HELD, STRAIGHT
 
@@ -35,7 +35,7 @@ def test_clean_programs_are_proven(job):
     assert [str(issue) for issue in proof.issues] == []
     assert all(rule.ran for rule in proof.rules)
     assert proof.ok
-    assert len(proof.rules) == len(RULES)
+    assert len(proof.rules) == len(RULE_CODES)
 
 
 @pytest.mark.parametrize("job", JOBS)

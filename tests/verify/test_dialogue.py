@@ -19,7 +19,7 @@ from planner.post import write
 from planner.post.krl import syntax as krl_syntax
 from planner.post.rapid import syntax
 from planner.verify.context import Context
-from planner.verify.programs.operator_dialogue import fit, on_panel, told_choice
+from planner.verify.programs.operator_dialogue import chosen_groups, fit, on_panel
 from planner.verify.prove import Prover
 from tests import line_ends
 from tests.milling import small_mill
@@ -125,11 +125,11 @@ def test_the_proof_is_of_the_wire_that_the_operator_is_told_to_mount():
     programs = dialogue_job.choice_programs()
     context = Context(small_job.problem(), dialogue_job.choice_claims(), programs)
     assert [type(claim) for claim in context.claims] == [OneOf]
-    told = told_choice(context)
+    told = chosen_groups(context)
     assert told.untold == ()
     assert [wire.length for wire in told.wires] == [pytest.approx(small_job.LENGTH)]
     longer = edit(programs, COLD, "513.2 mm")
-    told = told_choice(Context(small_job.problem(), dialogue_job.choice_claims(), longer))
+    told = chosen_groups(Context(small_job.problem(), dialogue_job.choice_claims(), longer))
     assert [wire.length for wire in told.wires] == [pytest.approx(small_job.LENGTH + 0.02)]
     assert [issue.code for issue in faults("choice", longer)] == [CODE]  # it is locked at another length
 
@@ -162,7 +162,7 @@ def test_a_wire_that_is_not_at_hand_is_refused(old, new):
 def test_wires_that_a_text_cannot_tell_apart_are_refused():
     (choice,) = dialogue_job.choice_claims()["panel"]
     twice = {"panel": (OneOf((choice.either[1], choice.either[1])),)}
-    context = told_choice(Context(small_job.problem(), twice, dialogue_job.choice_programs()))
+    context = chosen_groups(Context(small_job.problem(), twice, dialogue_job.choice_programs()))
     assert ["more than one" in issue.message for issue in context.untold] == [True]
 
 
@@ -479,14 +479,14 @@ def test_harmless_rewrites_of_krl_are_proven(name):
 
 def test_figures_are_held_with_their_rounding():
     mount = {"cold_mm": 493.2499}
-    assert fit(dialogue.MOUNT, mount, [dialogue.MOUNT.say(cold_mm=493.2)]).whole
-    assert fit(dialogue.MOUNT, {"cold_mm": 493.25}, [dialogue.MOUNT.say(cold_mm=493.2)]).whole
-    assert fit(dialogue.MOUNT, {"cold_mm": 493.25}, [dialogue.MOUNT.say(cold_mm=493.3)]).whole
-    assert not fit(dialogue.MOUNT, mount, [dialogue.MOUNT.say(cold_mm=493.3)]).whole
+    assert fit(dialogue.MOUNT, mount, [dialogue.MOUNT.filled(cold_mm=493.2)]).whole
+    assert fit(dialogue.MOUNT, {"cold_mm": 493.25}, [dialogue.MOUNT.filled(cold_mm=493.2)]).whole
+    assert fit(dialogue.MOUNT, {"cold_mm": 493.25}, [dialogue.MOUNT.filled(cold_mm=493.3)]).whole
+    assert not fit(dialogue.MOUNT, mount, [dialogue.MOUNT.filled(cold_mm=493.3)]).whole
     assert not fit(dialogue.MOUNT, mount, ["Mount wire: 493.20 mm cold between clamps"]).whole
     assert not fit(dialogue.MOUNT, mount, ["Mount wire: 49", "3.2 mm cold between clamps"]).whole
     wire = {"diameter_mm": 0.4, "material": "", "power_w": 1234567.0}
-    assert fit(dialogue.BOW_POWER, wire, [dialogue.BOW_POWER.say(**wire)]).whole
+    assert fit(dialogue.BOW_POWER, wire, [dialogue.BOW_POWER.filled(**wire)]).whole
 
 
 @pytest.mark.parametrize(
@@ -512,7 +512,7 @@ def test_panels_have_no_accents():
 WAIT_DI = r"WaitDI (\w+),(\d)\\MaxTime:=(\d+);"
 
 
-UNANSWERED = dialogue.UNANSWERED.say(other="right")
+UNANSWERED = dialogue.UNANSWERED.filled(other="right")
 
 
 def flagged(end, text=UNANSWERED):

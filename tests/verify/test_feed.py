@@ -44,7 +44,7 @@ def test_a_wire_that_only_slides_does_not_cut() -> None:
 
 
 def test_programs_longer_than_what_is_replayed_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(playback, "LONGEST", 1.0)
+    monkeypatch.setattr(playback, "LONGEST_MOTION", 1.0)
     prover = Prover(small_job.problem(), small_job.claims())
     with pytest.raises(TandemError) as caught:
         prover.prove(small_job.programs(12))

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from planner.verify.forming.face import Face, Nearest
-from planner.verify.forming.state import TIED, Balls, Track
+from planner.verify.forming.state import TOUCHED_WITHIN, Balls, Track
 from planner.verify.rules.forming_two_tools import _turned
 
 TILT = np.radians(60.0)
@@ -38,7 +38,7 @@ def turned(centre: np.ndarray, line: np.ndarray, walls: np.ndarray = WALLS, upri
     rows = np.zeros(1, dtype=np.int64)
     joined = np.zeros(0, dtype=np.bool_)
     way = Track(("left", "right"), rows, both, np.ones(1, dtype=np.bool_), joined, (), np.eye(4)[None])
-    found = face.nearest(both[:, 0], TIED)
+    found = face.nearest(both[:, 0], TOUCHED_WITHIN)
     return float(np.rad2deg(_turned(way, rows, face, found, 1, upright=upright)[0]))
 
 
@@ -125,6 +125,6 @@ def test_what_is_nearest_is_the_same_however_it_is_asked() -> None:
     way = Track(("left",), np.arange(60), centre, own, joined, (), np.eye(4)[None])
     balls = Balls(way, face)
     for rows in (np.array([3, 10, 40]), np.array([0, 3, 7, 41]), np.arange(60), np.array([5])):
-        got, wanted = balls.near(rows), face.nearest(centre[rows, 0], TIED)
+        got, wanted = balls.near(rows), face.nearest(centre[rows, 0], TOUCHED_WITHIN)
         for field in dataclasses.fields(Nearest):
             assert np.array_equal(getattr(got, field.name), getattr(wanted, field.name)), field.name

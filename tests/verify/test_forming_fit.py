@@ -79,7 +79,7 @@ def test_what_is_left_in_a_sharp_corner_is_a_fillet_of_the_ball() -> None:
 
 def test_long_triangles_are_left_with_fillets_at_all_their_corners(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pit as drawn, of a few triangles, with more small pieces than are looked at."""
-    monkeypatch.setattr(forming_face, "_MOST", 20_000)
+    monkeypatch.setattr(forming_face, "_MOST_PIECES", 20_000)
     ball, half, deep, angle = 0.003, 0.02, 0.006, np.radians(50.0)
     mesh = pit(shapely.box(-half, -half, half, half), 50.0, deep)
     left = left_by(Face(mesh.vertices, mesh.faces, ball), ball, 1, 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.verify.forming.swept import LOOKED, Head, HeadWay
+from planner.verify.forming.swept import LOOK_STEP, Head, HeadWay
 
 RADIUS, LONG = 0.008, 0.12
 PROFILE = np.array([[0.0, RADIUS], [LONG, RADIUS]])
@@ -27,7 +27,7 @@ def _way(seed: int, rise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("rise", [0.0, 0.006])
 def test_the_deepest_point_is_found_all_along_the_way(rise: float) -> None:
     """A point is inside a cylinder by the least of what it is off the mantle and the front; the rear is open.
-    Between looks no place of the tool goes farther than half of ``LOOKED``."""
+    Between looks no place of the tool goes farther than half of ``LOOK_STEP``."""
     centre, axis, up = _way(4, rise)
     points = np.random.default_rng(5).uniform([-0.06, -0.06, -0.01], [0.06, 0.06, 0.03], (400, 3))
     deep, rows = Head.of(PROFILE, 0.0).into(points, HeadWay.of(centre, axis, up, LONG), 1e-4)
@@ -43,9 +43,9 @@ def test_the_deepest_point_is_found_all_along_the_way(rise: float) -> None:
     found[rows] = deep
     there = (found > 0.0) & (behind.max(axis=1) < LONG)
     np.testing.assert_allclose(found[there], exact[there], atol=1e-9)
-    for row in np.flatnonzero(exact > 0.5 * LOOKED + 1e-4):
+    for row in np.flatnonzero(exact > 0.5 * LOOK_STEP + 1e-4):
         nearest = rows[np.argmin(np.abs(rows - row))]
-        assert found[nearest] >= exact[row] - 0.5 * LOOKED
+        assert found[nearest] >= exact[row] - 0.5 * LOOK_STEP
 
 
 def test_a_disk_flat_on_a_sheet_has_nothing_inside_until_it_dips() -> None:

@@ -10,7 +10,7 @@ import pytest
 from planner import pipeline, processes
 from planner.claims.claim import Claim, HoldsStock
 from planner.issues import TandemError
-from planner.verify.prove import PROVEN_BY, RULES, prove, unproven
+from planner.verify.prove import PROVEN_BY, RULE_CODES, prove, unproven
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,7 +22,7 @@ class GluesParts:
 
 def test_every_kind_of_claim_has_rules() -> None:
     assert set(PROVEN_BY) == set(get_args(Claim))
-    assert {code for codes in PROVEN_BY.values() for code in codes} <= set(RULES)
+    assert {code for codes in PROVEN_BY.values() for code in codes} <= set(RULE_CODES)
     assert all(PROVEN_BY.values())
 
 

@@ -7,7 +7,7 @@ from planner.catalogue.robots import robot, robot_names
 from planner.cell.kinematics import forward, link_frames
 from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import (
-    NEAR_ZERO,
+    NEAR_ZERO_ANGLE,
     select_by_status,
     singularity_distance,
     status_of,
@@ -34,7 +34,7 @@ def test_they_select_the_joints_that_they_were_made_from(name):
         found = select_by_status(machine, forward(machine.data, q), int(status_of(machine, q)), turn_of(q))
         assert len(found.q) == 1
         assert np.abs(found.q[0] - q).max() < 1e-9
-        assert found.near_zero == tuple(np.flatnonzero(np.abs(q) < NEAR_ZERO) + 1)
+        assert found.near_zero == tuple(np.flatnonzero(np.abs(q) < NEAR_ZERO_ANGLE) + 1)
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -61,7 +61,7 @@ def test_bits_are_what_the_manual_draws(name):
 def test_other_bits_select_no_joints_or_others(name):
     machine = arm_model.machine_of(name)
     for q in samples(machine, 40, 9):
-        if np.abs(q).min() < NEAR_ZERO:
+        if np.abs(q).min() < NEAR_ZERO_ANGLE:
             continue
         status, turn = int(status_of(machine, q)), turn_of(q)
         flange = forward(machine.data, q)

@@ -27,8 +27,8 @@ def sweep():
 @pytest.fixture
 def few(monkeypatch):
     """Few looks are many here."""
-    monkeypatch.setattr(clearance_samples, "SHOWN", 80)
-    monkeypatch.setattr(clearance_samples, "BATCH", 16)
+    monkeypatch.setattr(clearance_samples, "MOST_MEASURED", 80)
+    monkeypatch.setattr(clearance_samples, "SAMPLES_AT_ONCE", 16)
 
 
 def test_up_to_a_number_all_looks_are_measured(sweep):
@@ -46,7 +46,10 @@ def test_no_look_below_the_limit_and_no_least_distance_is_missed(sweep, few, lim
     assert set(np.flatnonzero(whole.distance < limit)) <= set(found.look)
     assert np.allclose(found.least.distance, whole.distance[found.look], atol=1e-9)
     assert [whole.pair[i] for i in found.look] == list(found.least.pair)
-    assert min(found.least.distance.min(), found.rest) <= whole.distance.min() + clearance_samples.PRECISE
+    assert (
+        min(found.least.distance.min(), found.rest)
+        <= whole.distance.min() + clearance_samples.DISTANCE_PRECISION
+    )
     assert found.rest <= np.delete(whole.distance, found.look).min(initial=np.inf) + clearance.BOUND_ERROR
     assert len(found.look) < COUNT
 

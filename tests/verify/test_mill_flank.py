@@ -88,7 +88,7 @@ def dense(tip: FloatArray, axis: FloatArray, step: float = 0.8e-3) -> tuple[Floa
 def parts(own: MillingJob, run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Samples of a pass, and of its ways away from it."""
     path = run.path
-    start, end = ends(own.operation, run, own.made.box)
+    start, end = ends(own.operation, run, own.planned.box)
     into = np.concatenate([start[None], path.tip[: run.first + 1]])[::-1]
     turned = np.concatenate([path.axis[:1], path.axis[: run.first + 1]])[::-1]
     out = np.concatenate([path.tip[run.last :], end[None]])
@@ -112,7 +112,7 @@ def held(claim: MillsFlank, number: int, found: dict[str, tuple[FloatArray, Floa
 @pytest.mark.parametrize("name", CASES)
 def test_what_the_planner_lays_keeps_to_the_surface(tmp_path: Path, name: str) -> None:
     own, claim = job(tmp_path, **CASES[name])
-    for number, run in enumerate(own.made.runs):
+    for number, run in enumerate(own.planned.runs):
         assert held(claim, number, parts(own, run)) == []
 
 
@@ -165,7 +165,7 @@ def _led(tip: FloatArray, axis: FloatArray, claim: MillsFlank) -> tuple[FloatArr
 def test_what_is_off_it_is_found(tmp_path: Path, name: str, wrong: str) -> None:
     own, claim = job(tmp_path, **CASES[name])
     last = len(claim.segments) - 1
-    tip, axis = WRONG[wrong](*parts(own, own.made.runs[-1])[""], claim)
+    tip, axis = WRONG[wrong](*parts(own, own.planned.runs[-1])[""], claim)
     found = surface_passes.passed(claim, last, tip, axis)
     assert found.faults or found.off.max() > 1.0
 
@@ -194,7 +194,7 @@ ASTRAY: dict[str, Change] = {
 @pytest.mark.parametrize("phase", ["_in", "_out"])
 def test_ways_that_go_elsewhere_are_found(tmp_path: Path, phase: str, wrong: str) -> None:
     own, claim = job(tmp_path, **CASES["short lead"])
-    found = parts(own, own.made.runs[0])
+    found = parts(own, own.planned.runs[0])
     rows = [0, 1] if phase == "_in" else [-1, -2]
     end = found[""][0][rows], found[""][1][rows]
     way = surface_passes.ways(claim, 0, end, *ASTRAY[wrong](*found[phase], claim))

@@ -12,7 +12,7 @@ from planner.claims.claim import SparesPart
 from planner.claims.segments import Segment
 from planner.tooling import Cutter
 from planner.verify.milling.tool_motion import Milling, Track, signed, solids
-from planner.verify.rules.milling_cutter import _GOUGE, _step, mill_gouge
+from planner.verify.rules.milling_cutter import _GOUGE_SPACING, _step, mill_gouge
 
 BEHIND = np.array([[0.06, 0.06], [0.1, 0.06], [0.1, 0.03], [0.3, 0.03]])
 CUTTER = Cutter("cylinder", 0.003, 0.0, 0.02, 0.06, 0.003, BEHIND)
@@ -62,7 +62,7 @@ def test_the_flat_nose_of_a_leaning_holder_is_named() -> None:
     deep."""
     track = _track()
     holder = solids(CUTTER)[2]
-    tip, axis, _ = track.spaced(_GOUGE * _step(holder, TOLERANCE))
+    tip, axis, _ = track.spaced(_GOUGE_SPACING * _step(holder, TOLERANCE))
     rng = np.random.default_rng(5)
     some = rng.integers(0, len(tip), 2400)
     beside = np.cross(axis[some], rng.normal(size=(2400, 3)))

@@ -49,7 +49,7 @@ def job(folder: Path, tool: str, cut: dict[str, Any]) -> tuple[MillingJob, Mills
 
 def samples(own: MillingJob) -> tuple[FloatArray, FloatArray]:
     """Samples of all passes."""
-    rows = [dense(run.path.tip, run.path.axis) for run in own.made.runs]
+    rows = [dense(run.path.tip, run.path.axis) for run in own.planned.runs]
     return np.concatenate([tip for tip, _ in rows]), np.concatenate([axis for _, axis in rows])
 
 

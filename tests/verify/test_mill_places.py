@@ -43,7 +43,7 @@ def test_a_spot_is_found_on_a_face_of_any_size(where: float) -> None:
     tip, axis = dipped(2.5e-4, where)
     for solid, size in ((BALL, round_size(BALL.radius, TOLERANCE)), (FLAT, rim_size(TOLERANCE))):
         places, count = near_places(FIELD, solid, tip, axis, size)
-        assert count == len(places) < tool_motion.MOST
+        assert count == len(places) < tool_motion.MOST_FACE_POINTS
         off, _ = sweep(places, tip, axis, solid)
         assert -2.5e-4 - 1e-9 <= off.min() < -2.4e-4 + 0.5 * TOLERANCE
     coarse, _ = small_pieces(FIELD, round_size(BALL.radius, TOLERANCE), 240_000)  # all over it
@@ -77,12 +77,12 @@ def test_what_is_too_large_is_refused_by_the_planner_first_and_not_proven(
     read = problem(tmp_path, WALL, shape_tol_mm=0.1)
     outcome = pipeline.plan(read)
     assert outcome.verified, outcome.issues
-    monkeypatch.setattr(tool_motion, "MOST", 40_000)
-    monkeypatch.setattr(milling_cutter, "MOST", 40_000)
+    monkeypatch.setattr(tool_motion, "MOST_FACE_POINTS", 40_000)
+    monkeypatch.setattr(milling_cutter, "MOST_FACE_POINTS", 40_000)
     proof = pipeline.verify(read, outcome.programs)
     (issue, *_) = [i for i in proof.issues if i.code == "verify.mill_gouge"]
     assert not proof.ok and issue.limit == 40_000 and "places" in issue.message
-    monkeypatch.setattr(check, "POINTS", 30_000)
+    monkeypatch.setattr(check, "MOST_FACE_POINTS", 30_000)
     with pytest.raises(TandemError) as caught:
         processes.job(read, 0).targets()
     (told,) = caught.value.issues
@@ -122,7 +122,7 @@ def test_a_mesh_that_is_dense_in_one_place_is_looked_at_all_over() -> None:
 
 def test_long_thin_facets_that_are_too_many_pieces_are_no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
     vertices, faces = uneven()
-    monkeypatch.setattr(cut_surface, "MOST", 10_000)
+    monkeypatch.setattr(cut_surface, "MOST_PIECES", 10_000)
     with pytest.raises(TandemError) as caught:
         divided(vertices[faces[:2]], 0.002)
     (issue,) = caught.value.issues
@@ -141,7 +141,7 @@ def test_what_a_ball_leaves_of_a_facet_that_is_not_looked_at_closely_is_the_face
     faces = [[0, 1, 2], [0, 2, 3], *([a, b, c] for a, b, c, _ in sides), *([a, c, d] for a, _, c, d in sides)]
     face = Face(vertices, np.array(faces)[:, ::1], 0.005)
     for most in (25_000, 300):
-        monkeypatch.setattr(forming_face, "_MOST", most)
+        monkeypatch.setattr(forming_face, "_MOST_PIECES", most)
         left = left_by(face, 0.005, 1, 0.0)
         middle = np.array([[x, y, 0.0] for x in (-0.03, 0.0, 0.02) for y in (-0.02, 0.01, 0.03)])
         assert np.abs(left.nearest(middle - [0, 0, high]).apart).max() < 2e-5

@@ -74,7 +74,7 @@ HARMLESS = {
     "blanks": lambda: rewritten(r",(?=[-\d])", " ,\t "),
     "lines of Windows": lambda: modules(lambda t: t.replace("\n", "\r\n")),
     "lines of an old Mac": lambda: modules(lambda t: t.replace("\n", "\r")),
-    "a byte order mark": lambda: modules(lambda t: program_text.MARK + t),
+    "a byte order mark": lambda: modules(lambda t: program_text.BYTE_ORDER_MARK + t),
     "letters in comments": lambda: rewritten(r"(?m)^( *!.*)$", "\\1 gr\xf6\xdfer \u2192 \u041f\u0443 \x93"),
     "Latin letters": lambda: {
         f: program_text.decode(t.replace("! ", "! \xc5\xe4\x96 ", 3).encode("latin-1"))
@@ -229,7 +229,7 @@ def test_files_are_read_in_their_own_coding(tmp_path, coding):
     text = "MODULE a\r\n! gr\xf6\xdfer\r\nENDMODULE\r\n"
     (tmp_path / "programs").mkdir()
     (tmp_path / "programs" / "T_ROB1.mod").write_bytes(text.encode(coding))
-    assert pipeline.read_programs(tmp_path)["T_ROB1.mod"].removeprefix(program_text.MARK) == text
+    assert pipeline.read_programs(tmp_path)["T_ROB1.mod"].removeprefix(program_text.BYTE_ORDER_MARK) == text
 
 
 @pytest.mark.parametrize("number", ["999E9", "9E8", "0", "9.1E9"])

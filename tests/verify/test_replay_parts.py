@@ -37,13 +37,16 @@ def test_out_of_reach_is_nan():
     assert np.isnan(inverse_kinematics.solve(machine, pose, np.zeros(1, dtype=int))).any()
 
 
+def quadrants(q):
+    """cf1, cf4, cf6 (..., 3) of serial joint angles (..., 6)."""
+    return np.floor(q[..., [0, 3, 5]] / (0.5 * np.pi)).astype(np.int64)
+
+
 def test_confdata_alone_select_the_solution():
     machine = arm_model.machine_of("irb140")
     q = np.random.default_rng(5).uniform(machine.data.lower, machine.data.upper, (2000, 6))
     q = q[inverse_kinematics.singularity_distance(machine, q) > 0.05]
-    conf = np.concatenate(
-        [inverse_kinematics.quadrants(q), inverse_kinematics.branch_of(machine, q)[:, None]], axis=1
-    )
+    conf = np.concatenate([quadrants(q), inverse_kinematics.branch_of(machine, q)[:, None]], axis=1)
     assert (
         np.abs(inverse_kinematics.select_by_confdata(machine, forward(machine.data, q), conf) - q).max()
         < 1e-9
@@ -57,9 +60,12 @@ def test_confdata_alone_select_the_solution():
     ("degrees", "quadrant"), [(0.0, 0), (89.0, 0), (90.0, 1), (-1.0, -1), (-91.0, -2), (370.0, 4)]
 )
 def test_quadrants_as_in_the_manual(degrees, quadrant):
-    q = np.zeros(6)
-    q[5] = np.deg2rad(degrees)
-    assert inverse_kinematics.quadrants(q)[2] == quadrant
+    machine = arm_model.machine_of("irb140")
+    q = np.zeros((1, 6))
+    q[0, 5] = np.deg2rad(degrees)
+    conf = np.array([[0, 0, quadrant, inverse_kinematics.branch_of(machine, q)[0]]])
+    assert inverse_kinematics.fits_confdata(machine, q, conf).all()
+    assert not inverse_kinematics.fits_confdata(machine, q, conf + np.array([0, 0, 1, 0])).any()
 
 
 def law(reach=0.5, room=0.0):
@@ -151,7 +157,7 @@ def test_the_cut_of_a_cylinder_is_off_by_what_its_radius_says():
 @pytest.mark.parametrize("job", [small_job, held_job])
 def test_samples_worked_out_in_parts_are_the_same(job, monkeypatch):
     whole = Context(job.problem(), job.claims(), job.programs()).motion
-    monkeypatch.setattr(moves, "CHUNK", 97)
+    monkeypatch.setattr(moves, "SAMPLES_AT_ONCE", 97)
     parts = Context(job.problem(), job.claims(), job.programs()).motion
     for arm in whole.q:
         assert np.abs(whole.q[arm] - parts.q[arm]).max() < 1e-12

@@ -36,7 +36,7 @@ def folder(tmp_path, monkeypatch):
     small_job.programs()
     copy = tmp_path / "urdf"
     shutil.copytree(robots.data_dir("urdf"), copy)
-    monkeypatch.setattr(robots, "_HERE", tmp_path / "planner")
+    monkeypatch.setattr(robots, "_PACKAGE", tmp_path / "planner")
     robots._table.cache_clear()
     yield copy
     robots._table.cache_clear()

@@ -10,7 +10,7 @@ import pytest
 
 from planner import pipeline, processes
 from planner.claims.forming import FormsByTable
-from planner.forming.paths.adsif_response import BUILT_IN
+from planner.forming.paths.adsif_response import BUILT_IN_FILE
 from planner.geometry.arrays import Mesh
 from planner.motion import solve
 from planner.post import write
@@ -250,7 +250,7 @@ def test_claims_that_the_table_does_not_hold_for_are_told(made):
     ],
 )
 def test_the_inverse_of_the_table(wall, prefer, position, gap):
-    table = accumulative.wanted(BUILT_IN.read_text(), prefer)
+    table = accumulative.wanted_conditions(BUILT_IN_FILE.read_text(), prefer)
     k = int(np.argmin(np.abs(table.wall - np.deg2rad(wall))))
     assert np.rad2deg(table.position[k]) == pytest.approx(position, abs=0.05)
     assert table.gap[k] == pytest.approx(gap, abs=0.002)
@@ -258,6 +258,6 @@ def test_the_inverse_of_the_table(wall, prefer, position, gap):
 
 def test_a_text_that_is_no_table_is_refused():
     with pytest.raises(ValueError, match="fewer than two"):
-        accumulative.wanted(
+        accumulative.wanted_conditions(
             "# metal: x\ngap_over_thickness,position_angle_deg,wall_angle_deg\n1,25,unstable\n", "gap"
         )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planner.catalogue.issue_codes import CODES
-from planner.verify.prove import RULES, Prover, prove
+from planner.verify.prove import RULE_CODES, Prover, prove
 from tests.verify import small_job
 from tests.verify.mutants import MUTATORS
 
@@ -35,11 +35,11 @@ def failing(programs, last=None):
 
 
 def test_there_are_rules_enough_and_each_has_a_code():
-    assert len(RULES) == len(set(RULES)) >= 25
-    assert set(RULES) <= set(CODES)
+    assert len(RULE_CODES) == len(set(RULE_CODES)) >= 25
+    assert set(RULE_CODES) <= set(CODES)
 
 
-@pytest.mark.parametrize("code", RULES)
+@pytest.mark.parametrize("code", RULE_CODES)
 def test_clean_programs_pass(code):
     rule = clean().rule(code)
     assert rule.ran, rule

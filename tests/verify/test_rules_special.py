@@ -152,7 +152,7 @@ def test_drake_must_put_the_tools_where_the_replay_has_them():
     assert robot_motion.kinematics(context, lambda _: model).issues == ()
     motion = context.motion
     off = {arm: Poses.of(pose[:]) for arm, pose in motion.tcp.items()}
-    off["left"].place[:, 0] += 2.0 * robot_motion.KINEMATICS
+    off["left"].place[:, 0] += 2.0 * robot_motion.TCP_ERROR
     context.__dict__["motion"] = dataclasses.replace(motion, tcp=off)
     found = robot_motion.kinematics(context, lambda _: model).issues
     assert {issue.code for issue in found} == {"verify.kinematics"}

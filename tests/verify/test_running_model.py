@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planner.verify.programs.handshake_model import Action, check
-from planner.verify.rules.handshake import _CASES
+from planner.verify.rules.handshake import _MODEL_CASES
 
 LEAD, FOLLOW = 0, 1
 WIRES = 2
@@ -61,7 +61,7 @@ def both(**options):
 def kinds(programs):
     """Kinds of faults over all cases that the rule looks at."""
     out = set()
-    for gates, running in _CASES:
+    for gates, running in _MODEL_CASES:
         out |= {finding.kind for finding in check(programs, WIRES, gates, running=running).findings}
     return out
 

@@ -214,11 +214,11 @@ def test_a_stated_lead_is_followed(tmp_path: Path, ruled: list[Any], more: dict[
 def test_a_lead_that_the_planner_ignores(
     tmp_path: Path, unchecked: pytest.MonkeyPatch, ruled: list[Any], more: dict[str, Any]
 ) -> None:
-    wanted = job.wanted
+    wanted = job.wanted_surfaces
     free = [
         lambda one: dataclasses.replace(one, cut=one.cut.model_copy(update={"lead": "auto"})),
     ]
-    unchecked.setattr(job, "wanted", lambda *given: [free[0](one) for one in wanted(*given)])
+    unchecked.setattr(job, "wanted_surfaces", lambda *given: [free[0](one) for one in wanted(*given)])
     assert "verify.slit" in codes(planned(problem(tmp_path, ruled, **more)))
 
 
@@ -247,7 +247,7 @@ def test_a_slot_that_is_wider_than_the_gap_to_the_next_surface(
 ) -> None:
     """By hand: half a slot off the one, it reaches beyond the other by the slot less the gap. All of the
     surface is looked at, in however many batches."""
-    unchecked.setattr(walls, "BATCH", batch)
+    unchecked.setattr(walls, "PIECES_AT_ONCE", batch)
     outcome = planned(problem(tmp_path, facing(0.0004)))
     slot = float(PROBLEM["operations"][0]["kerf_mm"])  # type: ignore[index]
     found = [issue for issue in outcome.proof.issues if issue.code == "verify.part"]

@@ -59,9 +59,9 @@ def test_claims_lose_what_curves_may_be_off():
     claim = MillsAlong(segment, "robot", tip, tip, np.array([0.0, 0.02]), 1e-4, 0.01)
     less = krl_spline._less(claim, most)
     assert less.tolerance == pytest.approx(7e-5) and less.turn == pytest.approx(0.0096)
-    assert less.feed[1] == pytest.approx(0.02 / krl_spline.FASTER)
+    assert less.feed[1] == pytest.approx(0.02 / krl_spline.FASTER_FACTOR)
     window = krl_spline._less(FeedWindow(segment, 0.0, 0.03), most)
-    assert window.upper == pytest.approx(0.03 / krl_spline.FASTER)
+    assert window.upper == pytest.approx(0.03 / krl_spline.FASTER_FACTOR)
     assert most.at(0.1) == pytest.approx(5e-5)
 
 

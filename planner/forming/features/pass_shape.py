@@ -23,11 +23,12 @@ from planner.forming.features.tree import FeatureTree
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh
 from planner.geometry.mesh import TriangleMesh, face_normals
 
-RING: Final = 0.03
+RIM_WIDTH: Final = 0.03
 """Width [m] of the flat that is kept around a feature."""
-LEVEL: Final = float(np.cos(np.radians(1.0)))
-"""Faces of a floor whose normal is so near to z are level."""
-_EXACT: Final = 1e-9
+LEVEL_COSINE: Final = float(np.cos(np.radians(1.0)))
+"""Faces of a floor whose normal is nearer to z than this cosine (1 degree) are level."""
+_MOVED_SHARE: Final = 1e-9
+"""A vertex whose share of a feature is no larger has not been moved by it."""
 
 
 def alone(mesh: Mesh, tree: FeatureTree, feature: int, shift: float) -> Mesh:
@@ -37,7 +38,7 @@ def alone(mesh: Mesh, tree: FeatureTree, feature: int, shift: float) -> Mesh:
     its own start. ``mesh`` is what the tree was built of, its normals all up or all down.
     """
     share, start = _levelled(mesh, tree, feature), tree.feature(feature).start + shift
-    kept = (np.abs(share) > _EXACT)[mesh.faces].any(axis=1)
+    kept = (np.abs(share) > _MOVED_SHARE)[mesh.faces].any(axis=1)
     used, index = np.unique(mesh.faces[kept], return_inverse=True)
     faces = np.asarray(index).reshape(-1, 3).astype(np.int64)
     vertices = np.column_stack([mesh.vertices[used, :2], start + share[used]])
@@ -53,11 +54,11 @@ def _levelled(mesh: Mesh, tree: FeatureTree, feature: int) -> FloatArray:
     near = mesh.faces[(np.abs(share[mesh.faces] - total) < tree.noise).all(axis=1)]
     normals = face_normals(TriangleMesh(np.column_stack([mesh.vertices[:, :2], share]), near))
     out: FloatArray = share.copy()
-    out[near[np.abs(normals[:, 2]) > LEVEL]] = total
+    out[near[np.abs(normals[:, 2]) > LEVEL_COSINE]] = total
     return out
 
 
-def with_ring(mesh: Mesh, level: float, width: float = RING) -> Mesh:
+def with_ring(mesh: Mesh, level: float, width: float = RIM_WIDTH) -> Mesh:
     """A mesh whose rim is at ``level`` [m] together with the flat in its holes and around it."""
     outer: list[shapely.Polygon] = []
     holes: list[shapely.Polygon] = []
@@ -133,15 +134,20 @@ def _area(ring: FloatArray) -> float:
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-LEVELS: Final = 80
-STEP: Final = (0.2e-3, 1e-3)
-"""Contours over the depth, and bounds [m] of their distance."""
-PLAIN: Final = 5e-3
+CONTOURS_PER_DEPTH: Final = 80
+"""Contours over the depth of a feature, within the bounds of `CONTOUR_STEP`."""
+CONTOUR_STEP: Final = (0.2e-3, 1e-3)
+"""Least and largest distance [m] of contours in depth."""
+PLAIN_STEP: Final = 5e-3
 """Contours of the mesh are at most so far apart [m] in height where only the angle limits the shape."""
-_SAME: Final = 1e-7
-_SLIGHT: Final = 1e-6
-_ROUND: Final = 5e-7
-_LAST: Final = (0.5, 0.2, 0.05)
+_SAME_AREA: Final = 1e-7
+"""Share of its area by which a contour may differ from the one that the angle alone makes of it."""
+_FIRST_DEPTH: Final = 1e-6
+"""Depth [m] of the first contour, just below the flat, whose own contour is not defined."""
+_OUTLINE_TOLERANCE: Final = 5e-7
+"""Contours lose points that are off them by less than this [m]."""
+_LAST_STEPS: Final = (0.5, 0.2, 0.05)
+"""Places of the last contours above the bottom, over the step between contours."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -172,10 +178,10 @@ def depth_areas(face: Mesh, side: int, start: float, end: float) -> tuple[FloatA
     """Depths (L,) [m] from 0 to nearly all, and the areas of a face that are deeper, for ``side`` +1 below
     ``start`` [m], for -1 above it."""
     total = abs(end - start)
-    step = float(np.clip(total / LEVELS, *STEP))
+    step = float(np.clip(total / CONTOURS_PER_DEPTH, *CONTOUR_STEP))
     between = np.arange(step, total - 0.5 * step, step)
-    last = total - step * np.array(_LAST)
-    slight = min(_SLIGHT, 1e-3 * total)
+    last = total - step * np.array(_LAST_STEPS)
+    slight = min(_FIRST_DEPTH, 1e-3 * total)
     depth = np.unique(np.concatenate([[slight], between, last[last > slight], [total - slight]]))
     height = side * (start - face.vertices[:, 2])
     surface = _sliceable(face, height)
@@ -191,13 +197,13 @@ def limited(depth: FloatArray, areas: tuple[Any, ...], angle: float) -> Limited:
     for one, two, area in zip(depth[:-1], depth[1:], areas[1:], strict=True):
         shrunk = kept[-1].buffer(-(two - one) / np.tan(angle), join_style="round", quad_segs=8)
         both = shrunk.intersection(area)
-        plain.append(shrunk.area - both.area <= _SAME * shrunk.area)
-        kept.append(both.simplify(_ROUND))
+        plain.append(shrunk.area - both.area <= _SAME_AREA * shrunk.area)
+        kept.append(both.simplify(_OUTLINE_TOLERANCE))
     pieces = [len(polygons(area)) for area in kept]
     ring, last = np.ones(len(depth), dtype=np.bool_), 0
     for k in range(1, len(depth) - 1):
         same = plain[k] and plain[k + 1] and pieces[last] == pieces[k] == pieces[k + 1]
-        ring[k] = not same or depth[k + 1] - depth[last] > PLAIN
+        ring[k] = not same or depth[k + 1] - depth[last] > PLAIN_STEP
         last = k if ring[k] else last
     return Limited(angle, depth, tuple(kept), ring)
 

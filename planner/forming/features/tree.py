@@ -56,9 +56,10 @@ from planner.geometry.arrays import FloatArray, Mesh
 from planner.issues import Issue, Severity, TandemError
 from planner.units import MM
 
-NOISE: Final = 50e-6
+LEAST_BUMP: Final = 50e-6
 """Height [m] below which a bump of the mesh is noise of its facets and no feature."""
-MOST_LEVELS: Final = 100_000
+MOST_SLICES: Final = 100_000
+"""Levels at most at which a part is cut to find its features."""
 
 Kind = Literal["concave", "convex"]
 
@@ -113,7 +114,7 @@ class FeatureTree:
         return self.features[number - 1]
 
 
-def build(mesh: Mesh, step: float, noise: float = NOISE) -> FeatureTree:
+def build(mesh: Mesh, step: float, noise: float = LEAST_BUMP) -> FeatureTree:
     """The features of a part, sliced every ``step`` [m].
 
     ``mesh``: an open surface that is nearly a height field over the sheet plane, in the sheet's frame, z up,
@@ -152,12 +153,12 @@ def build(mesh: Mesh, step: float, noise: float = NOISE) -> FeatureTree:
 
 def _check_step(mesh: Mesh, step: float) -> None:
     extent = float(np.ptp(mesh.vertices[:, 2])) if len(mesh.vertices) else 0.0
-    if not (math.isfinite(step) and step > 0.0 and extent / step <= MOST_LEVELS):
-        least = extent / MM / MOST_LEVELS + 1e-6  # as told, in whole nanometres
+    if not (math.isfinite(step) and step > 0.0 and extent / step <= MOST_SLICES):
+        least = extent / MM / MOST_SLICES + 1e-6  # as told, in whole nanometres
         raise TandemError(
             Issue(
                 "forming.step",
-                f"step: got {step / MM:g} mm, allowed is {least:.6f} mm at least, {MOST_LEVELS} levels over "
+                f"step: got {step / MM:g} mm, allowed is {least:.6f} mm at least, {MOST_SLICES} levels over "
                 f"the part's {extent / MM:.3g} mm; state such a length",
                 field="step",
                 value=step / MM,
@@ -266,7 +267,7 @@ class OrderStep:
 
 def in_place(tree: FeatureTree) -> tuple[OrderStep, ...]:
     """Strategy 1: parents before their children (preorder), every feature where it is in the part."""
-    return given(tree, [feature.id for feature in tree.features])
+    return given_order(tree, [feature.id for feature in tree.features])
 
 
 def on_virgin_sheet(tree: FeatureTree) -> tuple[OrderStep, ...]:
@@ -278,10 +279,10 @@ def on_virgin_sheet(tree: FeatureTree) -> tuple[OrderStep, ...]:
         feature = tree.feature(waiting.pop())
         order.append(feature.id)
         waiting.extend(feature.children)
-    return given(tree, order[::-1], translated=True)
+    return given_order(tree, order[::-1], translated=True)
 
 
-def given(tree: FeatureTree, order: Sequence[int], translated: bool = False) -> tuple[OrderStep, ...]:
+def given_order(tree: FeatureTree, order: Sequence[int], translated: bool = False) -> tuple[OrderStep, ...]:
     """An order of one's own. In place, a parent must come before its children. ``translated`` allows any
     order: what is formed before its parent is formed at the level that the sheet has there at the time.
 
@@ -340,18 +341,19 @@ def _issue(what: str) -> Issue:
     return Issue("forming.order", f"order of forming: {what}", field="order")
 
 
-COLOURS: Final = 8
+COLOUR_COUNT: Final = 8
 """Colours c0 to c7 of the report's style sheet; features take them in turn."""
-PRINTED: Final = (
+PRINT_COLOURS: Final = (
     *("#1f6fb4", "#d9662b", "#2a9461", "#8e5bb5"),
     *("#b8912a", "#c4497f", "#3aa5a0", "#6b7686"),
 )
 """The same on white, for a drawing without the style sheet."""
-LOOPS: Final = 24
+MOST_CONTOURS: Final = 24
 """Contours drawn of one feature, at most: more run into each other."""
-FINE: Final = 0.15
+CONTOUR_TOLERANCE: Final = 0.15
 """Contours are drawn with points left out up to this far from the line, in units of the drawing."""
-WIDE: Final = 760.0
+DRAWING_WIDTH: Final = 760.0
+"""Width of the drawing, in its own units."""
 
 
 def plan_drawing(tree: FeatureTree) -> str:
@@ -360,14 +362,15 @@ def plan_drawing(tree: FeatureTree) -> str:
     low, high = every.min(axis=0), every.max(axis=0)
     margin = 0.04 * float((high - low).max())
     low, high = low - margin, high + margin
-    scale = WIDE / float(high[0] - low[0])
+    scale = DRAWING_WIDTH / float(high[0] - low[0])
     tall = scale * float(high[1] - low[1])
     parts = [
-        f'<svg class="plot" viewBox="0 0 {WIDE:.0f} {tall:.0f}" role="img" aria-label="contours from above">'
+        f'<svg class="plot" viewBox="0 0 {DRAWING_WIDTH:.0f} {tall:.0f}" role="img" aria-label="contours '
+        f'from above">'
     ]
     for feature in tree.features:
         dashed = " dashed" if feature.sign > 0 else ""
-        parts.append(f'<g class="thin c{feature.id % COLOURS}{dashed}">')
+        parts.append(f'<g class="thin c{feature.id % COLOUR_COUNT}{dashed}">')
         parts.append(f"<title>{html.escape(_feature_label(feature))}</title>")
         parts += [f'<path d="{_path((line[:, :2] - low) * scale, tall)}"/>' for line in _some(feature)]
         parts.append("</g>")
@@ -382,14 +385,14 @@ def tree_diagram(tree: FeatureTree) -> str:
     levels = [tree.level, *(value for feature in tree.features for value in (feature.start, feature.end))]
     low, high = min(levels), max(levels)
     tall, left, top = 260.0, 64.0, 24.0
-    step = min((WIDE - left - 20.0) / len(tree.features), 90.0)
+    step = min((DRAWING_WIDTH - left - 20.0) / len(tree.features), 90.0)
 
     def down(level: float) -> float:
         return top + (high - level) / (high - low) * tall
 
     parts = [
-        f'<svg class="plot" viewBox="0 0 {WIDE:.0f} {tall + 2 * top:.0f}" role="img" '
-        f'aria-label="feature tree"><line class="axis" x1="{left}" x2="{WIDE - 10}" '
+        f'<svg class="plot" viewBox="0 0 {DRAWING_WIDTH:.0f} {tall + 2 * top:.0f}" role="img" '
+        f'aria-label="feature tree"><line class="axis" x1="{left}" x2="{DRAWING_WIDTH - 10}" '
         f'y1="{down(tree.level):.1f}" y2="{down(tree.level):.1f}"/>',
     ]
     for level in sorted({round(value / MM, 1) for value in levels}):
@@ -397,7 +400,7 @@ def tree_diagram(tree: FeatureTree) -> str:
         parts.append(f'<text class="ytick" x="{left - 6}" y="{y:.1f}">{level + 0.0:g} mm</text>')
     for feature in tree.features:
         x, begin, end = left + (feature.id - 0.5) * step, down(feature.start), down(feature.end)
-        colour = feature.id % COLOURS
+        colour = feature.id % COLOUR_COUNT
         if feature.parent is not None:
             from_x = left + (feature.parent - 0.5) * step
             parts.append(
@@ -440,7 +443,7 @@ def drawing_page(tree: FeatureTree, title: str) -> str:
 def alone(tree: FeatureTree) -> str:
     """The contours from above as an SVG file of its own, with its colours in it."""
     rules = [".thin{fill:none;stroke-width:1}", ".dashed{stroke-dasharray:4 3}", "text{font:11px sans-serif}"]
-    rules += [f".c{index}{{stroke:{colour}}}" for index, colour in enumerate(PRINTED)]
+    rules += [f".c{index}{{stroke:{colour}}}" for index, colour in enumerate(PRINT_COLOURS)]
     start, rest = plan_drawing(tree).split(">", 1)
     named = start.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"')
     return f"{named}><style>{''.join(rules)}</style>{rest}\n"
@@ -448,12 +451,12 @@ def alone(tree: FeatureTree) -> str:
 
 def _some(feature: Feature) -> list[FloatArray]:
     count = len(feature.contours)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, LOOPS)).round().astype(int))
+    chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_CONTOURS)).round().astype(int))
     return [feature.contours[index] for index in chosen]
 
 
 def _path(points: FloatArray, tall: float) -> str:
-    line = shapely.LineString(points).simplify(FINE)
+    line = shapely.LineString(points).simplify(CONTOUR_TOLERANCE)
     pairs = (f"{x:.1f} {tall - y:.1f}" for x, y in shapely.get_coordinates(line)[:-1])
     return "M" + "L".join(pairs) + "Z"
 

@@ -32,9 +32,9 @@ RADIUS_SHARE: Final = 0.1
 """The same as a share of the radius of a circle as large as the feature there, where that is less."""
 LEAST_WIDTH: Final = 0.4e-3
 """Mean width [m] below which nothing is a terrace."""
-CONTRAST: Final = 3.0
+TERRACE_CONTRAST: Final = 3.0
 """How many times wider a terrace is than the wall is somewhere before it and somewhere after it."""
-WALL: Final = 2.0
+WALL_HEIGHTS: Final = 2.0
 """Height of those walls at least, in units of ``noise``."""
 
 
@@ -80,7 +80,7 @@ def find_terraces(
     ``inside`` [m^2]: plan area that the wall's first level line encloses.
     """
     total = abs(end - start)
-    if total < 2.0 * WALL * noise or len(area) == 0:
+    if total < 2.0 * WALL_HEIGHTS * noise or len(area) == 0:
         return []
     sign = 1.0 if end > start else -1.0
     near = np.clip(np.where(sign > 0, low - start, start - high), 0.0, total)
@@ -92,7 +92,8 @@ def find_terraces(
     radius = np.sqrt(np.maximum(inside - passed(at - 0.5 * noise), 1e-12) / np.pi)
     width = change / (2.0 * np.pi * radius)
     flat = width >= np.maximum(
-        np.clip(RADIUS_SHARE * radius, LEAST_WIDTH, FLAT_WIDTH), CONTRAST * _walled(width, noise / cell)
+        np.clip(RADIUS_SHARE * radius, LEAST_WIDTH, FLAT_WIDTH),
+        TERRACE_CONTRAST * _walled(width, noise / cell),
     )
     bounds = np.nonzero(np.diff(np.concatenate([[0], flat.astype(np.int8), [0]])))[0].reshape(-1, 2)
     return [_terrace(begin * cell, stop * cell, passed, start, sign, noise) for begin, stop in bounds]
@@ -101,7 +102,7 @@ def find_terraces(
 def _walled(width: FloatArray, cells: float) -> FloatArray:
     """For each cell of height the width of the steepest wall before it, or after it if that is wider; where
     there is no wall on a side, infinite."""
-    tall = round(WALL * cells)
+    tall = round(WALL_HEIGHTS * cells)
     before = np.full(len(width), np.inf)
     after = before.copy()
     if len(width) > tall:
@@ -128,9 +129,9 @@ def _terrace(begin: float, stop: float, passed: _Passed, start: float, sign: flo
     )
 
 
-EXACT: Final = 1e-6
+EXACT_HEIGHT: Final = 1e-6
 """Heights [m] that differ by less are those of a mesh without noise."""
-SMALLEST: Final = 3e-6
+LEAST_AREA: Final = 3e-6
 """Plan area [m^2], 2 mm across, below which a bump is one of facets that do not follow a crease."""
 
 
@@ -210,7 +211,7 @@ class _Builder:
             branches = sorted(self.onward(fork), key=lambda child: self._beyond(child, self.z[fork]))
             for branch in branches[:-1]:
                 members = self._few(branch)
-                if members and self.size(members, self.z[fork]) < SMALLEST:
+                if members and self.size(members, self.z[fork]) < LEAST_AREA:
                     self.matters[branch] = False
 
     def _few(self, vertex: int) -> list[int]:
@@ -218,7 +219,7 @@ class _Builder:
         members, total = [vertex], 0.0
         for member in members:
             total += self.weight[member]
-            if total > 10.0 * SMALLEST:
+            if total > 10.0 * LEAST_AREA:
                 return []
             members.extend(self.children(member))
         return members
@@ -275,8 +276,8 @@ class _Builder:
             reach = [max(self.high[c] - here, here - self.low[c]) for c in children]
             best = int(np.argmax(reach))
             others = reach[:best] + reach[best + 1 :]
-            noisy = max(others, default=0.0) > EXACT and reach[best] < self.noise
-            if noisy or sign * (self.z[children[best]] - here) < -EXACT:
+            noisy = max(others, default=0.0) > EXACT_HEIGHT and reach[best] < self.noise
+            if noisy or sign * (self.z[children[best]] - here) < -EXACT_HEIGHT:
                 break
             path.append(children[best])
         return path
@@ -348,14 +349,14 @@ class _Builder:
         return found
 
     def _level(self, place: int, heights: FloatArray, weight: FloatArray) -> float:
-        if place in self.ends and np.ptp(heights) <= EXACT:
+        if place in self.ends and np.ptp(heights) <= EXACT_HEIGHT:
             return self.z[self.ends[place]]
         order = np.argsort(heights)
         total = np.cumsum(weight[order])
         return float(heights[order[min(int(np.searchsorted(total, 0.5 * total[-1])), len(order) - 1)]])
 
 
-CLEAR: Final = 1.1
+FLAT_CLEARANCE: Final = 1.1
 """How far from a noisy flat the first level line is, in units of its noise as it shows on the flat itself: of
 the flat's vertices some count as parts of the walls."""
 
@@ -456,7 +457,10 @@ def _pieces(
     off = begin.off
     if run.begin == 0:
         off = max(off, float(np.abs(surface.vertices[surface.border, 2] - start).max()))
-    first, last = start + sign * (CLEAR * off + EXACT), end - sign * (CLEAR * finish.off + EXACT)
+    first, last = (
+        start + sign * (FLAT_CLEARANCE * off + EXACT_HEIGHT),
+        end - sign * (FLAT_CLEARANCE * finish.off + EXACT_HEIGHT),
+    )
     corners = height[surface.faces]
     low, high = corners.min(axis=1), corners.max(axis=1)
     reached = np.abs(corners - start).max(axis=1) > 0.0

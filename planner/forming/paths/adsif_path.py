@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from planner.catalogue.materials import SheetMetal
-from planner.forming.contact import CREASE, MIRROR, ContactPath, Pass, ToolPath
+from planner.forming.contact import CREASE_ANGLE, MIRROR, ContactPath, Pass, ToolPath
 from planner.forming.operation import Adsif, Forming
 from planner.forming.paths.adsif_response import (
     Conditions,
@@ -38,12 +38,13 @@ from planner.issues import Issue, TandemError
 from planner.tooling import FormingHead
 from planner.units import DEG, MM
 
-EDGE: Final = 1e-5
+EDGE_MARGIN: Final = 1e-5
 """The first and the last loop keep so far [m] from the ends of the wall."""
-CELL: Final = 1e-4
+ANGLE_CELL: Final = 1e-4
 """Heights [m] over which the mean wall angle of a level is taken."""
-MOST: Final = 5000
-WALLS: Final = 0.01 * DEG
+MOST_LOOPS: Final = 5000
+"""Loops of one pass at most."""
+WALL_ANGLE_STEP: Final = 0.01 * DEG
 """Angles [rad] of walls, so far apart, are asked what a table holds at most."""
 
 
@@ -95,7 +96,7 @@ def pressed_by_support(operation: Forming, radii: float, thickness: float) -> fl
     ``radii`` [m] of both balls together, ``thickness`` [m] of the sheet."""
     response, held = _response(operation), operation.adsif
     low, high = response.range
-    wall = np.append(np.arange(low, high, WALLS), high)
+    wall = np.append(np.arange(low, high, WALL_ANGLE_STEP), high)
     position, gap = invert(response, wall, held.prefer)
     gap = left_to_command(gap * thickness, position, _yielded(held))
     able = gap > 0.0  # of other walls the path says that nothing of their gap is left
@@ -129,7 +130,7 @@ def _contact(one: Pass, radius: float, operation: Forming) -> ContactPath:
     """Contacts of the ball on the face, loop by loop from the feature's end to its start."""
     mesh = TriangleMesh(one.vertices, one.faces)
     levels = _levels(one, operation.adsif.pitch_mm * MM)
-    smooth = corner_normals(mesh, CREASE)
+    smooth = corner_normals(mesh, CREASE_ANGLE)
     found = loops(cut(mesh.vertices, mesh.faces, smooth, levels), None, one.name)
     by_level: dict[int, Loop] = {}
     for loop in found:
@@ -165,7 +166,7 @@ def _levels(one: Pass, pitch: float) -> FloatArray:
     whole = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     rises = high - low > 1e-9
     low, high, plan, whole = low[rises], high[rises], plan[rises], whole[rises]
-    edges = np.linspace(one.end, one.start, max(int(np.ceil((one.start - one.end) / CELL)), 1) + 1)
+    edges = np.linspace(one.end, one.start, max(int(np.ceil((one.start - one.end) / ANGLE_CELL)), 1) + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
     order, falling = np.argsort(low), np.argsort(high)
 
@@ -182,11 +183,13 @@ def _levels(one: Pass, pitch: float) -> FloatArray:
     slope = np.sqrt(1.0 - cosine**2) / cosine
     width = np.concatenate([[0.0], np.cumsum(np.diff(edges) / np.maximum(slope, 1e-6))])
     count = int(width[-1] / pitch)
-    if not 1 <= count <= MOST:
-        what = f"pass {one.name}: {count} loops at a pitch of {pitch / MM:g} mm, allowed are 1 to {MOST}"
+    if not 1 <= count <= MOST_LOOPS:
+        what = (
+            f"pass {one.name}: {count} loops at a pitch of {pitch / MM:g} mm, allowed are 1 to {MOST_LOOPS}"
+        )
         raise TandemError(Issue("forming.adsif_conditions", what + "; change the pitch", field="adsif"))
     levels = np.interp(pitch * np.arange(count + 1), width, edges)
-    return np.asarray(np.clip(levels, one.end + EDGE, one.start - EDGE))
+    return np.asarray(np.clip(levels, one.end + EDGE_MARGIN, one.start - EDGE_MARGIN))
 
 
 def _sampled(

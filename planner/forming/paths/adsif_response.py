@@ -35,9 +35,10 @@ from planner.units import DEG, MM
 
 Prefer = Literal["angle", "gap"]
 
-ALIKE: Final = 0.02
+LENGTH_SHARE: Final = 0.02
 """Share by which lengths may differ from those that a table holds for."""
-ROUND: Final = 1e-9
+ROUNDING: Final = 1e-9
+"""Rounding of weights between entries, of angles [rad] and of relative gaps."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,10 +91,10 @@ def require(response: Response, wanted: Conditions) -> None:
         ("pitch", wanted.pitch, held.pitch),
         ("projection", wanted.projection, held.projection),
     ):
-        if not abs(got - allowed) <= ALIKE * allowed:
+        if not abs(got - allowed) <= LENGTH_SHARE * allowed:
             say(field, f"{got / MM:g} mm", f"{allowed / MM:g} mm", got / MM, allowed / MM)
     ratio, table = wanted.thickness / wanted.radius, held.thickness / held.radius
-    if not abs(ratio - table) <= ALIKE * table:
+    if not abs(ratio - table) <= LENGTH_SHARE * table:
         say("thickness to tool radius", f"{ratio:.4g}", f"{table:.4g}", ratio, table)
     if issues:
         raise TandemError(issues)
@@ -111,7 +112,7 @@ def wall_angle(response: Response, position: ArrayLike, gap: ArrayLike) -> Float
     for a, wu in ((0, 1.0 - u), (1, u)):
         for b, wv in ((0, 1.0 - v), (1, v)):
             weight, corner = wu * wv, response.wall[i + a, j + b]
-            counts = weight > ROUND  # on an edge, what lies across it does not matter
+            counts = weight > ROUNDING  # on an edge, what lies across it does not matter
             inside &= ~counts | np.isfinite(corner)
             total += np.where(counts, weight * corner, 0.0)
     if not inside.all():
@@ -148,14 +149,14 @@ def invert(response: Response, wall: ArrayLike, prefer: Prefer) -> tuple[FloatAr
     """
     wanted = np.atleast_1d(np.asarray(wall, dtype=np.float64))
     low, high = response.range
-    wrong = ~((wanted >= low - ROUND) & (wanted <= high + ROUND))
+    wrong = ~((wanted >= low - ROUNDING) & (wanted <= high + ROUNDING))
     if wrong.any():
         raise TandemError(_beyond(response, wanted, wrong))
     wanted = np.clip(wanted, low, high)
     position, gap, fits = _solutions(response, wanted)
     first, second = (position, -gap) if prefer == "angle" else (-gap, position)
     first = np.where(fits, first, np.inf)
-    best = first <= first.min(axis=1, keepdims=True) + ROUND
+    best = first <= first.min(axis=1, keepdims=True) + ROUNDING
     choice = np.where(best, second, np.inf).argmin(axis=1)
     rows = np.arange(len(wanted))
     return position[rows, choice], gap[rows, choice]
@@ -219,7 +220,7 @@ def _place(grid: FloatArray, values: FloatArray) -> tuple[IndexArray, FloatArray
     """Interval and fraction of values on an ascending grid; NaN off the grid."""
     at = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, len(grid) - 2)
     part = (values - grid[at]) / (grid[at + 1] - grid[at])
-    part = np.where((part >= -ROUND) & (part <= 1.0 + ROUND), np.clip(part, 0.0, 1.0), np.nan)
+    part = np.where((part >= -ROUNDING) & (part <= 1.0 + ROUNDING), np.clip(part, 0.0, 1.0), np.nan)
     return at, part
 
 
@@ -236,10 +237,10 @@ def _solutions(response: Response, wanted: FloatArray) -> tuple[FloatArray, Floa
     stable = np.isfinite(start[2]) & np.isfinite(end[2])
     start, end = start[:, stable], end[:, stable]
     rise = end[2] - start[2]
-    level = np.abs(rise) <= ROUND
+    level = np.abs(rise) <= ROUNDING
     part = (wanted[:, None] - start[2]) / np.where(level, 1.0, rise)
     fits = np.where(
-        level, np.abs(wanted[:, None] - start[2]) <= ROUND, (part >= -ROUND) & (part <= 1.0 + ROUND)
+        level, np.abs(wanted[:, None] - start[2]) <= ROUNDING, (part >= -ROUNDING) & (part <= 1.0 + ROUNDING)
     )
     part = np.clip(np.where(level, 0.0, part), 0.0, 1.0)
     return start[1] + part * (end[1] - start[1]), start[0] + part * (end[0] - start[0]), fits
@@ -262,17 +263,22 @@ def _beyond(response: Response, wanted: FloatArray, wrong: BoolArray) -> Issue:
     )
 
 
-BUILT_IN: Final = Path(__file__).resolve().parents[2] / "data" / "adsif_aa5754.csv"
-MAX_BYTES: Final = 1_000_000
-LENGTHS: Final = ("thickness_mm", "tool_radius_mm", "pitch_mm", "projection_mm")
-COLUMNS: Final = ("gap_over_thickness", "position_angle_deg", "wall_angle_deg")
-UNSTABLE: Final = "unstable"
+BUILT_IN_FILE: Final = Path(__file__).resolve().parents[2] / "data" / "adsif_aa5754.csv"
+"""The built-in table of responses."""
+MAX_RESPONSE_BYTES: Final = 1_000_000
+"""Tables larger than this [bytes] are refused unread."""
+LENGTH_KEYS: Final = ("thickness_mm", "tool_radius_mm", "pitch_mm", "projection_mm")
+"""Lengths [mm] that a table is measured at and states at its head."""
+RESPONSE_COLUMNS: Final = ("gap_over_thickness", "position_angle_deg", "wall_angle_deg")
+"""Columns of a table: gap over the sheet's thickness, position angle [deg], wall angle [deg]."""
+UNSTABLE_ENTRY: Final = "unstable"
+"""Stands in place of a wall angle where the wall did not form steadily."""
 
 
 @functools.lru_cache(maxsize=1)
 def built_in_table() -> Response:
     """The table for 1 mm AA5754-O, balls of 5 mm radius, 0.2 mm pitch, 1.6 mm projection distance."""
-    return read_table(BUILT_IN)
+    return read_table(BUILT_IN_FILE)
 
 
 def table_text(path: Path) -> str:
@@ -281,8 +287,10 @@ def table_text(path: Path) -> str:
     if not is_file(path):
         raise TandemError(_fault(name, None, None, f"{name}: no such file", "check the path"))
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise TandemError(_fault(name, None, None, f"got over {MAX_BYTES} bytes", "keep the table short"))
+        if path.stat().st_size > MAX_RESPONSE_BYTES:
+            raise TandemError(
+                _fault(name, None, None, f"got over {MAX_RESPONSE_BYTES} bytes", "keep the table short")
+            )
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise TandemError(_fault(name, None, None, f"cannot be read: {error}", "save it as UTF-8")) from error
@@ -321,39 +329,41 @@ def _conditions(name: str, heads: list[str]) -> tuple[Conditions | None, str, li
         if colon:
             found[key.strip()] = value.strip()
     issues = []
-    for key in ("metal", *LENGTHS):
+    for key in ("metal", *LENGTH_KEYS):
         if key not in found:
             what = f"does not state {key}"
             issues.append(
                 _fault(name, None, key, what, f"add a line '# {key}: ...': what does the table hold for?")
             )
-        elif key in LENGTHS and not 0.0 < _number(found[key]) < 1e3:
+        elif key in LENGTH_KEYS and not 0.0 < _number(found[key]) < 1e3:
             what = f"got {found[key]!r}, allowed a number above 0, below 1000"
             issues.append(_fault(name, None, key, what, "correct it"))
     if issues:
         return None, "", issues
-    thickness, radius, pitch, projection = (_number(found[key]) * MM for key in LENGTHS)
+    thickness, radius, pitch, projection = (_number(found[key]) * MM for key in LENGTH_KEYS)
     conditions = Conditions(found["metal"], thickness, radius, pitch, projection)
     return conditions, found.get("source", Path(name).name), []
 
 
 def _cells(name: str, rows: list[tuple[int, str]]) -> tuple[dict[tuple[float, float], float], list[Issue]]:
     """Wall angles [deg] by gap over thickness and position angle [deg]."""
-    if not rows or [cell.strip() for cell in rows[0][1].split(",")] != list(COLUMNS):
+    if not rows or [cell.strip() for cell in rows[0][1].split(",")] != list(RESPONSE_COLUMNS):
         line = rows[0][0] if rows else None
-        return {}, [_fault(name, line, None, f"has not the headings {','.join(COLUMNS)}", "write them first")]
+        return {}, [
+            _fault(name, line, None, f"has not the headings {','.join(RESPONSE_COLUMNS)}", "write them first")
+        ]
     cells: dict[tuple[float, float], float] = {}
     issues = []
     for line, text in rows[1:]:
         values = [value.strip() for value in next(csv.reader([text]))]
-        if len(values) != len(COLUMNS):
+        if len(values) != len(RESPONSE_COLUMNS):
             issues.append(_fault(name, line, None, f"got {len(values)} values, allowed 3", "correct the row"))
             continue
         gap, position = _number(values[0]), _number(values[1])
-        wall = math.nan if values[2] == UNSTABLE else _number(values[2])
+        wall = math.nan if values[2] == UNSTABLE_ENTRY else _number(values[2])
         bounds = ((gap, 0.0, 10.0), (position, 0.0, 90.0), (wall, 0.0, 90.0))
-        for column, raw, (value, low, high) in zip(COLUMNS, values, bounds, strict=True):
-            if (raw != UNSTABLE or column != COLUMNS[2]) and not low < value < high:
+        for column, raw, (value, low, high) in zip(RESPONSE_COLUMNS, values, bounds, strict=True):
+            if (raw != UNSTABLE_ENTRY or column != RESPONSE_COLUMNS[2]) and not low < value < high:
                 what = f"got {raw!r}, allowed a number above {low:g}, below {high:g}"
                 issues.append(_fault(name, line, column, what, "correct it"))
         if (gap, position) in cells:

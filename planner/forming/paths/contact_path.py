@@ -14,7 +14,14 @@ import numpy as np
 from shapely import Polygon
 
 from planner.forming.contact import MIRROR, ContactPath, Face, Pass
-from planner.forming.paths.level_lines import EDGE, Loop, constant_levels, cut, scallop_levels, scallop_width
+from planner.forming.paths.level_lines import (
+    FLAT_MARGIN,
+    Loop,
+    constant_levels,
+    cut,
+    scallop_levels,
+    scallop_width,
+)
 from planner.forming.paths.level_lines import loops as closed_lines
 from planner.forming.paths.spiral import Curve, PathOptions, in_order, loop_curve, spiral_curve
 from planner.forming.paths.tool_radius import Creases, TooNarrow, largest, lowest_reached, refuse
@@ -24,16 +31,22 @@ from planner.issues import Issue, TandemError
 
 _Put = Callable[[FloatArray], "Targets"]
 
-NEAREST: Final = 5e-5
+LEAST_SPACING: Final = 5e-5
 """Targets are at least so far apart [m]."""
-_CORNER: Final = np.radians(15.0)
-_ROUNDS: Final = 8
-_HALVINGS: Final = 10
-_CLOSED: Final = 3e-4
+_CORNER_TURN: Final = np.radians(15.0)
+"""Normals that turn by more than this [rad] from place to place do so at a corner, which gets no targets
+within."""
+_SPLIT_ROUNDS: Final = 8
+"""Moves are halved so often at most where they leave the way of the ball's centre."""
+_END_HALVINGS: Final = 10
+"""Halvings by which the end of a piece that the ball does not reach is found."""
+_CLOSED_GAP: Final = 3e-4
 """Where a crease keeps the ball off a piece of the curve whose ends are so near [m], the piece is a corner
 and the ball goes from end to end."""
-_SPARE: Final = 0.9
-_FIRST: Final = 40
+_CHORD_SHARE: Final = 0.9
+"""Share of the chord that the spacing of targets is worked out with."""
+_TRIED_PLACES: Final = 40
+"""Places about that tell soon of a ball that is far too large."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +79,7 @@ def targets(curve: Curve, face: Face, creases: Creases, options: PathOptions, na
 
     at = _spread(curve, face.radius, options)
     # a tool that is far too large is told soon, by a few places
-    wanted, normal = places(curve, face, creases, at[:: -(-len(at) // _FIRST)])
+    wanted, normal = places(curve, face, creases, at[:: -(-len(at) // _TRIED_PLACES)])
     contact = face.clear(wanted, normal, rounds=3)
     narrow = (contact.gap > max(0.02 * face.radius, options.missed)) & ~creases.near(wanted)
     if narrow.any():
@@ -96,7 +109,7 @@ def places(curve: Curve, face: Face, creases: Creases, at: FloatArray) -> tuple[
         point[rows] = place
         own = face.normal_at(on, weights)
         # in a fillet that is low for the step the normals of the loops beside are far from its own
-        smooth = (dots(own, normal[rows]) > np.cos(_CORNER)) | ~creases.near(place)
+        smooth = (dots(own, normal[rows]) > np.cos(_CORNER_TURN)) | ~creases.near(place)
         normal[rows] = np.where(smooth[:, None], own, normal[rows])
     return point, normal
 
@@ -127,12 +140,12 @@ def _spread(curve: Curve, radius: float, options: PathOptions) -> FloatArray:
     turn, _ = _turns(point, gap)
     bend, pace = _turns(centre, gap)
     length = np.maximum(np.linalg.norm(np.diff(point, axis=0), axis=1), pace)
-    corner = turn > max(_CORNER, 1.01 * options.tangent_angle)
+    corner = turn > max(_CORNER_TURN, 1.01 * options.tangent_angle)
     bend = np.where(corner, 0.0, bend)
     width = np.maximum(0.5 * (np.append(pace, 0.0) + np.append(0.0, pace)), 1e-9)
     # a move of length L over a polyline that turns by b at rows w apart is off it by L (b L / w + b) / 8
-    chord = 0.5 * (bend + np.sqrt(bend * bend + 32.0 * _SPARE * options.chord * bend / width))
-    chord *= width / (8.0 * _SPARE * options.chord)
+    chord = 0.5 * (bend + np.sqrt(bend * bend + 32.0 * _CHORD_SHARE * options.chord * bend / width))
+    chord *= width / (8.0 * _CHORD_SHARE * options.chord)
     demand = np.maximum(np.where(corner, 0.0, turn) / options.tangent_angle, chord)
     # half of a row's demand lies on either side of it
     between = np.maximum(0.5 * (demand[1:] + demand[:-1]), length / options.longest)
@@ -180,7 +193,7 @@ def _corners(found: Targets, put: _Put) -> Targets:
         return found
     good = np.where(found.missed[edge], found.at[edge + 1], found.at[edge])
     bad = np.where(found.missed[edge], found.at[edge], found.at[edge + 1])
-    for _ in range(_HALVINGS):
+    for _ in range(_END_HALVINGS):
         middle = 0.5 * (good + bad)
         out = put(middle).missed
         good, bad = np.where(out, good, middle), np.where(out, middle, bad)
@@ -190,16 +203,16 @@ def _corners(found: Targets, put: _Put) -> Targets:
     last = np.searchsorted(run, run, side="right") - 1
     before, after = np.maximum(first - 1, 0), np.minimum(last + 1, len(run) - 1)
     whole = (first > 0) & (last < len(run) - 1) & (found.piece[before] == found.piece[after])
-    near = np.linalg.norm(found.centre[after] - found.centre[before], axis=1) < _CLOSED
+    near = np.linalg.norm(found.centre[after] - found.centre[before], axis=1) < _CLOSED_GAP
     return found[~(found.missed & whole & near)]
 
 
 def _halved(found: Targets, put: _Put, face: Face, options: PathOptions) -> Targets:
     """Targets put between those whose straight move leaves the way of the centre."""
     check = np.ones(len(found.at) - 1, dtype=np.bool_)
-    for _ in range(_ROUNDS):
+    for _ in range(_SPLIT_ROUNDS):
         length = np.linalg.norm(np.diff(found.centre, axis=0), axis=1)
-        check &= (found.piece[1:] == found.piece[:-1]) & (length > 2.0 * NEAREST)
+        check &= (found.piece[1:] == found.piece[:-1]) & (length > 2.0 * LEAST_SPACING)
         rows = np.flatnonzero(check)
         if not len(rows):
             break
@@ -238,7 +251,7 @@ def _merged(one: Targets, two: Targets) -> Targets:
 def _apart(found: Targets) -> Targets:
     """Without targets whose centres are nearer than 0.05 mm to the one before; ends of pieces stay."""
     while len(found.at) > 2:
-        near = np.linalg.norm(np.diff(found.centre, axis=0), axis=1) < NEAREST
+        near = np.linalg.norm(np.diff(found.centre, axis=0), axis=1) < LEAST_SPACING
         same = found.piece[1:] == found.piece[:-1]
         if not (near & same).any():
             break
@@ -256,7 +269,8 @@ def _apart(found: Targets) -> Targets:
     return found
 
 
-MOST_LEVELS: Final = 20_000
+MOST_LEVEL_LINES: Final = 20_000
+"""Level lines of a path at most."""
 
 
 def make_path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
@@ -279,7 +293,7 @@ def make_path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
         return _path(one, radius, options)
     except TooNarrow as narrow:
         fits = largest(narrow, lambda smaller: _path(one, smaller, options), options.scallop or 0.0)
-        raise narrow.told(fits) from None
+        raise narrow.error(fits) from None
 
 
 def _path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
@@ -330,7 +344,7 @@ def _levels(
         levels = constant_levels(start, end, options.stepdown or start - end)
     levels = np.append(start, levels)  # the first turn is flat, at the flat around the feature
     # levels of the flat have no lines of their own
-    return np.asarray(np.clip(levels, end + EDGE, start - EDGE))
+    return np.asarray(np.clip(levels, end + FLAT_MARGIN, start - FLAT_MARGIN))
 
 
 def _region(one: Pass) -> Polygon:
@@ -383,10 +397,11 @@ def _check(one: Pass, radius: float, options: PathOptions) -> None:
         wrong.append("state stepdown or scallop, one of both")
     elif step is None or not step > 0.0 or not np.isfinite(step):
         wrong.append("stepdown and scallop must be above 0")
-    elif options.stepdown is not None and depth / options.stepdown > MOST_LEVELS:
+    elif options.stepdown is not None and depth / options.stepdown > MOST_LEVEL_LINES:
         wrong.append(
             f"stepdown {1e3 * options.stepdown:.4g} mm makes {depth / options.stepdown:.0f} levels, up to "
-            f"{MOST_LEVELS} are planned; take a stepdown of {1e3 * depth / MOST_LEVELS + 1e-5:.5f} mm at "
+            f"{MOST_LEVEL_LINES} are planned; take a stepdown of "
+            f"{1e3 * depth / MOST_LEVEL_LINES + 1e-5:.5f} mm at "
             "least"
         )
     elif options.scallop is not None and not options.scallop < radius:
@@ -398,7 +413,7 @@ def _check(one: Pass, radius: float, options: PathOptions) -> None:
     ]
     if not radius > 0.0:
         wrong.append(f"the ball's radius is {1e3 * radius:.4g} mm, it must be above 0")
-    if not depth > 2.0 * EDGE:
+    if not depth > 2.0 * FLAT_MARGIN:
         wrong.append(
             f"the face goes from z = {1e3 * one.start:.4g} to {1e3 * one.end:.4g} mm, its end must lie "
             f"{'below' if one.side > 0 else 'above'} its start"

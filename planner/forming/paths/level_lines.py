@@ -27,11 +27,14 @@ from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
 from planner.issues import Issue, TandemError
 from planner.units import DEG
 
-_SAME: Final = 1e-7
+_SAME_PLACE: Final = 1e-7
 """Places of a line nearer than this [m], with the same normal, are one."""
-_ALIKE: Final = 1e-4
-_FAN: Final = np.radians(2.0)
-_SMALLEST: Final = 2e-4
+_SAME_NORMAL: Final = 1e-4
+"""Unit normals whose difference is shorter than this [-] are the same."""
+_FAN_STEP: Final = np.radians(2.0)
+"""Step [rad] of the normals between which a ball rolls over a crease at one place."""
+_LEAST_LOOP: Final = 2e-4
+"""Level lines shorter than this [m] are none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,17 +192,17 @@ def _loop(segments: Segments, rows: IntArray) -> Loop | None:
     normal = np.stack([segments.start_normal[rows], segments.stop_normal[rows]], axis=1).reshape(-1, 3)
     point, normal = np.concatenate([point, point[:1]]), np.concatenate([normal, normal[:1]])
     move = np.linalg.norm(np.diff(point, axis=0), axis=1)
-    if move.sum() < _SMALLEST:
+    if move.sum() < _LEAST_LOOP:
         return None
     turn = np.linalg.norm(np.diff(normal, axis=0), axis=1)
-    kept = np.concatenate([[True], (move > _SAME) | (turn > _ALIKE)])
+    kept = np.concatenate([[True], (move > _SAME_PLACE) | (turn > _SAME_NORMAL)])
     kept[-1] = True
     point, normal = point[kept], normal[kept]
     turn = np.linalg.norm(np.diff(normal, axis=0), axis=1)
-    still = np.linalg.norm(np.diff(point, axis=0), axis=1) <= _SAME
-    fans = np.flatnonzero(still & (turn > _FAN))
+    still = np.linalg.norm(np.diff(point, axis=0), axis=1) <= _SAME_PLACE
+    fans = np.flatnonzero(still & (turn > _FAN_STEP))
     if len(fans):
-        parts = np.ceil(turn[fans] / _FAN).astype(np.int64)
+        parts = np.ceil(turn[fans] / _FAN_STEP).astype(np.int64)
         many = np.ones(len(point) - 1, dtype=np.int64)
         many[fans] = parts
         base = np.repeat(np.arange(len(many)), many)
@@ -211,10 +214,11 @@ def _loop(segments: Segments, rows: IntArray) -> Loop | None:
     return Loop(point, normal, int(segments.level[rows[0]]))
 
 
-EDGE: Final = 1e-6
+FLAT_MARGIN: Final = 1e-6
 """The last line is so far above the flat end of a feature [m], where there are no lines."""
-_PROFILE: Final = 400
-_SHELF: Final = 4.0
+_PROFILE_STEPS: Final = 400
+"""Heights of a wall between which its ridges are worked out."""
+_SHELF_WIDTHS: Final = 4.0
 """A shelf between two neighbouring levels counts as so many ridges wide at most."""
 
 
@@ -262,18 +266,18 @@ def scallop_levels(
     that this comes to little, lines are at least half of ``width`` apart along the face instead, as nothing
     is gained from more of them.
     """
-    share = np.linspace(0.0, 1.0, _PROFILE + 1)
+    share = np.linspace(0.0, 1.0, _PROFILE_STEPS + 1)
     smooth = share * share * (3.0 - 2.0 * share)  # dense at both ends, where faces turn into the flat
-    grid = start - EDGE - (start - end - 2.0 * EDGE) * smooth
+    grid = start - FLAT_MARGIN - (start - end - 2.0 * FLAT_MARGIN) * smooth
     angle = flattest(cut(vertices, faces, normals, grid), region, len(grid))
     known = np.isfinite(angle)
     sine = np.interp(-grid, -grid[known], np.sin(angle[known])) if known.any() else np.ones(len(grid))
     way = -np.diff(grid) * 2.0 / np.maximum(sine[1:] + sine[:-1], 1e-9)
-    along = np.concatenate([[0.0], np.cumsum(np.minimum(way, _SHELF * width))])
+    along = np.concatenate([[0.0], np.cumsum(np.minimum(way, _SHELF_WIDTHS * width))])
     depth = grid[0] - grid
     levels = []
     at = 0.0
-    while at < depth[-1] - EDGE:
+    while at < depth[-1] - FLAT_MARGIN:
         here = float(np.interp(at, depth, sine))
         # the farthest level of the profile to which the step holds, then the place between it and the next
         ahead = depth > at
@@ -288,15 +292,16 @@ def scallop_levels(
             nearest = int(np.argmax(ahead))
             step = min(width * flat[nearest], depth[nearest] - at)
         least = float(np.interp(np.interp(at, depth, along) + 0.5 * width, along, depth)) - at
-        at = at + max(step, least, EDGE)
+        at = at + max(step, least, FLAT_MARGIN)
         levels.append(grid[0] - min(at, depth[-1]))
     levels[-1] = end
     return np.asarray(levels)
 
 
-FLATTEST: Final = 2.0 * DEG
-"""Walls flatter than this count as flat: no finite steps leave them without ridges."""
-_NEIGHBOURS: Final = 32
+FLATTEST_WALL: Final = 2.0 * DEG
+"""Walls flatter than this [rad] count as flat: no finite steps leave them without ridges."""
+_LINE_NEIGHBOURS: Final = 32
+"""Nearest places among which the nearest one of another line is looked for."""
 
 
 def ridge_heights(mesh: TriangleMesh, radius: float, step: float, share: float) -> FloatArray:
@@ -308,10 +313,10 @@ def ridge_heights(mesh: TriangleMesh, radius: float, step: float, share: float) 
     small enough: there the height is that at the angle that most of ``share`` of the walls stay above.
     """
     angle = np.arccos(np.clip(face_normals(mesh)[:, 2], -1.0, 1.0))
-    area = np.where(angle > FLATTEST, face_areas(mesh), 0.0)
+    area = np.where(angle > FLATTEST_WALL, face_areas(mesh), 0.0)
     order = np.argsort(angle)
     passed = np.cumsum(area[order]) / max(float(area.sum()), 1e-12)
-    least = max(float(angle[order[int(np.searchsorted(passed, 0.5 * (1.0 - share)))]]), FLATTEST)
+    least = max(float(angle[order[int(np.searchsorted(passed, 0.5 * (1.0 - share)))]]), FLATTEST_WALL)
     middle = mesh.vertices[mesh.faces].mean(axis=1)
     near = _least_within(
         middle, np.maximum(angle, least), step / np.sin(np.maximum(angle, least)), 0.5 * step
@@ -325,7 +330,7 @@ def _least_within(places: FloatArray, value: FloatArray, reach: FloatArray, cell
     _, which = np.unique(np.floor(places / cell).astype(np.int64), axis=0, return_inverse=True)
     order = np.lexsort((value, which.ravel()))
     first = order[np.diff(which.ravel()[order], prepend=-1) != 0]
-    count = min(_NEIGHBOURS, len(first))
+    count = min(_LINE_NEIGHBOURS, len(first))
     apart, other = cKDTree(places[first]).query(places, k=[*range(1, count + 1)])
     found = np.where(apart <= reach[:, None], value[first[other]], np.inf).min(axis=1)
     return np.asarray(np.minimum(value, found))

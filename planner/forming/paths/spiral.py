@@ -20,7 +20,7 @@ Kind = Literal["contour", "alternating", "stepped", "helical"]
 Direction = Literal["ccw", "cw"]
 
 
-MISSED: Final = 2e-5
+MISSED_DISTANCE: Final = 2e-5
 """Smooth places [m] that a ball stays farther off are too narrow for it, where the mesh has no noise."""
 
 
@@ -53,7 +53,7 @@ class PathOptions:
     direction: Direction = "ccw"
     longest: float = 0.02
     lift: float = 5e-3
-    missed: float = MISSED
+    missed: float = MISSED_DISTANCE
     spare: float = 0.0
 
 

@@ -9,31 +9,37 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.forming.contact import CREASE, TOUCH, Contact, Face
+from planner.forming.contact import CONTACT_TOLERANCE, CREASE_ANGLE, Contact, Face
 from planner.forming.paths.level_lines import Loop
 from planner.geometry.arrays import BoolArray, FloatArray, dots, lengths
 from planner.issues import Issue, TandemError
 
-PUSHED: Final = 2e-5
+PUSHED_DISTANCE: Final = 2e-5
 """A ball that a crease pushes aside by more than this [m] does not reach its place."""
-CLEAR: Final = 1e-5
+FLOOR_CLEARANCE: Final = 1e-5
 """The lowest loop at the foot of a wall keeps the ball so much farther [m] off the floor than straight moves
 between targets take it off the wall, which it would lose for the floor, facet by facet, else: the gap between
 two tools would hop from the wall's to the floor's."""
-SNUG: Final = 4e-6
+FACET_PUSH: Final = 4e-6
 """What a wider ball may be pushed aside [m] besides: facets make no more of a smooth face."""
-MOST_CLEAR: Final = 1e-4
+MOST_FLOOR_CLEARANCE: Final = 1e-4
 """But no farther than this [m], however coarse the moves."""
-LIFTED: Final = 8e-5
+MOST_LIFT: Final = 8e-5
 """It is lifted by so much [m] at most: floors that are not level stop the ball here and there."""
-ABOVE: Final = 4e-4
+FLOOR_HEIGHT: Final = 4e-4
 """So far [m] above the lowest loop no floor stops the ball."""
-_DENSE: Final = 128
-_SAMPLES: Final = 32
-_WORST: Final = 12
-_TRIALS: Final = 8
-_NAMED: Final = 1e-5
-_STEEPEST: Final = np.radians(85.0)
+_DENSE_PLACES: Final = 128
+"""Places of a loop where corners of the wall are looked for."""
+_LOOP_PLACES: Final = 32
+"""Places of a loop where a ball is tried."""
+_NARROWEST_PLACES: Final = 12
+"""Narrow places about, from the narrowest to the widest, that a smaller ball is tried at."""
+_RADIUS_TRIALS: Final = 8
+"""Smaller balls that whole paths are laid with at most."""
+_RADIUS_STEP: Final = 1e-5
+"""Radii that are advised are multiples of this [m]."""
+_STEEPEST_WALL: Final = np.radians(85.0)
+"""Walls count as no steeper than this [rad], where the reach of a ball about them is worked out."""
 
 
 class Creases:
@@ -54,7 +60,7 @@ class Creases:
         concave = dots(middle[g] - middle[f], normals[f]) > 0.0
         # what the facets of a smooth face turn by, at each vertex
         self._turn = np.zeros(len(mesh.vertices))
-        flat = turn < CREASE
+        flat = turn < CREASE_ANGLE
         for end in range(2):
             np.maximum.at(self._turn, directed[first[flat], end], turn[flat])
         sharp = concave & ~flat
@@ -78,11 +84,11 @@ class Creases:
             corner = mesh.faces[:, k]
             cosine = dots(mean[corner], normals)
             np.maximum.at(lean, corner, np.arccos(np.clip(cosine, -1.0, 1.0)))
-        tip = (lean > 0.5 * CREASE) & (dots(mean, pull) > 0.0)
+        tip = (lean > 0.5 * CREASE_ANGLE) & (dots(mean, pull) > 0.0)
         spots.append(mesh.vertices[tip])
         reach.append(lean[tip])
         self._spots = np.concatenate(spots)
-        wide = np.tan(np.minimum(np.concatenate(reach), _STEEPEST))
+        wide = np.tan(np.minimum(np.concatenate(reach), _STEEPEST_WALL))
         self._reach = 1.05 * face.radius * wide + step
         self._tree = cKDTree(self._spots) if len(self._spots) else None
 
@@ -100,7 +106,7 @@ class Creases:
 
     def misses(self, wanted: FloatArray, contact: Contact) -> BoolArray:
         """Whether a crease keeps the ball off the wanted places (N, 3)."""
-        out = contact.pushed > PUSHED
+        out = contact.pushed > PUSHED_DISTANCE
         out[out] = self.near(wanted[out])
         return np.asarray(out)
 
@@ -143,11 +149,11 @@ def lowest_reached(
     than ``missed`` [m], which is to be told.
     """
 
-    def fits(loop: Loop, most: float = PUSHED) -> bool:
+    def fits(loop: Loop, most: float = PUSHED_DISTANCE) -> bool:
         if wider is None or creases.near(_sample(loop)[0]).all():
             return _reached(loop, face, creases, most)
         off = _pushed(loop, face)
-        return off > missed or _pushed(loop, wider) - off <= SNUG
+        return off > missed or _pushed(loop, wider) - off <= FACET_PUSH
 
     reached = [[loop for loop in group if fits(loop)] for group in groups]
     for k, (group, before) in enumerate(zip(reached, groups, strict=True)):
@@ -156,8 +162,10 @@ def lowest_reached(
         good, bad = float(levels[k - 1]), float(levels[k])
         best: list[Loop] = []
         # so that the ball is still at the wall, not lifted off it by the floor
-        most = min(max(TOUCH, 1.5 * min(_pushed(loop, face) for loop in reached[k - 1])), PUSHED)
-        while good - bad > TOUCH:
+        most = min(
+            max(CONTACT_TOLERANCE, 1.5 * min(_pushed(loop, face) for loop in reached[k - 1])), PUSHED_DISTANCE
+        )
+        while good - bad > CONTACT_TOLERANCE:
             middle = 0.5 * (good + bad)
             found = [loop for loop in sliced(np.array([middle]))[0] if fits(loop, most)]
             good, bad = (middle, bad) if found else (good, middle)
@@ -170,9 +178,9 @@ def lowest_reached(
     for k, group in enumerate(reached):
         lifted = group  # the floor is at the foot of the lowest loops alone
         if not any(reached[k + 1 :]):
-            lifted = _lifted(group, sliced, face, creases, min(chord + CLEAR, MOST_CLEAR))
+            lifted = _lifted(group, sliced, face, creases, min(chord + FLOOR_CLEARANCE, MOST_FLOOR_CLEARANCE))
         level = float(lifted[0].point[0, 2]) if lifted else -np.inf
-        out.append(lifted if lifted is group or level < last - PUSHED else [])
+        out.append(lifted if lifted is group or level < last - PUSHED_DISTANCE else [])
         last = level if out[-1] else last
     return out
 
@@ -181,7 +189,7 @@ def _ends_low(groups: list[list[Loop]], radius: float, end: float) -> bool:
     """Whether a ball on the lowest loops comes down to the level ``end`` [m] about."""
     group = next((group for group in reversed(groups) if group), [])
     lowest = [float((loop.point[:, 2] + radius * loop.normal[:, 2]).min()) for loop in group]
-    return bool(lowest) and min(lowest) - radius <= end + MOST_CLEAR
+    return bool(lowest) and min(lowest) - radius <= end + MOST_FLOOR_CLEARANCE
 
 
 def _lifted(
@@ -197,7 +205,7 @@ def _lifted(
     if not near:
         return group
     level = float(group[0].point[0, 2])
-    beside = _corners(sliced(np.array([level + ABOVE]))[0], face)
+    beside = _corners(sliced(np.array([level + FLOOR_HEIGHT]))[0], face)
     if max(_stopped(loop, face, beside) for loop in near) == 0.0:
         return group
 
@@ -205,10 +213,10 @@ def _lifted(
         found = sliced(np.array([height]))[0]
         return bool(found) and max(_stopped(loop, face, beside) for loop in found) == 0.0
 
-    low, high = level, level + LIFTED
+    low, high = level, level + MOST_LIFT
     if not free(high):
         return group
-    while high - low > TOUCH:
+    while high - low > CONTACT_TOLERANCE:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if free(middle) else (middle, high)
     return sliced(np.array([high + clear]))[0]
@@ -216,23 +224,23 @@ def _lifted(
 
 def _corners(loops: list[Loop], face: Face) -> FloatArray:
     """Places (K, 2) [m] in plan where another wall pushes a ball aside on loops above any floor."""
-    at = [_sample(loop, _DENSE) for loop in loops]
-    found = [place[face.pushed(place, normal, beyond=CREASE) > 0.0, :2] for place, normal in at]
+    at = [_sample(loop, _DENSE_PLACES) for loop in loops]
+    found = [place[face.pushed(place, normal, beyond=CREASE_ANGLE) > 0.0, :2] for place, normal in at]
     return np.concatenate([*found, np.zeros((0, 2))])
 
 
 def _stopped(loop: Loop, face: Face, beside: FloatArray) -> float:
     """By how much [m] at most something else than the wall it is on, and those that meet it ``beside`` (K, 2)
     [m], pushes a ball aside along a loop."""
-    place, normal = _sample(loop, _DENSE)
+    place, normal = _sample(loop, _DENSE_PLACES)
     if len(beside):
-        step = float(np.linalg.norm(np.diff(loop.point, axis=0), axis=1).sum()) / _DENSE
+        step = float(np.linalg.norm(np.diff(loop.point, axis=0), axis=1).sum()) / _DENSE_PLACES
         away = lengths(place[:, None, :2] - beside).min(axis=1) > 1.5 * step
         place, normal = place[away], normal[away]
-    return float(face.pushed(place, normal, beyond=CREASE).max(initial=0.0))
+    return float(face.pushed(place, normal, beyond=CREASE_ANGLE).max(initial=0.0))
 
 
-def _reached(loop: Loop, face: Face, creases: Creases, most: float = PUSHED) -> bool:
+def _reached(loop: Loop, face: Face, creases: Creases, most: float = PUSHED_DISTANCE) -> bool:
     return not creases.near(_sample(loop)[0]).all() or _pushed(loop, face) <= most
 
 
@@ -241,7 +249,7 @@ def _pushed(loop: Loop, face: Face) -> float:
     return float(face.pushed(*_sample(loop)).min())
 
 
-def _sample(loop: Loop, count: int = _SAMPLES) -> tuple[FloatArray, FloatArray]:
+def _sample(loop: Loop, count: int = _LOOP_PLACES) -> tuple[FloatArray, FloatArray]:
     """Places (``count``, 3) of a loop, evenly along it, and unit normals there: on large facets its rows are
     at creases only."""
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop.point, axis=0), axis=1))])
@@ -264,7 +272,7 @@ class TooNarrow(Exception):  # noqa: N818
     gap: float
     fits: float
 
-    def told(self, fits: float | None) -> TandemError:
+    def error(self, fits: float | None) -> TandemError:
         """The error, with the radius [m] that a whole path was laid with, or None where none was found."""
         at = 1e3 * self.place
         what = (
@@ -286,8 +294,8 @@ def largest(first: TooNarrow, path: Callable[[float], object], above: float) -> 
     """The largest radius [m] of those tried with which ``path`` lays the whole path, in whole hundredths of a
     mm, ``above`` a least one [m]; or None. Paths of other balls have other targets, perhaps narrower ones."""
     radius, step = first.fits, 0.0
-    for _ in range(_TRIALS):
-        radius = np.floor(radius / _NAMED + 1e-6) * _NAMED
+    for _ in range(_RADIUS_TRIALS):
+        radius = np.floor(radius / _RADIUS_STEP + 1e-6) * _RADIUS_STEP
         if radius <= above:
             return None
         try:
@@ -306,7 +314,7 @@ def refuse(
     """That places (N, 3) [m] of a face are too narrow for its ball: the worst of them, and the largest ball
     that fits a few of them."""
     order = np.argsort(-gap)
-    rows = order[:: -(-len(order) // _WORST)]
+    rows = order[:: -(-len(order) // _NARROWEST_PLACES)]
     low = 0.0
     box = np.stack([wanted[:, :2].min(axis=0), wanted[:, :2].max(axis=0)])
     around = Face(face.mesh, face.radius, box).mesh

@@ -30,16 +30,23 @@ from planner.problem import Stock
 from planner.reading.sheet import CLAMP_BARS
 from planner.units import DEG, MM
 
-SPACING: Final = 1e-3
-REACHED: Final = 1.5e-4
+FACE_SPACING: Final = 1e-3
+"""Distance [m] of points on the face and of places on a tool's way."""
+REACHED_WITHIN: Final = 1.5e-4
 """What the forming ball comes so near [m] to is formed by it, but for what is left."""
-_MOST: Final = 100_000
-_ROUNDS: Final = 9
-_CHUNK: Final = 4000
-_ABOVE: Final = 2e-5
-TURNED: Final = 2.0 * DEG
-SHARE: Final = 0.02
-NAMED: Final = 1e-5
+_MOST_POINTS: Final = 100_000
+"""Pieces at most into which a face is divided for its points."""
+_TILT_HALVINGS: Final = 9
+"""Halvings by which the largest tilt of a support is found that clears the sheet."""
+_PLACES_AT_ONCE: Final = 4000
+"""Places of a support that are looked at at once."""
+_FLAT_HEIGHT: Final = 2e-5
+"""Points higher than a place by less than this [m] are on the same flat."""
+TURNED_ANGLE: Final = 2.0 * DEG
+"""A warning is due where the support is turned by more than this [rad] ..."""
+TURNED_SHARE: Final = 0.02
+"""... on more than this share of the way."""
+RADIUS_STEP: Final = 1e-5
 """Radii [m] are told to this: one that is no smaller is none to take."""
 """A warning is given where the support is turned by more than the angle on more than the share of the way."""
 
@@ -50,10 +57,10 @@ class FarFace:
     behind them in the wanted part is not there. ``thickness`` [m] of the sheet."""
 
     def __init__(self, one: Pass, thickness: float, contact: ContactPath, radius: float) -> None:
-        pieces, _ = small_pieces(one.vertices[one.faces], SPACING, _MOST)
+        pieces, _ = small_pieces(one.vertices[one.faces], FACE_SPACING, _MOST_POINTS)
         near = np.concatenate([pieces.mean(axis=1), one.vertices])
-        apart = cKDTree(_along(contact)).query(near, distance_upper_bound=radius + REACHED)[0]
-        flat = near[:, 2] >= one.start - _ABOVE
+        apart = cKDTree(_along(contact)).query(near, distance_upper_bound=radius + REACHED_WITHIN)[0]
+        flat = near[:, 2] >= one.start - _FLAT_HEIGHT
         near, self._short = near[np.isfinite(apart) | flat], np.where(flat, 0.0, apart - radius)
         self._short = np.maximum(self._short[np.isfinite(self._short)], 0.0)
         self._level = near[:, 2]
@@ -64,12 +71,14 @@ class FarFace:
         """Whether balls of ``radius`` (M,) [m] about ``place`` (M, 3) hold points of what is formed: what is
         higher than ``above`` (M,) [m] on the near face."""
         out = np.zeros(len(place), dtype=np.bool_)
-        for start in range(0, len(place), _CHUNK):
-            some = slice(start, start + _CHUNK)
+        for start in range(0, len(place), _PLACES_AT_ONCE):
+            some = slice(start, start + _PLACES_AT_ONCE)
             most = float(radius[some].max())
             found = cKDTree(place[some]).sparse_distance_matrix(self._tree, most, output_type="ndarray")
             i, j = found["i"], found["j"]
-            hit = (found["v"] < radius[some][i] - self._short[j]) & (self._level[j] > above[some][i] + _ABOVE)
+            hit = (found["v"] < radius[some][i] - self._short[j]) & (
+                self._level[j] > above[some][i] + _FLAT_HEIGHT
+            )
             out[start + i[hit]] = True
         return out
 
@@ -77,11 +86,11 @@ class FarFace:
         """Largest radius [m], up to ``most``, of a ball that touches the far face at every one of ``touch``
         (M, 3), its centre along -``line`` (M, 3) from there, and holds no point of what is formed."""
         best = most
-        for start in range(0, len(touch), _CHUNK):
-            some = slice(start, start + _CHUNK)
+        for start in range(0, len(touch), _PLACES_AT_ONCE):
+            some = slice(start, start + _PLACES_AT_ONCE)
             found = cKDTree(touch[some]).sparse_distance_matrix(self._tree, 2.0 * best, output_type="ndarray")
             i, j = found["i"], found["j"]
-            kept = (self._level[j] > above[some][i] + _ABOVE) & (found["v"] > 2.0 * SPACING)
+            kept = (self._level[j] > above[some][i] + _FLAT_HEIGHT) & (found["v"] > 2.0 * FACE_SPACING)
             i, j, far = i[kept], j[kept], found["v"][kept]
             ahead = -dots(self._points[j] - touch[some][i], line[some][i])
             fits = ahead > 1e-3 * far
@@ -93,7 +102,7 @@ class FarFace:
 def _along(contact: ContactPath) -> FloatArray:
     """Places of the forming ball's centre on its way, a point's spacing apart."""
     length = np.linalg.norm(np.diff(contact.centre, axis=0), axis=1)
-    count = np.where(contact.working[1:], np.maximum(np.ceil(length / SPACING), 1), 1).astype(np.int64)
+    count = np.where(contact.working[1:], np.maximum(np.ceil(length / FACE_SPACING), 1), 1).astype(np.int64)
     row = np.repeat(np.arange(len(count)), count)
     share = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row]
     step = contact.centre[row + 1] - contact.centre[row]
@@ -113,7 +122,7 @@ def clear_tilt(
 
     rows = np.flatnonzero(wrong(np.arange(len(tilt)), tilt))
     low, high = np.zeros(len(rows)), tilt[rows]
-    for _ in range(_ROUNDS):
+    for _ in range(_TILT_HALVINGS):
         middle = 0.5 * (low + high)
         bad = wrong(rows, middle)
         low, high = np.where(bad, low, middle), np.where(bad, middle, high)
@@ -137,7 +146,7 @@ def radius_issue(
     ``thickness`` [m] of the flat sheet; ``gap`` (N,) [m]; ``radii`` (2,) [m] of the forming ball and the
     support."""
     deep = one.start - contact.point[:, 2] > radii[1] * (1.0 - np.cos(contact.angle)) + 2e-4
-    wrong = deep & (off > TURNED) & contact.working
+    wrong = deep & (off > TURNED_ANGLE) & contact.working
     rows = np.flatnonzero(wrong)
     if not len(rows):
         return None
@@ -149,7 +158,7 @@ def radius_issue(
     wrong[rows] = face.cuts(place, radii[1] - squeezed - slack, contact.point[rows, 2])
     way = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
     share = float(way[wrong].sum()) / max(float(way[deep].sum()), 1e-9)
-    if share <= SHARE:
+    if share <= TURNED_SHARE:
         return None
     touch = contact.centre[wrong] - (radii[0] + gap[wrong])[:, None] * contact.normal[wrong]
     fits = face.largest(touch, contact.normal[wrong], contact.point[wrong, 2], float(radii[1]))
@@ -159,7 +168,7 @@ def radius_issue(
         f"radius cannot be opposite the forming one, most at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; it "
         f"is turned aside by up to {float(off[wrong].max()) / DEG:.0f} deg"
     )
-    known = fits < radii[1] - NAMED
+    known = fits < radii[1] - RADIUS_STEP
     return Issue(
         "forming.support_radius",
         f"{what}; the largest that fits is {fits / MM:.2f} mm" if known else what,
@@ -175,11 +184,14 @@ CLAMP_SPACING: Final = 2e-3
 """Tools are looked at each time that they have gone so far [m]."""
 LEANING_ROOM: Final = 12e-3
 """What a head that may lean as it likes keeps from the clamp [m], a little more than arms keep by default."""
-SLACK: Final = 1.0
+OPENING_SPARE_MM: Final = 1.0
 """Openings that are advised are wider by this [mm]: tools are looked at in places."""
-AROUND: Final = 32
-_LEAN_ROUNDS: Final = 9
-_CLAMP_CHUNK: Final = 500
+CIRCLE_PLACES: Final = 32
+"""Places around a circle of a tool that are held against the clamp."""
+_LEAN_HALVINGS: Final = 9
+"""Halvings by which the largest lean of a tool is found that clears the clamp."""
+_CLAMP_PLACES_AT_ONCE: Final = 500
+"""Places of a tool's tip that are held against the clamp at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -213,7 +225,7 @@ def clear_lean(
     out = lean.copy()
     rows = np.flatnonzero(~_clear(clamp, place, leaned(normal, lean), profile))
     low, high = np.zeros(len(rows)), lean[rows]
-    for _ in range(_LEAN_ROUNDS):
+    for _ in range(_LEAN_HALVINGS):
         middle = 0.5 * (low + high)
         good = _clear(clamp, place[rows], leaned(normal[rows], middle), profile)
         low, high = np.where(good, middle, low), np.where(good, high, middle)
@@ -245,7 +257,7 @@ def clamp_issues(
 def wider_mm(deep: float, rounded: bool) -> float:
     """How much wider [mm] an opening must be for tools that reach ``deep`` [mm] into its clamp; the bars of a
     ``rounded`` one are nearer to its middle than its radius."""
-    return 2.0 * deep / (np.cos(np.pi / CLAMP_BARS) if rounded else 1.0) + SLACK
+    return 2.0 * deep / (np.cos(np.pi / CLAMP_BARS) if rounded else 1.0) + OPENING_SPARE_MM
 
 
 def _clear(
@@ -256,7 +268,7 @@ def _clear(
     back, radius = _circles(profile)
     out = np.ones(len(place), dtype=np.bool_)
     rows = np.flatnonzero(_near(clamp, place, axis, profile, room))
-    for some in np.split(rows, range(_CLAMP_CHUNK, len(rows), _CLAMP_CHUNK)):
+    for some in np.split(rows, range(_CLAMP_PLACES_AT_ONCE, len(rows), _CLAMP_PLACES_AT_ONCE)):
         middle = place[some, None] - back[None, :, None] * axis[some, None]
         aside = np.sqrt(np.maximum(1.0 - (axis[some, :2] @ clamp.outward.T) ** 2, 0.0))
         most = middle[..., :2] @ clamp.outward.T + radius[None, :, None] * aside[:, None]
@@ -295,7 +307,7 @@ def _deepest(
     """How far (N,) [m] heads reach out under or over the clamp's bars within their heights, and the places
     (N, 3) [m] that do; by places around their circles."""
     back, radius = _circles(profile)
-    turn = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
+    turn = np.linspace(0.0, 2.0 * np.pi, CIRCLE_PLACES, endpoint=False)
     deep, where = np.zeros(len(place)), np.zeros((len(place), 3))
     for k in range(len(place)):
         one = np.cross(axis[k], [0.0, 1.0, 0.0] if abs(axis[k, 1]) < 0.9 else [1.0, 0.0, 0.0])

@@ -110,6 +110,7 @@ STEADY_STEP: Final = 1e-3
 STEADY_WIDTH: Final = 4e-3
 """Way [m] over which directions are steadied: a few facets of a usual mesh."""
 MOST_ROWS: Final = 2_000_000
+"""Places of a path at most at which it is looked at."""
 
 
 def steady_normals(normal: FloatArray, centre: FloatArray, most: float = 2.5 * DEG) -> FloatArray:
@@ -153,7 +154,8 @@ def _grid(centre: FloatArray) -> tuple[FloatArray, FloatArray]:
     return way, np.linspace(0.0, way[-1], count)
 
 
-_STILL = 1e-12
+_LEAST_NORM = 1e-12
+"""A direction is divided by no less than this."""
 
 
 def insert(contact: ContactPath, radius: float, side: int, row: IntArray, share: FloatArray) -> ContactPath:
@@ -206,7 +208,7 @@ def turned(one: FloatArray, two: FloatArray, share: FloatArray) -> FloatArray:
     first = np.where(straight, 1.0 - share, np.sin((1.0 - share) * angle) / base)
     second = np.where(straight, share, np.sin(share * angle) / base)
     out = first[:, None] * one + second[:, None] * two
-    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), _STILL))
+    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), _LEAST_NORM))
 
 
 def shares(count: IntArray) -> tuple[IntArray, FloatArray]:

@@ -41,10 +41,10 @@ from planner.forming.support.directions import (
     steady_normals,
 )
 from planner.forming.support.opposite import (
-    AT,
-    BETWEEN,
-    HELD,
-    SHARE,
+    AT_TARGET,
+    CHORD_SHARE,
+    MIDWAY_TURN,
+    TARGET_TURN,
     Touching,
     Way,
     opposite_path,
@@ -56,10 +56,11 @@ from planner.issues import Issue, Severity, TandemError
 from planner.tooling import FormingHead, profile
 from planner.units import DEG, MM
 
-TURN: Final = 1.0 * DEG
+NOZZLE_TURN: Final = 1.0 * DEG
 """A nozzle turns by no more than this [rad] in one move: it is long, and its arm turns with it."""
-_ROUNDS: Final = 8
-_SHORT: Final = 5e-5
+_SPLIT_ROUNDS: Final = 8
+"""Moves are parted so often at most where the nozzle turns."""
+_SHORT_MOVE: Final = 5e-5
 """Moves of the place that is heated that are not longer [m] are parted for turns alone."""
 
 
@@ -80,12 +81,12 @@ def heated(
     tool above.
     """
     touching = Touching(one, former.radius, 1.0, thickness)
-    way = waited(contact, touching, slack, AT)
-    for left in range(_ROUNDS, -1, -1):
+    way = waited(contact, touching, slack, AT_TARGET)
+    for left in range(_SPLIT_ROUNDS, -1, -1):
         contact = way.contact
         # where the ball waits the place that is heated goes on, and directions are steadied along that
         about = contact.centre - former.radius * way.lean.normal
-        normal = way.lean.held(steady_normals(way.lean.normal, about), HELD)
+        normal = way.lean.nearest(steady_normals(way.lean.normal, about), TARGET_TURN)
         through = former.radius + thickness * np.clip(normal[:, 2], 0.0, 1.0)
         place = contact.centre - through[:, None] * normal
         level = one.start - thickness
@@ -95,7 +96,7 @@ def heated(
             lean = clear_lean(clamp, place, normal, lean, profile(nozzle))
         axis = leaned(normal, steady_below(lean, about))
         turn = np.arccos(np.clip(dots(axis[1:], axis[:-1]), -1.0, 1.0))
-        count = np.append(1, np.ceil(turn / TURN)).astype(np.int64)
+        count = np.append(1, np.ceil(turn / NOZZLE_TURN)).astype(np.int64)
         count = np.maximum(count, _uneven(way, contact.centre - place))
         if left == 0 or count.max() <= 1:
             break
@@ -111,13 +112,13 @@ def _uneven(way: Way, across: FloatArray) -> IntArray:
     line = mixed(unit[:-1], unit[1:], np.full(len(unit) - 1, 0.5))
     line /= np.linalg.norm(line, axis=1, keepdims=True)
     middle = way.middle[np.arange(1, len(unit))]
-    off = np.arccos(np.clip(dots(middle.held(line, 0.0), line), -1.0, 1.0))
+    off = np.arccos(np.clip(dots(middle.nearest(line, 0.0), line), -1.0, 1.0))
     turn = np.arccos(np.clip(dots(unit[1:], unit[:-1]), -1.0, 1.0))
     place = way.contact.centre - across
     moved = np.linalg.norm(np.diff(way.contact.centre, axis=0), axis=1)
     moved = np.maximum(moved, np.linalg.norm(np.diff(place, axis=0), axis=1))
-    two = np.where((off > BETWEEN) & (moved > _SHORT), 2.0, 1.0)
-    count = np.where(way.still[1:], np.ceil(turn / (2.0 * TURN)), two)
+    two = np.where((off > MIDWAY_TURN) & (moved > _SHORT_MOVE), 2.0, 1.0)
+    count = np.where(way.still[1:], np.ceil(turn / (2.0 * NOZZLE_TURN)), two)
     return np.append(1, np.maximum(count, 1.0)).astype(np.int64)
 
 
@@ -127,7 +128,8 @@ BEND_CUT: Final = 1e-4
 """Straight moves may cut its bends by so much [m], inward or outward."""
 FLAT_NOISE: Final = 5e-5
 """What is off the flat by less [m] may be noise of its mesh, and is not formed."""
-_FINE: Final = 64
+_ARC_PIECES: Final = 64
+"""Pieces of a quarter of an arc about the border."""
 
 
 def border_curve(one: Pass, support: FormingHead, thickness: float, margin: float = 0.0) -> FloatArray:
@@ -136,7 +138,7 @@ def border_curve(one: Pass, support: FormingHead, thickness: float, margin: floa
 
     The border is that of the feature's outermost level line and all triangles of the face with a corner off
     the flat: in a fillet at the rim that line is millimetres inside of them where the mesh is noisy."""
-    grown = shapely.Polygon(_moved(one).buffer(support.radius + margin, quad_segs=_FINE).exterior)
+    grown = shapely.Polygon(_moved(one).buffer(support.radius + margin, quad_segs=_ARC_PIECES).exterior)
     ring = shapely.get_coordinates(shapely.orient_polygons(grown).exterior)
     off = thickness + (support.radius if support.kind == "ball" else 0.0)
     return np.column_stack([ring, np.full(len(ring), one.start - one.side * off)])
@@ -350,11 +352,12 @@ def _loose_issue(one: Pass, path: ToolPath, operation: Forming) -> Issue | None:
     middle = np.linalg.norm(0.5 * (across[rows] + across[rows - 1]), axis=1)
     off = float((0.5 * (length[rows] + length[rows - 1]) - middle).max()) / MM
     what = f"pass {one.name}: on {len(rows)} moves between targets, first at ({first}) mm, "
-    if off > SHARE * operation.gap_tol_mm:
+    if off > CHORD_SHARE * operation.gap_tol_mm:
         what += (
-            f"the gap of the tools is off by up to {off:.3f} mm, {SHARE:.0%} of gap_tol_mm are planned for"
+            f"the gap of the tools is off by up to {off:.3f} mm, {CHORD_SHARE:.0%} of gap_tol_mm are "
+            "planned for"
         )
-        hint = f"allow a gap_tol_mm of {off / SHARE + 5e-4:.3f}, or round the part there"
+        hint = f"allow a gap_tol_mm of {off / CHORD_SHARE + 5e-4:.3f}, or round the part there"
     else:
         what += "the wall turns at once, and the line of the tools does not follow within its tolerance"
         hint = "round the part there"

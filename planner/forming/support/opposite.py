@@ -46,17 +46,17 @@ from planner.geometry.mesh import TriangleMesh
 from planner.tooling import FormingHead
 from planner.units import DEG, MM
 
-NEAR: Final = 2e-5
+NEAREST_WITHIN: Final = 2e-5
 """Facets that are farther from the centre by so much [m] than the nearest one count for nothing."""
-TURNED: Final = 5.0 * DEG
-"""Those that turn from the nearest one by more count up to less: as far as the ball has gone along."""
-TIED: Final = 4e-6
+TURNED_ANGLE: Final = 5.0 * DEG
+"""Those that turn from the nearest one by more [rad] count up to less: as far as the ball has gone along."""
+TIED_WITHIN: Final = 4e-6
 """The gap is between those at the places that are as near but for so much [m]."""
-ROLLED: Final = 8.0 * DEG
-"""Facets stand for a smooth face while its normal is off theirs by less."""
-CREASED: Final = 0.15
+SMOOTH_TURN: Final = 8.0 * DEG
+"""Facets stand for a smooth face while its normal is off theirs by less than this [rad]."""
+CREASE_THICKNESS_SHARE: Final = 0.15
 """Thicknesses on both sides of a crease differ by more than this share of the flat sheet's."""
-TOUCHED: Final = 4e-6
+TOUCHED_WITHIN: Final = 4e-6
 """Places that are as near as the nearest one but for so much [m] are touched at once; the proof counts a
 little more of them."""
 
@@ -87,7 +87,7 @@ class Lean:
         touched and the vertical, by the ways or by the smooth face, whichever is nearer."""
         return np.minimum(*(off_fan(line, self.ends[:, k], self.ends[:, k + 1]) for k in (0, 2)))
 
-    def held(self, normal: FloatArray, most: float) -> FloatArray:
+    def nearest(self, normal: FloatArray, most: float) -> FloatArray:
         """Unit ``normal`` (N, 3) turned as little as brings it within ``most`` [rad] of those touched."""
         near = [nearest_between(normal, self.ends[:, k], self.ends[:, k + 1]) for k in (0, 2)]
         nearer = dots(near[0], normal) > dots(near[1], normal)
@@ -102,25 +102,27 @@ class Touching:
         self.radius = radius
         self._face = Face(TriangleMesh(one.vertices, one.faces), radius)
         self._gap = squeeze * by_corner(one, thickness)[2].reshape(-1, 3)
-        self._jump = CREASED * squeeze * thickness
+        self._jump = CREASE_THICKNESS_SHARE * squeeze * thickness
 
     def lean(self, centres: FloatArray) -> Lean:
         """What balls about ``centres`` (N, 3) [m] lean on. Where two walls or a wall and a floor are touched
         that are not of one thickness, it is the thinner one."""
-        row, face, weights, place, apart = self._face.touched(centres, NEAR)
+        row, face, weights, place, apart = self._face.touched(centres, NEAREST_WITHIN)
         ends = self._ends(row, centres[row] - place, face, weights, apart)
         first = np.searchsorted(row, np.arange(len(centres)))[row]
         normal = _rolled(centres[row] - place, self._face.normal_at(face, weights))
         gap = dots(weights, self._gap[face])
         turn = np.arccos(np.clip(dots(normal, normal[first]), -1.0, 1.0))
-        count = 1.0 - (apart - apart[first]) * np.maximum(turn, TURNED) / (TURNED * NEAR)
+        count = 1.0 - (apart - apart[first]) * np.maximum(turn, TURNED_ANGLE) / (
+            TURNED_ANGLE * NEAREST_WITHIN
+        )
         use = count > 0.0
         least = np.full(len(centres), np.inf)
         np.minimum.at(least, row[use], gap[use])
         use &= gap <= least[row] + self._jump
         row = row[use]
         count, normal, gap, apart = (part[use] for part in (count, normal, gap, apart - apart[first]))
-        tied = apart <= TIED
+        tied = apart <= TIED_WITHIN
         low, high = np.full(len(centres), np.inf), np.full(len(centres), -np.inf)
         np.minimum.at(low, row[tied], gap[tied])
         np.maximum.at(high, row[tied], gap[tied])
@@ -139,7 +141,9 @@ class Touching:
         """``Lean.ends`` (N, 4, 3) of M pairs by point ``row`` (M,), the nearest first: ``way`` (M, 3) [m] to
         the centre, ``face`` (M,) with ``weights`` (M, 3), and how far (M,) [m] it is."""
         start = np.flatnonzero(np.diff(row, prepend=-1) > 0)
-        use = np.flatnonzero(apart <= np.repeat(apart[start], np.diff(np.append(start, len(row)))) + TOUCHED)
+        use = np.flatnonzero(
+            apart <= np.repeat(apart[start], np.diff(np.append(start, len(row)))) + TOUCHED_WITHIN
+        )
         row, start = row[use], np.searchsorted(row[use], np.arange(len(start)))
         length = np.linalg.norm(way[use], axis=1, keepdims=True)
         smooth = self._face.normal_at(face[use], weights[use])
@@ -162,39 +166,40 @@ def _rolled(way: FloatArray, normal: FloatArray) -> FloatArray:
     length = np.linalg.norm(way, axis=1, keepdims=True)
     way = np.where(length > 0.0, way / np.maximum(length, 1e-300), normal)
     off = np.arccos(np.clip(dots(way, normal), -1.0, 1.0))
-    return turned_at_most(way, normal, off * np.clip(2.0 - off / ROLLED, 0.0, 1.0))
+    return turned_at_most(way, normal, off * np.clip(2.0 - off / SMOOTH_TURN, 0.0, 1.0))
 
 
 BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
-LIFT: Final = 5e-3
+SUPPORT_LIFT: Final = 5e-3
 """How far [m] the support draws back from the sheet where the forming tool goes over in the air."""
-AIR: Final = 3e-3
+AIR_DISTANCE: Final = 3e-3
 """Distance [m] of the forming ball from the face beyond which it is in the air."""
-SHARE: Final = 0.3
+CHORD_SHARE: Final = 0.3
 """Part of the gap's tolerance that straight moves between targets may take."""
-DRIFT: Final = 0.8
+DRIFT_SHARE: Final = 0.8
 """Part of what the user lets the gap be off with one controller ahead that is planned for."""
-FACING: Final = 4.0 * DEG
+FACING_TURN: Final = 4.0 * DEG
 """The line of two tools is between the face's normal and the vertical, to which the support is turned where
-it would cut into the flat or where a shift is stated, and off that by this much at most."""
-STEADY: Final = 1.2 * DEG
-"""What of that goes to steadying the line at targets; between them it may be off twice as far."""
-HELD: Final = 2.5 * DEG
-"""The line's direction is within this of what lies between all places that the ball touches at a target."""
-BETWEEN: Final = 3.0 * DEG
-"""And within this between targets."""
-CORNER: Final = 8.0 * DEG
-"""Where what the ball leans on turns by more at once, it waits for the support."""
-_HALVINGS: Final = 14
+it would cut into the flat or where a shift is stated, and off that by this [rad] at most."""
+STEADY_TURN: Final = 1.2 * DEG
+"""What of that [rad] goes to steadying the line at targets; between them it may be off twice as far."""
+TARGET_TURN: Final = 2.5 * DEG
+"""The line's direction is within this [rad] of what lies between all places that the ball touches at a
+target."""
+MIDWAY_TURN: Final = 3.0 * DEG
+"""The same [rad] between targets."""
+WAITING_TURN: Final = 8.0 * DEG
+"""Where what the ball leans on turns by more than this [rad] at once, it waits for the support."""
+_CORNER_HALVINGS: Final = 14
 """Moves are at most some millimetres long, and a corner's place is to be known to a micrometre."""
-AT: Final = 5e-6
+AT_TARGET: Final = 5e-6
 """A corner that is so near [m] to a target is at it."""
-_SHORT: Final = 5e-5
+_SHORT_MOVE: Final = 5e-5
 """Moves of both tools that are not longer [m] are not parted."""
-_STILL: Final = 3e-6
+_STANDING_MOVE: Final = 3e-6
 """A ball that goes no farther [m] while what it leans on turns stands at a corner."""
-_ROUNDS: Final = 40
+_SPLIT_ROUNDS: Final = 40
 """Moves are parted so often at most. Where the line has to turn steadily, a finer move leaves less of a turn
 to its neighbour, which is next; rounds with few of them cost little."""
 
@@ -227,14 +232,14 @@ def opposite_path(
     level, far = one.start - thickness, FarFace(one, thickness, contact, former.radius)
     touching = Touching(one, former.radius, operation.squeeze, thickness)
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
-    radii, allowed = former.radius + support.radius, SHARE * operation.gap_tol_mm * MM
+    radii, allowed = former.radius + support.radius, CHORD_SHARE * operation.gap_tol_mm * MM
     way = waited(contact, touching, operation.gouge_tol_mm * MM)
-    for left in range(_ROUNDS, -1, -1):
+    for left in range(_SPLIT_ROUNDS, -1, -1):
         contact, gap = way.contact, way.lean.gap
         apart = gap + radii
         # far from the face the support goes farther than the former, in a corner by far
         about = contact.centre - radii * way.lean.normal
-        normal = way.lean.held(steady_normals(way.lean.normal, about, STEADY), HELD)
+        normal = way.lean.nearest(steady_normals(way.lean.normal, about, STEADY_TURN), TARGET_TURN)
         steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
         # off the face it cannot be opposite that: it is below what the ball stands on
         tilt = (1.0 - way.off) * np.maximum(steep - shift, 0.0)
@@ -244,12 +249,12 @@ def opposite_path(
         facing = dataclasses.replace(contact, normal=normal)
         tilt = steady_below(clear_tilt(far, facing, tilt, apart, inner), about)
         across = apart[:, None] * leaned(normal, tilt)
-        air = np.linalg.norm(contact.centre - contact.point, axis=1) > former.radius + AIR
+        air = np.linalg.norm(contact.centre - contact.point, axis=1) > former.radius + AIR_DISTANCE
         count = np.maximum(
             _pieces(way, across, radii, allowed), _uneven(way, across, radii, allowed, touching)
         )
         if every:
-            ahead = DRIFT * operation.handshake_gap_mm * MM
+            ahead = DRIFT_SHARE * operation.handshake_gap_mm * MM
             count = np.maximum(count, _drifting(contact.centre, across, gap + radii, every, ahead))
         count[1:][air[1:] | air[:-1]] = 1
         if left == 0 or count.max() == 1:
@@ -274,13 +279,13 @@ def waited(contact: ContactPath, touching: Touching, slack: float, spread: float
     goes, ``spread`` [m] before and behind. Where it does not touch within ``slack`` [m] it is off the
     face."""
     away = np.linalg.norm(contact.centre - contact.point, axis=1) - touching.radius
-    aloft = ~contact.working & (away > slack) & (away <= AIR)
+    aloft = ~contact.working & (away > slack) & (away <= AIR_DISTANCE)
     at = touching.lean(contact.centre)
     step = np.linalg.norm(np.diff(contact.centre, axis=0), axis=1)
-    rows = np.flatnonzero((_angle(at.normal[1:], at.normal[:-1]) > CORNER) & (step > 0.0)) + 1
+    rows = np.flatnonzero((_angle(at.normal[1:], at.normal[:-1]) > WAITING_TURN) & (step > 0.0)) + 1
     one, two = at[rows - 1], at[rows]
     low, high = np.zeros(len(rows)), np.ones(len(rows))
-    for _ in range(_HALVINGS):  # keeping the half over which it turns the more
+    for _ in range(_CORNER_HALVINGS):  # keeping the half over which it turns the more
         middle = 0.5 * (low + high)
         found = touching.lean(mixed(contact.centre[rows - 1], contact.centre[rows], middle))
         first = _angle(one.normal, found.normal) > _angle(found.normal, two.normal)
@@ -292,11 +297,14 @@ def waited(contact: ContactPath, touching: Touching, slack: float, spread: float
         low, high = np.maximum(low - aside, 0.0), np.minimum(high + aside, 1.0)
         way = contact.centre[rows - 1], contact.centre[rows]
         one, two = touching.lean(mixed(*way, low)), touching.lean(mixed(*way, high))
-    jump = np.flatnonzero(_angle(one.normal, two.normal) > CORNER)
+    jump = np.flatnonzero(_angle(one.normal, two.normal) > WAITING_TURN)
     place, row, pair = middle[jump], rows[jump], (one[jump], two[jump])
     # where that is at a target already, this is one of the two
     apart = step[row - 1] * place, step[row - 1] * (1.0 - place)
-    own = [(apart[k] < AT) & (_angle(pair[k].normal, at.normal[row - 1 + k]) < STEADY) for k in range(2)]
+    own = [
+        (apart[k] < AT_TARGET) & (_angle(pair[k].normal, at.normal[row - 1 + k]) < STEADY_TURN)
+        for k in range(2)
+    ]
     row, place = np.repeat(row, 2), np.repeat(place, 2)
     kept = ~np.column_stack(own).ravel()
     normal = np.stack([part.normal for part in pair], axis=1).reshape(-1, 3)
@@ -328,11 +336,11 @@ def _pieces(way: Way, across: FloatArray, radii: float, allowed: float) -> IntAr
     least = np.linalg.norm(middle, axis=1)
     off = np.maximum(np.abs(least - radii - way.middle.gap[1:]), 0.5 * (length[1:] + length[:-1]) - least)
     line = middle / least[:, None]
-    turned_off = off_upright(line, way.middle.normal[1:]) > 2.0 * STEADY
-    turned_off |= way.middle[np.arange(1, len(length))].off(line) > BETWEEN
+    turned_off = off_upright(line, way.middle.normal[1:]) > 2.0 * STEADY_TURN
+    turned_off |= way.middle[np.arange(1, len(length))].off(line) > MIDWAY_TURN
     step = np.linalg.norm(np.diff(way.contact.centre, axis=0), axis=1)
     moved = np.maximum(step, np.linalg.norm(np.diff(way.contact.centre - across, axis=0), axis=1))
-    two = ((off > allowed) | turned_off) & (moved > _SHORT)
+    two = ((off > allowed) | turned_off) & (moved > _SHORT_MOVE)
     finest = 2.0 * np.arccos(1.0 - 0.5 * allowed / length[1:])
     arc = np.ceil(_angle(across[1:] / length[1:, None], across[:-1] / length[:-1, None]) / finest)
     count = np.where(way.still[1:], np.maximum(arc, 1.0), np.where(two, np.maximum(arc, 2.0), 1.0))
@@ -345,7 +353,7 @@ def _uneven(way: Way, across: FloatArray, radii: float, allowed: float, touching
     gap, centre = way.lean.gap, way.contact.centre
     rows = np.flatnonzero(np.abs(np.diff(gap)) > allowed) + 1
     step = np.linalg.norm(centre[rows] - centre[rows - 1], axis=1)
-    rows = rows[(step > _SHORT) & ~way.still[rows]]
+    rows = rows[(step > _SHORT_MOVE) & ~way.still[rows]]
     count = np.ones(len(gap), dtype=np.int64)
     for share in (0.25, 0.75) if len(rows) else ():
         look = np.full(len(rows), share)
@@ -372,7 +380,7 @@ def _drifting(
             np.maximum.at(count, np.arange(1 + step, 1 + step + len(many)), many)
     step = np.linalg.norm(np.diff(centre, axis=0), axis=1)
     moved = np.maximum(step, np.linalg.norm(np.diff(place, axis=0), axis=1))
-    return np.where(np.append(0.0, moved) > _SHORT, count, 1)
+    return np.where(np.append(0.0, moved) > _SHORT_MOVE, count, 1)
 
 
 def parted(way: Way, count: IntArray, touching: Touching) -> Way:
@@ -392,8 +400,8 @@ def parted(way: Way, count: IntArray, touching: Touching) -> Way:
     found = touching.lean(mixed(contact.centre[fresh - 1], contact.centre[fresh], np.full(len(fresh), 0.5)))
     middle.normal[fresh], middle.gap[fresh], middle.ends[fresh] = found.normal, found.gap, found.ends
     step = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
-    turned_far = _angle(lean.normal, np.concatenate([lean.normal[:1], lean.normal[:-1]])) > STEADY
-    still = np.insert(way.still, row, still) | ((step < _STILL) & turned_far)
+    turned_far = _angle(lean.normal, np.concatenate([lean.normal[:1], lean.normal[:-1]])) > STEADY_TURN
+    still = np.insert(way.still, row, still) | ((step < _STANDING_MOVE) & turned_far)
     off = np.insert(way.off, row, way.off[row - 1] + share * (way.off[row] - way.off[row - 1]))
     return Way(contact, lean, still, middle, off)
 
@@ -408,7 +416,7 @@ def _draw_back(place: FloatArray, air: BoolArray, one: Pass, thickness: float, r
     straight up."""
     if not air.any() or air.all():
         return
-    low = float(one.vertices[:, 2].min()) - thickness - radius - LIFT
+    low = float(one.vertices[:, 2].min()) - thickness - radius - SUPPORT_LIFT
     rows = np.flatnonzero(air)
     touching = np.flatnonzero(~air)
     after = np.searchsorted(touching, rows)

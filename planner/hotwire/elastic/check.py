@@ -31,10 +31,10 @@ from planner.issues import Issue, Severity, TandemError
 from planner.targets import FEED_SHARE
 from planner.units import MM
 
-_SOME = 24  # shapes per job for which the deviation by weight is worked out
-_HUGE = 1e6  # stands for a shape that end errors or weight move without limit
-_TAUT = 0.99985  # of the length: ends farther apart than that leave the wire no bow to give way with
-_THIN = 0.05  # margin of stability below which a note is due
+_WEIGHED_SHAPES = 24  # shapes per job for which the deviation by weight is worked out
+_NO_LIMIT = 1e6  # stands for a shape that end errors or weight move without limit
+_TAUT_SHARE = 0.99985  # of the length: ends farther apart than that leave the wire no bow to give way with
+_THIN_MARGIN = 0.05  # margin of stability below which a note is due
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,14 +79,14 @@ def measure(route: Route, wire: Wire, box: FloatArray) -> Figures:
     half = np.maximum(np.where(touches, 0.5 * (last - first), 0.0), 0.03 * wires.length)
     feel = end_sensitivity(shape, np.stack([middle - half, middle + half], axis=1)).ends
     sag, _ = heavy.sag_out_of_plane(shape, wires.load()[:, 2], wire.section)
-    some = np.unique(np.linspace(0, len(wires) - 1, _SOME).astype(np.intp))
+    some = np.unique(np.linspace(0, len(wires) - 1, _WEIGHED_SHAPES).astype(np.intp))
     off, _ = weight_deviation(wires[some].shapes())
     return Figures(
         shape.margin_in_plane,
         shape.margin_out_of_plane(wire.section),
         np.abs(shape.curvature).max(axis=1),
-        np.where(touches, np.minimum(feel, _HUGE), 0.0),
-        np.minimum(sag, _HUGE),
+        np.where(touches, np.minimum(feel, _NO_LIMIT), 0.0),
+        np.minimum(sag, _NO_LIMIT),
         np.minimum(distance[:, 0], distance[:, -1]),
         off,
         some,
@@ -143,14 +143,14 @@ def _taut(op: ElasticWire, route: Route) -> list[Issue]:
     shape = route.wires.shapes(3)
     apart = np.linalg.norm(shape.end[:, :2] - shape.start[:, :2], axis=1) / route.wires.length
     worst = int(np.argmax(apart))
-    if apart[worst] <= _TAUT:
+    if apart[worst] <= _TAUT_SHARE:
         return []
     return [
         Issue(
             "wire.end_error",
             f"{op.name}: the wire of {op.chosen.length_mm:g} mm is all but straight ({_name(route, worst)}): "
             f"its ends are {apart[worst] * op.chosen.length_mm:.3f} mm apart, "
-            f"{_TAUT * op.chosen.length_mm:.2f} mm are allowed",
+            f"{_TAUT_SHARE * op.chosen.length_mm:.2f} mm are allowed",
             index=worst,
         )
     ]
@@ -188,7 +188,7 @@ def _stability(route: Route, figures: Figures) -> list[Issue]:
         (figures.out_of_plane, "out of its plane", "use a strip, which is stiff that way, or a shorter wire"),
     ):
         worst = int(np.argmin(margin))
-        if margin[worst] > _THIN:
+        if margin[worst] > _THIN_MARGIN:
             continue
         stable = margin[worst] > STABLE
         issues.append(
@@ -199,7 +199,7 @@ def _stability(route: Route, figures: Figures) -> list[Issue]:
                 Severity.WARNING if stable else Severity.ERROR,
                 index=worst,
                 value=float(margin[worst]),
-                limit=_THIN if stable else STABLE,
+                limit=_THIN_MARGIN if stable else STABLE,
                 hint=remedy,
             )
         )
@@ -256,7 +256,7 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
         ]
     if share[2] > tol:
         worst = float(figures.sensitivity[rows].max())
-        feels = f"{worst * 0.1:.2f} mm" if worst < 0.01 * _HUGE else "without limit"
+        feels = f"{worst * 0.1:.2f} mm" if worst < 0.01 * _NO_LIMIT else "without limit"
         reached = f"{share[2] * 1e3:.2f} mm" if share[2] < 1.0 else "no bound"
         return [
             Issue(
@@ -330,15 +330,15 @@ def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> lis
     ]
 
 
-PLACES = 160
+SPEED_PLACES = 160
 """Places along the sweep at which speeds along the wire are worked out."""
 
 
-MELTED = 1e-3
+MELTED_WAY = 1e-3
 """[m] what the wire does on less of its way either way is melted together: stops are not told."""
-FACTORS = np.geomspace(1.0 / 8.0, 8.0, 61)
+HEAT_FACTORS = np.geomspace(1.0 / 8.0, 8.0, 61)
 """Powers and feeds that are looked at where a slot is too wide or too narrow, as multiples."""
-FASTEST = 50.0
+FASTEST_FEED_MM_S = 50.0
 """[mm/s] no feed beyond this is named."""
 
 
@@ -350,7 +350,7 @@ def is_constant(curve: KerfCurve) -> bool:
 def speed_shares(face: Face, box: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Points (P, S, 3) [m] of a face's wires over its sweep, and how fast (P, S) each moves across the wire,
     as a share of the fastest point inside the block ``box`` (2, 3); of the fastest of all outside."""
-    p = np.linspace(face.family.lower, face.family.upper, PLACES)
+    p = np.linspace(face.family.lower, face.family.upper, SPEED_PLACES)
     wires = face.wires(p)
     points = wires.points(wires.shapes())
     way = np.gradient(points, p, axis=0)
@@ -423,7 +423,7 @@ def check_driven(
     [s].
     """
     gone, time = clock
-    ends = np.clip(np.stack([gone - MELTED, gone + MELTED]), gone[0], gone[-1])
+    ends = np.clip(np.stack([gone - MELTED_WAY, gone + MELTED_WAY]), gone[0], gone[-1])
     way, took = ends[1] - ends[0], np.interp(ends[1], gone, time) - np.interp(ends[0], gone, time)
     slow = np.clip(way / np.maximum(took, 1e-9) / (FEED_SHARE * op.feed_mm_s * MM), 1e-3, 1.0)
     vertices = here.vertices
@@ -459,7 +459,9 @@ def advice(
     there is none."""
     said = []
     for key, own in (("power_w", op.power_w or 0.0), ("feed_mm_s", op.feed_mm_s)):
-        good = [value for value in own * FACTORS if not _faults(_with(op, key, value), op, passed, curve_of)]
+        good = [
+            value for value in own * HEAT_FACTORS if not _faults(_with(op, key, value), op, passed, curve_of)
+        ]
         for digits in (2, 3):
             value = float(f"{np.sqrt(good[0] * good[-1]):.{digits}g}") if good else 0.0
             changed = _with(op, key, value)
@@ -486,7 +488,7 @@ def _faults(
 ) -> bool:
     """Whether another power or feed does not do at the speeds as they are, or is none."""
     faster = changed.feed_mm_s / op.feed_mm_s
-    if not op.feed_min_mm_s <= changed.feed_mm_s <= FASTEST:
+    if not op.feed_min_mm_s <= changed.feed_mm_s <= FASTEST_FEED_MM_S:
         return True
     try:
         curve = curve_of(changed)

@@ -25,7 +25,7 @@ from planner.geometry.rigid import from_parts
 from planner.hotwire.elastica.equations import Flow, flow, legendre, node_counts, nodes
 from planner.hotwire.elastica.fit import TAIL_WEIGHT, CurveFit, fit_curves
 
-POINTS = 41
+SECTION_POINTS = 41
 """Points per section that the fit sees."""
 
 
@@ -114,7 +114,7 @@ def cut_sections(face: TriangleMesh, spine: Spine, p: FloatArray) -> SectionSet:
     """
     frames = spine.frames(p)
     cut = slice_mesh(face, frames[:, :3, 3], frames[:, :3, 2])
-    points = np.zeros((len(p), POINTS, 2))
+    points = np.zeros((len(p), SECTION_POINTS, 2))
     length = np.zeros(len(p))
     pieces = np.bincount(cut.plane, minlength=len(p)).astype(np.int64)
     first = np.searchsorted(cut.plane, np.arange(len(p) + 1))
@@ -132,14 +132,18 @@ def _resample(lines: list[FloatArray]) -> tuple[float, FloatArray]:
     steps = [np.concatenate([[0.0], np.hypot(*np.diff(line, axis=0).T)]) for line in lines]
     place = np.cumsum(np.concatenate(steps))
     line = np.concatenate(lines)
-    wanted = np.linspace(0.0, place[-1], POINTS)
+    wanted = np.linspace(0.0, place[-1], SECTION_POINTS)
     return float(place[-1]), np.stack([np.interp(wanted, place, line[:, i]) for i in range(2)], axis=-1)
 
 
-_ROUNDS = 25
-_STEADY = np.array([1e-4, 1e-4, 1e-4, 3e-5, 1e-5, 1e-5])
-_HOLD = np.array([0.0, 0.0, 3e-3, 1e-3, 3e-4, 3e-4])
-_CENTRE = 1e-4
+_FIT_ROUNDS = 25
+"""Steps of the fit of a family at most."""
+_SECOND_DIFFERENCE_WEIGHT = np.array([1e-4, 1e-4, 1e-4, 3e-5, 1e-5, 1e-5])
+"""Weight of second differences along the sweep, for each of the six parameters of a wire."""
+_FIRST_DIFFERENCE_WEIGHT = np.array([0.0, 0.0, 3e-3, 1e-3, 3e-4, 3e-4])
+"""Weight of first differences along it where no section leads the wire."""
+_CENTRE_WEIGHT = 1e-4
+"""Weight of the wire's middle being off its section's middle."""
 _TAIL = 0.3 * TAIL_WEIGHT  # less straight ends hold better against end errors
 
 
@@ -278,7 +282,10 @@ def _steadiness(knots: FloatArray, first: float, last: float) -> FloatArray:
     free = ((places[1:] < first - 2.0 * cell) | (places[:-1] > last + 2.0 * cell)).astype(np.float64)
     total = np.zeros((count, 6, count, 6))
     for j in range(6):
-        total[:, j, :, j] = _STEADY[j] ** 2 * bend.T @ bend + _HOLD[j] ** 2 * (step.T * free) @ step
+        total[:, j, :, j] = (
+            _SECOND_DIFFERENCE_WEIGHT[j] ** 2 * bend.T @ bend
+            + _FIRST_DIFFERENCE_WEIGHT[j] ** 2 * (step.T * free) @ step
+        )
     return total.reshape(count * 6, count * 6)
 
 
@@ -287,7 +294,7 @@ def _gauss_newton(job: _Job, coefficient: FloatArray) -> tuple[FloatArray, Float
     foot = _nearest(job, job.table @ coefficient)
     job = dataclasses.replace(job, reach=np.stack([foot.min(axis=1), foot.max(axis=1)], axis=1))
     cost, gradient, hessian, residual, foot = _evaluate(job, coefficient, foot)
-    for _ in range(_ROUNDS):
+    for _ in range(_FIT_ROUNDS):
         scale = np.diag(hessian)
         damped = hessian + np.diag(damp * scale + 1e-13 * scale.max())
         step = -np.linalg.solve(damped, gradient).reshape(coefficient.shape)
@@ -339,8 +346,8 @@ def _evaluate(
     block[:, 2:, 2:] += np.einsum("kn,kni,knj->kij", price, wire.d_curvature, wire.d_curvature)
     vector[:, 2:] += np.einsum("kn,kni->ki", price * wire.curvature, wire.d_curvature)
     off = state[:, 0] - job.centre
-    block[:, 0, 0] += _CENTRE**2 / len(state)
-    vector[:, 0] += _CENTRE**2 / len(state) * off
+    block[:, 0, 0] += _CENTRE_WEIGHT**2 / len(state)
+    vector[:, 0] += _CENTRE_WEIGHT**2 / len(state) * off
 
     flat = coefficient.reshape(-1)
     hessian = np.einsum("ka,kij,kb->aibj", job.table, block, job.table, optimize=True).reshape(
@@ -350,7 +357,7 @@ def _evaluate(
     cost = float(
         np.sum(part * across**2)
         + np.sum(price * wire.curvature**2)
-        + _CENTRE**2 * np.mean(off**2)
+        + _CENTRE_WEIGHT**2 * np.mean(off**2)
         + flat @ job.steady @ flat
     )
     return (cost if np.isfinite(cost) else np.inf), gradient, hessian + job.steady, across, foot

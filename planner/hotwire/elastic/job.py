@@ -48,14 +48,15 @@ from planner.hotwire.elastic.path import (
 )
 from planner.hotwire.elastic.sweep import Screen, Sweep
 from planner.hotwire.elastic.wire_choice import Attempt, choose, sweep_notes
-from planner.hotwire.operation import ElasticWire
+from planner.hotwire.operation import AIR_FEED, ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup, Stock
 from planner.targets import FEED_SHARE, Action, Edge, Freedom, Job, ScrewFreedom, Targets
 from planner.units import MM
 
-_DRAWN = 24
+_SECTIONS_DRAWN = 24
+"""Sections of a surface that the report draws at most."""
 
 
 def exhibits(
@@ -148,7 +149,7 @@ def section_points(cut: Cut) -> tuple[FloatArray, FloatArray]:
 def _sections(cut: Cut) -> dict[str, Any]:
     wanted, wires = section_points(cut)
     has = np.nonzero(cut.sections.length > 0.0)[0]
-    some = np.unique(np.linspace(0, len(has) - 1, _DRAWN).astype(np.intp))
+    some = np.unique(np.linspace(0, len(has) - 1, _SECTIONS_DRAWN).astype(np.intp))
     return {
         "kind": "sections",
         "title": f"Sections of the {cut.face.name} face and the wire's shapes",
@@ -207,9 +208,6 @@ def mount_figures(route: Route) -> tuple[float, tuple[float, float]]:
     level = np.arctan2(chord[1], chord[0])
     return float(np.hypot(*chord)), (float(np.rad2deg(start[2] - level)), float(np.rad2deg(end[2] - level)))
 
-
-AIR_FEED = 0.1
-"""Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
 
 _SECTION_STEP = 0.006  # m between the sections that the fit sees
 _CELLS = (16, 32)  # cells of the family's spline, coarse first
@@ -510,18 +508,18 @@ def _actions(op: ElasticWire, wire: Wire, route: Route) -> tuple[Action, ...]:
     chord, angles = mount_figures(route)
     last = len(route.segment) - 1
     return (
-        Action(0, "message", dialogue.WIRE.say(material=op.chosen.material, size=op.chosen.size)),
-        Action(0, "message", dialogue.MOUNT.say(cold_mm=wire.cold_length(op.chosen.length_mm))),
+        Action(0, "message", dialogue.WIRE.filled(material=op.chosen.material, size=op.chosen.size)),
+        Action(0, "message", dialogue.MOUNT.filled(cold_mm=wire.cold_length(op.chosen.length_mm))),
         Action(
             0,
             "message",
-            dialogue.CLAMPS.say(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
+            dialogue.CLAMPS.filled(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
         ),
-        Action(0, "confirm", dialogue.CLAMPED.say()),
+        Action(0, "confirm", dialogue.CLAMPED.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
-        Action(0, "confirm", dialogue.LOCKED.say(hot_mm=op.chosen.length_mm)),
+        Action(0, "confirm", dialogue.LOCKED.filled(hot_mm=op.chosen.length_mm)),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", dialogue.TAKEN_OFF.say()),
+        Action(last, "confirm", dialogue.TAKEN_OFF.filled()),
     )

@@ -27,9 +27,11 @@ from planner.hotwire.elastic.family import Family, Spine
 from planner.hotwire.elastica import heavy
 from planner.hotwire.elastica.clamped import STABLE, Section, polish
 from planner.hotwire.elastica.heavy import HeavyShape
+from planner.hotwire.operation import AIR_STEP
 from planner.targets import TableFreedom
 
 EDGE_POINTS = 33
+"""Points of a wire that stand for its shape, ends included."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,8 +166,7 @@ def box_distance(points: FloatArray, box: FloatArray) -> FloatArray:
 
 
 LEAD = 0.040  # m: from the mount to where the cut begins
-AIR_STEP = 0.012  # m: largest move of any wire point between targets in the air
-_FINE = 5e-4  # m: grid on which travel is measured
+_TRAVEL_STEP = 5e-4  # m: grid on which travel is measured
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,7 +212,7 @@ def cut_places(face: Face, lower: float, upper: float, box: FloatArray, step: fl
     """Places p (K,) from lower to upper, evenly spaced by the travel of the wire's fastest point in the
     block.
     """
-    p = np.linspace(lower, upper, max(3, int(np.ceil((upper - lower) / _FINE)) // 4 + 1))
+    p = np.linspace(lower, upper, max(3, int(np.ceil((upper - lower) / _TRAVEL_STEP)) // 4 + 1))
     wires = face.wires(p)
     gone = np.concatenate([[0.0], np.cumsum(travel(wires, box)[1:])])
     count = max(3, int(np.ceil(gone[-1] / step)) + 1)
@@ -373,7 +374,8 @@ def _insert(route: Route, rows: IndexArray, wires: Wires, p: FloatArray) -> Rout
 
 
 SLACK_NODES: Final = 7
-_EVERY = 6  # stability is checked at every so many targets
+"""Slides of the wire through its section that are tried between the bounds, as nodes of a table."""
+_STABILITY_STRIDE = 6  # stability is checked at every so many targets
 
 
 def slack_freedom(
@@ -420,7 +422,7 @@ def _range(nodes: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _holds(wires: Wires, slide: FloatArray, section: Section, bend: float) -> bool:
-    some = wires[slice(0, None, _EVERY)]
-    slid = heavy.slide(some.shapes(3), slide[::_EVERY], 33)
+    some = wires[slice(0, None, _STABILITY_STRIDE)]
+    slid = heavy.slide(some.shapes(3), slide[::_STABILITY_STRIDE], 33)
     stable = min(float(slid.margin_in_plane.min()), float(slid.margin_out_of_plane(section).min()))
     return stable > 10.0 * STABLE and float(np.abs(slid.curvature).max()) <= bend

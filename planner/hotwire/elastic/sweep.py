@@ -26,17 +26,20 @@ from planner.problem import Setup
 from planner.reading.materials import WireFile
 from planner.units import MM
 
-CANDIDATES: Final = (90.0, 0.0, 45.0, 135.0, 67.5, 112.5, 22.5, 157.5)
-STRAIGHT: Final = (0.0, 90.0)
-"""Sweeps along an edge of the block."""
-BENT: Final = "bent too sharply"
+SWEEP_ANGLES: Final = (90.0, 0.0, 45.0, 135.0, 67.5, 112.5, 22.5, 157.5)
+"""Directions [deg] of the sweep over a face that are tried, in this order."""
+EDGE_ANGLES: Final = (0.0, 90.0)
+"""Sweeps along an edge of the block [deg]."""
+BENT_TOO_SHARPLY: Final = "bent too sharply"
 """Why a wire cannot be there: a thinner one could."""
-SNAPS: Final = "it would snap"
+WOULD_SNAP: Final = "it would snap"
 """Why a wire cannot be there: its shape is not stable."""
-_WAVES = 3  # a clamped elastica with so many inflections is never stable (Sachkov, arXiv 0705.1003)
-_PLANES = 9
+_UNSTABLE_INFLECTIONS = 3
+"""A clamped elastica with so many inflections is never stable (Sachkov, arXiv 0705.1003)."""
+_PROBE_SECTIONS = 9
+"""Sections by which a direction is judged before the whole face is fitted."""
 _HOPELESS = 1.5  # times the tolerance: shapes this far off are not looked at any further
-_WORST = 1.0  # m: stands for a shape that cannot be held at all
+_NO_SHAPE = 1.0  # m: stands for a shape that cannot be held at all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,7 +138,7 @@ class Screen:
         )
         return Screen(self.op, setup, faces, self.half_slot)
 
-    def look(self, own: WireFile, degrees: float) -> Sweep:
+    def sweep(self, own: WireFile, degrees: float) -> Sweep:
         """One wire along one direction."""
         op = self.op.using(own)
         wire = wires.make(own.material, own.diameter_mm, own.width_mm, own.thickness_mm, own.temperature_c)
@@ -144,10 +147,10 @@ class Screen:
         cuts = self._sections(self.half_slot(op), degrees, op.is_normal)
         longest = max(float(sections.length.max()) for _, sections, _ in cuts)
         if longest + 2.0 * margin > length:
-            return Sweep(degrees, _WORST, _WORST, longest, own, 2.0 * _WORST, "too short")
+            return Sweep(degrees, _NO_SHAPE, _NO_SHAPE, longest, own, 2.0 * _NO_SHAPE, "too short")
         alone = self.shape_alone(own, degrees)[0]
         if self._snaps[(self.half_slot(op), degrees, op.is_normal)]:
-            return Sweep(degrees, alone, _WORST, longest, own, 2.0 * _WORST, SNAPS)
+            return Sweep(degrees, alone, _NO_SHAPE, longest, own, 2.0 * _NO_SHAPE, WOULD_SNAP)
         if alone > _HOPELESS * op.shape_tol_mm * MM:
             return Sweep(degrees, alone, hold, longest, own, alone)
         gravity = wire.load * self.setup.stock.gravity
@@ -162,9 +165,11 @@ class Screen:
             bare = float(np.quantile(np.abs(got.residual), op.share))
             if bare > _HOPELESS * op.shape_tol_mm * MM:
                 return Sweep(degrees, shape, hold, longest, own, bare)
-            feel = np.minimum(end_sensitivity(made, got.foot[:, [0, -1]]).ends * op.end_error_mm * MM, _WORST)
+            feel = np.minimum(
+                end_sensitivity(made, got.foot[:, [0, -1]]).ends * op.end_error_mm * MM, _NO_SHAPE
+            )
             sag, _ = heavy.sag_out_of_plane(made, load[:, 2], wire.section)
-            off = np.abs(got.residual) + (lean * np.minimum(sag, _WORST) + feel)[:, None]
+            off = np.abs(got.residual) + (lean * np.minimum(sag, _NO_SHAPE) + feel)[:, None]
             hold = max(hold, float(feel.max()))
             alls = max(alls, float(np.quantile(off, op.share)))
             ends = np.stack([made.start, made.end], axis=1)
@@ -175,9 +180,9 @@ class Screen:
             if float(clear.min()) < margin:
                 why = why or "its ends come too near to the block"
             if float(np.abs(made.curvature).max()) > wire.max_curvature:
-                why = why or BENT
+                why = why or BENT_TOO_SHARPLY
             if stable <= STABLE:
-                why = why or SNAPS
+                why = why or WOULD_SNAP
         return Sweep(degrees, shape, hold, longest, own, alls, why)
 
     def shape_alone(self, own: WireFile, degrees: float) -> tuple[float, float]:
@@ -193,7 +198,7 @@ class Screen:
                 full = sections.length > 0.5 * sections.length.max()
                 fitted = fit_curves(sections.points[full])
                 off = max(off, float(np.quantile(np.abs(fitted.residual), op.share)))
-                snaps = snaps or bool((_inflections(fitted) >= _WAVES).any())
+                snaps = snaps or bool((_inflections(fitted) >= _UNSTABLE_INFLECTIONS).any())
             self._alone[key], self._snaps[key] = (off, longest), snaps
         return self._alone[key]
 
@@ -237,7 +242,7 @@ def _without_slivers(mesh: TriangleMesh, axis: int, at: float) -> TriangleMesh:
 def _cut(face: TriangleMesh, degrees: float, normal: bool) -> tuple[Spine, SectionSet, float]:
     spine = make_spine(face, direction_of(degrees), normal)
     along = face.vertices @ spine.direction
-    p = np.linspace(along.min(), along.max(), _PLANES + 2)[1:-1]
+    p = np.linspace(along.min(), along.max(), _PROBE_SECTIONS + 2)[1:-1]
     return spine, cut_sections(face, spine, p), leaning(face, spine)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from planner.geometry.arrays import Mesh
 from planner.hotwire.elastic.check import Cut, Figures
 from planner.hotwire.elastic.path import Route
-from planner.hotwire.elastic.sweep import BENT, CANDIDATES, STRAIGHT, Screen, Sweep, ranked
+from planner.hotwire.elastic.sweep import BENT_TOO_SHARPLY, EDGE_ANGLES, SWEEP_ANGLES, Screen, Sweep, ranked
 from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, Severity, TandemError
@@ -24,20 +24,21 @@ from planner.units import MM
 
 _WHOLE: Final = 3
 """So many wires and sweeps are fitted whole before a refusal, and less to find each kind of help."""
-_NEAR: Final = 1.3
+_FITTED_WITHIN: Final = 1.3
 """Looks beyond so many tolerances are not fitted whole, but for the nearest one."""
-LONGER: Final = (1.04, 1.12, 1.2, 1.35, 1.55, 1.8, 2.2)
+LENGTH_FACTORS: Final = (1.04, 1.12, 1.2, 1.35, 1.55, 1.8, 2.2)
 """Lengths that are tried beyond those at hand, as multiples of the least."""
 LONGEST_MM: Final = 2000.0
-THINNER: Final = (0.98, 0.8)
+"""No wire longer than this [mm] is advised."""
+THINNER_FACTORS: Final = (0.98, 0.8)
 """Diameters that are tried where a wire is bent too far, as multiples of the one that just is not."""
-THICKER: Final = (1.25, 1.6)
+THICKER_FACTORS: Final = (1.25, 1.6)
 """Diameters that are tried where a wire is too weak, as multiples."""
-_THIN: Final = 0.75
+_THIN_FACTOR: Final = 0.75
 """How much thinner a wire is tried where another length of it would only be bent too far."""
-_SURE: Final = 0.95
+_SURE_SHARE: Final = 0.95
 """A remedy is looked for within this share of the tolerance first, to leave room."""
-_LOOSER: Final = 4.0
+_MOST_LOOSENING: Final = 4.0
 """No tolerance is named beyond so many times the stated one."""
 
 
@@ -64,12 +65,14 @@ def choose(screen: Screen, fit: Fit) -> tuple[Attempt, list[Sweep]]:
     at. Raises ``TandemError`` with what the nearest ones lack and what would help."""
     op, tol = screen.op, screen.op.shape_tol_mm * MM
     wires = op.wires(screen.setup.cell.wires)
-    sweeps = CANDIDATES if op.degrees is None else (op.degrees,)
+    sweeps = SWEEP_ANGLES if op.degrees is None else (op.degrees,)
     if len(wires) * len(sweeps) == 1:  # nothing to choose
         tried = [Sweep(sweeps[0], 0.0, 0.0, 0.0, wires[0])]
     else:
-        tried = ranked([screen.look(own, degrees) for own in wires for degrees in sweeps], tol)
-    near = [s for s in tried if not s.why and s.score < _NEAR * tol] or [min(tried, key=lambda s: s.score)]
+        tried = ranked([screen.sweep(own, degrees) for own in wires for degrees in sweeps], tol)
+    near = [s for s in tried if not s.why and s.score < _FITTED_WITHIN * tol] or [
+        min(tried, key=lambda s: s.score)
+    ]
     refused: list[tuple[Issue, ...]] = []
     for sweep in near[:_WHOLE]:
         made = _made(screen, fit, sweep, refused)
@@ -122,10 +125,10 @@ def _helps(screen: Screen, fit: Fit, tried: list[Sweep], issues: list[Issue]) ->
     """What was found to help: a wire or sweep, else a cut line, and a tolerance."""
     codes = {issue.code for issue in issues}
     best = min(tried, key=lambda s: s.score)
-    if codes - _ABOUT_WIRES:
+    if codes - _WIRE_CODES:
         return []
     helps = [next(itertools.chain(_wires(screen, fit, tried, issues), _splits(screen, fit, tried)), "")]
-    helps += [_tolerance(screen, fit, best, issues)] if codes <= _TOLERATED else []
+    helps += [_tolerance(screen, fit, best, issues)] if codes <= _TOLERANCE_CODES else []
     return [h for h in helps if h] or [
         "no other wire, sweep, cut line or tolerance that was tried does; make the panel smoother or smaller"
     ]
@@ -137,7 +140,7 @@ def _wires(screen: Screen, fit: Fit, tried: list[Sweep], issues: list[Issue]) ->
     known = {(s.wire, s.degrees) for s in tried}
     wires = list(dict.fromkeys(s.wire for s in tried if s.wire is not None))
     wires += [w for w in screen.setup.cell.wires if w not in wires and (w.is_round or op.power_w is None)]
-    looks = [screen.look(w, d) for w in wires for d in CANDIDATES if (w, d) not in known]
+    looks = [screen.sweep(w, d) for w in wires for d in SWEEP_ANGLES if (w, d) not in known]
     made = _best(screen, fit, looks)
     if made is not None:
         which = "the same wire" if op.wire == made.op.chosen else f"{made.op.chosen}, which is at hand,"
@@ -146,13 +149,13 @@ def _wires(screen: Screen, fit: Fit, tried: list[Sweep], issues: list[Issue]) ->
     base = best.wire or wires[0]
     sweeps = [
         degrees
-        for degrees in dict.fromkeys((*STRAIGHT, best.degrees))
+        for degrees in dict.fromkeys((*EDGE_ANGLES, best.degrees))
         if screen.shape_alone(base, degrees)[0] < op.shape_tol_mm * MM
     ]
     short = [i.limit for i in issues if i.code == "wire.too_short" and i.limit]
     more = [base.model_copy(update={"length_mm": 5.0 * np.ceil(n / 5.0)}) for n in short if n <= LONGEST_MM]
-    looks = [screen.look(w, best.degrees) for w in more]
-    looks += [screen.look(w, d) for d in sweeps for w in _longer(screen, base, d)]
+    looks = [screen.sweep(w, best.degrees) for w in more]
+    looks += [screen.sweep(w, d) for d in sweeps for w in _longer(screen, base, d)]
     span = f"{min(s.length for s in looks):g} to {max(s.length for s in looks):g} mm" if looks else ""
     made = _best(screen, fit, looks, base)
     if made is not None:
@@ -160,16 +163,16 @@ def _wires(screen: Screen, fit: Fit, tried: list[Sweep], issues: list[Issue]) ->
         what = f"a wire of {length:g} mm does, swept along {made.op.way} (length_mm: {length:g}, sweep: "
         yield _said(made, f"{what}{_key(made.op)}; tried were {span})")
     bent = [i.value / i.limit for i in issues if i.code == "wire.curvature" and i.value and i.limit]
-    if not bent and any(s.why == BENT and s.score < op.shape_tol_mm * MM for s in looks):
-        bent = [_THIN]
+    if not bent and any(s.why == BENT_TOO_SHARPLY and s.score < op.shape_tol_mm * MM for s in looks):
+        bent = [_THIN_FACTOR]
     if (bent or "wire.weight" in {i.code for i in issues}) and base.diameter_mm is not None:
         just = base.diameter_mm * min(bent, default=1.0)
         sizes = [
             float(np.clip(np.floor(10.0 * just * f) / 10.0, 0.1, 10.0))
-            for f in (THINNER if bent else THICKER)
+            for f in (THINNER_FACTORS if bent else THICKER_FACTORS)
         ]
         thick = [base.model_copy(update={"diameter_mm": d}) for d in dict.fromkeys(sizes)]
-        looks = [screen.look(w, d) for d in sweeps for t in thick for w in _longer(screen, t, d, 2)]
+        looks = [screen.sweep(w, d) for d in sweeps for t in thick for w in _longer(screen, t, d, 2)]
         made = _best(screen, fit, looks, base)
         if made is not None:
             own = made.op.chosen
@@ -184,13 +187,13 @@ def _splits(screen: Screen, fit: Fit, tried: list[Sweep]) -> Iterator[str]:
     tol = screen.op.shape_tol_mm * MM
     nearest = min(tried, key=lambda s: s.score)
     base = nearest.wire
-    if base is None or tol * _FAR < nearest.score < 1.0:
+    if base is None or tol * _SPLIT_WITHIN < nearest.score < 1.0:
         return
     lines: list[tuple[float, str, float, list[Screen]]] = []
-    for degrees in STRAIGHT:
+    for degrees in EDGE_ANGLES:
         axis = int(degrees == 0.0)  # the wire is along y where the sweep is along x
         low, high = screen.setup.stock.box[:, axis]
-        for part in _PLACES:
+        for part in _SPLIT_SHARES:
             at = float(np.round(low + part * (high - low), 3))
             sides = [side for keep in (-1.0, 1.0) if (side := screen.side(axis, at, keep)) is not None]
             score = max((_quick(side, base, degrees) for side in sides), default=np.inf)
@@ -211,21 +214,21 @@ def _splits(screen: Screen, fit: Fit, tried: list[Sweep]) -> Iterator[str]:
             )
 
 
-_PLACES: Final = (0.3, 0.4, 0.5, 0.6, 0.7)
+_SPLIT_SHARES: Final = (0.3, 0.4, 0.5, 0.6, 0.7)
 """Shares of the block's size at which it is tried to split a panel."""
-_FAR: Final = 12.0
+_SPLIT_WITHIN: Final = 12.0
 """Panels that are off by so many tolerances are not tried to be split in two."""
-_QUICK: Final = 3
+_FIRST_LENGTHS: Final = 3
 """So many lengths are known when a side is looked at first, with the last of them."""
 
 
 def _quick(side: Screen, base: WireFile, degrees: float) -> float:
     """How near [m] one wire comes to a side of a cut line; infinite where none can."""
     try:
-        wires = _longer(side, base, degrees)[:_QUICK]
+        wires = _longer(side, base, degrees)[:_FIRST_LENGTHS]
         if not wires or side.shape_alone(base, degrees)[0] > side.op.shape_tol_mm * MM:
             return np.inf
-        return side.look(wires[-1], degrees).score
+        return side.sweep(wires[-1], degrees).score
     except TandemError:  # a side too sharp to be moved by half a slot, and the like
         return np.inf
 
@@ -245,13 +248,13 @@ def _half(side: Screen, fit: Fit, base: WireFile, degrees: float) -> Attempt | N
         wires = [w for w in known if w.length_mm < most] + _longer(
             side, base.model_copy(update=size | {"length_mm": 50.0}), degrees
         )
-        looks = [side.look(w, degrees) for w in wires]
-        good = [s for s in looks if not s.why and s.score < _SURE * tol]
+        looks = [side.sweep(w, degrees) for w in wires]
+        good = [s for s in looks if not s.why and s.score < _SURE_SHARE * tol]
         for look in sorted(good, key=lambda s: s.score)[:1]:
             made = _made(side, fit, look)
             if made is not None:
                 return made
-        if not any(s.why == BENT and s.score < tol for s in looks):
+        if not any(s.why == BENT_TOO_SHARPLY and s.score < tol for s in looks):
             break
     return None
 
@@ -261,7 +264,7 @@ def _tolerance(screen: Screen, fit: Fit, sweep: Sweep, issues: list[Issue]) -> s
     off = max((issue.value for issue in issues if issue.value is not None), default=np.inf)
     for factor in (1.01, 1.25, 1.6):  # more may come on top where the first bound is kept
         tol = float(np.ceil(100.0 * factor * off) / 100.0)
-        if sweep.wire is None or tol > _LOOSER * screen.op.shape_tol_mm:
+        if sweep.wire is None or tol > _MOST_LOOSENING * screen.op.shape_tol_mm:
             return ""
         looser = screen.with_operation(screen.op.model_copy(update={"shape_tol_mm": tol}))
         made = _made(looser, fit, sweep)
@@ -270,10 +273,11 @@ def _tolerance(screen: Screen, fit: Fit, sweep: Sweep, issues: list[Issue]) -> s
     return ""
 
 
-_TOLERATED: Final = {"wire.shape", "wire.weight", "wire.end_error"}
+_TOLERANCE_CODES: Final = {"wire.shape", "wire.weight", "wire.end_error"}
+"""Codes that a larger tolerance mends."""
 
 
-_ABOUT_WIRES: Final = {
+_WIRE_CODES: Final = {
     "wire.shape",
     "wire.too_short",
     "wire.curvature",
@@ -283,13 +287,14 @@ _ABOUT_WIRES: Final = {
     "wire.touches",
     "wire.between_targets",
 }
+"""Codes that another wire may mend."""
 
 
 def _longer(screen: Screen, base: WireFile, degrees: float, every: int = 1) -> list[WireFile]:
     """Wires of one section that are long enough for a sweep, that of the stated length first."""
     _, longest = screen.shape_alone(base, degrees)
     least = longest / MM + 2.0 * screen.op.margin_mm
-    lengths = [base.length_mm, *(float(np.ceil(least * f / 10.0) * 10.0) for f in LONGER[::every])]
+    lengths = [base.length_mm, *(float(np.ceil(least * f / 10.0) * 10.0) for f in LENGTH_FACTORS[::every])]
     known = [n for n in dict.fromkeys(lengths) if max(50.0, least) <= n <= LONGEST_MM]
     return [base.model_copy(update={"length_mm": n}) for n in known]
 
@@ -302,7 +307,7 @@ def _best(screen: Screen, fit: Fit, looks: list[Sweep], base: WireFile | None = 
     def far(sweep: Sweep) -> tuple[float, ...]:
         change = 0.0 if base is None else abs(sweep.length - base.length_mm)
         thick = 0.0 if base is None or sweep.wire is None else _thickness_change(base, sweep.wire)
-        return (float(sweep.score > _SURE * tol), thick, change, sweep.score)
+        return (float(sweep.score > _SURE_SHARE * tol), thick, change, sweep.score)
 
     for sweep in sorted(good, key=far)[:2]:
         made = _made(screen, fit, sweep)

@@ -33,8 +33,11 @@ from planner.hotwire.elastica.equations import Bumps, bump_values, bumps, flow, 
 
 STABLE = 1e-6  # smallest second variation that counts as stable
 _MODES_IN = 32
+"""Functions that stand for a wire's movements in its plane."""
 _MODES_OUT = 28
+"""Functions that stand for each of twist and bending out of its plane."""
 _QUADRATURE = 72
+"""Gauss points along the wire for stability."""
 
 
 @dataclass(frozen=True)
@@ -189,9 +192,11 @@ def out_of_plane_sag(
 
 
 MODES = 36
+"""Functions by which a wire's angle is expanded between its clamps."""
 FINE_MODES = 64
-_STEPS = 10  # of the homotopy from the first guess's chord to the wanted one
-_LIMIT = 0.6  # rad: largest change of theta in one step
+"""As many where a shape is sharp."""
+_HOMOTOPY_STEPS = 10  # of the homotopy from the first guess's chord to the wanted one
+_MOST_ROTATION = 0.6  # rad: largest change of theta in one step
 
 
 @dataclass(frozen=True)
@@ -211,13 +216,6 @@ def clamped_theta(
     """theta (B, m) at sigma (m,) for end angles (B,) and amplitudes (B, j)."""
     line = first[:, None] + (last - first)[:, None] * sigma
     out: FloatArray = line + amplitude @ bump_values(sigma, amplitude.shape[1]).T
-    return out
-
-
-def start_curvature(first: FloatArray, last: FloatArray, amplitude: FloatArray) -> FloatArray:
-    """d theta / d sigma (B,) at the start."""
-    slopes = _base(amplitude.shape[1]).slope_start
-    out: FloatArray = last - first + amplitude @ slopes
     return out
 
 
@@ -273,7 +271,7 @@ def minimise(
     weight: FloatArray,
     amplitude: FloatArray,
     rounds: int = 60,
-    limit: float = _LIMIT,
+    limit: float = _MOST_ROTATION,
     tolerance: float = 1e-11,
 ) -> Clamped:
     """Local minima of the energy near the guessed amplitudes (B, j).
@@ -288,7 +286,7 @@ def minimise(
     active = np.arange(batch)
     for turn in range(rounds):
         i = active
-        t = min(1.0, (turn + 1.0) / _STEPS)
+        t = min(1.0, (turn + 1.0) / _HOMOTOPY_STEPS)
         wanted = begin[i] + t * (chord[i] - begin[i])
         terms = _terms(first[i], last[i], weight[i], a[i], force[i])
         miss = wanted - terms.chord
@@ -333,7 +331,7 @@ def newton(
             break
         da, df = _saddle_step(terms.form, terms.normal, terms.gradient, miss)
         moved = np.abs(da @ _base(a.shape[1]).value.T).max(axis=1)
-        share = np.minimum(1.0, _LIMIT / np.maximum(moved, 1e-300))
+        share = np.minimum(1.0, _MOST_ROTATION / np.maximum(moved, 1e-300))
         a += share[:, None] * da
         f += share[:, None] * df
     return _judge(first, last, chord, weight, a, f)

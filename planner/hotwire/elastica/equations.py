@@ -55,15 +55,13 @@ class Bumps:
     """Functions phi_j that vanish at 0 and 1, with int phi_i' phi_j' = delta_ij (Shen's basis, scaled),
     at Gauss nodes.
 
-    sigma, weight (n,): nodes; value, slope (n, j); slope_start, slope_end (j,): slopes at 0 and 1.
+    sigma, weight (n,): nodes; value, slope (n, j).
     """
 
     sigma: FloatArray
     weight: FloatArray
     value: FloatArray
     slope: FloatArray
-    slope_start: FloatArray
-    slope_end: FloatArray
 
 
 def legendre(sigma: FloatArray, count: int) -> FloatArray:
@@ -90,6 +88,7 @@ def _integrals(sigma: FloatArray, count: int) -> FloatArray:
 
 @lru_cache(maxsize=32)
 def nodes(count: int) -> Nodes:
+    """``count`` Gauss nodes on [0, 1] with what integrates and interpolates between them."""
     x, w = np.polynomial.legendre.leggauss(count)
     sigma = 0.5 * (x + 1.0)
     weight = 0.5 * w
@@ -114,13 +113,14 @@ def bump_slopes(sigma: FloatArray, count: int) -> FloatArray:
 
 @lru_cache(maxsize=32)
 def bumps(count: int, quadrature: int) -> Bumps:
+    """``count`` bumps at ``quadrature`` Gauss nodes."""
     x, w = np.polynomial.legendre.leggauss(quadrature)
     sigma = 0.5 * (x + 1.0)
-    ends = bump_slopes(np.array([0.0, 1.0]), count)
-    return Bumps(sigma, 0.5 * w, bump_values(sigma, count), bump_slopes(sigma, count), ends[0], ends[1])
+    return Bumps(sigma, 0.5 * w, bump_values(sigma, count), bump_slopes(sigma, count))
 
 
-_PICARD = 90
+_PICARD_ROUNDS = 90
+"""Picard iterations at most for the angle of a heavy or weightless wire."""
 _SETTLED = 2e-12  # rad
 
 
@@ -145,6 +145,7 @@ class Flow:
 
     @property
     def count(self) -> int:
+        """Nodes along each wire."""
         return int(self.theta.shape[1])
 
     def at(self, sigma: FloatArray) -> FloatArray:
@@ -188,7 +189,7 @@ def _settle(
     for the rest."""
     fx, fy = force
     change = np.zeros(theta.shape[0])
-    for _ in range(_PICARD):
+    for _ in range(_PICARD_ROUNDS):
         last = theta
         theta = line + square * ((fx * np.sin(theta) - fy * np.cos(theta)) @ twice.T)
         change = np.max(np.abs(theta - last), axis=1, initial=0.0)
@@ -259,6 +260,7 @@ def flow(
 
 
 _NEAR_SEPARATRIX = 1e-5
+"""Distance of the elliptic parameter from 1 within which the closed form loses its digits."""
 _LARGEST_PARAMETER = 1e3  # beyond it 1/m cancels digits: almost an arc
 
 

@@ -21,7 +21,10 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.hotwire.elastica.equations import Flow, flow, legendre, node_counts, nodes
 
 _FINER = 4
-_EVEN = 3.0  # largest ratio of neighbouring steps up to which a spline over the points' numbers is trusted
+"""Steps between two points of a target."""
+_EVEN_RATIO = (
+    3.0  # largest ratio of neighbouring steps up to which a spline over the points' numbers is trusted
+)
 
 
 def first_guess(points: FloatArray, share: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -75,7 +78,7 @@ def _refine(points: FloatArray) -> FloatArray:
     ratio = np.maximum(steps[:, 1:], steps[:, :-1]) / np.maximum(
         np.minimum(steps[:, 1:], steps[:, :-1]), 1e-300
     )
-    even = ratio.max(axis=1) < _EVEN
+    even = ratio.max(axis=1) < _EVEN_RATIO
     return np.where(even[:, None, None], smooth, lines)
 
 
@@ -95,9 +98,11 @@ over the ends beyond the target, l being the target's length. An end that bends 
 target length (k l = 1) then weighs as much as an rms distance of 2e-4 l: 0.03 mm on a target of 160
 mm."""
 
-_ROUNDS = 30
+_SEARCH_ROUNDS = 30
+"""Levenberg-Marquardt steps at most."""
 _STAGE_ROUNDS = 6
-_FAR = 1e-2  # rms over the target's length beyond which another way in is tried
+"""As many for each part of a target where the fit grows with it."""
+_FAR_RMS = 1e-2  # rms over the target's length beyond which another way in is tried
 _SETTLED = 1e-5  # relative fall of the cost that ends the search
 
 
@@ -183,8 +188,8 @@ def fit_curves(
         np.ascontiguousarray(tail),
     )
     state, foot = first_guess(task.points, task.share, task.weight)
-    state, foot, rounds = _search_all(task, state, foot, _ROUNDS)
-    far = np.flatnonzero(~(_spread(task, state, foot) < _FAR))
+    state, foot, rounds = _search_all(task, state, foot, _SEARCH_ROUNDS)
+    far = np.flatnonzero(~(_spread(task, state, foot) < _FAR_RMS))
     if far.size:
         again = task.pick(far)
         other, other_foot, turns = _grow(again)
@@ -278,7 +283,9 @@ def _grow(task: _Task) -> tuple[FloatArray, FloatArray, IntArray]:
         stage = replace(task, share=share)
         if part == 0.4:
             state, _ = first_guess(stage.points, stage.share, stage.weight)
-        state, foot, turns = _search_all(stage, state, place, _ROUNDS if part == 1.0 else _STAGE_ROUNDS)
+        state, foot, turns = _search_all(
+            stage, state, place, _SEARCH_ROUNDS if part == 1.0 else _STAGE_ROUNDS
+        )
         rounds += turns
     return state, foot, rounds
 

@@ -17,12 +17,12 @@ import numpy as np
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.hotwire.elastica import clamped
 from planner.hotwire.elastica.clamped import STABLE, Section, constrained_smallest, middle_state, polish
-from planner.hotwire.elastica.equations import Flow, bumps, flow, interpolate, nodes
+from planner.hotwire.elastica.equations import Flow, bumps, flow, nodes
 from planner.hotwire.elastica.fit import TAIL_WEIGHT, fit_curves
 from planner.issues import Issue, TandemError
 
 _ACCEPT = 1e-9  # of the length
-_STEPS = 12  # from a guess to clamps that Newton does not reach at once
+_HOMOTOPY_STEPS = 12  # from a guess to clamps that Newton does not reach at once
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,11 @@ class HeavyShape:
 
     @property
     def stable_in_plane(self) -> BoolArray:
+        """Whether (B,) wires keep their shape in its plane."""
         return self.margin_in_plane > clamped.STABLE
 
     def stable_out_of_plane(self, section: Section) -> BoolArray:
+        """Whether (B,) wires of a ``section`` stay in their plane."""
         return self.margin_out_of_plane(section) > clamped.STABLE
 
     def flow(self, count: int | None = None) -> Flow:
@@ -113,17 +115,6 @@ def integrate(params: FloatArray, length: FloatArray, weight: FloatArray, n: int
     return HeavyShape(at[..., :2], at[..., 2], at[..., 3], params, length, weight, middle)
 
 
-def sensitivities(params: FloatArray, length: FloatArray, weight: FloatArray, n: int = 101) -> FloatArray:
-    """Derivatives (B, n, 4, 6) of x, y, theta, k at n places, uniform in arc length, by the six
-    parameters."""
-    wire = flow(params, length, weight, anchor=0.0, derivatives=True)
-    parts = np.concatenate([wire.d_x, wire.d_y, wire.d_theta, wire.d_curvature], axis=-1)
-    out = np.zeros((params.shape[0], n, 4, 6))
-    out[..., 2:] = interpolate(parts, np.linspace(0.0, 1.0, n)).reshape(-1, n, 4, 4)
-    out[..., 0, 0] = out[..., 1, 1] = 1.0
-    return out
-
-
 def fit(
     targets: FloatArray,
     length: FloatArray,
@@ -161,7 +152,9 @@ def solve(
     middle = _follow(length, start, end, weight, guess_params, steps=1)
     late = np.flatnonzero(np.isnan(middle[:, 0]))
     if late.size:
-        middle[late] = _follow(length[late], start[late], end[late], weight[late], guess_params[late], _STEPS)
+        middle[late] = _follow(
+            length[late], start[late], end[late], weight[late], guess_params[late], _HOMOTOPY_STEPS
+        )
     ok = np.isfinite(middle[:, 0])
     shape = _with_gaps(middle, length, weight, n, ok)
     if strict and not ok.all():
@@ -249,15 +242,6 @@ def slide(shape: HeavyShape, a: FloatArray, n: int = 101) -> HeavyShape:
     return from_middle(middle, shape.length, shape.weight, n)
 
 
-def blend(params_a: FloatArray, params_b: FloatArray, t: FloatArray | float) -> FloatArray:
-    """Parameters between two wires: (B, 6) for a number t, (T, B, 6) for t (T,). Each is an equilibrium;
-    ask if it is stable."""
-    u = np.asarray(t, dtype=np.float64)
-    u = u.reshape(*u.shape, *([1] * params_a.ndim))
-    out: FloatArray = (1.0 - u) * params_a + u * params_b
-    return out
-
-
 def sag_out_of_plane(
     shape: HeavyShape, weight_normal: FloatArray, section: Section, n: int = 101
 ) -> tuple[FloatArray, FloatArray]:
@@ -273,7 +257,9 @@ def sag_out_of_plane(
 
 
 _MODES = 32
+"""Functions that stand for changes of the angle in the linearised problem."""
 _QUADRATURE = 80
+"""Gauss points along the wire for it."""
 
 
 @dataclass(frozen=True)
@@ -390,10 +376,3 @@ def weight_deviation(shape: HeavyShape, n: int = 101, steps: int = 4) -> tuple[F
         gap = full.points - light.points
         profile[alive] = gap[..., 1] * np.cos(full.theta) - gap[..., 0] * np.sin(full.theta)
     return np.abs(profile).max(axis=1), profile
-
-
-def straight_bow(length: FloatArray, error: FloatArray) -> FloatArray:
-    """Bow [m] of a straight wire whose clamps come closer by error [m]: (2/pi) sqrt(L d), from the first
-    buckled shape."""
-    out: FloatArray = 2.0 / np.pi * np.sqrt(length * error)
-    return out

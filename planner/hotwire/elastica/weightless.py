@@ -25,7 +25,8 @@ round = round_section  # noqa: A001  the word of the trade: elastica.round(nu) b
 
 _ACCEPT = 1e-9  # of the length: largest miss of the end pose
 _TAUTEST = 44.0  # largest w L: beyond it rounding at the middle reaches 1e-7 L at the ends
-_SAMPLES = 72
+_ENERGY_POINTS = 72
+"""Gauss points of the energy's integral."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Shape:
     @property
     def energy(self) -> FloatArray:
         """1/2 int k^2 ds (...,) [1/m], by Gauss quadrature of the closed form."""
-        grid = nodes(_SAMPLES)
+        grid = nodes(_ENERGY_POINTS)
         k = self._sample(grid.sigma)[..., 3]
         out: FloatArray = 0.5 * self.length * (k**2 @ grid.weight)
         return out
@@ -95,6 +96,7 @@ class Shape:
 
     @property
     def stable_in_plane(self) -> BoolArray:
+        """Whether (...,) wires keep their shape in its plane."""
         return self.ok & (np.nan_to_num(self.margin_in_plane, nan=-1.0) > clamped.STABLE)
 
     def margin_out_of_plane(self, section: Section) -> FloatArray:
@@ -103,6 +105,7 @@ class Shape:
         return np.asarray(clamped.out_of_plane(theta, k, force, length, section).reshape(self.length.shape))
 
     def stable_out_of_plane(self, section: Section) -> BoolArray:
+        """Whether (...,) wires of a ``section`` stay in their plane."""
         return self.ok & (np.nan_to_num(self.margin_out_of_plane(section), nan=-1.0) > clamped.STABLE)
 
     def _quadrature(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

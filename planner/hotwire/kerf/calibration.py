@@ -20,7 +20,7 @@ from planner.files import is_file
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.hotwire.kerf import models
 from planner.hotwire.kerf.test_cuts import Cuts
-from planner.hotwire.kerf.width import DOMAIN
+from planner.hotwire.kerf.width import USABLE_KERFS
 from planner.issues import Issue, TandemError
 from planner.units import MM
 
@@ -30,6 +30,7 @@ HUBER: Final = 1.345
 TUKEY: Final = 4.685
 """Residuals beyond so many do not count, at the same efficiency (Beaton and Tukey, 1974)."""
 FEWEST_CUTS: Final = 4
+"""A curve is fitted to this many test cuts at least."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,8 +83,8 @@ def robust(
         kept = ~(hot | cold)
         fit = _draw(foam, cuts.only(kept), thickness, diameter, (int(hot.sum()), int(cold.sum())))
         expected = fit.chi * ideal - fit.offset
-        now_hot = np.where(known, known_hot, expected > DOMAIN[1])
-        now_cold = np.where(known, known_cold, expected < DOMAIN[0])
+        now_hot = np.where(known, known_hot, expected > USABLE_KERFS[1])
+        now_cold = np.where(known, known_cold, expected < USABLE_KERFS[0])
         if np.array_equal(now_hot, hot) and np.array_equal(now_cold, cold):
             break
         key = now_hot.tobytes() + now_cold.tobytes()
@@ -183,12 +184,13 @@ def _few(count: int, left_out: tuple[int, int]) -> Issue:
         f"test cuts: got {count} that can be used ({hot} too hot, {cold} too cold left out), "
         f"allowed {FEWEST_CUTS} or more, at two speeds or powers at least"
     )
-    wanted = f"{DOMAIN[0] / MM:g} to {DOMAIN[1] / MM:g} mm"
+    wanted = f"{USABLE_KERFS[0] / MM:g} to {USABLE_KERFS[1] / MM:g} mm"
     hint = f"cut squares whose kerf is {wanted}, at two powers and four speeds"
     return Issue("kerf.few_cuts", text, value=float(count), limit=float(FEWEST_CUTS), hint=hint)
 
 
-MAX_BYTES: Final = 2_000_000
+MAX_TEST_CUT_BYTES: Final = 2_000_000
+"""Files of test cuts larger than this [bytes] are refused unread."""
 NUMBER_COLUMNS: Final = {
     "power_w": (0.0, 1e5),
     "speed_mm_s": (0.0, 1e3),
@@ -200,7 +202,9 @@ NUMBER_COLUMNS: Final = {
 }
 """Columns of numbers, above the first and up to the second value."""
 FACE_WORDS: Final = ("ok", "burnt", "dragging")
-IGNORED: Final = ("voltage_v", "current_a", "note")
+"""What the column ``face`` may say."""
+IGNORED_COLUMNS: Final = ("voltage_v", "current_a", "note")
+"""Columns that people keep and nothing reads."""
 
 
 Row = tuple[int, dict[str, str]]
@@ -319,8 +323,8 @@ def _headings(
     def say(text: str, field: str, hint: str) -> None:
         issues.append(Issue("kerf.file", text, file=name, line=1, field=field, hint=hint))
 
-    for key in sorted(set(header) - set(NUMBER_COLUMNS) - set(IGNORED) - {"face"}):
-        allowed = ", ".join((*NUMBER_COLUMNS, "face", *IGNORED))
+    for key in sorted(set(header) - set(NUMBER_COLUMNS) - set(IGNORED_COLUMNS) - {"face"}):
+        allowed = ", ".join((*NUMBER_COLUMNS, "face", *IGNORED_COLUMNS))
         say(f"column: got {key!r}, allowed {allowed}", key, "remove it or correct its spelling")
     for key in sorted({key for key in header if header.count(key) > 1}):
         say(f"column: got {key!r} twice, allowed once", key, "keep one")
@@ -350,10 +354,13 @@ def _rows(path: Path) -> tuple[list[str], list[Row]]:
     if not is_file(path):
         raise TandemError(Issue("kerf.file", f"{name}: got no such file", file=name, hint="check the path"))
     try:
-        if path.stat().st_size > MAX_BYTES:
+        if path.stat().st_size > MAX_TEST_CUT_BYTES:
             raise TandemError(
                 Issue(
-                    "kerf.file", f"{name}: larger than {MAX_BYTES / 1e6:g} MB", file=name, hint="cut it down"
+                    "kerf.file",
+                    f"{name}: larger than {MAX_TEST_CUT_BYTES / 1e6:g} MB",
+                    file=name,
+                    hint="cut it down",
                 )
             )
         text = path.read_text(encoding="utf-8-sig")

@@ -212,10 +212,13 @@ class Prior:
 
 
 AMPLITUDES: Final = (0.1e-3, 0.15e-3, 0.2e-3, 0.25e-3, 0.3e-3, 0.4e-3)
+"""Standard deviations [m] of what the model misses, among which the likelihood chooses."""
 NOISES: Final = (0.08e-3, 0.12e-3, 0.16e-3, 0.2e-3, 0.25e-3, 0.3e-3)
+"""Standard deviations [m] of single cuts, among which it chooses."""
 POWER_LENGTHS: Final = (0.15, 0.3, 0.6, 1.2)
+"""Correlation lengths in the logarithm of the power, among which it chooses."""
 SPEED_LENGTHS: Final = (0.1, 0.2, 0.3, 0.5, 0.8, 1.5)
-"""The priors among which the likelihood chooses."""
+"""Correlation lengths in the logarithm of the speed, among which it chooses."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -328,7 +331,7 @@ STEFAN_BOLTZMANN: Final = 5.670374419e-8
 """[W/(m^2 K^4)], CODATA 2018."""
 EMISSIVITY: Final = 0.7
 """Of an oxidised Kanthal wire; the dissertation's figure."""
-RADIATING_PART: Final = 0.900
+RADIATING_SHARE: Final = 0.900
 """Factor on the radiation that its calculated columns imply and its text does not state."""
 MAX_POWER_PER_LENGTH: Final = 1000.0
 """Beyond this [W/m] a thin wire melts; no power above it is looked for."""
@@ -411,18 +414,20 @@ def _heat_flows(foam: Foam, wire: HotWire, power: FloatArray) -> tuple[FloatArra
     flow = 0.62 * np.cbrt(prandtl) / (1.0 + (0.4 / prandtl) ** (2.0 / 3.0)) ** 0.25
     conducted = wire.length * conductivity * rise
     surface = math.pi * wire.diameter * wire.length
-    radiated = foam.radiation * RADIATING_PART * EMISSIVITY * surface * STEFAN_BOLTZMANN * rise**4
+    radiated = foam.radiation * RADIATING_SHARE * EMISSIVITY * surface * STEFAN_BOLTZMANN * rise**4
     return 0.3 * conducted + radiated, conducted * flow * np.sqrt(wire.diameter / viscosity)
 
 
 NUSSELT: Final = 1.0
-KELVIN: Final = 273.15
+"""Nusselt number of the wire in still air, assumed."""
+ZERO_CELSIUS: Final = 273.15
+"""Zero degrees Celsius in kelvin."""
 
 
 def most_power(wire: HotWire) -> float:
     """Power [W] over the wire's heated length that no wire material bears in still air."""
     limit = hottest().limit_temperature
-    hot, room = limit + KELVIN, materials.ROOM_TEMPERATURE + KELVIN
+    hot, room = limit + ZERO_CELSIUS, materials.ROOM_TEMPERATURE + ZERO_CELSIUS
     conductivity = float(test_cuts.air_table()["conductivity"].max())
     radiated = EMISSIVITY * STEFAN_BOLTZMANN * wire.diameter * (hot**4 - room**4)
     return math.pi * (radiated + NUSSELT * conductivity * (hot - room)) * wire.length

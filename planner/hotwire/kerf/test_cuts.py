@@ -19,13 +19,12 @@ from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError
 from planner.units import MM
 
-_DATA: Final = Path(__file__).resolve().parents[2] / "data"
+_DATA_FOLDER: Final = Path(__file__).resolve().parents[2] / "data"
+"""Folder of the tables of test cuts."""
 TEST_WIRE_LENGTH: Final = 0.43
 """Heated length [m] of the wire in the dissertation's tests."""
 TEST_DIAMETER: Final = 0.0004
 """Diameter [m] of that wire."""
-TEST_THICKNESS: Final = 0.05
-"""Thickness [m] of the foam in those tests."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +106,7 @@ def _table(rows: list[dict[str, str]]) -> CutTable:
 
 
 def _rows(name: str) -> list[dict[str, str]]:
-    with (_DATA / name).open(encoding="utf-8", newline="") as stream:
+    with (_DATA_FOLDER / name).open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(line for line in stream if not line.startswith("#")))
 
 

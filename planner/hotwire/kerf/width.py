@@ -1,7 +1,7 @@
 """Width of the slot that a hot wire melts in foam: forward, backward and as a table.
 
 Models (`models`): ``energy`` (the default), ``general`` for foams without test cuts, ``measured``
-for cuts like the tests' and ``dissertation`` for traceability; `FORMS` has them by name, with what
+for cuts like the tests' and ``dissertation`` for traceability; `MODEL_FORMS` has them by name, with what
 each needs to know of a foam. `KerfFlag` is what is to be said against a kerf that a model gives.
 All functions take arrays that broadcast, so that every point along a wire has its own speed.
 `docs/kerf.md` tells where the figures come from and how far they are to be trusted.
@@ -49,25 +49,27 @@ class Form:
     tables: bool = False
 
 
-_HEAT: Final = ("specific_heat", "melt_temperature")
-MEANT: Final = {
+_HEAT_FIGURES: Final = ("specific_heat", "melt_temperature")
+"""Figures of a foam that the heat balance needs."""
+FIGURE_NAMES: Final = {
     "specific_heat": "specific heat",
     "melt_temperature": "melting temperature",
     "kerf": "test cuts",
     "radiation": "share of radiation",
     "wire_rise": "wire temperatures",
 }
-FORMS: Final[dict[str, Form]] = {
-    "energy": Form(models.energy_width, models.energy_speed, models.energy_power, ("kerf", *_HEAT)),
+"""The figures of a foam in words."""
+MODEL_FORMS: Final[dict[str, Form]] = {
+    "energy": Form(models.energy_width, models.energy_speed, models.energy_power, ("kerf", *_HEAT_FIGURES)),
     "general": Form(
-        models.general_width, models.general_speed, models.general_power, (*_HEAT, "conductivity")
+        models.general_width, models.general_speed, models.general_power, (*_HEAT_FIGURES, "conductivity")
     ),
-    "measured": Form(models.measured_width, _no_inverse, _no_inverse, ("kerf", *_HEAT), tables=True),
+    "measured": Form(models.measured_width, _no_inverse, _no_inverse, ("kerf", *_HEAT_FIGURES), tables=True),
     "dissertation": Form(
         models.convection_estimate,
         models.convection_speed,
         models.convection_power,
-        (*_HEAT, "radiation", "wire_rise"),
+        (*_HEAT_FIGURES, "radiation", "wire_rise"),
         tables=True,
     ),
 }
@@ -76,16 +78,16 @@ FORMS: Final[dict[str, Form]] = {
 
 def choose_model(foam: str | Foam, model: str, backward: bool = False) -> tuple[Foam, Form]:
     """The foam's data and the model's functions; refuses what the model lacks."""
-    if model not in FORMS:
-        text = f"kerf model: got {model!r}, allowed {', '.join(FORMS)}"
+    if model not in MODEL_FORMS:
+        text = f"kerf model: got {model!r}, allowed {', '.join(MODEL_FORMS)}"
         raise TandemError(Issue("kerf.model", text, field="model", hint="take energy"))
-    data, form = materials.foam(foam) if isinstance(foam, str) else foam, FORMS[model]
+    data, form = materials.foam(foam) if isinstance(foam, str) else foam, MODEL_FORMS[model]
     missing = [name for name in form.needs if getattr(data, name) is None]
     if form.tables and data.name not in test_cuts.dissertation_tables():
         missing.append("cells in the dissertation's tables")
     if missing:
         known = ", ".join(sorted(name for name, one in materials.foams().items() if one.kerf is not None))
-        lacks = " and ".join(MEANT.get(name, name) for name in missing)
+        lacks = " and ".join(FIGURE_NAMES.get(name, name) for name in missing)
         text = f"kerf in {data.name} by model {model}: got no {lacks}, allowed {known} or a foam of your own"
         hint = "cut the four squares of problems/kerf_test and run: tandem kerf fit tests.csv"
         raise TandemError(Issue("kerf.no_data", text, field="foam", hint=hint))
@@ -95,7 +97,7 @@ def choose_model(foam: str | Foam, model: str, backward: bool = False) -> tuple[
     return data, form
 
 
-DOMAIN: Final = (0.8e-3, 3.0e-3)
+USABLE_KERFS: Final = (0.8e-3, 3.0e-3)
 """Kerfs [m] that leave usable faces: thinner the wire drags, wider it burns (dissertation, chapter 3)."""
 
 
@@ -110,23 +112,24 @@ class KerfFlag(enum.IntFlag):
     OTHER_WIRE = 16
 
 
-MEANING: Final[dict[KerfFlag, str]] = {
+FLAG_TEXTS: Final[dict[KerfFlag, str]] = {
     KerfFlag.TOO_HOT: "too hot: burnt, concave faces; cut faster or with less power",
     KerfFlag.TOO_COLD: "too cold: the wire drags and rounds corners; cut slower or with more power",
     KerfFlag.THICKNESS: "the foam is thicker or thinner than in the tests",
     KerfFlag.UNTESTED: "power per length or speed is outside the tests",
     KerfFlag.OTHER_WIRE: "the wire is not as thick as in the tests",
 }
+"""What each flag says to people."""
 
 
 def explain(flag: int) -> tuple[str, ...]:
     """What each doubt in ``flag`` means, in words; none for 0."""
-    return tuple(text for bit, text in MEANING.items() if flag & bit)
+    return tuple(text for bit, text in FLAG_TEXTS.items() if flag & bit)
 
 
 __all__ = [
-    "DOMAIN",
     "TEST_WIRE",
+    "USABLE_KERFS",
     "HotWire",
     "KerfEstimate",
     "KerfFlag",
@@ -138,11 +141,12 @@ __all__ = [
     "width",
 ]
 
-SAME_THICKNESS: Final = 0.1
+SAME_THICKNESS_SHARE: Final = 0.1
 """Foam and wire count as those of the tests up to this part of their thickness."""
 CURVE_ERROR: Final = 1e-6
 """Largest error [m] of reading a curve linearly."""
-MOST_SPEEDS: Final = 50_000
+MOST_CURVE_POINTS: Final = 50_000
+"""Points of a curve at most: a kerf that cannot be read linearly with these is none."""
 CURVE_SPEEDS: Final = (0.5e-3, 50e-3)
 """Range [m/s] of a curve when no speeds are given."""
 
@@ -261,7 +265,7 @@ def _dense(rows: Callable[[FloatArray], FloatArray], first: float, last: float) 
         coarse = off > 0.5 * CURVE_ERROR
         if not np.any(coarse):
             return table
-        if len(table) > MOST_SPEEDS:
+        if len(table) > MOST_CURVE_POINTS:
             text = f"kerf curve: got {len(table)} speeds and still not read linearly within 1 um"
             hint = "begin at a higher speed, or take less power"
             raise TandemError(Issue("kerf.input", text, field="speeds", hint=hint))
@@ -277,18 +281,18 @@ def _flags(
     thickness: FloatArray,
 ) -> NDArray[np.uint8]:
     tests = DISSERTATION_TESTS if foam.kerf is None else foam.kerf.tests
-    hot = kerf > DOMAIN[1]
+    hot = kerf > USABLE_KERFS[1]
     if tests.burnt_speed is not None:
         hot = hot | (speed <= tests.burnt_speed)
     untested = _outside(power_per_length, tests.power_per_length) | _outside(speed, tests.speed)
     named = (
         (KerfFlag.TOO_HOT, hot),
-        (KerfFlag.TOO_COLD, kerf < DOMAIN[0]),
-        (KerfFlag.THICKNESS, abs(thickness - tests.thickness) > SAME_THICKNESS * tests.thickness),
+        (KerfFlag.TOO_COLD, kerf < USABLE_KERFS[0]),
+        (KerfFlag.THICKNESS, abs(thickness - tests.thickness) > SAME_THICKNESS_SHARE * tests.thickness),
         (KerfFlag.UNTESTED, untested | (foam.kerf is None)),
         (
             KerfFlag.OTHER_WIRE,
-            abs(wire.diameter - tests.wire_diameter) > SAME_THICKNESS * tests.wire_diameter,
+            abs(wire.diameter - tests.wire_diameter) > SAME_THICKNESS_SHARE * tests.wire_diameter,
         ),
     )
     total: NDArray[np.uint8] = np.zeros((), np.uint8)
@@ -332,7 +336,7 @@ def _refuse_narrow(wanted: FloatArray, wire: HotWire) -> None:
     narrowest, least = float(wanted.min()) / MM, wire.diameter / MM
     if narrowest <= least:
         text = f"wanted kerf: got {narrowest:.3f} mm, allowed above the wire's own {least:.3f} mm"
-        hint = f"ask for {DOMAIN[0] / MM:g} to {DOMAIN[1] / MM:g} mm, or take a thinner wire"
+        hint = f"ask for {USABLE_KERFS[0] / MM:g} to {USABLE_KERFS[1] / MM:g} mm, or take a thinner wire"
         raise TandemError(Issue("kerf.impossible", text, value=narrowest, limit=least, unit="mm", hint=hint))
 
 
@@ -345,6 +349,9 @@ def _possible(found: FloatArray, given: FloatArray, wanted: FloatArray, thicknes
         least = float(asked[wrong].flat[0]) / MM
         text = f"wanted kerf: got {least:.3f} mm"
         text += f" ({int(wrong.sum())} of {wrong.size}), which no speed or power gives"
-        hint = f"ask for {DOMAIN[0] / MM:g} to {DOMAIN[1] / MM:g} mm, with more power or at another speed"
+        hint = (
+            f"ask for {USABLE_KERFS[0] / MM:g} to {USABLE_KERFS[1] / MM:g} mm, with more power or at "
+            "another speed"
+        )
         raise TandemError(Issue("kerf.impossible", text, value=least, unit="mm", hint=hint))
     return found

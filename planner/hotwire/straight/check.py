@@ -22,8 +22,8 @@ from planner.hotwire.straight.order import (
     chord,
     distance_to_polyline,
     exit_length,
+    gripper_holds,
     grown,
-    holds,
     pieces_across,
     place_text,
 )
@@ -33,10 +33,10 @@ from planner.reading import grip_choice
 from planner.tooling import Bow
 from planner.units import MM
 
-GOUGE: Final = 0.3
+GOUGE_SHARE: Final = 0.3
 """Share of the tolerance by which a wire may come nearer to its surface than half a kerf."""
-NEGLIGIBLE: Final = 1e-9
-"""[m], of rounding."""
+NEGLIGIBLE_LENGTH: Final = 1e-9
+"""Lengths [m] below this are rounding."""
 BOW_TURNS: Final = 72
 """Turns of the bow about the wire that are looked at for room behind the wire."""
 HOLDER_PLACES: Final = 65
@@ -77,7 +77,7 @@ def _tight(op: Straight, cut: Cut) -> Iterator[Issue]:
 def _crossing(op: Straight, cut: Cut) -> Iterator[Issue]:
     """No wire comes nearer to the surface, wherever on it, than half its kerf."""
     made, ruled = cut.on, cut.wanted.ruled
-    allowed = GOUGE * op.shape_tol_mm * MM
+    allowed = GOUGE_SHARE * op.shape_tol_mm * MM
     lines = made.lines
     for points, guide, e in ((lines.start, ruled.start, 0), (lines.end, ruled.end, 1)):
         line = np.concatenate([guide, guide[:1]]) if ruled.closed else guide
@@ -154,11 +154,12 @@ def check_bow(
     first, last = chord(lines, grown(box, op.margin_mm * MM))
     need = np.where(np.isfinite(first), last - first, 0.0)
     k = int(np.argmax(need))
-    if need[k] > bow.span + NEGLIGIBLE:
+    if need[k] > bow.span + NEGLIGIBLE_LENGTH:
         yield Issue(
             "bow.span",
             f"{op.name}: in {segment[k]} the foam and {op.margin_mm:g} mm at both ends need a wire of "
-            f"{np.ceil((need[k] - NEGLIGIBLE) / MM):.0f} mm, but the bow's is {bow.span / MM:.0f} mm; take a "
+            f"{np.ceil((need[k] - NEGLIGIBLE_LENGTH) / MM):.0f} mm, but the bow's is {bow.span / MM:.0f} "
+            "mm; take a "
             "wider bow or a smaller block, or let the wire run along another axis",
             index=k,
             value=float(need[k] / MM),
@@ -211,7 +212,7 @@ def check_holder(
     tool = setup.cell.arm(holder).tool
     outlines = [c.wanted.ruled for c in cuts if c.wanted.ruled.closed and not c.wanted.ruled.hole]
     foot = inverse(setup.stock.grip)[:3, 3]
-    if outlines and not any(holds(outline, foot) for outline in outlines):
+    if outlines and not any(gripper_holds(outline, foot) for outline in outlines):
         yield Issue(
             "stock.footprint",
             f"{op.name}: {tool.name} holds the block at {place_text(foot)}, beside {outlines[0].name}, so "

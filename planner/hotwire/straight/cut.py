@@ -21,7 +21,7 @@ from planner.hotwire.straight.order import Lines, Wanted, exit_length, fastest, 
 from planner.targets import FEED_SHARE
 from planner.units import MM
 
-START_PLACES: Final = 48
+START_RULINGS: Final = 48
 """Rulings that are tried as the beginning of a contour without corners."""
 SLIT_DIRECTIONS: Final = 48
 """Directions that are tried for the slit at each of them."""
@@ -154,7 +154,7 @@ def _places(ruled: Ruled) -> IndexArray:
     count = len(ruled.start)
     way = np.linalg.norm(np.diff(_middle(ruled), axis=0, append=_middle(ruled)[:1]), axis=1)
     along = np.concatenate([[0.0], np.cumsum(way)[:-1]])
-    even = np.arange(min(START_PLACES, count)) * way.sum() / min(START_PLACES, count)
+    even = np.arange(min(START_RULINGS, count)) * way.sum() / min(START_RULINGS, count)
     found = np.unique(np.searchsorted(along, even).clip(0, count - 1))
     smooth = found[~(ruled.corner & ~convex)[found]]
     return smooth if len(smooth) else found

@@ -34,7 +34,7 @@ from planner.hotwire.straight.order import (
 from planner.issues import Issue
 from planner.units import MM
 
-GRAZE: Final = 0.3
+GRAZE_SHARE: Final = 0.3
 """Share of the tolerance that a slot may take from another surface or piece, and a way in from its own."""
 CELL: Final = 4e-3
 """[m] size of the cells in which near places of a surface are looked for."""
@@ -42,28 +42,29 @@ FINE_CELL: Final = 5e-4
 """[m] size of the cells there."""
 EVEN_GAP: Final = 1e-4
 """[m] cells at whose corners and middle distances differ by less are looked at there alone."""
-CHORD: Final = 2e-5
+SURFACE_CHORD: Final = 2e-5
 """[m] surfaces are looked at as near as this."""
-BATCH: Final = 2_000
+CELLS_AT_ONCE: Final = 2_000
 """So many cells are looked at more closely together."""
-BENEATH: Final = 0.7
+BENEATH_COSINE: Final = 0.7
 """Least cosine of the way to the wire against the normal of a surface that the wire is beneath or above."""
-FACING: Final = -0.5
+FACING_COSINE: Final = -0.5
 """Surfaces face one another over a gap where the cosine of their normals is below this."""
-CROSSES: Final = 1e-5
+CROSSING_DISTANCE: Final = 1e-5
 """[m] a surface crosses another where it is on both sides of it by more than this."""
-MEETS: Final = 1e-7
+MEETING_DISTANCE: Final = 1e-7
 """[m] of rounding, where surfaces meet."""
 CROSSING_PLACES: Final = 700
 """So many places tell whether one does."""
-_CHUNK: Final = 300_000
+_PAIRS_AT_ONCE: Final = 300_000
+"""Pairs of a point and a ruling that are worked on at once."""
 
 
 def check_neighbours(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
     """``straight.crossing`` where the slot of a cut takes from another surface of the part, cut before it or
     after it. Surfaces that cross bound the part together: what is outside of one is no part."""
     own, lines, half = cut.wanted.ruled, cut.on.lines, cut.on.half
-    reach, allowed = float(half.max()) + CROSSES, GRAZE * op.shape_tol_mm * MM
+    reach, allowed = float(half.max()) + CROSSING_DISTANCE, GRAZE_SHARE * op.shape_tol_mm * MM
     for other in ruled:
         if other.name == own.name or (own.closed and other.closed and alike(own, other)):
             continue
@@ -71,8 +72,8 @@ def check_neighbours(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: Floa
         uneven = _uneven(cells, lines, half)
         coarse = cells[uneven]
         finer = [
-            _near(_finer(coarse[k : k + BATCH]), lines, half, box, reach)
-            for k in range(0, len(coarse), BATCH)
+            _near(_finer(coarse[k : k + CELLS_AT_ONCE]), lines, half, box, reach)
+            for k in range(0, len(coarse), CELLS_AT_ONCE)
         ]
         cells = np.concatenate([cells[~uneven], *finer])
         if not len(cells):
@@ -81,14 +82,14 @@ def check_neighbours(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: Floa
         far, foot, wide = _nearest(places, lines, half)
         along = dots(foot - places, normal)
         # a slot from the foam beyond its own surface takes all it passes, one from within what it reaches
-        beyond = (along <= -BENEATH * far) & (far < wide + CROSSES)
-        beyond[beyond] = _side(own, places[beyond])[0] > -MEETS
+        beyond = (along <= -BENEATH_COSINE * far) & (far < wide + CROSSING_DISTANCE)
+        beyond[beyond] = _side(own, places[beyond])[0] > -MEETING_DISTANCE
         depth = wide - np.where(beyond, along, far)
         bad = np.flatnonzero(depth > allowed)
         bad = bad[_of_the_part(places[bad], other, ruled, box)]
         if len(bad):
             k = int(bad[np.argmax(depth[bad])])
-            facing = float(_side(own, places[[k]])[1][0] @ normal[k]) < FACING
+            facing = float(_side(own, places[[k]])[1][0] @ normal[k]) < FACING_COSINE
             yield _issue(op, cut, other, (depth[k], wide[k]), places[k], facing)
             return
 
@@ -110,14 +111,14 @@ def _issue(
         f"{what}",
         field=str(cut.wanted.segment),
         value=depth,
-        limit=GRAZE * op.shape_tol_mm,
+        limit=GRAZE_SHARE * op.shape_tol_mm,
         unit="mm",
     )
 
 
 def _cells(ruled: Ruled) -> FloatArray:
     """A surface in patches (N, 4, 3) [m] with edges of no more than ``CELL``."""
-    fine = resample(ruled, CHORD, CELL)
+    fine = resample(ruled, SURFACE_CHORD, CELL)
     a, b = (np.concatenate([p, p[:1]]) if ruled.closed else p for p in (fine.start, fine.end))
     count = max(int(np.ceil(np.linalg.norm(b - a, axis=1).max() / CELL)), 1)
     share = np.linspace(0.0, 1.0, count + 1)[None, :, None]
@@ -189,7 +190,7 @@ def _abreast(
     base = dots(lines.start, way)
     far, wide, place = np.zeros(len(points)), np.zeros(len(points)), np.zeros(len(points))
     foot = np.zeros((len(points), 3))
-    for rows in np.array_split(np.arange(len(points)), max(1, len(points) * len(lines) // _CHUNK)):
+    for rows in np.array_split(np.arange(len(points)), max(1, len(points) * len(lines) // _PAIRS_AT_ONCE)):
         along = points[rows] @ way.T - base
         at = lines.start + along[..., None] * way
         move = np.diff(at, axis=1)
@@ -212,7 +213,7 @@ def _abreast(
 def _side(ruled: Ruled, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Distance (N,) [m] of points (N, 3) to a surface, negative on the part's side, NaN beyond its rims; and
     its normals (N, 3) there."""
-    fine = resample(ruled, CHORD, 0.05)
+    fine = resample(ruled, SURFACE_CHORD, 0.05)
     start, end = (np.concatenate([p, p[:1]]) if ruled.closed else p for p in (fine.start, fine.end))
     lines = Lines(start, end)
     far, foot, _, place = _abreast(points, lines, np.zeros((len(start), 2)), True)
@@ -244,14 +245,14 @@ def _of_the_part(places: FloatArray, own: Ruled, ruled: tuple[Ruled, ...], box: 
     for other in ruled:
         if other.name != own.name:
             off = _side(other, points)[0]
-            if (off > CROSSES).any() and (off < -CROSSES).any():
-                real &= ~(_side(other, places)[0] > -MEETS)
+            if (off > CROSSING_DISTANCE).any() and (off < -CROSSING_DISTANCE).any():
+                real &= ~(_side(other, places)[0] > -MEETING_DISTANCE)
     return real
 
 
-LEVELS: Final = (0.02, 0.5, 0.98)
+LENGTH_SHARES: Final = (0.02, 0.5, 0.98)
 """Shares of the common length of all rulings at which slots are held against other pieces."""
-STEEP: Final = 6.0
+STEEP_WAY: Final = 6.0
 """Half slots of way beside another contour that a slit may take wherever it crosses it: at 20 degrees or
 more."""
 LEAD_SHARES: Final = np.linspace(0.01, 0.99, 9)
@@ -273,8 +274,8 @@ def check_spared(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArr
 
 def _beside(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
     """No slot of a closed cut reaches another closed surface that is cut in the same direction."""
-    allowed = GRAZE * op.shape_tol_mm * MM
-    for level in LEVELS:
+    allowed = GRAZE_SHARE * op.shape_tol_mm * MM
+    for level in LENGTH_SHARES:
         pieces = pieces_across(cut.wanted.ruled, ruled, box, level)
         if not pieces.others:
             continue
@@ -312,7 +313,7 @@ def _along(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) ->
         return
     pieces = pieces_across(cut.wanted.ruled, ruled, box, 0.5)
     half = float(cut.on.half[[0, -1]].max())
-    allowed = GRAZE * op.shape_tol_mm * MM
+    allowed = GRAZE_SHARE * op.shape_tol_mm * MM
     for lines in (cut.into, cut.out):
         way = shapely.LineString(section(lines, pieces.plane)[[0, -1]])
         for other in ruled:
@@ -321,14 +322,14 @@ def _along(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) ->
             border = shapely.boundary(contour(other, pieces.plane))
             beside = way.intersection(shapely.buffer(border, half)).length
             crossed = shapely.get_num_geometries(way.intersection(border)) if way.intersects(border) else 0
-            if beside > STEEP * half * crossed + allowed:
+            if beside > STEEP_WAY * half * crossed + allowed:
                 yield Issue(
                     "straight.lead",
                     f"{op.name}: the slit to {cut.wanted.segment} runs along {other.name} for "
                     f"{beside / MM:.1f} mm and takes from it; give another lead",
                     field=str(cut.wanted.segment),
                     value=beside / MM,
-                    limit=STEEP * half * crossed / MM,
+                    limit=STEEP_WAY * half * crossed / MM,
                     unit="mm",
                 )
                 return
@@ -361,7 +362,7 @@ def _own_side(op: Straight, cut: Cut) -> Iterator[Issue]:
     way = into.start[0] + into.end[0] - into.start[-1] - into.end[-1]
     normal = cut.on.row.normal[0].mean(axis=0)
     depth = -0.5 * float(way @ normal) / max(float(np.linalg.norm(normal)), 1e-12)
-    if depth <= GRAZE * op.shape_tol_mm * MM:
+    if depth <= GRAZE_SHARE * op.shape_tol_mm * MM:
         return
     # a strip that bends away beyond its end may be followed straight on
     ahead = foot.start[0] + foot.end[0] - foot.start[1] - foot.end[1]

@@ -24,10 +24,10 @@ from planner.geometry.rigid import from_parts, inverse
 from planner.hotwire import claims
 from planner.hotwire.kerf.models import most_power
 from planner.hotwire.kerf.test_cuts import HotWire
-from planner.hotwire.operation import Straight, SurfaceCut
+from planner.hotwire.operation import AIR_FEED, Straight, SurfaceCut
 from planner.hotwire.straight.check import check_bow, check_cut, check_holder, check_model
 from planner.hotwire.straight.cut import Cut, make_cut
-from planner.hotwire.straight.order import Lines, Wanted, chord, fastest, grown, wanted
+from planner.hotwire.straight.order import Lines, Wanted, chord, fastest, grown, wanted_surfaces
 from planner.hotwire.straight.route import Route, actions, check_drops, lay_out
 from planner.hotwire.straight.slot_check import check_driven, check_heat, check_inner, check_passed
 from planner.issues import Issue, TandemError, aggregate, has_errors
@@ -36,8 +36,9 @@ from planner.targets import Freedom, Job, Rounding, ScrewFreedom, Targets
 from planner.tooling import Bow
 from planner.units import DEG, MM
 
-SMOOTH: Final = (81, 41, 21, 9, 1)
-"""Targets over which the place of the bow along the wire is meant: as many as the wire's length allows."""
+SMOOTHING_WIDTHS: Final = (81, 41, 21, 9, 1)
+"""Targets over which the mean of the bow's place along the wire is taken: as many as the wire's length
+allows."""
 
 
 def stretch(lines: Lines, box: FloatArray, margin: float, span: float) -> tuple[FloatArray, FloatArray]:
@@ -52,7 +53,7 @@ def stretch(lines: Lines, box: FloatArray, margin: float, span: float) -> tuple[
     near = np.flatnonzero(np.isfinite(first))
     at = np.arange(len(lines))
     first, last = (np.interp(at, near, (end - foot)[near]) for end in (first, last))
-    for window in SMOOTH:
+    for window in SMOOTHING_WIDTHS:
         low, high = minimum_filter1d(first, window), maximum_filter1d(last, window)
         low, high = uniform_filter1d(low, window), uniform_filter1d(high, window)
         if (high - low).max() <= span:
@@ -283,10 +284,6 @@ def _along(op: Straight, cut: Cut) -> dict[str, Any]:
     }
 
 
-AIR_FEED = 0.1
-"""Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
-
-
 class StraightJob(Job[Straight]):
     """An operation with a straight wire, on the block and the tools that it finds."""
 
@@ -335,7 +332,7 @@ class StraightJob(Job[Straight]):
         cuts."""
         operation, setup, part = self.operation, self.setup, self.part
         bow = bow_of(operation, setup)
-        todo = wanted(operation, setup, part)
+        todo = wanted_surfaces(operation, setup, part)
         kerf, thickness = _kerf(operation, setup, bow, todo)
         return todo, kerf, thickness, _cuts(operation, setup, part, bow, todo, kerf)
 

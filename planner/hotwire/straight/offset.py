@@ -35,9 +35,9 @@ VERTEX_TURN: Final = np.deg2rad(60.0)
 """Largest turn at one vertex of the polygon around a convex corner: it stays within 1 / cos 30 deg of half a
 kerf."""
 FLAT_TURN: Final = np.deg2rad(2.0)
-"""A turn below this needs no vertices of its own."""
+"""A turn below this [rad] needs no vertices of its own."""
 CUSP_TURN: Final = np.deg2rad(175.0)
-"""A turn beyond this is a cusp of the part: the wire goes round it, whatever the sign says."""
+"""A turn beyond this [rad] is a cusp of the part: the wire goes round it, whatever the sign says."""
 KERF_SETTLED: Final = 1e-7
 """[m] half kerfs have settled where one more round moves none of them by more."""
 DAMPING: Final[Damping] = ((0.5, 60), (0.25, 120), (0.1, 300), (0.05, 600))

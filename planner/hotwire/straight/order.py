@@ -17,7 +17,7 @@ import shapely
 
 from planner.claims.segments import Segment, clash
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled, dots
-from planner.hotwire.operation import SIDES, Straight, SurfaceCut, TrimCut
+from planner.hotwire.operation import BLOCK_SIDES, Straight, SurfaceCut, TrimCut
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Stock
 from planner.tooling import Bow
@@ -243,7 +243,7 @@ def alike(one: Ruled, other: Ruled) -> bool:
     return bool(abs(_direction(one) @ _direction(other)) >= PARALLEL_COSINE)
 
 
-def holds(outline: Ruled, foot: FloatArray) -> bool:
+def gripper_holds(outline: Ruled, foot: FloatArray) -> bool:
     """Whether a gripper below the block with the middle of its face at ``foot`` (3,) [m] holds what an
     outline cuts free; true for outlines whose rulings lie rather than stand."""
     if abs(_direction(outline)[2]) < PARALLEL_COSINE:
@@ -316,7 +316,7 @@ class Wanted:
         return Segment("cut", self.name)
 
 
-def wanted(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
+def wanted_surfaces(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
     """The surfaces to cut, in order. Raises ``TandemError``: part.missing_surface, straight.trim,
     straight.lead, problem.duplicate_name."""
     out = _listed(op, setup, part)
@@ -398,7 +398,7 @@ def _along_the_wire(op: Straight, ruled: Ruled, cut: SurfaceCut) -> list[Issue]:
 
 
 def _no_oversize(op: Straight, stock: Stock, side: str) -> list[Issue]:
-    axis, end = SIDES[side]
+    axis, end = BLOCK_SIDES[side]
     over = float(stock.oversize[end, axis])
     if over >= LEAST_OVERSIZE:
         return []
@@ -418,7 +418,7 @@ def _no_oversize(op: Straight, stock: Stock, side: str) -> list[Issue]:
 def _side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> Ruled:
     """A side of the datum block as two rulings, from the upper to the lower edge where it stands upright."""
     stock = setup.stock
-    axis, end = SIDES[side]
+    axis, end = BLOCK_SIDES[side]
     low, high = np.array([-0.5, -0.5, 0.0]) * stock.size, np.array([0.5, 0.5, 1.0]) * stock.size
     along = _along(op, setup, axis, cut)
     sweep = 3 - axis - along

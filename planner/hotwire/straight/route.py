@@ -22,7 +22,8 @@ from planner.claims import dialogue
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.rigid import exp_rotation
-from planner.hotwire.operation import Straight
+from planner.hotwire.claims import RESTING_COSINE
+from planner.hotwire.operation import AIR_STEP, Straight
 from planner.hotwire.straight.cut import Cut
 from planner.hotwire.straight.order import Lines, grown, join
 from planner.issues import Issue, Severity
@@ -31,10 +32,8 @@ from planner.targets import Action
 from planner.tooling import Bow
 from planner.units import MM
 
-AIR_STEP: Final = 0.012
-"""[m] largest move of any point of the wire between targets in the air."""
 SAME_DIRECTION: Final = np.deg2rad(0.5)
-"""Directions that differ by less need no place to turn."""
+"""Directions that differ by less [rad] need no place to turn."""
 NEARER_ROOM: Final = 1e-4
 """[m] a way may come nearer to the block by this than its ends are."""
 BELOW_FACTOR: Final = 10.0
@@ -173,7 +172,7 @@ def _along(a: Lines, b: Lines, chain: FloatArray, direction: FloatArray, ends: l
 
 AIR_LEAD: Final = 0.040
 """[m] way in the air before the first cut and behind the last one."""
-STRAIGHT_ON: Final = 0.94
+PASSING_COSINE: Final = 0.94
 """Least cosine between moves in the air that are passed without a stop."""
 
 
@@ -244,7 +243,7 @@ def _corners(lines: Lines) -> IndexArray:
     """Numbers of the lines at which a way in the air turns: there the motion stops, as nothing melts."""
     move = np.diff(np.concatenate([lines.start, lines.end], axis=1), axis=0)
     move /= np.maximum(np.linalg.norm(move, axis=1, keepdims=True), 1e-12)
-    return np.flatnonzero(np.sum(move[1:] * move[:-1], axis=1) < STRAIGHT_ON) + 1
+    return np.flatnonzero(np.sum(move[1:] * move[:-1], axis=1) < PASSING_COSINE) + 1
 
 
 def _lead(into: Lines, on: Lines) -> Lines:
@@ -258,21 +257,17 @@ def _lead(into: Lines, on: Lines) -> Lines:
     return Lines(into.start[:1] + shift, into.end[:1] + shift)
 
 
-RESTING_COSINE: Final = 0.7
-"""Least cosine between a cut's normal and the vertical from which what is above it rests on the slot."""
-
-
 def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route) -> tuple[Action, ...]:
     """The operator's steps and the wire's power, by target."""
     diameter, material = 2.0 * bow.radius / MM, f" {op.wire_material}".rstrip()
     if op.power_w is not None:
-        mounted = dialogue.BOW_POWER.say(diameter_mm=diameter, material=material, power_w=op.power_w)
+        mounted = dialogue.BOW_POWER.filled(diameter_mm=diameter, material=material, power_w=op.power_w)
     else:
-        mounted = dialogue.BOW_SLOT.say(diameter_mm=diameter, material=material, kerf_mm=op.kerf_mm or 0.0)
+        mounted = dialogue.BOW_SLOT.filled(diameter_mm=diameter, material=material, kerf_mm=op.kerf_mm or 0.0)
     last = len(route.segment) - 1
     out = [
         Action(0, "message", mounted),
-        Action(0, "confirm", dialogue.TAUT.say()),
+        Action(0, "confirm", dialogue.TAUT.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
     ]
@@ -283,7 +278,7 @@ def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route)
         *out,
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", dialogue.COLD.say()),
+        Action(last, "confirm", dialogue.COLD.filled()),
     )
 
 
@@ -322,8 +317,8 @@ def _spacers(op: Straight, at: int, kerf: float) -> list[Action]:
     return [
         Action(at, "off", signal=op.signal),
         Action(at, "wait", seconds=op.cool_down_s),
-        Action(at, "message", dialogue.SPACERS.say(kerf_mm=kerf / MM)),
-        Action(at, "confirm", dialogue.SPACED.say()),
+        Action(at, "message", dialogue.SPACERS.filled(kerf_mm=kerf / MM)),
+        Action(at, "confirm", dialogue.SPACED.filled()),
         Action(at, "on", signal=op.signal),
         Action(at, "wait", seconds=op.heat_up_s),
     ]

@@ -27,9 +27,10 @@ from planner.units import MM
 
 LEAST_HEAT: Final = 1.0 / 64.0
 """Heats between this share of the given one and its inverse are tried."""
-HALVINGS: Final = 8
+HEAT_HALVINGS: Final = 8
 """So often the interval between a heat that is right and one that is not is halved: to 4 %."""
-ENDS: Final = ("start", "end")
+WIRE_ENDS: Final = ("start", "end")
+"""Names of the wire's two ends."""
 
 Remake = Callable[[Straight], list[Cut]]
 """All cuts of an operation, made for its power and feed."""
@@ -72,8 +73,8 @@ def _issue(op: Straight, cut: Cut, code: str, row: int, end: int, hint: str) -> 
     point = (foot.start, foot.end)[end][row] / MM
     place = "[" + ", ".join(f"{value:.1f}" for value in point) + "] mm"
     low, high = op.kerf_range_mm
-    wire = f"{op.name}: on {cut.wanted.segment} the {ENDS[end]} of the wire, at {speed[end]:.2f} mm/s"
-    other = f"while its {ENDS[1 - end]} moves at {speed[1 - end]:.2f} mm/s"
+    wire = f"{op.name}: on {cut.wanted.segment} the {WIRE_ENDS[end]} of the wire, at {speed[end]:.2f} mm/s"
+    other = f"while its {WIRE_ENDS[1 - end]} moves at {speed[1 - end]:.2f} mm/s"
     if code == "kerf.unsettled":
         what = f"{wire} at {place} {other}, has no slot that fits its own speed"
         return Issue(code, what, field="part", value=float(speed[end]), unit="mm/s", hint=hint)
@@ -135,7 +136,7 @@ def _edge(good: Callable[[float], bool], inner: float, outer: float) -> float | 
         return None
     if good(outer):
         return outer
-    for _ in range(HALVINGS):
+    for _ in range(HEAT_HALVINGS):
         middle = float(np.sqrt(inner * outer))
         inner, outer = (middle, outer) if good(middle) else (inner, middle)
     return inner

@@ -12,16 +12,18 @@ import re
 from typing import Any, Final
 
 from planner.issues import Severity
-from planner.milling.gcode.moves import AXES, CENTRE, ROTARY, Step, move
+from planner.milling.gcode.moves import AXIS_LETTERS, CENTRE_LETTERS, ROTARY_LETTERS, Step, move
 from planner.milling.gcode.rows import Faults, Gathered
 from planner.milling.gcode.state import INCH, Dialect, Modal, wanted
 
 Word = tuple[str, float]
 
-LONGEST: Final = 256
+MOST_CHARACTERS: Final = 256
 """Characters of a line's words, as controllers allow (RS274/NGC); no number is too large then."""
-COMMENT: Final = re.compile(r"\([^()]*\)|;.*")
-WORD: Final = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+COMMENT_PATTERN: Final = re.compile(r"\([^()]*\)|;.*")
+"""Comments: in parentheses, or from a semicolon to the end of the line."""
+WORD_PATTERN: Final = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+"""A letter and its number."""
 
 
 class LineError(ValueError):
@@ -38,7 +40,7 @@ def bare(line: str) -> str:
     Raises :class:`LineError` where a comment is not closed.
     """
     if "(" in line or ";" in line or ")" in line:
-        line = COMMENT.sub("", line)
+        line = COMMENT_PATTERN.sub("", line)
         if "(" in line or ")" in line:
             raise LineError("(", "a comment is opened or closed but not both; pair ( and ) within the line")
     return "".join(line.split()).upper()
@@ -46,11 +48,13 @@ def bare(line: str) -> str:
 
 def words(text: str) -> list[Word]:
     """The words of a bare line, in order, their numbers as they stand. Raises :class:`LineError`."""
-    found = WORD.findall(text)
+    found = WORD_PATTERN.findall(text)
     if sum(len(number) for _, number in found) + len(found) != len(text):
         raise _refuse(text)
-    if len(text) > LONGEST:
-        raise LineError("", f"{len(text)} characters of words on a line, at most {LONGEST} are read; part it")
+    if len(text) > MOST_CHARACTERS:
+        raise LineError(
+            "", f"{len(text)} characters of words on a line, at most {MOST_CHARACTERS} are read; part it"
+        )
     return [(letter, float(number)) for letter, number in found]
 
 
@@ -61,7 +65,7 @@ def code(letter: str, value: float) -> str:
 
 def _refuse(text: str) -> LineError:
     place = 0
-    while (met := WORD.match(text, place)) is not None:
+    while (met := WORD_PATTERN.match(text, place)) is not None:
         place = met.end()
     rest = text[place : place + 12]
     if rest[0] in "#[]=*<" or (len(rest) > 1 and rest[1] in "#["):
@@ -73,13 +77,14 @@ def _refuse(text: str) -> LineError:
     return LineError("", f"got {rest!r}, which is no word of G-code (a letter and a number); correct it")
 
 
-MOTION: Final = {"G0": 0, "G1": 1, "G2": 2, "G3": 3}
-PLANE: Final = {"G17": 2, "G18": 1, "G19": 0}
+MOTION_CODES: Final = {"G0": 0, "G1": 1, "G2": 2, "G3": 3}
+"""Modes of motion: rapid, straight, arc clockwise, arc counterclockwise."""
+PLANE_CODES: Final = {"G17": 2, "G18": 1, "G19": 0}
 """Planes by their normals: xy, zx, yz."""
 
-GROUPS: Final[dict[str, str]] = {
-    **dict.fromkeys(MOTION, "motion"),
-    **dict.fromkeys(PLANE, "plane"),
+MODAL_GROUPS: Final[dict[str, str]] = {
+    **dict.fromkeys(MOTION_CODES, "motion"),
+    **dict.fromkeys(PLANE_CODES, "plane"),
     **dict.fromkeys(("G20", "G21"), "unit"),
     **dict.fromkeys(("G90", "G91"), "distance"),
     **dict.fromkeys(("G90.1", "G91.1"), "centre"),
@@ -95,42 +100,50 @@ GROUPS: Final[dict[str, str]] = {
 }
 """Two codes of one group on a line contradict each other."""
 
-WITH_AXES: Final = frozenset({"G10", "G28", "G30", "G52", "G53", "G92"})
+CODES_WITH_AXES: Final = frozenset({"G10", "G28", "G30", "G52", "G53", "G92"})
 """Codes that take the axis words of their line, so that these are passed over with them."""
 
-ARGUMENTS: Final = "DEHLPQ"
+ARGUMENT_LETTERS: Final = "DEHLPQ"
 """Words that belong to codes; beside one that is not carried out they are passed over with it."""
 
-_CYCLE = "canned cycles are not carried out; let the CAM system write them as moves"
-_OFFSET = "places of the file are stated in the problem (origin, offsets); take it out"
-_HOME = "the robot goes home its own safe way; take the line out, or name the code in skip"
-_COMP = "the radius of the tool is not offset here; let the CAM system write the path of the tip"
-_MODE = "how exactly corners are passed is for the problem's tolerances to say; name it in skip"
-_COOLANT = "no signal is known for coolant; name it in skip and switch it by hand"
-_SPLINE = "only straight moves and arcs are read; let the CAM system write these"
-_CALL = "subprograms and variables are not read; let the CAM system write one plain program"
+_CYCLE_REASON = "canned cycles are not carried out; let the CAM system write them as moves"
+_OFFSET_REASON = "places of the file are stated in the problem (origin, offsets); take it out"
+_HOME_REASON = "the robot goes home its own safe way; take the line out, or name the code in skip"
+_COMPENSATION_REASON = (
+    "the radius of the tool is not offset here; let the CAM system write the path of the tip"
+)
+_PATH_MODE_REASON = "how exactly corners are passed is for the problem's tolerances to say; name it in skip"
+_COOLANT_REASON = "no signal is known for coolant; name it in skip and switch it by hand"
+_SPLINE_REASON = "only straight moves and arcs are read; let the CAM system write these"
+_SUBPROGRAM_REASON = "subprograms and variables are not read; let the CAM system write one plain program"
+"""Why codes of each kind are refused, and what to do."""
 
-WHY: Final[dict[str, str]] = {
-    **{f"G{n}": _CYCLE for n in (73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89)},
-    **dict.fromkeys(("G10", "G52", "G92"), _OFFSET),
-    **dict.fromkeys(("G53", "G28", "G30"), _HOME),
-    **dict.fromkeys(("G41", "G42"), _COMP),
-    **dict.fromkeys(("G61", "G64"), _MODE),
-    **dict.fromkeys(("M7", "M8", "M9"), _COOLANT),
-    **dict.fromkeys(("G5", "G5.1", "G5.2", "G6.2"), _SPLINE),
-    **dict.fromkeys(("G65", "G66", "M98", "M99"), _CALL),
+REFUSALS: Final[dict[str, str]] = {
+    **{f"G{n}": _CYCLE_REASON for n in (73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89)},
+    **dict.fromkeys(("G10", "G52", "G92"), _OFFSET_REASON),
+    **dict.fromkeys(("G53", "G28", "G30"), _HOME_REASON),
+    **dict.fromkeys(("G41", "G42"), _COMPENSATION_REASON),
+    **dict.fromkeys(("G61", "G64"), _PATH_MODE_REASON),
+    **dict.fromkeys(("M7", "M8", "M9"), _COOLANT_REASON),
+    **dict.fromkeys(("G5", "G5.1", "G5.2", "G6.2"), _SPLINE_REASON),
+    **dict.fromkeys(("G65", "G66", "M98", "M99"), _SUBPROGRAM_REASON),
     "G70": "inches are G20; write that",
     "G71": "millimetres are G21; write that",
 }
+"""Why each of these codes is refused, and what to do."""
 
 
 def why_not(name: str) -> str:
     """Why a code is not carried out, and what to do."""
-    return WHY.get(name, "this code is not known; take it out, or name it in skip if it may be passed over")
+    return REFUSALS.get(
+        name, "this code is not known; take it out, or name it in skip if it may be passed over"
+    )
 
 
-MINUTE: Final = 60.0
-TURN: Final = 2.0 * math.pi
+SECONDS_PER_MINUTE: Final = 60.0
+"""Feeds are stated per minute."""
+RADIANS_PER_TURN: Final = 2.0 * math.pi
+"""Spindle speeds are stated in turns a minute."""
 
 
 def execute(text: str, line: int, modal: Modal, dialect: Dialect, faults: Faults, out: Gathered) -> Modal:
@@ -174,7 +187,7 @@ def _run(
     modal = _changed(modal, _spindle(names, modal, step))
     if "G4" in names:
         _dwell(modal, step)
-    moving = any(word in values for word in AXES + ROTARY + CENTRE + "R")
+    moving = any(word in values for word in AXIS_LETTERS + ROTARY_LETTERS + CENTRE_LETTERS + "R")
     _strays(names, modal, step, moving)
     if moving:
         modal = move(modal, step)
@@ -205,22 +218,22 @@ def _sorted(
             if name in dialect.skip:
                 message = f"{name} is passed over, as the problem says"
                 faults.add("gcode.skipped", name, line, message, severity=Severity.NOTE)
-                refused, dropped = True, dropped or name in WITH_AXES
-            elif name not in GROUPS:
+                refused, dropped = True, dropped or name in CODES_WITH_AXES
+            elif name not in MODAL_GROUPS:
                 faults.add("gcode.word", name, line, f"{name}: {why_not(name)}")
-                refused, dropped = True, dropped or name in WITH_AXES
-            elif GROUPS[name] in names and names[GROUPS[name]] != name:
-                other = names[GROUPS[name]]
+                refused, dropped = True, dropped or name in CODES_WITH_AXES
+            elif MODAL_GROUPS[name] in names and names[MODAL_GROUPS[name]] != name:
+                other = names[MODAL_GROUPS[name]]
                 message = f"{other} and {name} on one line contradict each other; keep one"
                 faults.add("gcode.word", name, line, message)
             else:
-                names[GROUPS[name]] = name
+                names[MODAL_GROUPS[name]] = name
         elif letter in values:
             message = f"{letter} stands twice on a line; keep one, or part the line"
             faults.add("gcode.syntax", letter, line, message)
         else:
             values[letter] = value
-    out = (AXES + ROTARY if dropped else "") + (ARGUMENTS if refused else "")
+    out = (AXIS_LETTERS + ROTARY_LETTERS if dropped else "") + (ARGUMENT_LETTERS if refused else "")
     values = {letter: value for letter, value in values.items() if letter not in out} if out else values
     return tuple(names.values()), values
 
@@ -229,10 +242,10 @@ def _modes(names: tuple[str, ...], modal: Modal, step: Step) -> dict[str, Any]:
     """Changes of modes by the G codes of a line."""
     change: dict[str, Any] = {}
     for name in names:
-        if name in MOTION:
-            change["motion"] = MOTION[name]
-        elif name in PLANE:
-            change["plane"] = PLANE[name]
+        if name in MOTION_CODES:
+            change["motion"] = MOTION_CODES[name]
+        elif name in PLANE_CODES:
+            change["plane"] = PLANE_CODES[name]
         elif name in ("G20", "G21"):
             change["unit"] = INCH if name == "G20" else 1e-3
         elif name in ("G90", "G91"):
@@ -244,7 +257,7 @@ def _modes(names: tuple[str, ...], modal: Modal, step: Step) -> dict[str, Any]:
             change["feed_mode"] = mode
             if mode != (modal.feed_mode or "per_minute"):  # the problem states feeds a minute
                 change["feed"] = None
-        elif GROUPS[name] == "offset":
+        elif MODAL_GROUPS[name] == "offset":
             change["offset"] = _offset(name, modal, step)
     return change
 
@@ -278,11 +291,11 @@ def _numbers(modal: Modal, step: Step) -> dict[str, Any]:
             change["unit"] = 1e-3
         unit = modal.unit or 1e-3
         if modal.feed_mode != "inverse_time":
-            change["feed"] = feed * (unit if modal.feed_mode == "per_rev" else unit / MINUTE)
+            change["feed"] = feed * (unit if modal.feed_mode == "per_rev" else unit / SECONDS_PER_MINUTE)
     if speed is not None and speed < 0.0:
         step.fault("gcode.spindle", "S", f"got S{speed:g}; give the speed in turns a minute, 0 or above")
     elif speed is not None:
-        change["speed"] = speed * TURN / MINUTE
+        change["speed"] = speed * RADIANS_PER_TURN / SECONDS_PER_MINUTE
     if tool is not None:
         if tool < 0 or tool != int(tool):
             step.fault("gcode.tool", "T", f"got T{tool:g}; tools have whole numbers from 0")
@@ -338,9 +351,11 @@ def _dwell(modal: Modal, step: Step) -> None:
 def _strays(names: tuple[str, ...], modal: Modal, step: Step, moving: bool) -> None:
     """Words that mean nothing on their line."""
     arc = modal.motion in (2, 3)
-    allowed = set(AXES + ROTARY + CENTRE + "FNST") | ({"P"} if "G4" in names else set())
+    allowed = set(AXIS_LETTERS + ROTARY_LETTERS + CENTRE_LETTERS + "FNST") | (
+        {"P"} if "G4" in names else set()
+    )
     allowed |= {"R"} if arc else set()
-    allowed |= {"H", "D"} if any(GROUPS[name] == "length" for name in names) else set()
+    allowed |= {"H", "D"} if any(MODAL_GROUPS[name] == "length" for name in names) else set()
     for letter in sorted(step.values.keys() - allowed):
         message = f"{letter} means nothing here; take it out, or correct the codes of its line"
         step.fault("gcode.word", letter, message)

@@ -14,17 +14,20 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.milling.gcode.rows import ARC_ROW, CUT_ROW, RAPID_ROW, Faults, Gathered
-from planner.milling.gcode.state import CLOCKWISE, CONVENTIONS, LINEAR, RAPID, Dialect, Modal, Triple, wanted
+from planner.milling.gcode.state import CLOCKWISE, KINEMATICS, LINEAR, RAPID, Dialect, Modal, Triple, wanted
 from planner.units import DEG
 
 Point = Sequence[float]
 
-RADIUS_TOL: Final = 2e-5
+RADIUS_TOLERANCE: Final = 2e-5
+"""How far [m] the radii at both ends of an arc may differ."""
 RADIUS_SHARE: Final = 1e-3
-"""How far the radii at both ends of an arc may differ: absolute [m], or as a share of the radius. Files are
-rounded to 1 um or 0.0001 inch; a wrong centre is off by far more."""
-SAME: Final = 1e-9
-WIDEST: Final = math.radians(30.0)
+"""The same as a share of the radius, where that is more. Files are rounded to 1 um or 0.0001 inch; a wrong
+centre is off by millimetres."""
+SAME_PLACE: Final = 1e-9
+"""Places nearer to each other than this [m] are one."""
+WIDEST_ARC_PIECE: Final = math.radians(30.0)
+"""Longest piece [rad] of an arc."""
 
 
 class ArcError(ValueError):
@@ -40,10 +43,10 @@ def centre_of(start: Point, end: Point, radius: float, normal: int, clockwise: b
     a, b = (normal + 1) % 3, (normal + 2) % 3
     across, up = end[a] - start[a], end[b] - start[b]
     chord = math.hypot(across, up)
-    if chord <= SAME:
+    if chord <= SAME_PLACE:
         raise ArcError("an arc by R whose ends are in one place has no centre; give a full circle by I J K")
     size = abs(radius)
-    if chord > 2.0 * size + max(RADIUS_TOL, RADIUS_SHARE * size):
+    if chord > 2.0 * size + max(RADIUS_TOLERANCE, RADIUS_SHARE * size):
         raise ArcError(
             f"R is {size * 1e3:.4f} mm, but the ends are {chord * 1e3:.4f} mm apart, at most twice R is "
             f"allowed; correct the end, or give an R of {math.ceil(0.5e7 * chord) / 1e4:.4f} mm or more"
@@ -65,16 +68,16 @@ def sweep_of(start: Point, end: Point, centre: tuple[float, float], normal: int,
     a, b = (normal + 1) % 3, (normal + 2) % 3
     first = math.hypot(start[a] - centre[0], start[b] - centre[1])
     last = math.hypot(end[a] - centre[0], end[b] - centre[1])
-    if min(first, last) <= SAME:
+    if min(first, last) <= SAME_PLACE:
         raise ArcError("the centre is at an end of the arc; correct I J K, which lead from the start to it")
-    if abs(last - first) > max(RADIUS_TOL, RADIUS_SHARE * first):
+    if abs(last - first) > max(RADIUS_TOLERANCE, RADIUS_SHARE * first):
         raise ArcError(
             f"the radius is {first * 1e3:.4f} mm at the start and {last * 1e3:.4f} mm at the end, allowed is "
-            f"a difference of {max(RADIUS_TOL, RADIUS_SHARE * first) * 1e3:.4f} mm; correct the centre"
+            f"a difference of {max(RADIUS_TOLERANCE, RADIUS_SHARE * first) * 1e3:.4f} mm; correct the centre"
             f"{_fitting(start, end, centre, a, b)}, or "
             "state whether centres are incremental or absolute (arc_centre, G90.1, G91.1)"
         )
-    if math.hypot(end[a] - start[a], end[b] - start[b]) <= SAME:
+    if math.hypot(end[a] - start[a], end[b] - start[b]) <= SAME_PLACE:
         return -2.0 * math.pi if clockwise else 2.0 * math.pi
     before = math.atan2(start[b] - centre[1], start[a] - centre[0])
     after = math.atan2(end[b] - centre[1], end[a] - centre[0])
@@ -86,7 +89,7 @@ def _fitting(start: Point, end: Point, centre: tuple[float, float], a: int, b: i
     """The place nearest to the centre that is as far from both ends, as the words of an incremental one."""
     way = end[a] - start[a], end[b] - start[b]
     square = way[0] ** 2 + way[1] ** 2
-    if square <= SAME**2:
+    if square <= SAME_PLACE**2:
         return ""
     off = centre[0] - 0.5 * (start[a] + end[a]), centre[1] - 0.5 * (start[b] + end[b])
     share = (off[0] * way[0] + off[1] * way[1]) / square
@@ -108,7 +111,7 @@ def points(
     first = math.hypot(start[a] - centre[0], start[b] - centre[1])
     last = math.hypot(end[a] - centre[0], end[b] - centre[1])
     size = max(first, last)
-    widest = 2.0 * math.acos(max(1.0 - chord / size, math.cos(0.5 * WIDEST)))
+    widest = 2.0 * math.acos(max(1.0 - chord / size, math.cos(0.5 * WIDEST_ARC_PIECE)))
     count = max(math.ceil(abs(sweep) / widest - 1e-9), 1)
     share = np.arange(1, count + 1) / count
     angle = math.atan2(start[b] - centre[1], start[a] - centre[0]) + share * sweep
@@ -128,10 +131,14 @@ def length(start: Point, end: Point, centre: tuple[float, float], sweep: float, 
     return math.hypot(radius * sweep, end[normal] - start[normal])
 
 
-AXES: Final = "XYZ"
-CENTRE: Final = "IJK"
-ROTARY: Final = "ABC"
-PLANES: Final = {2: "xy (G17)", 1: "zx (G18)", 0: "yz (G19)"}
+AXIS_LETTERS: Final = "XYZ"
+"""Words of positions."""
+CENTRE_LETTERS: Final = "IJK"
+"""Words of arc centres."""
+ROTARY_LETTERS: Final = "ABC"
+"""Words of rotary axes."""
+PLANE_NAMES: Final = {2: "xy (G17)", 1: "zx (G18)", 0: "yz (G19)"}
+"""Planes in words, by their normals."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,7 +167,9 @@ def move(modal: Modal, step: Step) -> Modal:
         motion = LINEAR
         modal = dataclasses.replace(modal, motion=LINEAR)
     values = step.values
-    if (any(axis in values for axis in AXES) or "I" in values or "R" in values) and modal.unit is None:
+    if (
+        any(axis in values for axis in AXIS_LETTERS) or "I" in values or "R" in values
+    ) and modal.unit is None:
         message = "lengths in no stated unit; write G20 or G21 before, or state the field unit: mm or in"
         step.fault("gcode.unit", "unit", message)
         modal = dataclasses.replace(modal, unit=1e-3)
@@ -179,7 +188,9 @@ def move(modal: Modal, step: Step) -> Modal:
         return after
     if any(math.isnan(value) for value in place):
         if motion != RAPID:
-            lost = ", ".join(axis for axis, value in zip(AXES, place, strict=True) if math.isnan(value))
+            lost = ", ".join(
+                axis for axis, value in zip(AXIS_LETTERS, place, strict=True) if math.isnan(value)
+            )
             message = f"a cut to a place of which no line says {lost}; begin with G0 X Y Z, or state start_mm"
             step.fault("gcode.position", "place", message)
         return after
@@ -196,7 +207,7 @@ def move(modal: Modal, step: Step) -> Modal:
 def _place(modal: Modal, step: Step) -> Triple:
     unit = modal.unit or 1e-3
     out = []
-    for axis, old, shift in zip(AXES, modal.place, modal.offset, strict=True):
+    for axis, old, shift in zip(AXIS_LETTERS, modal.place, modal.offset, strict=True):
         value = step.values.get(axis)
         if value is None:
             out.append(old)
@@ -216,7 +227,7 @@ def _turn(modal: Modal, step: Step, motion: int) -> Triple:
     dialect, values = step.dialect, step.values
     out = list(modal.turn)
     if motion in (RAPID, LINEAR):
-        for i, word in enumerate(CENTRE):
+        for i, word in enumerate(CENTRE_LETTERS):
             if word in values:
                 if dialect.turns == "IJK":
                     out[i] = values[word]
@@ -226,7 +237,7 @@ def _turn(modal: Modal, step: Step, motion: int) -> Triple:
                         "tool_axis: ijk, or take it out"
                     )
                     step.fault("gcode.rotary", word, message)
-    for i, word in enumerate(ROTARY):
+    for i, word in enumerate(ROTARY_LETTERS):
         if word in values:
             if word in dialect.turns:
                 relative = 0.0 if modal.absolute else modal.turn[i]
@@ -238,7 +249,7 @@ def _turn(modal: Modal, step: Step, motion: int) -> Triple:
 
 def _no_convention(word: str, dialect: Dialect) -> str:
     letters = "" if dialect.convention is None else dialect.convention.letters
-    fit = " or ".join(name for name, own in CONVENTIONS.items() if {word, *letters} <= {*own.letters})
+    fit = " or ".join(name for name, own in KINEMATICS.items() if {word, *letters} <= {*own.letters})
     if dialect.convention is None:
         return (
             f"{word} turns a machine that is stated nowhere; state tool_axis: rotary and its "
@@ -317,12 +328,13 @@ def _centre(modal: Modal, step: Step, normal: int, end: Triple, clockwise: bool)
     """The centre [m] in the plane; raises ``ArcError``."""
     unit, values = modal.unit or 1e-3, step.values
     plane = (normal + 1) % 3, (normal + 2) % 3
-    if CENTRE[normal] in values:
+    if CENTRE_LETTERS[normal] in values:
         raise ArcError(
-            f"{CENTRE[normal]} is no direction of the plane {PLANES[normal]}; take it out, or select "
+            f"{CENTRE_LETTERS[normal]} is no direction of the plane {PLANE_NAMES[normal]}; take it out, "
+            "or select "
             "the plane"
         )
-    given = [i for i in plane if CENTRE[i] in values]
+    given = [i for i in plane if CENTRE_LETTERS[i] in values]
     if "R" in values:
         if given:
             raise ArcError("both R and a centre by I J K are given; keep one of them")
@@ -330,8 +342,8 @@ def _centre(modal: Modal, step: Step, normal: int, end: Triple, clockwise: bool)
     if not given:
         raise ArcError("an arc without centre; give I J K or R")
     if modal.absolute_centre and len(given) < 2:
-        both = " and ".join(CENTRE[i] for i in sorted(plane))
+        both = " and ".join(CENTRE_LETTERS[i] for i in sorted(plane))
         raise ArcError(f"an absolute centre (G90.1) needs both {both}; add the one that is missing")
     base = modal.offset if modal.absolute_centre else modal.place
-    first, second = (base[i] + values.get(CENTRE[i], 0.0) * unit for i in plane)
+    first, second = (base[i] + values.get(CENTRE_LETTERS[i], 0.0) * unit for i in plane)
     return first, second

@@ -21,13 +21,13 @@ from planner.milling.gcode.rows import Event
 from planner.milling.operation import GCodeCut
 from planner.milling.tool_path import Run, ToolPath, filled, parted, sharp, thinned
 
-LEVER: Final = 0.05
+AXIS_LEVER: Final = 0.05
 """A point so far [m] behind the tip stands for the tool's axis."""
-CHORD: Final = 0.25
+CHORD_SHARE: Final = 0.25
 """Share of the tolerance that thinning may take."""
-STILL: Final = 1e-6
+SAME_PLACE: Final = 1e-6
 """Rows nearer to one another than this [m] are one place."""
-SAME_FEED: Final = 1.05
+SAME_FEED_FACTOR: Final = 1.05
 """Feeds that differ by less than this factor are thinned together, at the lowest of them."""
 FEED_CHANGE_REACH: Final = 2.0
 """Feeds change within so many tolerances of their place: there are targets so far before and behind it."""
@@ -114,12 +114,12 @@ def _questions(
     before ended at row ``since``, at the speed ``before``."""
     first, last = stretch
     pauses = [e.line for e in events if e.kind == "pause" and since < e.at - 1 <= first]
-    asked = [dialogue.FILE_LINE.say(line=line) for line in pauses]
+    asked = [dialogue.FILE_LINE.filled(line=line) for line in pauses]
     speed = float(path.spindle[last])
     if speed != before:
         way = dialogue.SPEED if speed > 0 else dialogue.SPEED_BACK
-        asked.append(way.say(rpm=abs(speed) * 30.0 / np.pi))
-    return dialogue.GO_ON.say(asked=", ".join(asked)) if asked else ""
+        asked.append(way.filled(rpm=abs(speed) * 30.0 / np.pi))
+    return dialogue.GO_ON.filled(asked=", ".join(asked)) if asked else ""
 
 
 def _run(
@@ -131,8 +131,8 @@ def _run(
     step: float,
 ) -> Run | None:
     """A pass, thinned; None where it goes nowhere."""
-    points = np.stack([path.tip, path.tip + LEVER * path.axis], axis=1)
-    rows = _kept(points, path.feed, [row for row, _ in waits], CHORD * tolerance, step)
+    points = np.stack([path.tip, path.tip + AXIS_LEVER * path.axis], axis=1)
+    rows = _kept(points, path.feed, [row for row, _ in waits], CHORD_SHARE * tolerance, step)
     if len(rows) < 2:
         return None
     lowest = np.minimum.reduceat(path.feed, rows[:-1] + 1)
@@ -163,17 +163,17 @@ def _run(
 
 def _differ(before: FloatArray, after: FloatArray) -> BoolArray:
     """Whether feeds (N,) are so different that their change counts."""
-    return np.maximum(before, after) > SAME_FEED * np.minimum(before, after)
+    return np.maximum(before, after) > SAME_FEED_FACTOR * np.minimum(before, after)
 
 
 def _kept(points: FloatArray, feed: FloatArray, waits: Sequence[int], chord: float, step: float) -> IntArray:
     """Rows (K,) that are kept of points (N, P, 3): both ends, where feeds change or the tool waits, and as
     many between as the chord error asks for."""
-    level = np.floor(np.log(np.maximum(feed[1:], 1e-9)) / np.log(SAME_FEED))
+    level = np.floor(np.log(np.maximum(feed[1:], 1e-9)) / np.log(SAME_FEED_FACTOR))
     breaks = np.unique([0, *(np.flatnonzero(np.diff(level)) + 1).tolist(), *waits, len(feed) - 1])
     found = [np.zeros(1, dtype=np.int64)]
     for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
         found.append(first + thinned(points[first : last + 1], chord, step)[1:])
     rows = np.concatenate(found)
     way = np.linalg.norm(np.diff(points[rows], axis=0), axis=2).max(axis=1, initial=0.0)
-    return np.asarray(rows[np.concatenate([[True], way > STILL])])
+    return np.asarray(rows[np.concatenate([[True], way > SAME_PLACE])])

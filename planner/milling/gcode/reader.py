@@ -24,16 +24,17 @@ from planner.files import is_file
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError, aggregate
 from planner.milling.gcode import lines, state
-from planner.milling.gcode.rows import CUT_ROW, KINDS, RAPID_ROW, Event, Faults, Gathered, Rows
+from planner.milling.gcode.rows import CUT_ROW, RAPID_ROW, ROW_KINDS, Event, Faults, Gathered, Rows
 from planner.milling.gcode.state import LINEAR, RAPID, Dialect, Modal, Triple, pieces, wanted
 from planner.milling.tool_path import ToolPath, joined
 from planner.units import DEG
 
 BytesArray = NDArray[np.bytes_]
 
-FEWEST: Final = 8
+FEWEST_LINES: Final = 8
 """Lines of a stretch below which arrays are slower than lines one by one."""
-NUMBER: Final = rb"([-+]?(?:\d++\.?+\d*+|\.\d++))"
+NUMBER_PATTERN: Final = rb"([-+]?(?:\d++\.?+\d*+|\.\d++))"
+"""A number without an exponent, as bytes; nothing in it is tried twice."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,14 +49,16 @@ class Pattern:
 def pattern(turns: str) -> Pattern:
     """The regular lines of a dialect whose words ``turns`` turn the tool."""
     letters = "G" + "XYZ" + turns + "F"
-    numbers = {letter: rb"0?([01])" if letter == "G" else NUMBER for letter in letters}
+    numbers = {letter: rb"0?([01])" if letter == "G" else NUMBER_PATTERN for letter in letters}
     gap = rb"[ \t]*+"
     inside = b"".join(
         rb"(?:[%c%c]%b%b)?+" % (ord(letter), ord(letter.lower()), number, gap)
         for letter, number in numbers.items()
     )
     line = gap + rb"(?:[Nn]\d++" + gap + rb")?+" + inside + rb"\r?+\n"
-    whole = re.compile(rb"(?:" + line.replace(NUMBER, NUMBER.replace(rb"([-", rb"(?:[-")) + rb")++")
+    whole = re.compile(
+        rb"(?:" + line.replace(NUMBER_PATTERN, NUMBER_PATTERN.replace(rb"([-", rb"(?:[-")) + rb")++"
+    )
     return Pattern(letters, re.compile(line), whole)
 
 
@@ -161,11 +164,12 @@ def _triple(row: FloatArray) -> Triple:
     return float(row[0]), float(row[1]), float(row[2])
 
 
-FARTHEST: Final = 100.0
+FARTHEST_COORDINATE: Final = 100.0
 """No coordinate [m] is farther out: another unit is meant."""
-LENGTH_TOL: Final = 0.01
+AXIS_LENGTH_TOLERANCE: Final = 0.01
 """How far I J K may be off length 1: three decimals are, an arc's centre is not."""
-OVER: Final = np.cos(np.deg2rad(179.0))
+TURNED_OVER_COSINE: Final = np.cos(np.deg2rad(179.0))
+"""Cosine of the turn (179 degrees) of a tool axis in one move beyond which its way is not known."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,21 +195,21 @@ def settle(out: Gathered, last: Last | None, dialect: Dialect, faults: Faults) -
     rows = out.rows()
     if len(rows.line) == 0:
         return Settled(_path(rows, np.zeros((0, 3)), dialect), tuple(out.events), last)
-    far = np.asarray((np.abs(rows.place) > FARTHEST).any(axis=1))
+    far = np.asarray((np.abs(rows.place) > FARTHEST_COORDINATE).any(axis=1))
     _note(
         far,
         rows,
         faults,
         "gcode.position",
         "far",
-        f"a place beyond {FARTHEST:g} m; correct it, or the unit (G20 inches, G21 millimetres)",
+        f"a place beyond {FARTHEST_COORDINATE:g} m; correct it, or the unit (G20 inches, G21 millimetres)",
     )
     if far.any():  # refused; numbers too large to reckon with are not carried on
         rows = dataclasses.replace(rows, place=np.where(far[:, None], 0.0, rows.place))
     rows, ends = _divided(rows, last, dialect)
     axis = _axis(rows, dialect, faults)
     before = np.concatenate([axis[:1] if last is None else last.axis[None], axis[:-1]])
-    over = (axis * before).sum(axis=1) < OVER
+    over = (axis * before).sum(axis=1) < TURNED_OVER_COSINE
     message = "the tool axis turns over by 180 deg in one move, which way is not said; part the move"
     _note(over, rows, faults, "gcode.axis", "over", message)
     events = tuple(
@@ -247,11 +251,12 @@ def _axis(rows: Rows, dialect: Dialect, faults: Faults) -> FloatArray:
     if dialect.turns != "IJK":
         return np.tile([0.0, 0.0, 1.0], (len(rows.line), 1))
     size = np.linalg.norm(rows.turn, axis=1)
-    wrong = np.abs(size - 1.0) > LENGTH_TOL
+    wrong = np.abs(size - 1.0) > AXIS_LENGTH_TOLERANCE
     if wrong.any():
         got = size[int(np.argmax(wrong))]
         message = (
-            f"I J K of length {got:.4f}, a tool axis has length 1 within {LENGTH_TOL:g}; correct it, or "
+            f"I J K of length {got:.4f}, a tool axis has length 1 within {AXIS_LENGTH_TOLERANCE:g}; "
+            "correct it, or "
             "state another tool_axis where I J K is none"
         )
         _note(wrong, rows, faults, "gcode.axis", "IJK", message)
@@ -261,7 +266,7 @@ def _axis(rows: Rows, dialect: Dialect, faults: Faults) -> FloatArray:
 
 def _path(rows: Rows, axis: FloatArray, dialect: Dialect) -> ToolPath:
     turn, origin = dialect.place[:3, :3], dialect.place[:3, 3]
-    kind = tuple(np.array(KINDS, dtype=object)[rows.kind].tolist())
+    kind = tuple(np.array(ROW_KINDS, dtype=object)[rows.kind].tolist())
     tip, along = rows.place @ turn.T + origin, axis @ turn.T
     return ToolPath(tip, along, rows.feed, kind, rows.spindle, rows.tool, rows.line)
 
@@ -272,9 +277,9 @@ def _note(wrong: BoolArray, rows: Rows, faults: Faults, code: str, word: str, me
         faults.add(code, word, int(lines[0]), message, len(lines))
 
 
-CHUNK: Final = 1 << 20
+BYTES_AT_ONCE: Final = 1 << 20
 """Bytes read at once: some 20,000 lines."""
-LONGEST: Final = 4096
+MOST_LINE_BYTES: Final = 4096
 """Bytes of a line, comment included; what is longer is no G-code."""
 
 
@@ -349,7 +354,7 @@ def _chunk(
             met = own.stretch.match(chunk, place)
             if met is not None:
                 count = chunk.count(b"\n", place, met.end())
-                if count >= FEWEST:
+                if count >= FEWEST_LINES:
                     text = chunk[place : met.end()]
                     modal = read_regular(text, line, modal, dialect, own, faults, out)
                     place, line = met.end(), line + count
@@ -373,13 +378,13 @@ def _chunks(dialect: Dialect) -> Iterator[bytes]:
     try:
         with path.open("rb") as stream:
             rest = stream.read(3).removeprefix(b"\xef\xbb\xbf")
-            while data := stream.read(CHUNK):
+            while data := stream.read(BYTES_AT_ONCE):
                 whole, end, rest = _lines(rest + data).rpartition(b"\n")
                 if whole or end:
                     yield _text(whole + end, path)
                     line += whole.count(b"\n") + 1
-                if len(rest) > LONGEST:
-                    raise _no_text(path, f"line {line} is longer than {LONGEST} bytes", line)
+                if len(rest) > MOST_LINE_BYTES:
+                    raise _no_text(path, f"line {line} is longer than {MOST_LINE_BYTES} bytes", line)
             if rest:
                 yield _text(_lines(rest + b"\n"), path)
     except OSError as error:

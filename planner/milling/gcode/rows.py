@@ -19,7 +19,8 @@ from planner.milling.tool_path import ARC, CUT, RAPID
 EventKind = Literal["pause", "dwell"]
 
 RAPID_ROW, CUT_ROW, ARC_ROW = 0, 1, 2
-KINDS = (RAPID, CUT, ARC)
+ROW_KINDS = (RAPID, CUT, ARC)
+"""Kinds of moves by their numbers in arrays."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,8 +37,8 @@ class Event:
 @dataclasses.dataclass(frozen=True)
 class Rows:
     """N moves: ``place`` (N, 3) [m] in the file's frame and ``turn`` (N, 3), I J K or angles [rad], at their
-    ends; ``feed`` (N,) [m/s], infinite for rapid moves; ``kind`` (N,) index of ``KINDS``; ``spindle`` (N,)
-    [rad/s]; ``tool`` (N,), ``line`` (N,)."""
+    ends; ``feed`` (N,) [m/s], infinite for rapid moves; ``kind`` (N,) index of ``ROW_KINDS``; ``spindle``
+    (N,) [rad/s]; ``tool`` (N,), ``line`` (N,)."""
 
     place: FloatArray
     turn: FloatArray
@@ -99,8 +100,9 @@ class Gathered:
             self._open = []
 
 
-SHOWN: Final = 3
-MOST: Final = 50
+LINES_NAMED: Final = 3
+"""Lines that a fault names at most; the others are counted."""
+MOST_FAULTS: Final = 50
 """Different faults of one file that are told; a file that is no G-code at all has one on each line."""
 
 
@@ -135,9 +137,9 @@ class Faults:
         known = self._found.get((code, word))
         if known is not None:
             known.count += count
-            if len(known.lines) < SHOWN:
+            if len(known.lines) < LINES_NAMED:
                 known.lines.append(line)
-        elif len(self._found) < MOST:
+        elif len(self._found) < MOST_FAULTS:
             self._found[code, word] = _Fault(message, severity, [line], count)
         else:
             self.left_out += count

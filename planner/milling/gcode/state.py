@@ -38,7 +38,8 @@ ConventionName = Literal[
     "head_b_table_c",
 ]
 
-LETTERS: Final = "ABC"
+ROTARY_NAMES: Final = "ABC"
+"""Rotary axes about x, y and z."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Convention:
         out = np.zeros((len(angles), 3))
         out[:, 2] = 1.0
         for letter, sign in reversed(self.chain):
-            about = LETTERS.index(letter)
+            about = ROTARY_NAMES.index(letter)
             first, second = (about + 1) % 3, (about + 2) % 3
             cos, sin = np.cos(angles[:, about]), sign * np.sin(angles[:, about])
             turned = cos * out[:, first] - sin * out[:, second]
@@ -72,7 +73,7 @@ class Convention:
         return out
 
 
-CONVENTIONS: Final[dict[str, Convention]] = {
+KINEMATICS: Final[dict[str, Convention]] = {
     one.name: one
     for one in (
         Convention("head_a", (("A", 1),)),
@@ -95,7 +96,7 @@ carries the part. ``head_b_table_c``: B tilts the spindle, C turns the part."""
 
 def convention(name: ConventionName, reverse: str) -> Convention:
     """The convention of that name with the axes in ``reverse`` counted the other way round."""
-    own = CONVENTIONS[name]
+    own = KINEMATICS[name]
     chain = tuple((letter, -sign if letter in reverse else sign) for letter, sign in own.chain)
     return Convention(name, chain)
 
@@ -115,10 +116,12 @@ def pieces(turn: FloatArray, tolerance: float) -> IntArray:
 FeedMode = Literal["per_minute", "inverse_time", "per_rev"]
 Triple = tuple[float, float, float]
 
-NOWHERE: Triple = (math.nan, math.nan, math.nan)
+UNKNOWN_POSITION: Triple = (math.nan, math.nan, math.nan)
+"""Position before the first move of a file."""
 RAPID, LINEAR, CLOCKWISE, COUNTER = 0, 1, 2, 3
 """Motion modes, by their G codes."""
 INCH = 0.0254
+"""One inch in metres."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.motion.arm_kinematics import TWO_PI, Chain
+from planner.motion.arm_kinematics import FULL_TURN, Chain
 from planner.motion.search.reach import Grid, Rungs
 
 LARGEST_STEP = np.deg2rad(100.0)
-"""A joint that would move more than this in one linear move has changed its branch, whatever its number says.
-"""
+"""A joint that would move more than this [rad] in one linear move has changed its branch, whatever its
+number says."""
 
 TIE_SHARE = 0.02
+"""Weight of the motion of all joints together against that of the slowest: it settles ties."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,8 +61,8 @@ def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
         angle = rungs.q[..., j]
         change = angle[None, 1:] - np.moveaxis(angle[:-1][:, before], 1, 0)
         if chain.many_turns[j]:
-            whole[..., j] = np.round(change / TWO_PI)
-            change -= TWO_PI * whole[..., j]
+            whole[..., j] = np.round(change / FULL_TURN)
+            change -= FULL_TURN * whole[..., j]
         np.abs(change, out=change)
         with np.errstate(invalid="ignore"):
             bad |= ~(change <= LARGEST_STEP)
@@ -78,7 +79,7 @@ def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
 
 def _previous_turn(turns: FloatArray, whole: FloatArray) -> IndexArray:
     """Index (M, N-1, S, T) of the turn state ``whole`` (M, N-1, S, 6) turns above each state, or -1."""
-    counts = np.round(turns / TWO_PI).astype(np.int64)
+    counts = np.round(turns / FULL_TURN).astype(np.int64)
     out = np.full((*whole.shape[:-1], len(turns)), -1, dtype=np.intp)
     stay = ~np.nan_to_num(whole).any(axis=-1)
     out[stay] = np.arange(len(turns))
@@ -125,7 +126,6 @@ class Ladder:
         origin += np.maximum(grid.before, 0)[:, None, :, None] * width
         self._node, self._time = node, time
         self._origin = np.where(known, origin, samples * width)
-        self.viable = bool(np.isfinite(node).any(axis=(1, 2)).all())
 
     def shortest(self, blocked: FloatArray | None = None) -> Path | None:
         """The path of least cost, or None; ``blocked`` (N, S) adds to the cost of samples, inf forbids."""
@@ -154,7 +154,7 @@ class Ladder:
             float(costs[count - 1].min()),
         )
 
-    def reached(self, blocked: FloatArray | None = None) -> BoolArray:
+    def reachable(self, blocked: FloatArray | None = None) -> BoolArray:
         """(N, S) samples that some path reaches from the first target."""
         costs, _ = self._forward(blocked)
         rows, samples, width = self._node.shape
@@ -210,7 +210,7 @@ class Turns:
     """Penalties of the states of one arm by their whole turns, which are coded as one number."""
 
     def __init__(self, rungs: Rungs, states: list[IndexArray]) -> None:
-        counts = np.round(rungs.turns / TWO_PI).astype(np.intp)
+        counts = np.round(rungs.turns / FULL_TURN).astype(np.intp)
         codes = counts @ (TURN_CODE ** np.arange(6))
         self._least, span = int(codes.min()), int(codes.max() - codes.min()) + 1
         self._turns: dict[int, FloatArray] = {int(c): t for c, t in zip(codes, rungs.turns, strict=True)}

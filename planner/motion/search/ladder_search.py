@@ -11,8 +11,8 @@ from typing import TypeVar
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.motion.arm_kinematics import TWO_PI
-from planner.motion.scene import TRANSIT, Scene
+from planner.motion.arm_kinematics import FULL_TURN
+from planner.motion.scene import TRANSIT_KIND, Scene
 from planner.motion.search.ladder import Ladder, Path, Steps, joint_path, steps
 from planner.motion.search.reach import Checker, Grid, Others, Reach, Rungs, full_turn, reach
 from planner.motion.trajectory.joint_path import Dense, clear, dense
@@ -236,10 +236,10 @@ class Choice:
         for arm, r in self.rungs.items():
             many = self._scene.chains[arm].many_turns
             angles = r.q[rows, path.sample]
-            change = np.where(many, np.round(np.diff(angles, axis=0) / TWO_PI), 0.0)
+            change = np.where(many, np.round(np.diff(angles, axis=0) / FULL_TURN), 0.0)
             whole = np.concatenate([np.zeros((1, 6)), -np.cumsum(change, axis=0)])
-            wanted = np.round(r.turns / TWO_PI) + whole[:, None, :]
-            same = (wanted[:, :, None, :] == np.round(r.turns / TWO_PI)).all(axis=-1)
+            wanted = np.round(r.turns / FULL_TURN) + whole[:, None, :]
+            same = (wanted[:, :, None, :] == np.round(r.turns / FULL_TURN)).all(axis=-1)
             state = np.where(same.any(axis=-1), same.argmax(axis=-1), -1)
             paid = np.where(state >= 0, r.penalty[rows[:, None], path.sample[:, None], state], np.inf).sum(
                 axis=0
@@ -299,7 +299,7 @@ def _preference(targets: Targets, grid: Grid) -> FloatArray | None:
             continue
         away = grid.values[..., j] - freedom.prefer[:, None]
         if full_turn(freedom):
-            away = away - TWO_PI * np.round(away / TWO_PI)
+            away = away - FULL_TURN * np.round(away / FULL_TURN)
         width = np.maximum(freedom.upper - freedom.lower, 1e-12)[:, None]
         part = freedom.weight / targets.count * np.square(2.0 * away / width)
         out = part if out is None else out + part
@@ -343,7 +343,7 @@ def _with_free_moves(scene: Scene, targets: Targets, choice: Choice, check: Chec
     """The path, or the next one whose straight moves are free as well; the same path, loose, if there is
     none. Transits of joined TCPs are left to :mod:`planner.motion.transit`."""
     first = found
-    later = np.array([targets.coupled and s.kind == TRANSIT for s in targets.segment], dtype=bool)
+    later = np.array([targets.coupled and s.kind == TRANSIT_KIND for s in targets.segment], dtype=bool)
     for _ in range(MOVE_ROUNDS):
         samples = dense(scene, targets, found.path.branch, found.q)
         lost = np.isnan(np.concatenate(list(samples.q.values()), axis=1)).any(axis=1)
@@ -389,7 +389,7 @@ def _dead_end(
     following = possible
     if index > 0:
         check.whole(np.arange(index))
-        reached = choice.ladder().reached(check.cost())[index - 1]
+        reached = choice.ladder().reachable(check.cost())[index - 1]
         following = choice.ladder().after(index, reached) & possible
     later = None
     for i in range(index + 1, count) if not free.any() else ():

@@ -15,7 +15,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.motion.scene import Scene
 from planner.motion.search.ladder_search import Blocked, Dead, Found, search, speed_limits
-from planner.motion.search.reach import SLIDES, SPIN_STEP, Checker, Grid, reach, sample, slides_only
+from planner.motion.search.reach import SLIDE_SAMPLES, SPIN_STEP, Checker, Grid, reach, sample, slides_only
 from planner.motion.search.roadmap import search_wide
 from planner.motion.search.skeleton import search_long, suits
 from planner.motion.search.subsampling import subset
@@ -25,7 +25,7 @@ from planner.units import DEG
 MOST_LADDER_TURNS = 1
 """With more freedoms that turn something the ladder over all their samples would be too large."""
 
-FINE_SAMPLING = (SPIN_STEP / 2.0, 2 * SLIDES - 1)
+FINE_SAMPLING = (SPIN_STEP / 2.0, 2 * SLIDE_SAMPLES - 1)
 """Step [rad] of spins and places of slides of the samples that are tried at last."""
 
 
@@ -45,7 +45,7 @@ def find_path(scene: Scene, targets: Targets, fine: bool = True) -> tuple[Grid, 
     free = [f for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
     kept: tuple[Grid, Found] | None = None
     tried: list[tuple[float, int]] = [(SPIN_STEP, 1)]
-    tried += [(SPIN_STEP, SLIDES)] if any(slides_only(f) for f in free) else []
+    tried += [(SPIN_STEP, SLIDE_SAMPLES)] if any(slides_only(f) for f in free) else []
     for step, slides in tried:
         grid = sample(targets, step, slides)
         found = search(scene, targets, grid, moves=scene.model is not None)
@@ -109,7 +109,7 @@ def _end(found: Blocked) -> int:
     return min(ends) if ends else found.common
 
 
-COLUMNS: Final = (
+SPIN_COLUMNS: Final = (
     "spin",
     "joint motion [deg]",
     "most by one joint",
@@ -118,6 +118,7 @@ COLUMNS: Final = (
     "least margin to limits [deg]",
     "least margin to singularities [deg]",
 )
+"""Headings of the table of spins that reports show."""
 
 
 def with_aims(scene: Scene, targets: Targets) -> Targets:
@@ -164,7 +165,7 @@ def aim_exhibit(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> 
         ("toward the base all along, not optimised", *held),
         ("free, not optimised", *free),
     ]
-    columns = tuple(c for c in COLUMNS if c != "[deg]")
+    columns = tuple(c for c in SPIN_COLUMNS if c != "[deg]")
     return {
         "aim": {
             "kind": "table",

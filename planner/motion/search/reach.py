@@ -14,16 +14,22 @@ import numpy as np
 
 from planner.cell.clearance import Pairs
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.motion.arm_kinematics import BRANCHES, TWO_PI, Chain
+from planner.motion.arm_kinematics import BRANCHES, FULL_TURN, Chain
 from planner.motion.scene import Scene
 from planner.targets import Freedom, ScrewFreedom, Targets
 
 SPIN_STEP = np.deg2rad(10.0)
-SLIDES = 5
+"""Step [rad] of samples of a freedom that turns."""
+SLIDE_SAMPLES = 5
+"""Samples of a slide or table."""
 MOST_SAMPLES = 500_000
+"""Samples of all targets at most: freedoms with the most samples get fewer first."""
 
-SOFT_LIMIT = np.deg2rad(20.0)
-SOFT_SINGULARITY = np.deg2rad(15.0)
+SOFT_LIMIT_RAD = np.deg2rad(20.0)
+"""Postures nearer to a joint limit [rad] than this, beyond what must be kept, cost the more the nearer they
+are."""
+SOFT_SINGULARITY_RAD = np.deg2rad(15.0)
+"""The same of singular postures [rad]."""
 PENALTY = 5.0
 """What a path that stays at the edge of what is allowed pays over all its rungs [s]."""
 
@@ -88,7 +94,7 @@ def full_turn(freedom: Freedom) -> bool:
     """Whether a freedom may turn without end at every target."""
     if not isinstance(freedom, ScrewFreedom) or not freedom.periodic:
         return False
-    return bool(np.all(freedom.upper - freedom.lower >= TWO_PI - 1e-9))
+    return bool(np.all(freedom.upper - freedom.lower >= FULL_TURN - 1e-9))
 
 
 def slides_only(freedom: Freedom) -> bool:
@@ -96,7 +102,7 @@ def slides_only(freedom: Freedom) -> bool:
     return not (isinstance(freedom, ScrewFreedom) and any(np.any(a[:3]) for a in freedom.axis.values()))
 
 
-def sample(targets: Targets, spin_step: float = SPIN_STEP, slides: int = SLIDES, far: int = 1) -> Grid:
+def sample(targets: Targets, spin_step: float = SPIN_STEP, slides: int = SLIDE_SAMPLES, far: int = 1) -> Grid:
     """Samples of all freedoms on a product grid: spins every ``spin_step`` [rad], slides and tables at
     ``slides`` places.
 
@@ -126,14 +132,14 @@ def _count(freedom: Freedom, spin_step: float, slides: int) -> int:
     if slides_only(freedom):
         return slides
     if full_turn(freedom):
-        return max(4, round(TWO_PI / spin_step))
+        return max(4, round(FULL_TURN / spin_step))
     return max(3, int(np.ceil(width / spin_step)) + 1)
 
 
 def _values(freedom: Freedom, picks: IndexArray, count: int, ring: bool) -> FloatArray:
     rows = len(freedom.lower)
     if ring:
-        return np.broadcast_to(-np.pi + TWO_PI * picks / count, (rows, len(picks)))
+        return np.broadcast_to(-np.pi + FULL_TURN * picks / count, (rows, len(picks)))
     share = picks / max(count - 1, 1) if count > 1 else np.full(len(picks), 0.5)
     return freedom.lower[:, None] + share * (freedom.upper - freedom.lower)[:, None]
 
@@ -171,7 +177,7 @@ def reach(scene: Scene, targets: Targets, grid: Grid) -> dict[str, Reach]:
 def _known(scene: Scene, arm: str, pose: FloatArray, shape: tuple[int, int]) -> Reach:
     """The table of one arm; that of the last poses is remembered, as paths are searched more than once over
     the same samples."""
-    last = scene.reached.get(arm)
+    last = scene.last_reach.get(arm)
     if last is not None and last[1] == shape and np.array_equal(last[0], pose):
         found = last[2]
         if isinstance(found, Reach):
@@ -180,7 +186,7 @@ def _known(scene: Scene, arm: str, pose: FloatArray, shape: tuple[int, int]) -> 
     for rungs in found.branches.values():
         for array in (rungs.q, rungs.ok, rungs.penalty):
             array.flags.writeable = False
-    scene.reached[arm] = pose, shape, found
+    scene.last_reach[arm] = pose, shape, found
     return found
 
 
@@ -210,7 +216,7 @@ def rungs_of(scene: Scene, chain: Chain, branch: int, q: FloatArray) -> Rungs:
     limit = np.stack([margins[k] for k in used], axis=-1)
     ok = np.stack([fits[k] for k in used], axis=-1)
     turns = turns[used]
-    cost = _hinge(limit, hard, SOFT_LIMIT) + _hinge(single, bend, SOFT_SINGULARITY)[..., None]
+    cost = _hinge(limit, hard, SOFT_LIMIT_RAD) + _hinge(single, bend, SOFT_SINGULARITY_RAD)[..., None]
     return Rungs(chain.name, branch, q, turns, ok, np.where(ok, cost * PENALTY / len(q), np.inf))
 
 
@@ -219,10 +225,10 @@ def _hinge(margin: FloatArray, hard: float, soft: float) -> FloatArray:
     return np.square(np.clip((hard + soft - margin) / soft, 0.0, 1.0))
 
 
-COARSE: Final = 12
+COARSE_STRIDE: Final = 12
 """Once a path has collided, all samples of every 12th target are checked before the next path is chosen."""
 
-SUSPECT: Final = 0.05
+SUSPECT_COST: Final = 0.05
 """Cost [s] of a sample between two of these targets one of which collides with it."""
 
 
@@ -296,9 +302,9 @@ class Checker:
     def coarse(self) -> None:
         """Checks all samples of every 12th target; samples between that are suspect cost something."""
         rows, samples = self._rungs_shape
-        at = np.unique(np.append(np.arange(0, rows, COARSE), rows - 1))
+        at = np.unique(np.append(np.arange(0, rows, COARSE_STRIDE), rows - 1))
         self.whole(at)
         suspect = np.zeros((rows, samples))
         for a, b in itertools.pairwise(at):
-            suspect[a : b + 1, self.collided[a] | self.collided[b]] = SUSPECT
+            suspect[a : b + 1, self.collided[a] | self.collided[b]] = SUSPECT_COST
         self.suspect = suspect

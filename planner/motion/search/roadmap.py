@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.arrays import FloatArray, IndexArray
-from planner.motion.arm_kinematics import TWO_PI
+from planner.motion.arm_kinematics import FULL_TURN
 from planner.motion.scene import Scene
 from planner.motion.search.ladder import LARGEST_STEP, TIE_SHARE, TURN_CODE, Path, Turns
 from planner.motion.search.ladder_search import Blocked, Dead, Found, speed_limits
@@ -27,21 +27,23 @@ from planner.motion.trajectory.joint_path import dense
 from planner.motion.transit import ends_free
 from planner.targets import Targets
 
-RUNGS: Final = (48, 96)
+RUNG_COUNTS: Final = (48, 96)
 """About so many rungs; more where fewer have no path."""
 
 MOST_RUNGS: Final = 300
 """Where so many targets are stops, only some of them are rungs."""
 
-ROUNDS: Final = 80
-CHOICES: Final = 6
+MOST_ROUNDS: Final = 80
+"""Paths that are held against bodies and moves at most."""
+MOST_CHOICES: Final = 6
 """Choices of branches that are looked at in each level."""
 
-DOUBTED: Final = 3
+DOUBT_COUNT: Final = 3
 """A target between rungs that has been in the way so often is asked whole."""
 
 MOST_STATES: Final = 400
-DIAGNOSED: Final = 120_000
+"""States of a rung that are kept at most, evenly spread."""
+MOST_DIAGNOSED: Final = 120_000
 """States that are looked at to say why there is no path."""
 
 
@@ -54,7 +56,7 @@ def search_wide(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
     checks = 0
     in_reach = list(plan)
     closed: list[int] = []
-    for rungs, ends in [*((count, True) for count in RUNGS), (RUNGS[0], False)]:
+    for rungs, ends in [*((count, True) for count in RUNG_COUNTS), (RUNG_COUNTS[0], False)]:
         rows = _rows(targets, rungs)
         for level in list(in_reach):
             tried = _Attempt(scene, targets, coordinates, level, rows, ends, closed)
@@ -143,7 +145,7 @@ class _Attempt:
         self.in_reach = bool(offers)
         offers.sort(key=lambda offer: offer[:2])
         known: list[tuple[float, int, dict[str, Rungs]]] = []
-        for _, _, rungs in offers[:CHOICES]:
+        for _, _, rungs in offers[:MOST_CHOICES]:
             found = _Graph(self, rungs).shortest()
             if found is not None:
                 known.append((found[1], len(known), rungs))
@@ -191,8 +193,8 @@ class _Graph:
             for j in range(6):
                 change = (q[k + 1][None, :, j] - q[k][:, None, j]).astype(np.float32)
                 if many[j]:
-                    whole = np.round(change / TWO_PI)
-                    change -= TWO_PI * whole
+                    whole = np.round(change / FULL_TURN)
+                    change -= FULL_TURN * whole
                     code += (TURN_CODE**j * whole).astype(np.int32)
                 np.abs(change, out=change)
                 bad |= change > most
@@ -246,7 +248,7 @@ class _Graph:
 
     def free_path(self) -> Found | None:
         """The shortest path that keeps margins and clearance everywhere, or None."""
-        for count in range(ROUNDS):
+        for count in range(MOST_ROUNDS):
             found = self.shortest()
             if found is None or self._is_closed():
                 return None
@@ -261,9 +263,9 @@ class _Graph:
 
     def _is_closed(self) -> bool:
         """Whether a target that has been in the way often is so with all samples."""
-        often = [i for i, count in self.doubt.items() if count >= DOUBTED]
+        often = [i for i, count in self.doubt.items() if count >= DOUBT_COUNT]
         for i in often:
-            self.doubt[i] = -ROUNDS  # once is enough
+            self.doubt[i] = -MOST_ROUNDS  # once is enough
         return any(self.attempt.closes(self.branch, i) for i in often)
 
     def _block_states(self, states: IndexArray) -> bool:
@@ -364,7 +366,7 @@ class _Graph:
         for arm, angles in q.items():
             chain, last = self.scene.chains[arm], self.tables[arm].turn(self._last[arm])
             change = np.diff(angles, axis=0)
-            change -= np.where(chain.many_turns, TWO_PI * np.round(change / TWO_PI), 0.0)
+            change -= np.where(chain.many_turns, FULL_TURN * np.round(change / FULL_TURN), 0.0)
             back = np.cumsum(change[::-1], axis=0)[::-1]
             q[arm] = np.concatenate([angles[-1] + last - back, (angles[-1] + last)[None]])
         values = self.attempt.coordinates.values(coordinates, np.arange(self.targets.count))
@@ -412,7 +414,7 @@ def _blocked(
 ) -> tuple[Grid, Blocked]:
     """What is known of a job without a path, over samples of all levels at all targets."""
     samples = np.concatenate([level.samples for level in plan])
-    count = max(1, min(len(samples), DIAGNOSED // targets.count))
+    count = max(1, min(len(samples), MOST_DIAGNOSED // targets.count))
     samples = samples[np.linspace(0, len(samples) - 1, count).round().astype(np.intp)]
     rows = np.repeat(np.arange(targets.count)[:, None], count, axis=1)
     values = coordinates.values(np.broadcast_to(samples, (targets.count, *samples.shape)), rows)

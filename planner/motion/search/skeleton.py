@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots
-from planner.motion.scene import HELD, Scene
+from planner.motion.scene import HELD_PREFIX, Scene
 from planner.motion.search.ladder import LARGEST_STEP, Path
 from planner.motion.search.ladder_search import Blocked, Found, search
 from planner.motion.search.reach import Grid, Others, full_turn, sample
@@ -24,30 +24,34 @@ from planner.motion.search.subsampling import own_turn, subset
 from planner.motion.trajectory.joint_path import Dense, clear, dense
 from planner.targets import Freedom, ScrewFreedom, Targets
 
-LONG: Final = 3000
+LONG_JOB: Final = 3000
 """Jobs of more targets are planned on a skeleton."""
 
-STEP_TURN: Final = np.deg2rad(20.0)
-STEP_WAY: Final = 0.1
-"""Tool axes turn about so much [rad] and TCPs move about so much [m] between targets of the skeleton."""
+STEP_TURN_RAD: Final = np.deg2rad(20.0)
+"""Tool axes turn by about so much [rad] between targets of the skeleton."""
+STEP_WAY_M: Final = 0.1
+"""TCPs move by about so much [m] between targets of the skeleton."""
 
 MOST_RUNGS: Final = 4000
-ROUNDS: Final = 5
+"""Targets of the skeleton at most."""
+MOST_ROUNDS: Final = 5
+"""Skeletons that are tried at most, each with more targets where the one before failed."""
 MOST_SPIN_STEPS: Final = 3
 """A spin may go on by so many samples from one target of the skeleton to the next."""
 
-COARSE_SPIN: Final = np.deg2rad(30.0)
+COARSE_SPIN_STEP: Final = np.deg2rad(30.0)
+"""Step [rad] of samples of all freedoms, where full turns alone have no path."""
 COARSE_SLIDES: Final = 3
-"""Samples of all freedoms, where full turns alone have no path."""
+"""Samples of a slide there."""
 
 
 def suits(targets: Targets) -> bool:
     """Whether there are so many targets that a skeleton is wanted, and no freedom, frame or edge joins the
     arms."""
     joined = targets.coupled or targets.edge is not None
-    joined |= any(frame.startswith(HELD) for frame in targets.frame.values())
+    joined |= any(frame.startswith(HELD_PREFIX) for frame in targets.frame.values())
     single = all(isinstance(f, ScrewFreedom) and len(f.axis) == 1 for f in targets.freedoms)
-    return targets.count > LONG and single and not joined
+    return targets.count > LONG_JOB and single and not joined
 
 
 def search_long(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked] | None:
@@ -68,7 +72,7 @@ def search_long(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked] 
     )
     way = _way(targets)
     rows = _rungs(targets, way)
-    for _ in range(ROUNDS):
+    for _ in range(MOST_ROUNDS):
         skeleton = _Skeleton(scene, targets, zero, way, rows)
         grid, found = skeleton.arms()
         if not isinstance(found, Found):
@@ -117,7 +121,7 @@ class _Skeleton:
         """The path of one arm: over full turns alone, then over all its freedoms."""
         few, columns = subset(_one(self.targets, arm), self.rows), self._columns(arm)
         held = dataclasses.replace(few, freedoms=tuple(map(_held, few.freedoms, few.neutral().T)))
-        for some, step in ((held, None), (few, COARSE_SPIN)):
+        for some, step in ((held, None), (few, COARSE_SPIN_STEP)):
             grid = sample(some, far=MOST_SPIN_STEPS) if step is None else sample(some, step, COARSE_SLIDES)
             grid = Grid(grid.values - self.zero[self.rows][:, None, columns], grid.before)
             found = search(self.scene, some, grid, others)
@@ -212,7 +216,7 @@ def _way(targets: Targets) -> FloatArray:
     """A measure (N,) that grows along the job by about 1 from one target of the skeleton to the next."""
     step = np.full(targets.count - 1, 1e-6)
     for arm, pose in targets.pose.items():
-        step += np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1) / STEP_WAY
+        step += np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1) / STEP_WAY_M
         turn = np.einsum("nij,nij->n", pose[1:, :3, :3], pose[:-1, :3, :3])
         angle = np.arccos(np.clip(0.5 * (turn - 1.0), -1.0, 1.0))
         spins = [
@@ -223,7 +227,7 @@ def _way(targets: Targets) -> FloatArray:
         if len(spins) == 1 and np.any(spins[0]):  # what turns about the free axis alone is no turn
             axis = pose[:, :3, :3] @ (spins[0] / np.linalg.norm(spins[0]))
             angle = np.arccos(np.clip(dots(axis[1:], axis[:-1]), -1.0, 1.0))
-        step += angle / STEP_TURN
+        step += angle / STEP_TURN_RAD
     return np.append(0.0, np.cumsum(step))
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.rigid import inverse, to_quaternion
-from planner.motion.arm_kinematics import TWO_PI
+from planner.motion.arm_kinematics import FULL_TURN
 from planner.motion.scene import holders
 from planner.motion.search.reach import full_turn, sample, slides_only
 from planner.problem import Cell
@@ -64,6 +64,7 @@ def pick(freedom: Freedom, rows: IndexArray) -> Freedom:
 
 
 FEW_SPIN_STEP: Final = np.deg2rad(30.0)
+"""Step [rad] of samples of freedoms that turn, where a few targets are judged."""
 LONG_SHIFT_M: Final = 0.2
 """[m] range of a slide from which on the way that it shifts something counts in the search,"""
 
@@ -84,7 +85,7 @@ class Few:
     poses: dict[str, FloatArray]
 
     @functools.cached_property
-    def same(self) -> dict[str, tuple[IndexArray, IndexArray]]:
+    def distinct_poses(self) -> dict[str, tuple[IndexArray, IndexArray]]:
         """{arm: (rows with different poses, which of them each row has)} of arms whose frames stand: a holder
         has few poses."""
         out = {}
@@ -182,7 +183,7 @@ class Coordinates:
     def way(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """The shortest way (..., F) from coordinates to others."""
         change = end - start
-        return np.where(self.rings, change - TWO_PI * np.round(change / TWO_PI), change)
+        return np.where(self.rings, change - FULL_TURN * np.round(change / FULL_TURN), change)
 
 
 def own_turn(targets: Targets, j: int) -> FloatArray:
@@ -195,7 +196,7 @@ def own_turn(targets: Targets, j: int) -> FloatArray:
     quaternion = to_quaternion(turn[:, :3, :3])
     length = float(np.linalg.norm(twist[:3]))
     angle = 2.0 * np.arctan2(quaternion[:, 1:] @ twist[:3] / length, quaternion[:, 0])
-    return np.append(0.0, np.cumsum(angle - TWO_PI * np.round(angle / TWO_PI))) / length
+    return np.append(0.0, np.cumsum(angle - FULL_TURN * np.round(angle / FULL_TURN))) / length
 
 
 def levels(targets: Targets, coordinates: Coordinates) -> list[Level]:
@@ -208,7 +209,7 @@ def levels(targets: Targets, coordinates: Coordinates) -> list[Level]:
     active = coordinates.rings
     if active.any():
         count = RING_SAMPLES if active.sum() <= 2 else max(4, int(SPREAD_COUNTS[0] ** (1.0 / active.sum())))
-        ring = -np.pi + TWO_PI * np.arange(count) / count
+        ring = -np.pi + FULL_TURN * np.arange(count) / count
         grid = np.array(list(itertools.product(*(ring for _ in range(active.sum())))))
         samples = np.repeat(coordinates.middle[None], len(grid), axis=0)
         samples[:, active] = grid
@@ -218,7 +219,7 @@ def levels(targets: Targets, coordinates: Coordinates) -> list[Level]:
         if (more & ~active).any():
             samples = np.repeat(coordinates.middle[None], count, axis=0)
             spread = _spread(count, int(more.sum()))
-            samples[:, more] = np.where(coordinates.rings[more], -np.pi + TWO_PI * spread, spread)
+            samples[:, more] = np.where(coordinates.rings[more], -np.pi + FULL_TURN * spread, spread)
             kept = slice(0, int(MIDDLE_SHARE * count))
             samples[kept, more & ~active] = coordinates.middle[more & ~active]
             out.append(Level(_names(targets, more), samples))

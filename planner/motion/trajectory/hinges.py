@@ -19,9 +19,9 @@ from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.rigid import transform
-from planner.motion.arm_kinematics import TWO_PI, Chain
+from planner.motion.arm_kinematics import FULL_TURN, Chain
 from planner.motion.scene import Scene
-from planner.motion.search.reach import PENALTY, SOFT_LIMIT, SOFT_SINGULARITY
+from planner.motion.search.reach import PENALTY, SOFT_LIMIT_RAD, SOFT_SINGULARITY_RAD
 from planner.targets import Targets
 from planner.tooling import working_solid
 
@@ -60,8 +60,8 @@ def margin_rows(scene: Scene, arms: tuple[str, ...], joints: FloatArray, slopes:
         part = slice(6 * k, 6 * k + 6)
         q = joints[:, part]
         for margins, gradient, hard, soft in (
-            (*_limits(chain, q), scene.settings.joint_margin, SOFT_LIMIT),
-            (*_singularities(chain, q, slopes), scene.settings.singularity_margin, SOFT_SINGULARITY),
+            (*_limits(chain, q), scene.settings.joint_margin, SOFT_LIMIT_RAD),
+            (*_singularities(chain, q, slopes), scene.settings.singularity_margin, SOFT_SINGULARITY_RAD),
         ):
             index, which = np.nonzero(margins < hard + soft)
             slope = np.zeros((len(index), width))
@@ -108,7 +108,7 @@ def preference_rows(targets: Targets, values: FloatArray, rings: BoolArray) -> l
             continue
         away = values[:, j] - freedom.prefer
         if rings[j]:
-            away = away - TWO_PI * np.round(away / TWO_PI)
+            away = away - FULL_TURN * np.round(away / FULL_TURN)
         factor = (
             2.0 * np.sqrt(freedom.weight / targets.count) / np.maximum(freedom.upper - freedom.lower, 1e-12)
         )
@@ -131,8 +131,10 @@ are again."""
 CLOSE_RANGE_M: Final = 0.02
 """The same while steps are so large that no bound would hold for the next."""
 
-STRIDE: Final = 16
-TOUCH: Final = 1e-4
+QUERY_STRIDE: Final = 16
+"""Of a new path every so many targets are asked for their distances first."""
+BOUND_ERROR: Final = 1e-4
+"""Bounds count less by this [m], above the errors of the solvers behind them."""
 HAND_REACH_M: Final = 0.1
 """How far [m] a hand is taken to reach beyond its TCP at least, for how far joints carry it."""
 
@@ -171,7 +173,6 @@ class Avoid:
         self._bound = np.zeros(0)
         self._distance = np.zeros((0, 0))
         self._gradient = self._mask = np.zeros((0, 0, 0))
-        self.queries = 0
 
     def cost(self, q: FloatArray) -> float:
         """Sum of squares of the hinges."""
@@ -230,7 +231,7 @@ class Avoid:
             rows = self._model.stack(part)
             every = {arm: rows[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self._model.arms)}
             lower, _ = bounds.least(self._model.poses(every), limit + far, both=False)
-            bound[index] = np.minimum(lower, limit + far) - TOUCH
+            bound[index] = np.minimum(lower, limit + far) - BOUND_ERROR
             self._bound[index], self._bound_at[index] = bound[index], q[index]
         return np.asarray(bound)
 
@@ -242,9 +243,9 @@ class Avoid:
         self._kind = np.zeros(len(q), dtype=np.intp)
         for kind, (_, rows) in enumerate(self._kinds):
             self._kind[rows] = kind
-        index = np.arange(0, len(q), STRIDE)
+        index = np.arange(0, len(q), QUERY_STRIDE)
         self._ask(q, index)
-        source = index[np.arange(len(q)) // STRIDE]
+        source = index[np.arange(len(q)) // QUERY_STRIDE]
         self._at = q[source]
         self._distance, self._gradient = self._distance[source], self._gradient[source]
         self._mask = self._mask[source]
@@ -260,7 +261,6 @@ class Avoid:
             full = np.repeat(self._model.home[None], len(part), axis=0)
             full[:, self._columns] = q[part]
             found += clearance.gradients_at(self._model, full, QUERY_DISTANCE_M, meeting)
-        self.queries += len(index)
         self._widen(len(q), max(len(one.distance) for one in found))
         self._at[index] = q[index]
         self._own[index] = True

@@ -23,10 +23,11 @@ from planner.targets import Targets
 from planner.units import MM
 
 JOINT_STEP_RAD: Final = np.deg2rad(2.0)
-"""A move that turns a joint farther than this gets samples of its own, since a line in space bends in the
-joints."""
+"""A move that turns a joint farther than this [rad] gets samples of its own, since a line in space bends in
+the joints."""
 
-MOST_SAMPLES: Final = 24
+MOST_MOVE_SAMPLES: Final = 24
+"""Samples of one move at most."""
 LEAST_ADVANCE_SHARE: Final = 0.3
 """In cuts the path advances at least by this share of the way in joints and space, for tools that slide along
 a wire that hardly moves across itself."""
@@ -77,7 +78,7 @@ def dense(
     another arm holds move straight in these.
     """
     turn = np.max([np.abs(np.diff(angles, axis=0)).max(axis=1) for angles in q.values()], axis=0)
-    parts = np.clip(np.ceil(turn / stride).astype(np.intp), least, MOST_SAMPLES)
+    parts = np.clip(np.ceil(turn / stride).astype(np.intp), least, MOST_MOVE_SAMPLES)
     move = np.concatenate([[0], np.repeat(np.arange(1, targets.count), parts)])
     starts = np.concatenate([[0], np.cumsum(parts)])
     share = np.ones(len(move))
@@ -268,7 +269,7 @@ class Corners:
         slope = np.diff(spline(spline.x), axis=0) * np.repeat(parts / step, parts)[:, None]
         return Corners(slope[at[1:-1] - 1], slope[at[1:-1]], step, taken)
 
-    def asked(self, duration: FloatArray, acceleration: FloatArray) -> FloatArray:
+    def acceleration_shares(self, duration: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Shares (n,) of the limits ``acceleration`` (J,) that the corners ask for if the moves last
         ``duration`` (n + 1,) [s]: each is rounded by the cubic that goes on from the moves beside it, of
         which those from and to stops are ramps."""

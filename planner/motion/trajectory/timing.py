@@ -31,9 +31,11 @@ from planner.motion.trajectory.joint_path import (
 from planner.targets import FEED_SHARE
 
 RELAXATION: Final = 1e-4
-"""Without it fine grids are reported as infeasible (drake 20619, 21381); not every release offers it."""
+"""Relaxation of TOPPRA's constraints: without it fine grids are reported as infeasible (drake 20619, 21381);
+not every release offers it."""
 
-STRIDES: Final = (1, 2, 4, 8)
+GRID_STRIDES: Final = (1, 2, 4, 8)
+"""Every so many points of a grid are taken, in this order, until TOPPRA finds a solution."""
 
 
 def parameterise_drake(
@@ -44,7 +46,7 @@ def parameterise_drake(
     ``limit`` (G,) bounds the path speed: it enters as one more joint whose slope over the path is the bound's
     inverse. Where the fine grid fails, coarser ones are tried, with the least bound of the points left out.
     """
-    for stride in STRIDES:
+    for stride in GRID_STRIDES:
         rows = np.unique(np.append(np.arange(0, len(grid), stride), len(grid) - 1))
         if len(rows) < 3:
             break
@@ -99,28 +101,35 @@ def _sliders(count: int) -> MultibodyPlant:
 
 
 RESERVE: Final = 0.97
-RESERVE_ACCELERATION: Final = 0.74
-RESERVE_CORNER: Final = 0.9
-"""Shares of joint speeds and accelerations, and of those at rounded corners, that the clock uses: the rest
-covers grid points and what corners do between targets. Of feeds it uses ``FEED_SHARE``."""
-ROUNDS: Final = 8
-HARDER: Final = 1.1
-"""So often a piece is timed where corners ask for too much, each time with so much more room than that."""
+"""Share of the joints' speed limits that the clock uses: the rest covers what is between grid points."""
+ACCELERATION_SHARE: Final = 0.74
+"""Share of the joints' acceleration limits that the clock uses: the rest covers what is between grid
+points."""
+CORNER_SHARE: Final = 0.9
+"""The same at rounded corners, where the rest covers what corners do between targets. Of feeds the clock
+uses ``FEED_SHARE``."""
+CORNER_ROUNDS: Final = 8
+"""So often a piece is timed where corners ask for too much,"""
+CORNER_FACTOR: Final = 1.1
+"""each time with so many times the room that they lacked."""
 
-ROOMS: Final = 4
-ROOM: Final = 0.97
-"""So often a path is timed where corners have less room than thought and would ask for more than this share
-of the accelerations."""
+ROOM_ROUNDS: Final = 4
+"""So often a path is timed where corners have less room than thought"""
+ROOM_SHARE: Final = 0.97
+"""and would ask for more than this share of the accelerations."""
 
 GRID_PER_KNOT: Final = 2
+"""Least intervals of the grid between two knots."""
 SHORTEST: Final = 6e-3
 """Least time of a move [s], also of one that hardly goes anywhere: controllers plan none in less than 5 ms.
 """
 
 LEAST_GRID: Final = 100
+"""Least intervals of the grid of a piece."""
 MANY_PIECES: Final = 500
+"""With more pieces than this each is a short way that needs few points:"""
 MANY_GRID: Final = 24
-"""Least grids of a piece: where there are very many pieces, each is a short way that needs few points."""
+"""least intervals of the grid of a piece then."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,10 +167,10 @@ class TimingError(ArithmeticError):
 def settled(path: JointPath, limits: Limits, rounded: Callable[[FloatArray], FloatArray]) -> Clock:
     """The clock of :func:`clock`, again where its own times leave the corners less room than the limits have:
     ``rounded`` gives the shares (N,) for the times (N,) [s] of the moves to all targets."""
-    for left in reversed(range(ROOMS)):
+    for left in reversed(range(ROOM_ROUNDS)):
         ticks = clock(path, limits)
         room = np.minimum(rounded(np.diff(ticks.time, prepend=0.0)), limits.rounded)
-        if left == 0 or not np.any(ticks.asked * limits.rounded > ROOM * room):
+        if left == 0 or not np.any(ticks.asked * limits.rounded > ROOM_SHARE * room):
             break
         limits = dataclasses.replace(limits, rounded=room)
     return ticks
@@ -224,7 +233,7 @@ def _piece(
     bound = top[inner]
     on_knot = np.flatnonzero(np.isin(grid, knots[1:-1]))
     bound[on_knot] = np.minimum(top[inner[on_knot]], top[inner[on_knot] - 1])
-    speed, acceleration = RESERVE * limits.speed, RESERVE_ACCELERATION * limits.acceleration
+    speed, acceleration = RESERVE * limits.speed, ACCELERATION_SHARE * limits.acceleration
     corners = Corners.of(spline, knots, limits.rounded[first + 1 : last])
     weaker = np.ones(len(knots) - 2)
     held: CornerLimits | None = None
@@ -238,26 +247,26 @@ def _piece(
             return slower
         time: FloatArray = np.interp(knots, grid, profile.time)
         if len(steps) == 1:
-            time[1] = max(time[1], from_stop_to_stop(spline, RESERVE_CORNER * limits.acceleration))
-        asked = corners.asked(np.diff(time), limits.acceleration)
+            time[1] = max(time[1], from_stop_to_stop(spline, CORNER_SHARE * limits.acceleration))
+        asked = corners.acceleration_shares(np.diff(time), limits.acceleration)
         ends = (0.0, 0.0) if len(steps) == 1 else ramps(spline, knots, np.diff(time), limits.acceleration)
         rounds += 1
-        over = max([*ends, *asked]) / RESERVE_CORNER
+        over = max([*ends, *asked]) / CORNER_SHARE
         if over <= 1.0:
             return time, asked, profile, used
         # all of the piece slower by one factor: accelerations fall with its square
         slower = time * np.sqrt(over), asked / over, profile, used
-        if rounds == ROUNDS:
+        if rounds == CORNER_ROUNDS:
             return slower
         if held is not None:
-            weaker = np.maximum(weaker, weaker * asked / RESERVE_CORNER * HARDER)
-        held = on_grid(corners, knots, grid, weaker, RESERVE_CORNER * limits.acceleration)
+            weaker = np.maximum(weaker, weaker * asked / CORNER_SHARE * CORNER_FACTOR)
+        held = on_grid(corners, knots, grid, weaker, CORNER_SHARE * limits.acceleration)
         mean = steps / np.diff(time)  # a ramp that is faster than its neighbour would brake at the corner
         bound[grid < knots[1]] = np.minimum(bound[grid < knots[1]], mean[1])
         bound[grid > knots[-2]] = np.minimum(bound[grid > knots[-2]], mean[-2])
         for ramp, hard in zip((grid <= knots[1], grid >= knots[-2]), ends, strict=True):
-            if hard > RESERVE_CORNER:
-                bound[ramp] *= np.sqrt(RESERVE_CORNER / hard / HARDER)
+            if hard > CORNER_SHARE:
+                bound[ramp] *= np.sqrt(CORNER_SHARE / hard / CORNER_FACTOR)
 
 
 def _grid(breaks: FloatArray, least: int) -> FloatArray:

@@ -26,16 +26,21 @@ from planner.motion.search.reach import full_turn, slides_only
 from planner.motion.trajectory.hinges import Rows, margin_rows, preference_rows
 from planner.targets import Freedom, ScrewFreedom, Targets
 
-CURVATURE: Final = 64.0
+CURVATURE_WEIGHT: Final = 64.0
 """Weight of second differences against first ones: changes are spread over some eight targets."""
 
-ITERATIONS: Final = 30
-SMALL_GAIN: Final = 3e-3
-NOT_WORTH: Final = 0.02
+MOST_ITERATIONS: Final = 30
+"""Steps of the optimisation at most."""
+LEAST_GAIN_SHARE: Final = 3e-3
+"""A step that gains less than this share of the cost is the last; one that promises less than a tenth of it
+is not taken."""
+LEAST_PROMISE_SHARE: Final = 0.02
 """Once there is a gain, a step that fails and promised less than this share of the cost is the last."""
 
 BOUND_ROUNDS: Final = 4
+"""Rounds at most in which values at their bounds are found and held there."""
 DIFFERENCE_STEP: Final = 1e-4
+"""Step [rad or m] of the central differences of a freedom."""
 
 
 class Obstacles(Protocol):
@@ -79,10 +84,10 @@ def improve(
     joints = problem.stack(q)
     start = cost = problem.cost(values, joints)
     damping, count = 1e-6, 0
-    while count < ITERATIONS and values.size:
+    while count < MOST_ITERATIONS and values.size:
         count += 1
         step, expected = problem.step(values, joints, damping)
-        if not expected > SMALL_GAIN * 0.1 * cost:
+        if not expected > LEAST_GAIN_SHARE * 0.1 * cost:
             break
         scale, done = 1.0, False
         while scale > 0.05:
@@ -95,13 +100,13 @@ def improve(
             scale *= 0.5
         if not done or moved is None:
             damping *= 30.0
-            if damping > 1e3 or (cost < start and expected < NOT_WORTH * cost):
+            if damping > 1e3 or (cost < start and expected < LEAST_PROMISE_SHARE * cost):
                 break
             continue
         gain = cost - offered
         values, joints, cost = trial, moved, offered
         damping = max(damping * (0.1 if scale == 1.0 else 1.0), 1e-9)
-        if gain < SMALL_GAIN * cost:
+        if gain < LEAST_GAIN_SHARE * cost:
             break
     return Improved(values, problem.split(joints), cost, start, count)
 
@@ -280,7 +285,7 @@ def _stencil(targets: Targets) -> list[FloatArray]:
     out[0][1:] += 1.0 / time
     out[1] -= 1.0 / time
     inner = ~targets.stop[1:-1]
-    weight = CURVATURE * inner / (0.5 * (time[:-1] + time[1:]))
+    weight = CURVATURE_WEIGHT * inner / (0.5 * (time[:-1] + time[1:]))
     a, b = 1.0 / time[:-1], 1.0 / time[1:]
     out[0][:-2] += weight * a * a
     out[0][1:-1] += weight * (a + b) ** 2

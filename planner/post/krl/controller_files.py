@@ -21,7 +21,8 @@ from planner.post.krl.data import Data, near_zero
 from planner.post.program import Job, TaskProgram
 from planner.problem import Controller, KrlDialect, Problem
 
-FLAG: Final = "TANDEM_CUT"
+POWER_FLAG: Final = "TANDEM_CUT"
+"""The variable of a controller that says that a wire or tool was on when the program stopped."""
 
 
 def files(
@@ -38,8 +39,8 @@ def files(
         real = controller.number(arm, controller.interlock.of(signal).signal)
         if real is not None:
             submit.append(f"$OUT[{real}]=$OUT[{number}] AND {runs}")
-    submit += [f"IF {FLAG} THEN", "$OV_PRO=0", "ENDIF"] if taken else []
-    variables = ([FLAG] if taken else []) + ([handshake.KRL_PARTNER_SEEN] if wires else [])
+    submit += [f"IF {POWER_FLAG} THEN", "$OV_PRO=0", "ENDIF"] if taken else []
+    variables = ([POWER_FLAG] if taken else []) + ([handshake.KRL_PARTNER_SEEN] if wires else [])
     out = {
         "config_user.dat": _text([f"DECL BOOL {name}=FALSE" for name in variables]),
         "sps_user.sub": _text(submit),
@@ -50,7 +51,7 @@ def files(
 
 def _taken(number: int | None) -> list[str]:
     """The request is taken back, and that it was on is kept."""
-    return [f"IF $OUT[{number}] THEN", f"{FLAG}=TRUE", "ENDIF", f"$OUT[{number}]=FALSE"]
+    return [f"IF $OUT[{number}] THEN", f"{POWER_FLAG}=TRUE", "ENDIF", f"$OUT[{number}]=FALSE"]
 
 
 def _text(lines: Sequence[str]) -> str:
@@ -128,7 +129,7 @@ def _readme(controller: Controller, arm: str, signals: Sequence[str], wires: Seq
         out += _wire(controller, arm, wires, bool(rows))
     if rows:
         both = "\nThe power stays on only while the program of the other arm runs, too." if wires else ""
-        out += _POWER.format(flag=FLAG, signals="\n".join(rows), both=both)
+        out += _POWER.format(flag=POWER_FLAG, signals="\n".join(rows), both=both)
     return out
 
 
@@ -152,7 +153,7 @@ def _wire(controller: Controller, arm: str, wires: Sequence[SignalWire], powered
     )
 
 
-MEMORY: Final = 4_000_000
+MEMORY_BYTES: Final = 4_000_000
 """Bytes that a controller has for programs (KSS 8.3, told in a forum)."""
 TURN_OFF: Final = np.deg2rad(0.05)
 """A classical LIN and a turn about one axis may differ by so much [rad] before it is told."""
@@ -240,14 +241,14 @@ def _splines(task: TaskProgram, plan: Plan) -> list[Issue]:
 
 def _size(task: TaskProgram, files: Mapping[str, str]) -> list[Issue]:
     size = sum(len(text) for path, text in files.items() if path.startswith(f"{task.arm.name}/"))
-    if size <= MEMORY:
+    if size <= MEMORY_BYTES:
         return []
     message = (
         f"the programs of arm {task.arm.name} have {size / 1e6:.1f} MB; some controllers hold "
-        f"{MEMORY / 1e6:g} MB"
+        f"{MEMORY_BYTES / 1e6:g} MB"
     )
     hint = "load the files one after the other, or split the job into "
-    hint += f"{int(np.ceil(size / MEMORY))} problems of like length"
+    hint += f"{int(np.ceil(size / MEMORY_BYTES))} problems of like length"
     return [
         Issue(
             "post.krl_size",
@@ -255,7 +256,7 @@ def _size(task: TaskProgram, files: Mapping[str, str]) -> list[Issue]:
             Severity.WARNING,
             arm=task.arm.name,
             value=size / 1e6,
-            limit=MEMORY / 1e6,
+            limit=MEMORY_BYTES / 1e6,
             unit="MB",
             hint=hint,
         )

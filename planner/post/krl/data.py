@@ -96,7 +96,7 @@ def _rounded(robot: RobotData, q: FloatArray) -> FloatArray:
     return np.deg2rad(np.round(np.rad2deg(robot.to_controller(q)), DEGREE_DECIMALS))
 
 
-_STEM = NAME_LENGTH - 3
+_STEM_LENGTH = NAME_LENGTH - 3
 """A number may follow where two tools are called alike."""
 
 
@@ -124,7 +124,7 @@ class Data:
         """Name of a tool's frame."""
         key = (tool.name, frame(tool.tcp) + load_data(tool, None))
         if key not in self.tools:
-            stem = name(f"t_{tool.name}", _STEM)[2:]
+            stem = name(f"t_{tool.name}", _STEM_LENGTH)[2:]
             names = itertools.chain([stem], (f"{stem}_{n}" for n in itertools.count(2)))
             own = next(one for one in names if one not in self.tools.values())
             self.tools[key] = own

@@ -18,24 +18,28 @@ from planner.post.krl.syntax import ANGLE_DECIMALS, abc, rotation
 from planner.post.program import POSITION_DECIMALS, Track, short
 from planner.problem import KrlDialect
 
-LED_BY_WAY: Final = 0.01
+LED_BY_WAY_MM: Final = 0.01
 """Least way [mm] of a move whose speed along it sets the time."""
 LEAST_SPEED: Final = 1e-4
 """Least $VEL.CP [m/s]."""
-LEAST_TIME: Final = 6e-3
+LEAST_MOVE_TIME: Final = 6e-3
 """No controller plans a move in less [s]."""
-LEAST_TURN: Final = 0.1
+LEAST_TURN_RATE: Final = 0.1
 """Least $VEL.ORI [deg/s]."""
-FREE_TURN: Final = 200.0
+FREE_TURN_RATE: Final = 200.0
 """$VEL.ORI [deg/s] of moves whose way sets the time."""
 SPEED_DECIMALS: Final = 8
+"""Decimals of $VEL.CP in m/s."""
 TURN_DECIMALS: Final = 5
-DISTANCES: Final = (15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.5, 1.0, *FINE_ZONES)
+"""Decimals of $VEL.ORI1 and $VEL.ORI2 in deg/s."""
+APPROXIMATION_DISTANCES: Final = (15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.5, 1.0, *FINE_ZONES)
 """$APO.CDIS [mm]."""
-ANGLES: Final = (1.0, *FINE_ZONES)
+APPROXIMATION_ANGLES: Final = (1.0, *FINE_ZONES)
 """$APO.CORI [deg]."""
 FREE_ANGLE: Final = 180.0
+"""$APO.CORI [deg] of corners that $APO.CDIS alone rounds."""
 _MODAL: Final = ("$VEL.CP", "$VEL.ORI1", "$VEL.ORI2", "$APO.CDIS", "$APO.CORI")
+"""Variables that each move may set anew, in this order."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +81,7 @@ def rows(track: Track, stop: BoolArray, start: tuple[FloatArray, FloatArray]) ->
     still = np.all(np.diff(position, axis=0) == 0.0, axis=1) & (turn == 0.0)
     stop = stop | still | np.append(still[1:], False)
     wanted = 1e-3 * way / track.duration
-    led = (way >= LED_BY_WAY) & (wanted >= LEAST_SPEED)
+    led = (way >= LED_BY_WAY_MM) & (wanted >= LEAST_SPEED)
     turning = _down(np.rad2deg(turn) / (np.sqrt(2.0) * track.duration), TURN_DECIMALS)
     distance, angle = _corners(track)
     return Rows(
@@ -87,7 +91,7 @@ def rows(track: Track, stop: BoolArray, start: tuple[FloatArray, FloatArray]) ->
         turn=turn,
         duration=track.duration,
         speed=np.maximum(_down(wanted, SPEED_DECIMALS), LEAST_SPEED),
-        turning=np.where(led, FREE_TURN, np.maximum(turning, LEAST_TURN)),
+        turning=np.where(led, FREE_TURN_RATE, np.maximum(turning, LEAST_TURN_RATE)),
         distance=distance,
         angle=angle,
         stop=stop,
@@ -99,7 +103,7 @@ def _settle(position: FloatArray, angles: FloatArray) -> None:
     """Places that are no farther from the one before than the least speed goes in the least time of a move
     are that one, and so are poses that are no farther turned, either."""
     # both turning speeds of a path run together, so that a turn may take but 0.7 of what one alone takes
-    near, alike = 1e3 * LEAST_SPEED * LEAST_TIME, 2.0 * LEAST_TURN * LEAST_TIME
+    near, alike = 1e3 * LEAST_SPEED * LEAST_MOVE_TIME, 2.0 * LEAST_TURN_RATE * LEAST_MOVE_TIME
     # the one before may have been put back by as much
     for row in np.flatnonzero(np.abs(np.diff(position, axis=0)).max(axis=1) < 2.0 * near).tolist():
         far, turned = (np.abs(values[row + 1] - values[row]).max() for values in (position, angles))
@@ -194,9 +198,9 @@ def _ends(moves: Rows, dialect: KrlDialect) -> list[str]:
 def _corners(track: Track) -> tuple[FloatArray, FloatArray]:
     """Distances (M,) [mm] and angles (M,) [deg] that the corners may take."""
     turning = track.reach <= 0.0  # also where a move of some micrometres turns nothing
-    distance = _largest(DISTANCES, track.reach)
-    angle = _largest(ANGLES, np.rad2deg(track.reach_turn))
-    return np.where(turning, DISTANCES[-1], distance), np.where(turning, angle, FREE_ANGLE)
+    distance = _largest(APPROXIMATION_DISTANCES, track.reach)
+    angle = _largest(APPROXIMATION_ANGLES, np.rad2deg(track.reach_turn))
+    return np.where(turning, APPROXIMATION_DISTANCES[-1], distance), np.where(turning, angle, FREE_ANGLE)
 
 
 def _largest(sizes: Sequence[float], room: FloatArray) -> FloatArray:

@@ -38,6 +38,7 @@ from planner.post.krl.data import Data
 from planner.post.krl.linear_moves import Lines
 from planner.post.krl.syntax import comment, mark, name
 from planner.post.program import (
+    LINE_END,
     Carry,
     Do,
     Job,
@@ -64,7 +65,7 @@ def partner_lines(
 ) -> list[str]:
     """The statements of the steps; ``shown``: the panel says so while the program waits, which in a file with
     a meeting it does already."""
-    waiting = dialogue.WAITING.say(arm=partner.other)
+    waiting = dialogue.WAITING.filled(arm=partner.other)
     own = partner.handshake.of(partner.arm)
     output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
     runs = controller.number(partner.arm, own.partner_running)
@@ -119,8 +120,10 @@ def _wait(condition: str, seconds: float, unanswered: str) -> list[str]:
 
 UNKNOWN_START_PERCENT: Final = 10
 """Percents of a PTP from a place that is not known: the first one of a program."""
-_SAMPLES: Final = 400
-_SAFE: Final = 0.99
+_SPEED_SAMPLES: Final = 400
+"""Places of a PTP at which the speed of the TCP is looked at."""
+_SPEED_SHARE: Final = 0.99
+"""Share of the speed limit that a PTP may use, for the fastest place may lie between two of these."""
 
 
 def ptp_percent(
@@ -132,11 +135,11 @@ def ptp_percent(
     the TCP's speed is p times what it is at full speed: at most ``limit`` [m/s]. ``most`` [-]: the
     largest share. At least 1.
     """
-    q = start + np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None] * (end - start)
+    q = start + np.linspace(0.0, 1.0, _SPEED_SAMPLES + 1)[:, None] * (end - start)
     point = (forward(robot, q) @ tcp)[:, :3, 3]
-    fastest = float(np.linalg.norm(np.diff(point, axis=0), axis=1).max()) * _SAMPLES
+    fastest = float(np.linalg.norm(np.diff(point, axis=0), axis=1).max()) * _SPEED_SAMPLES
     seconds = float((np.abs(end - start) / robot.velocity).max())
-    share = most if fastest <= 0.0 else min(most, _SAFE * limit * seconds / fastest)
+    share = most if fastest <= 0.0 else min(most, _SPEED_SHARE * limit * seconds / fastest)
     return max(1, int(np.floor(100.0 * share + 1e-9)))
 
 
@@ -168,7 +171,7 @@ class Main:
         out = [*syntax.INTERRUPT, "BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
         out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
         out += [*syntax.prepared(self.dialect), *syntax.robroot_check(self.task.arm.name, self.dialect)]
-        clear = (dialogue.KRL_CLEAR if self.problem.setups[0].steps else dialogue.KRL_READY).say()
+        clear = (dialogue.KRL_CLEAR if self.problem.setups[0].steps else dialogue.KRL_READY).filled()
         if self.partner is None:
             out += syntax.question_lines(clear, self.dialect)
         else:
@@ -260,7 +263,7 @@ class Main:
             calls.append(f"{word}()")
         self._at = operation.track.q[last - 1]
         if self.partner is not None and operation.meets[first:last].any():
-            together = dialogue.TOGETHER.say(arm=self.partner.other)
+            together = dialogue.TOGETHER.filled(arm=self.partner.other)
             return syntax.during(together, calls, self.dialect)
         return calls
 
@@ -292,11 +295,12 @@ def _question_follows(steps: Sequence[Step]) -> bool:
     return isinstance(first, Do) and first.action.kind == "confirm"
 
 
-LINE_END: Final = "\r\n"
-_STEM: Final = 16
-_FRAME: Final = 1500
+_STEM_LENGTH: Final = 16
+"""Characters of the problem's name in names of files."""
+_HEADER_BYTES: Final = 1500
 """Bytes of a part without its moves: the header of a file, settings, comments."""
-_CALL: Final = 30
+_CALL_BYTES: Final = 30
+"""Bytes of the call that a handshake adds to each move."""
 
 
 def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
@@ -305,12 +309,12 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
     limits = problem.cell.controller
     data = {task.number: Data(task, plan) for task in own}
     moves = {task.number: _lines(task, plan, problem, data[task.number]) for task in own}
-    call = _CALL if job.handshake is not None else 0
+    call = _CALL_BYTES if job.handshake is not None else 0
     sizes = [
         np.max([_sizes(moves[t.number][i], len(t.operations[i].ids)) for t in own], axis=0) + call
         for i in range(len(plan.operations))
     ]
-    layout = parts(job, sizes, _FRAME, limits.max_moves, limits.max_bytes)
+    layout = parts(job, sizes, _HEADER_BYTES, limits.max_moves, limits.max_bytes)
     out: dict[str, str] = {}
     for task in own:
         out |= _files(task, job, plan, problem, margins, data[task.number], layout, moves[task.number])
@@ -347,7 +351,7 @@ def _files(
     moves: Sequence[linear_moves.Lines | None],
 ) -> dict[str, str]:
     """The files of one task."""
-    stem = name(problem.name, _STEM)
+    stem = name(problem.name, _STEM_LENGTH)
     main = Main(task, job, problem, data, layout, moves, stem)
     body = main.lines()
     head = _header(task, job, plan, problem, margins)
@@ -386,7 +390,7 @@ def _header(
     for item, value in margins.items():
         out += comment(f"Proven: {item} {value}.")
     if problem.cell.controller.path == "spline":
-        for sentence in spline_blocks.ASSUMED:
+        for sentence in spline_blocks.SPLINE_ASSUMPTIONS:
             out += comment(sentence)
     partner = Partner.of(task, job)
     if partner is not None:

@@ -29,7 +29,7 @@ from planner.issues import Issue, Severity
 from planner.plans import Plan
 from planner.post.krl import linear_moves
 from planner.post.krl.data import Data
-from planner.post.krl.linear_moves import FREE_TURN, LEAST_SPEED, SPEED_DECIMALS, Lines, Rows
+from planner.post.krl.linear_moves import FREE_TURN_RATE, LEAST_SPEED, SPEED_DECIMALS, Lines, Rows
 from planner.post.krl.syntax import rotation
 from planner.post.program import Joints, OperationProgram, TaskProgram, short
 from planner.problem import Problem
@@ -43,18 +43,26 @@ DEVIATION_MM: Final = 0.08
 """How far [mm] the curve of a spline block may be off straight moves; the proof allows no more than 0.1."""
 MOST_TURN_RAD: Final = 0.1
 """Most that a move of a block may turn [rad]."""
-_OUTER: Final = 0.125
-_BENDS: Final = 2.0
-_ENDS: Final = 0.5
-_U: Final = np.linspace(0.0, 1.0, 129)
+_NEIGHBOUR_WEIGHT: Final = 0.125
+"""Weight of the bend at a neighbouring point in the slope at a point, where the block goes on behind that
+neighbour."""
+_BEND_FACTOR: Final = 2.0
+"""Curvature at a point, over what its two moves alone would give, where a move follows on either side."""
+_END_WEIGHT: Final = 0.5
+"""The same where the neighbour is an end of the block."""
+_CURVE_GRID: Final = np.linspace(0.0, 1.0, 129)
+"""Places of a move's curve at which it is bounded."""
 _HERMITE: Final = np.array(
     [[0, 1, 0, -6, 8, -3], [0, 0, 0, -4, 7, -3], [0, 0, 0.5, -1.5, 1.5, -0.5], [0, 0, 0, 0.5, -1, 0.5]]
 )
 """Coefficients of what slopes and curvatures at the two ends of a move add to it."""
-_POWERS: Final = _U ** np.arange(6)[:, None]
-_VALUE: Final = _HERMITE @ _POWERS
-_RATE: Final = (_HERMITE[:, 1:] * np.arange(1, 6)) @ _POWERS[:5]
-_MORE: Final = 1.004
+_POWERS: Final = _CURVE_GRID ** np.arange(6)[:, None]
+"""(6, G) powers of the places of the grid."""
+_CURVE_VALUES: Final = _HERMITE @ _POWERS
+"""(4, G) what these coefficients add to a curve's places."""
+_CURVE_RATES: Final = (_HERMITE[:, 1:] * np.arange(1, 6)) @ _POWERS[:5]
+"""(4, G) what they add to its first derivatives."""
+_GRID_FACTOR: Final = 1.004
 """What is between grid points, and a little: what is written is to hold."""
 
 
@@ -123,14 +131,19 @@ def _terms(
         whole[k] = 2.0 / (1.0 / most[k] + 1.0 / most[k + 1])
     across, low, high = [], [], []
     for k in (1, 2):
-        weight = np.array([_OUTER if there[k + 1] else _ENDS, _OUTER if there[k] else _ENDS])
+        weight = np.array(
+            [
+                _NEIGHBOUR_WEIGHT if there[k + 1] else _END_WEIGHT,
+                _NEIGHBOUR_WEIGHT if there[k] else _END_WEIGHT,
+            ]
+        )
         slack = float(weight @ push[[k - 1, k + 1]])
         across.append(max(apart[k], apart[k + 1]) + float(weight @ bend[[k - 1, k + 1]]))
         beside = [j for j in (k, k + 1) if there[j]]
         low.append(lean[0, beside].min() - slack - 1.0)
         high.append(lean[1, beside].max() + slack - 1.0)
     for k in (0, 1):
-        bends = _BENDS if there[1 + 2 * k] else 1.0
+        bends = _BEND_FACTOR if there[1 + 2 * k] else 1.0
         across.append(bends * float((whole * bend)[k : k + 3].max()))
         high.append(bends * float((whole * push)[k : k + 3].max()))
         low.append(-high[-1])
@@ -148,10 +161,10 @@ def _resting(terms: _Terms, ends: list[int]) -> _Terms:
 
 def _off(across: FloatArray, low: FloatArray, high: FloatArray, step: FloatArray, some: slice) -> float:
     """How far [mm] off the straight ways, of five steps (5, D), a curve of the middle one may be."""
-    up, down = np.maximum(_VALUE, 0.0), np.minimum(_VALUE, 0.0)
-    over = float((_U + high @ up + low @ down - 1.0).max())
-    under = float((-_U - low @ up - high @ down).max())
-    between = float(np.maximum(np.abs(low), np.abs(high)) @ [4.0, 4.0, 1.0, 1.0]) * _U[1] ** 2 / 8.0
+    up, down = np.maximum(_CURVE_VALUES, 0.0), np.minimum(_CURVE_VALUES, 0.0)
+    over = float((_CURVE_GRID + high @ up + low @ down - 1.0).max())
+    under = float((-_CURVE_GRID - low @ up - high @ down).max())
+    between = float(np.maximum(np.abs(low), np.abs(high)) @ [4.0, 4.0, 1.0, 1.0]) * _CURVE_GRID[1] ** 2 / 8.0
     long = np.linalg.norm(step, axis=1)
     unit = step / np.maximum(long, 1e-12)[:, None]
     off = 0.0
@@ -159,29 +172,33 @@ def _off(across: FloatArray, low: FloatArray, high: FloatArray, step: FloatArray
         beyond = (max(past, 0.0) + between) * long[2]
         lies = unit[2] - unit[k] if beyond <= long[k] else unit[2]
         off = max(off, beyond * float(np.linalg.norm(lies[some])))
-    return off + float(_MORE * (across @ np.abs(_VALUE)).max())
+    return off + float(_GRID_FACTOR * (across @ np.abs(_CURVE_VALUES)).max())
 
 
 def _rate(across: FloatArray, low: FloatArray, high: FloatArray, size: float) -> float:
     """How much way [mm] a move may go at its fastest in its own time."""
-    up, down = np.maximum(_RATE, 0.0), np.minimum(_RATE, 0.0)
+    up, down = np.maximum(_CURVE_RATES, 0.0), np.minimum(_CURVE_RATES, 0.0)
     fast = np.maximum(np.abs(1.0 + high @ up + low @ down), np.abs(1.0 + low @ up + high @ down)) * size
-    return _MORE * float(np.hypot(fast, across @ np.abs(_RATE)).max())
+    return _GRID_FACTOR * float(np.hypot(fast, across @ np.abs(_CURVE_RATES)).max())
 
 
-MOST_POINTS: Final = 500
+MOST_BLOCK_POINTS: Final = 500
+"""Points of a block at most."""
 MOST_FASTER_FACTOR: Final = 1.14
 """How much faster than on the ways near it the TCP may be between two points; feeds are lowered by more."""
-_ROOM: Final = 1.02
+_SPEED_FACTOR: Final = 1.02
 """$VEL.CP is above the speed of the block's fastest move by this factor, that its times can be kept."""
-_CLOSER: Final = 1.1
+_CLOSER_FACTOR: Final = 1.1
 """So much closer than the square root says targets are advised to be put."""
-_PARTS: Final = 100.0
+_PARTS_TOTAL: Final = 100.0
+"""Sum of the parts of a block's time."""
 _PART_DECIMALS: Final = 8
-_TIME_DECIMALS: Final = 5
+"""Decimals of these parts."""
+_BLOCK_TIME_DECIMALS: Final = 5
+"""Decimals of a block's time in s."""
 
 
-ASSUMED: Final = (
+SPLINE_ASSUMPTIONS: Final = (
     "Spline blocks: how they are planned was not seen on a controller. Assumed: SPL goes through every point "
     "by a curve whose ends depend on two points on each side; the parts of a TIME_BLOCK are shares of its "
     "END; a time that can be kept is kept; a block ends in an exact stop.",
@@ -264,9 +281,9 @@ def runs(
     for first, last in itertools.pairwise([0, *ends]):
         if moves.still[first:last].any() or last - first == 1:
             continue
-        if last - first > MOST_POINTS:
-            why = f"{last - first} points without a stop; a block has {MOST_POINTS} at most"
-            do = f"let the motion stop every {MOST_POINTS} moves, or put targets farther apart"
+        if last - first > MOST_BLOCK_POINTS:
+            why = f"{last - first} points without a stop; a block has {MOST_BLOCK_POINTS} at most"
+            do = f"let the motion stop every {MOST_BLOCK_POINTS} moves, or put targets farther apart"
             out.append(Run(first, last, why, first, 0.0, do))
             continue
         some = slice(first, last)
@@ -298,7 +315,7 @@ def _judged(
         if there[k] > most:
             why = f"a curve may be {there[k]:.3f} mm off the straight way; allowed: {most:g} mm"
             # what a smooth way is off its chords goes with the square of their length
-            closer = f"{_CLOSER * np.sqrt(there[k] / most):.1f}"
+            closer = f"{_CLOSER_FACTOR * np.sqrt(there[k] / most):.1f}"
             do = f"put targets {closer} times as close there, or stop where the way has a kink"
             if np.isinf(there[k]):
                 most = np.floor(10.0 * np.rad2deg(MOST_TURN_RAD)) / 10.0
@@ -322,22 +339,22 @@ def with_blocks(lines: Lines, moves: Rows, found: list[Run]) -> Lines:
         some = slice(run.first, run.last)
         fastest = float((moves.way[some] / moves.duration[some]).max())
         digits = 10.0**SPEED_DECIMALS
-        speed = max(np.ceil(_ROOM * 1e-3 * fastest * digits) / digits, LEAST_SPEED)
-        values[some, :3] = speed, FREE_TURN, FREE_TURN
+        speed = max(np.ceil(_SPEED_FACTOR * 1e-3 * fastest * digits) / digits, LEAST_SPEED)
+        values[some, :3] = speed, FREE_TURN_RATE, FREE_TURN_RATE
         values[some, 3:] = values[run.first, 3:]
         parts = _shares(moves.duration[some])
         for row, part in zip(range(run.first, run.last), parts, strict=True):
             place = text[row][text[row].index("{") : text[row].index("}") + 1]
             text[row] = f"SPL {place}\nTIME_BLOCK PART = {short(part, _PART_DECIMALS)}"
         text[run.first] = f"SPLINE\nTIME_BLOCK START\n{text[run.first]}"
-        seconds = short(float(moves.duration[some].sum()), _TIME_DECIMALS)
+        seconds = short(float(moves.duration[some].sum()), _BLOCK_TIME_DECIMALS)
         text[run.last - 1] += f"\nTIME_BLOCK END = {seconds}\nENDSPLINE"
     return lines.replaced(text, values)
 
 
 def _shares(duration: FloatArray) -> list[float]:
     """Parts (M,) of 100 of the times, as written; their sum is 100 as near as their decimals let it be."""
-    edges = np.round(_PARTS * np.append(0.0, np.cumsum(duration)) / duration.sum(), _PART_DECIMALS)
+    edges = np.round(_PARTS_TOTAL * np.append(0.0, np.cumsum(duration)) / duration.sum(), _PART_DECIMALS)
     return [float(value) for value in np.round(np.diff(edges), _PART_DECIMALS)]
 
 

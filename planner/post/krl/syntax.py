@@ -22,14 +22,17 @@ from planner.post.program import number, plain
 from planner.problem import KrlDialect
 
 NAME_LENGTH: Final = 24
+"""Longest name in KRL [characters]."""
 ANGLE_DECIMALS: Final = 5
 """Decimals of A, B, C of targets in degrees."""
-_FRAME_ANGLES: Final = 6
-_POLE: Final = 1e-7
+_FRAME_ANGLE_DECIMALS: Final = 6
+"""Decimals of the angles of a FRAME in degrees."""
+_POLE_COSINE: Final = 1e-7
 """Below this cosine of B, A and C turn about one axis, and C is 0."""
 _ZERO_AXES: Final = ",".join(f"E{i} 0.0" for i in range(1, 7))
+"""External axes, which stand."""
 
-_WORDS: Final = """
+_RESERVED_TEXT: Final = """
 and anin anout b_and b_exor b_not b_or bool brake c_dis c_ori c_ptp c_spl c_vel case char circ circ_rel
 confirm const continue cont cycflag decl def default deffct defdat delay delete direction distance do
 else end enddat endfct endfor endif endloop endspline endswitch endwhile enum exit exor ext extfct false
@@ -40,7 +43,8 @@ trigger true until var vel wait when while with x y z a b c s t bas home sps cel
 user_grp user_saf config krlmsg_t krlmsgpar_t krlmsgopt_t krlmsgdlgsk_t set_krlmsg set_krldlg exists_krlmsg
 exists_krldlg clear_krlmsg tm_msg tm_par tm_opt tm_key tm_ticket tm_state tm_answer tm_gone tm_shift tm_turn
 """
-RESERVED: Final = frozenset(_WORDS.split())
+"""Words that no name may be."""
+RESERVED: Final = frozenset(_RESERVED_TEXT.split())
 """Words of the language, components of its structures, names that every controller has, and those of our own
 variables."""
 
@@ -74,7 +78,7 @@ def abc(rotation: FloatArray) -> FloatArray:
     """KUKA's A, B, C (..., 3) [deg] of rotations (..., 3, 3) = Rz(A) Ry(B) Rx(C); C is 0 where B is +-90."""
     r = np.asarray(rotation, dtype=np.float64)
     flat = np.hypot(r[..., 0, 0], r[..., 1, 0])
-    pole = flat < _POLE
+    pole = flat < _POLE_COSINE
     a = np.where(pole, np.arctan2(-r[..., 0, 1], r[..., 1, 1]), np.arctan2(r[..., 1, 0], r[..., 0, 0]))
     b = np.arctan2(-r[..., 2, 0], flat)
     c = np.where(pole, 0.0, np.arctan2(r[..., 2, 1], r[..., 2, 2]))
@@ -96,7 +100,7 @@ def rotation(degrees: FloatArray) -> FloatArray:
 def frame(pose: FloatArray, millimetres: int = 4) -> str:
     """A FRAME of (4, 4) [m]: mm with so many decimals, degrees with 6."""
     position = [number(1e3 * v, millimetres) for v in pose[:3, 3]]
-    angles = [number(v, _FRAME_ANGLES) for v in abc(pose[:3, :3])]
+    angles = [number(v, _FRAME_ANGLE_DECIMALS) for v in abc(pose[:3, :3])]
     return aggregate(dict(zip("XYZABC", [*position, *angles], strict=True)))
 
 
@@ -118,8 +122,12 @@ def aggregate(fields: Mapping[str, str]) -> str:
     return "{" + ",".join(f"{key} {value}" for key, value in fields.items()) + "}"
 
 
-FOOT_OLD: Final = "Arm {arm}: $ROBROOT is off zero by tm_shift mm, tm_turn deg."
-EXTERNAL: Final = "In automatic external a PLC would answer. Take another mode of operation, then Start."
+KRC2_FOOT: Final = "Arm {arm}: $ROBROOT is off zero by tm_shift mm, tm_turn deg."
+"""As `planner.claims.dialogue.FOOT`, where a message has no parameters."""
+EXTERNAL_REFUSAL: Final = (
+    "In automatic external a PLC would answer. Take another mode of operation, then Start."
+)
+"""Shown where a question would be asked in automatic external."""
 YES, NO, NEXT, READ = "Yes", "No", "Next", "Read"
 """Keys of dialogs; the first key of each goes on."""
 TEXT_LENGTH: Final = 80
@@ -130,8 +138,10 @@ FOOT_SHIFT, FOOT_TURN = "0.1", "0.02"
 INTERRUPT: Final = ("GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )", "INTERRUPT ON 3")
 """What lets the stop reactions of IR_STOPM.src act, as in every program that KUKA's template makes."""
 EXT_BAS: Final = "EXT BAS (BAS_COMMAND :IN,REAL :IN )"
-_FOOT_VALUES: Final = "DECL REAL tm_shift,tm_turn"
-_MESSAGES: Final = (
+"""Declaration of the controller's BAS."""
+_FOOT_DECLARATION: Final = "DECL REAL tm_shift,tm_turn"
+"""Variables of what `KRC2_FOOT` shows."""
+_MESSAGE_DECLARATIONS: Final = (
     "DECL KrlMsg_T tm_msg",
     "DECL KrlMsgPar_T tm_par[3]",
     "DECL KrlMsgOpt_T tm_opt",
@@ -139,12 +149,14 @@ _MESSAGES: Final = (
     "DECL INT tm_ticket,tm_state,tm_answer",
     "DECL BOOL tm_gone",
 )
-_WRAP: Final = 100
+"""Variables of messages."""
+_COMMENT_WIDTH: Final = 100
+"""Comments are wrapped at so many characters."""
 
 
 def declarations(dialect: KrlDialect) -> list[str]:
     """The variables of a main program."""
-    return [*(_MESSAGES if dialect == "krc4" else ()), _FOOT_VALUES]
+    return [*(_MESSAGE_DECLARATIONS if dialect == "krc4" else ()), _FOOT_DECLARATION]
 
 
 def prepared(dialect: KrlDialect) -> list[str]:
@@ -194,9 +206,9 @@ def robroot_check(arm: str, dialect: KrlDialect) -> list[str]:
     the sum of its angles, which no turn exceeds."""
     squares = "+".join(f"$ROBROOT.{axis}*$ROBROOT.{axis}" for axis in "XYZ")
     looked = [f"tm_shift=SQRT({squares})", f"tm_turn={'+'.join(f'ABS($ROBROOT.{a})' for a in 'ABC')}"]
-    names = dialogue.FOOT.say(arm=arm)
+    names = dialogue.FOOT.filled(arm=arm)
     if dialect == "krc2":
-        shown = comment(FOOT_OLD.format(arm=arm))
+        shown = comment(KRC2_FOOT.format(arm=arm))
         after: list[str] = []
     else:
         shown = [
@@ -213,11 +225,11 @@ def robroot_check(arm: str, dialect: KrlDialect) -> list[str]:
 
 
 def _not_external() -> list[str]:
-    return ["WHILE $MODE_OP==#EX", *comment(EXTERNAL), "HALT", "ENDWHILE"]
+    return ["WHILE $MODE_OP==#EX", *comment(EXTERNAL_REFUSAL), "HALT", "ENDWHILE"]
 
 
 def _marked(mark: str, text: str) -> list[str]:
-    return [f";{mark} {line}" for line in textwrap.wrap(plain(text), _WRAP, break_on_hyphens=False)]
+    return [f";{mark} {line}" for line in textwrap.wrap(plain(text), _COMMENT_WIDTH, break_on_hyphens=False)]
 
 
 def _parts(text: str) -> list[str]:

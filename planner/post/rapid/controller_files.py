@@ -17,10 +17,14 @@ from planner.post.handshake import ConfigurationRow
 from planner.post.rapid.syntax import identifier, quoted
 from planner.problem import Controller
 
-MODULE: Final = "TandemPower"
+POWER_MODULE: Final = "TandemPower"
+"""Name of the module that switches outputs off and on at stops."""
 _OFF_AT: Final = ("STOP", "QSTOP", "RESET")
-_AGAIN_AT: Final = ("START", "RESTART", "STEP")
-_WIDTH: Final = 80
+"""System events at which outputs go off."""
+_ON_AT: Final = ("START", "RESTART", "STEP")
+"""System events at which an output may be on again."""
+_CONFIG_WIDTH: Final = 80
+"""Lines of a configuration file are broken at so many characters."""
 
 
 def files(
@@ -37,7 +41,7 @@ def files(
     out = {"EIO.cfg": _eio(controller, requests, arm, bool(wires))}
     if requests:
         out["SYS.cfg"] = _sys(controller, tasks, suffix)
-        out[f"{MODULE}{suffix}"] = _module(controller, requests, len(tasks) > 1)
+        out[f"{POWER_MODULE}{suffix}"] = _module(controller, requests, len(tasks) > 1)
     return out | {"README.txt": _readme(controller, requests, suffix, arm, wires)}
 
 
@@ -84,9 +88,11 @@ def _sys(controller: Controller, tasks: Sequence[str], suffix: str) -> str:
     hooks: list[ConfigurationRow] = []
     for number, task in enumerate(tasks):
         again = "tandem_again" if number == 0 else "tandem_wait"
-        routines = [(shelf, "tandem_off") for shelf in _OFF_AT] + [(shelf, again) for shelf in _AGAIN_AT]
+        routines = [(shelf, "tandem_off") for shelf in _OFF_AT] + [(shelf, again) for shelf in _ON_AT]
         hooks += [{"Routine": routine, "Shelf": shelf, "Task": task} for shelf, routine in routines]
-    loaded: list[ConfigurationRow] = [{"File": f"HOME:/{MODULE}{suffix}", "ModName": MODULE, "AllTask": None}]
+    loaded: list[ConfigurationRow] = [
+        {"File": f"HOME:/{POWER_MODULE}{suffix}", "ModName": POWER_MODULE, "AllTask": None}
+    ]
     head = f"SYS:CFG_1.0:{controller.robotware}:0::"
     return _cfg(head, {"CAB_TASK_MODULES": loaded, "CAB_EXEC_HOOKS": hooks})
 
@@ -101,7 +107,7 @@ def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:
             line = "     "
             for name, value in row.items():
                 word = f"-{name}" if value is None else f"-{name} {quoted(value)}"
-                if len(line) + len(word) > _WIDTH:
+                if len(line) + len(word) > _CONFIG_WIDTH:
                     out.append(f"{line}\\")
                     line = "     "
                 line += f" {word}"
@@ -112,7 +118,7 @@ def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:
 def _module(controller: Controller, requests: Sequence[str], together: bool) -> str:
     flags = [f"tandem_cut_{number}" for number in range(1, len(requests) + 1)]
     out = [
-        f"MODULE {MODULE}(SYSMODULE)",
+        f"MODULE {POWER_MODULE}(SYSMODULE)",
         "  ! Written by Tandem for the event routines that SYS.cfg names.",
         "  ! Whether the power was on at a stop, and nobody has said yet how it goes on.",
         *(f"  PERS bool {flag}:=FALSE;" for flag in flags),
@@ -219,7 +225,7 @@ change to automatic is a stop, at which the power falls.
 def _readme(
     controller: Controller, requests: Sequence[str], suffix: str, arm: str, wires: Sequence[SignalWire]
 ) -> str:
-    module = _COPY.format(module=f"{MODULE}{suffix}") if requests else _NO_COPY
+    module = _COPY.format(module=f"{POWER_MODULE}{suffix}") if requests else _NO_COPY
     names = "EIO.cfg and SYS.cfg" if requests else "EIO.cfg"
     held, trial = (_HELD, _TRIAL) if requests else ("", _LOOK)
     out = _STEPS.format(module=module, files=names, held=held, trial=trial)

@@ -23,12 +23,15 @@ from planner.post.steps import LEAST_MASS
 from planner.problem import Problem
 from planner.tooling import Tool
 
-TASKS = "all_tasks"
-ENTRY_SPEED = "v_entry"
+TASK_LIST = "all_tasks"
+"""Name of the list of all motion tasks."""
+ENTRY_SPEED_NAME = "v_entry"
+"""Name of the speed of joint moves."""
 _ENTRY_SPEED = 250.0
 """Highest speed [mm/s] of joint moves: the first one begins at a place that is not known."""
-_ENTRY_TURN = 45
-_TOOL_NAME = 26
+_ENTRY_TURN_RATE = 45
+"""Highest turning [deg/s] of joint moves."""
+_TOOL_NAME_LENGTH = 26
 """Letters of a tool's name, with the number where two are called alike: identifiers may have 32, but the
 longest moves would then have more than the 206 characters of lines that are known to load."""
 
@@ -71,10 +74,10 @@ class Tools:
         """Name of a tool's tooldata."""
         key = (tool.name, _tool(tool))
         if key not in self.names:
-            stem = identifier(f"t_{tool.name}"[:_TOOL_NAME])
+            stem = identifier(f"t_{tool.name}"[:_TOOL_NAME_LENGTH])
             taken = {name.lower() for name in self.names.values()}
             tails = (f"_{n}" for n in itertools.count(2))
-            names = itertools.chain([stem], (stem[: _TOOL_NAME - len(tail)] + tail for tail in tails))
+            names = itertools.chain([stem], (stem[: _TOOL_NAME_LENGTH - len(tail)] + tail for tail in tails))
             self.names[key] = next(name for name in names if name.lower() not in taken)
         return self.names[key]
 
@@ -129,7 +132,7 @@ def data_lines(
     speed = short(min(problem.settings.tcp_speed * 1e3, _ENTRY_SPEED), 3)
     out += ["! on the way to the first target and home again"]
     out += [
-        f"CONST speeddata {ENTRY_SPEED}:=[{speed},{_ENTRY_TURN},{speed},{_ENTRY_TURN}];",
+        f"CONST speeddata {ENTRY_SPEED_NAME}:=[{speed},{_ENTRY_TURN_RATE},{speed},{_ENTRY_TURN_RATE}];",
         *stations.lines(),
     ]
     own = own_zones(set(zones))
@@ -138,7 +141,7 @@ def data_lines(
     if len(job.tasks) > 1 and job.handshake is None:
         listed = ",".join(f"[{quoted(other.task)}]" for other in job.tasks)
         out += ["", "! where the tasks meet; each point is used once"]
-        out += [f"PERS tasks {TASKS}{{{len(job.tasks)}}}:=[{listed}];"]
+        out += [f"PERS tasks {TASK_LIST}{{{len(job.tasks)}}}:=[{listed}];"]
         out += [f"VAR syncident {meet(n)};" for n in range(1, job.meets + 1)]
         out += [f"VAR syncident {block(n, end)};" for n in range(1, job.blocks + 1) for end in ("on", "off")]
     return out
@@ -198,12 +201,14 @@ def _loads(task: TaskProgram) -> list[str]:
     return out
 
 
-CALL = "check_cell"
+CELL_CHECK = "check_cell"
+"""Name of the procedure that holds the cell's set-up against the problem."""
 _AXES = "xyz"
+"""Components of a position."""
 
 
 def check_procedures(task: TaskProgram, job: Job, plan: Plan, tools: Tools, robot: str) -> list[str]:
-    """Statements of the procedure :data:`CALL`; ``robot`` is the robot's name in the configuration."""
+    """Statements of the procedure :data:`CELL_CHECK`; ``robot`` is the robot's name in the configuration."""
     place = quoted(f"/MOC/ROBOT/{robot}")
     out = ["VAR pose cfg_base;", "VAR num cfg_value;"]
     for axis in _AXES:
@@ -286,5 +291,5 @@ def helpers(together: bool) -> list[str]:
 
 
 def lines(procedure: Sequence[str], together: bool) -> list[str]:
-    """The module's lines around the procedure :data:`CALL`."""
+    """The module's lines around the procedure :data:`CELL_CHECK`."""
     return [*procedure, "", *helpers(together)]

@@ -7,7 +7,6 @@ text.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from planner.post.handshake import (
     Tell,
 )
 from planner.post.program import (
+    LINE_END,
     Carry,
     Do,
     Job,
@@ -48,8 +48,8 @@ from planner.post.program import (
 )
 from planner.post.rapid import data as rapid_data
 from planner.post.rapid.data import (
-    ENTRY_SPEED,
-    TASKS,
+    ENTRY_SPEED_NAME,
+    TASK_LIST,
     Stations,
     Tools,
     block,
@@ -90,7 +90,7 @@ def partner_procedures(partner: Partner, task: TaskProgram) -> dict[str, list[st
 
 def partner_unanswered(partner: Partner) -> list[str]:
     """What an error handler says of a wait that was over its time."""
-    text = write_lines(UNANSWERED.say(other=partner.other))
+    text = write_lines(UNANSWERED.filled(other=partner.other))
     return ["IF ERRNO=ERR_WAIT_MAXTIME THEN", *(f"  {line}" for line in text), "ENDIF"]
 
 
@@ -126,11 +126,12 @@ def _step(partner: Partner, step: PartnerStep) -> list[str]:
 
 NameArray = NDArray[np.str_]
 
-LINE_END: Final = "\r\n"
-"""A program list with bare line feeds does not load; modules are written alike."""
 _INDENT = "  "
+"""One level of indentation."""
 _PROC_BYTES = 1500
+"""Bytes of a procedure without its moves."""
 _CALL_BYTES = 20
+"""Bytes of the call that a handshake adds to each move."""
 
 
 def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
@@ -291,8 +292,8 @@ class _Task:
 
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.coupling is not None else "On"
-        body = [f"{rapid_data.CALL};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
-        clear = (dialogue.CLEAR if self.problem.setups[0].steps else dialogue.READY).say()
+        body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
+        clear = (dialogue.CLEAR if self.problem.setups[0].steps else dialogue.READY).filled()
         if self.partner is not None:
             body += [
                 *self._power_off(),
@@ -301,7 +302,7 @@ class _Task:
         elif self.task.number == 1:
             body += self._power_off()
             # also keeps a controller that repeats its program from starting over by itself
-            body += box(dialogue.HEADER, dialogue.NO_WIRE.say() if self.job.coupled else clear)
+            body += box(dialogue.HEADER, dialogue.NO_WIRE.filled() if self.job.coupled else clear)
         count = len(self.task.operations)
         body += [f"operation_{i};" for i in range(1, count + 1)]
         body += [] if self.partner is None else partner_lines(self.partner, self.partner.end())
@@ -318,7 +319,7 @@ class _Task:
         place = [arm.name for arm in self.problem.cell.arms].index(task.arm.name)
         robot = self.problem.cell.controller.robot(place)
         body = rapid_data.check_procedures(task, self.job, self.plan, self.tools, robot)
-        return rapid_data.lines(self._procedure(rapid_data.CALL, body), together)
+        return rapid_data.lines(self._procedure(rapid_data.CELL_CHECK, body), together)
 
     def _operation(self, index: int, operation: OperationProgram) -> list[str]:
         body = comment(f"Operation {operation.name}.")
@@ -331,16 +332,16 @@ class _Task:
             case Joints():
                 name = self.stations.of(step, operation + 1)
                 tool = self.tools.of(self.task.operations[operation].arm.tool)
-                return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED},fine,{tool};"]
+                return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED_NAME},fine,{tool};"]
             case Meet(number, reached, seconds) if self.partner is not None:
                 steps = self.partner.meet(number, seconds)
                 return [*comment(f"Meeting: {reached}"), *partner_lines(self.partner, steps)]
             case SyncOn() | SyncOff() if self.partner is not None:
                 return []
             case Meet(number, reached):
-                return [*comment(f"{meet(number)}: {reached}"), f"WaitSyncTask {meet(number)},{TASKS};"]
+                return [*comment(f"{meet(number)}: {reached}"), f"WaitSyncTask {meet(number)},{TASK_LIST};"]
             case SyncOn(number):
-                return [f"SyncMoveOn {block(number, 'on')},{TASKS};"]
+                return [f"SyncMoveOn {block(number, 'on')},{TASK_LIST};"]
             case SyncOff(number):
                 return [f"SyncMoveOff {block(number, 'off')};"]
             case Do(action):
@@ -383,9 +384,9 @@ class _Task:
 
     def _handler(self, name: str) -> list[str]:
         """Power off, then stop; the program ends there, so that no arm goes on by itself."""
-        joined = (dialogue.JOINED if self.job.coupled else dialogue.ALONE).say()
+        joined = (dialogue.JOINED if self.job.coupled else dialogue.ALONE).filled()
         stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 and self.partner is None else "Stop;"
-        note = quoted(f"{dialogue.FAILED.say(procedure=name)} ")
+        note = quoted(f"{dialogue.FAILED.filled(procedure=name)} ")
         return [
             *self._power_off(),
             "StopMove\\Quick;",

@@ -27,21 +27,25 @@ from planner.post.program import Part, Track, number, plain, short
 from planner.targets import Action
 
 NAME_LENGTH: Final = 32
-LINE_LENGTH: Final = 200
+"""Longest name in RAPID [characters]."""
 STRING_LENGTH: Final = 80
+"""Longest string in RAPID [characters]; lines on the operator's panel have half of it."""
 BOX_LINE: Final = 55
 """Characters of one line of a message box, which has five."""
 BOX_LINES: Final = 5
+"""Lines of a message box."""
 UNUSED_AXES: Final = "[9E9,9E9,9E9,9E9,9E9,9E9]"
+"""External axes that are not there."""
 
-_WORDS: Final = """
+_RESERVED_TEXT: Final = """
 alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc
 endrecord endtest endtrap endwhile error exit false for from func goto if inout local mod module
 nostepin not noview or pers proc raise readonly record retry return step sysmodule task test then to
 trap true trynext undo var viewonly while with xor load stop set reset main tool0 wobj0 fine load0 errno
 high low edge pi intno
 """
-RESERVED: Final = frozenset(_WORDS.split())
+"""Words that no name may be."""
+RESERVED: Final = frozenset(_RESERVED_TEXT.split())
 """Reserved words of the language and built-in names that a label could be taken for."""
 
 
@@ -115,7 +119,7 @@ def action_lines(action: Action) -> list[str]:
             return [f"WaitTime {short(action.seconds, 3)};"]
 
 
-LONG_KIND: Final = "__k"
+LONG_KIND_MARK: Final = "__k"
 """Stands behind a kind that has underscores of its own, which else ends at the first one."""
 
 
@@ -148,7 +152,7 @@ def procedure(segment: Segment) -> str:
     name, kind = identifier(str(segment)), fold(segment.kind)
     if "_" not in kind:
         return name
-    full = f"{kind}{LONG_KIND}{name[len(kind) :]}"
+    full = f"{kind}{LONG_KIND_MARK}{name[len(kind) :]}"
     if len(full) > NAME_LENGTH - 4:
         message = f"segment {str(segment)!r} would be called {full}, which is too long"
         raise TandemError(Issue("post.name", message, hint=f"allowed: {NAME_LENGTH - 4} characters"))
@@ -171,6 +175,7 @@ def _name(segment: Segment, visits: dict[str, int], known: dict[str, Segment]) -
 
 
 _DEGREE_DECIMALS = 4
+"""Decimals of joints in degrees to which they are rounded before their quadrant is taken."""
 
 
 def confdata(robot: RobotData, q: FloatArray) -> IntArray:
@@ -202,7 +207,7 @@ def posture(robot: RobotData, q: FloatArray) -> IntArray:
 
 NameArray = NDArray[np.str_]
 
-SPEEDS: Final = (
+PREDEFINED_SPEEDS: Final = (
     *(5, 10, 20, 30, 40, 50, 60, 80, 100, 150, 200, 300, 400, 500, 600, 800, 1000, 1500, 2000, 2500),
     *(3000, 4000, 5000, 6000, 7000),
 )
@@ -254,8 +259,8 @@ def _largest(sizes: Sequence[float], room: FloatArray) -> IntArray:
 
 def speeds(track: Track) -> NameArray:
     """Names (M,) of the predefined speeds: the least that is not below what distance and time give."""
-    names = np.array([*(f"v{speed}" for speed in SPEEDS), "vmax"])
-    return np.asarray(names[np.searchsorted(SPEEDS, track.distance / track.duration - 1e-9)])
+    names = np.array([*(f"v{speed}" for speed in PREDEFINED_SPEEDS), "vmax"])
+    return np.asarray(names[np.searchsorted(PREDEFINED_SPEEDS, track.distance / track.duration - 1e-9)])
 
 
 def move_lines(

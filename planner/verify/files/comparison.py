@@ -28,30 +28,37 @@ from planner.verify.files.values import Samples, on_triangles
 from planner.verify.forming.face import Face, least_gap
 from planner.verify.forming.state import Forming
 from planner.verify.forming.swept import swept
-from planner.verify.milling.tool_motion import SIGHT, Milling, solids, sweep
+from planner.verify.milling.tool_motion import SIGHT_DISTANCE, Milling, solids, sweep
 from planner.verify.wire.cut_surface import Sweep, distance_to_sweep
 
-_NEAR: Final = 1.3
+_SAME_MOMENT_FACTOR: Final = 1.3
 """Moments of inertia whose square roots differ by less than this factor may be the same."""
-_TURNS: Final = 12
-_LEAN: Final = 0.1
+_NORMAL_TURNS: Final = 12
+"""Turns about a normal that are tried."""
+_NORMAL_WEIGHT: Final = 0.1
 """Weight, of the part's size, of the angle between normals against distance."""
-_OTHER: Final = 10.0
+_OTHER_SURFACE_DISTANCE: Final = 10.0
 """Distance, in the part's size, to another surface: the back of a panel that is alike on both sides is no
 place for its front."""
-_SLIDE: Final = 0.03
+_SLIDE_WEIGHT: Final = 0.03
 """Weight of distances along the surface, which keep steps from sliding."""
-_TRIED: Final = 240
-_SPOTS: Final = 32
-_FEW: Final = 6
-_MOST: Final = 30
-_FLAT: Final = 0.8
+_SEED_PLACES: Final = 240
+"""Places of the source at which poses to begin with are judged."""
+_START_SPOTS: Final = 32
+"""Places of the target at which a piece of a surface is tried."""
+_FIRST_STEPS: Final = 6
+"""Steps of each pose before the best of them is chosen."""
+_MOST_STEPS: Final = 30
+"""Steps of the best pose at most."""
+_FLAT_MEAN: Final = 0.8
 """A surface whose mean normal is longer than this is nearly flat."""
-_FAN: Final = float(np.deg2rad(6.0))
-_FAN_HALF: Final = 6
-_FINE: Final = 1e-4
-"""Turns in its own plane, by so much either way [rad], in so many steps, and down to so much."""
-_AROUND: Final = 400
+_FAN_ANGLE: Final = float(np.deg2rad(6.0))
+"""Turns of a flat surface in its own plane, by so much either way [rad],"""
+_FAN_STEPS: Final = 6
+"""in so many steps either way,"""
+_FAN_FINEST: Final = 1e-4
+"""and, with ever finer steps, down to so much [rad]."""
+_TURNS_ALL_OVER: Final = 400
 """Turns all over, the nearest of which is some 15 degrees off."""
 
 
@@ -68,8 +75,8 @@ class _Target:
         self._tree = cKDTree(self._told(self.points, self.normals, number))
 
     def _told(self, points: FloatArray, normals: FloatArray, number: FloatArray) -> FloatArray:
-        apart = _OTHER * self.size * number[:, None]
-        return np.concatenate([points, _LEAN * self.size * normals, apart], axis=1)
+        apart = _OTHER_SURFACE_DISTANCE * self.size * number[:, None]
+        return np.concatenate([points, _NORMAL_WEIGHT * self.size * normals, apart], axis=1)
 
     def near(
         self, points: FloatArray, normals: FloatArray, number: FloatArray
@@ -80,7 +87,7 @@ class _Target:
         return np.asarray(at), np.minimum(np.asarray(apart), 0.3 * self.size)
 
 
-def found(
+def aligned_pose(
     source: list[Samples],
     target: list[Samples],
     bound: FloatArray,
@@ -95,10 +102,10 @@ def found(
     cloud = points, normals, weight, number = _together(source)
     size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
     goal = _Target(target, size)
-    some = np.unique(np.linspace(0, len(points) - 1, _TRIED).astype(np.int64))
+    some = np.unique(np.linspace(0, len(points) - 1, _SEED_PLACES).astype(np.int64))
     seeds = _all_around(bound, middle) if all_around else _seeds((points, weight), (goal.points, goal.weight))
     best = _best(seeds, cloud, goal, some)
-    for _ in range(_MOST):
+    for _ in range(_MOST_STEPS):
         own, up = _at(best, points), normals @ best[:3, :3].T
         at, _ = goal.near(own, up, number)
         # the place is given, so that only the turn about it is looked for
@@ -119,20 +126,20 @@ def _straightened(
     one another along the surface wherever it lies."""
     axis = cloud[2] @ (cloud[1] @ pose[:3, :3].T)
     size = float(np.linalg.norm(axis))
-    if size < _FLAT:
+    if size < _FLAT_MEAN:
         return pose
-    best, spread = pose, _FAN
+    best, spread = pose, _FAN_ANGLE
 
     def apart(one: FloatArray) -> float:
         own = _at(one, cloud[0])
         at, _ = goal.near(own, cloud[1] @ one[:3, :3].T, cloud[3])
         off = own - goal.points[at]
         across = np.einsum("ij,ij->i", off, goal.normals[at])
-        return float(cloud[2] @ (across**2 + _SLIDE**2 * np.sum(off**2, axis=1)))
+        return float(cloud[2] @ (across**2 + _SLIDE_WEIGHT**2 * np.sum(off**2, axis=1)))
 
-    while spread > _FINE:
+    while spread > _FAN_FINEST:
         tried = []
-        for angle in np.linspace(-spread, spread, 2 * _FAN_HALF + 1):
+        for angle in np.linspace(-spread, spread, 2 * _FAN_STEPS + 1):
             turn = np.eye(4)
             turn[:3, :3] = _rotation(angle * axis / size)
             after = turn @ best
@@ -140,7 +147,7 @@ def _straightened(
             after[:3, 3] += middle - 0.5 * (seen.min(axis=0) + seen.max(axis=0))
             tried.append((apart(after), abs(float(angle)), after))
         best = min(tried, key=lambda one: one[:2])[2]
-        spread /= _FAN_HALF
+        spread /= _FAN_STEPS
     return best
 
 
@@ -149,10 +156,12 @@ def found_piece(piece: Samples, whole: Samples) -> FloatArray:
     cloud = points, normals, weight, _ = _together([piece])
     size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
     goal = _Target([whole], size)
-    some = np.unique(np.linspace(0, len(points) - 1, _TRIED // 3).astype(np.int64))
-    spots = np.unique(np.linspace(0, len(whole.points) - 1, _SPOTS).astype(np.int64))
+    some = np.unique(np.linspace(0, len(points) - 1, _SEED_PLACES // 3).astype(np.int64))
+    spots = np.unique(np.linspace(0, len(whole.points) - 1, _START_SPOTS).astype(np.int64))
     here, out = _upright(normals.mean(axis=0)), []
-    for spot, turn in itertools.product(spots.tolist(), 2.0 * np.pi * np.arange(_TURNS) / _TURNS):
+    for spot, turn in itertools.product(
+        spots.tolist(), 2.0 * np.pi * np.arange(_NORMAL_TURNS) / _NORMAL_TURNS
+    ):
         c, s = np.cos(turn), np.sin(turn)
         around = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         pose = np.eye(4)
@@ -160,13 +169,13 @@ def found_piece(piece: Samples, whole: Samples) -> FloatArray:
         pose[:3, 3] = whole.points[spot] - pose[:3, :3] @ points.mean(axis=0)
         out.append(pose)
     best = _best(out, cloud, goal, some, 3)
-    for _ in range(_MOST):
+    for _ in range(_MOST_STEPS):
         best = _step(best, cloud, goal, np.arange(len(points)))
     return np.asarray(np.linalg.inv(best), dtype=np.float64)
 
 
 def _best(
-    seeds: list[FloatArray], cloud: Cloud, goal: _Target, some: IntArray, steps: int = _FEW
+    seeds: list[FloatArray], cloud: Cloud, goal: _Target, some: IntArray, steps: int = _FIRST_STEPS
 ) -> FloatArray:
     """The best of some poses after a few steps each."""
     tried = []
@@ -214,12 +223,12 @@ def _seeds(source: tuple[FloatArray, FloatArray], target: tuple[FloatArray, Floa
         moments, axes = np.linalg.eigh((off * weight[:, None]).T @ off)
         frames.append((middle, axes, np.sqrt(np.maximum(moments, 1e-30))))
     (here, own, _), (there, goal, sizes) = frames
-    alike = [sizes[k + 1] < _NEAR * sizes[k] for k in range(2)]
+    alike = [sizes[k + 1] < _SAME_MOMENT_FACTOR * sizes[k] for k in range(2)]
     extra = [np.eye(3)]
     for k, same in enumerate(alike):  # turns about the axis that is told from both
         if same:
             one, two = k, k + 1
-            angles = 2.0 * np.pi * np.arange(1, _TURNS) / _TURNS
+            angles = 2.0 * np.pi * np.arange(1, _NORMAL_TURNS) / _NORMAL_TURNS
             for angle in angles:
                 turn = np.eye(3)
                 turn[[one, one, two, two], [one, two, one, two]] = [
@@ -245,7 +254,7 @@ def _seeds(source: tuple[FloatArray, FloatArray], target: tuple[FloatArray, Floa
 def _all_around(bound: FloatArray, middle: FloatArray) -> list[FloatArray]:
     """Poses with the box around ``bound`` about ``middle``, turned all over, the same ones each time."""
     out = []
-    for turn in Rotation.random(_AROUND, random_state=0).as_matrix():
+    for turn in Rotation.random(_TURNS_ALL_OVER, random_state=0).as_matrix():
         pose = np.eye(4)
         pose[:3, :3] = turn
         seen = _at(pose, bound)
@@ -266,7 +275,7 @@ def _moved(own: FloatArray, goal: FloatArray, normal: FloatArray, weight: FloatA
         flat = np.broadcast_to(axis, arm.shape)
         rows.append(np.concatenate([np.cross(arm, flat), flat], axis=1))
         values.append(off @ axis)
-        scale.append(_SLIDE * np.sqrt(weight))
+        scale.append(_SLIDE_WEIGHT * np.sqrt(weight))
     factor = np.concatenate(scale)
     solution = np.linalg.lstsq(np.concatenate(rows) * factor[:, None], np.concatenate(values) * factor, 1e-9)[
         0
@@ -300,15 +309,16 @@ def _rotation(turn: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
 
 
-ALL: Final = "*"
+ALL_RULED: Final = "*"
 """In place of names: all surfaces of the part that are ruled."""
 OUTLINES: Final = frozenset({"outline", "hole"})
 """What outlines of a plate are called, before the letters that tell them apart."""
 ON_FACE: Final = 1e-4
 """[m] a face that is claimed is the one that is read where it is no farther from it than this, ..."""
-ROUNDED: Final = 2.5
+NOISE_TOLERANCES: Final = 2.5
 """... or, in a mesh with noise, than so many of its tolerances: folds are rounded there."""
-_HEIGHTS: Final = 5
+_AXIS_PLACES: Final = 5
+"""Places along a cutter's axis that must be on the outer side."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -326,9 +336,9 @@ class Made:
     margin: float = 0.0
 
 
-def wanted(context: Context) -> Iterator[tuple[str, str, float, float, float]]:
-    """Name (or `ALL`), kind of segment, tolerance [m], share, and margin [m] left out along its edge, of each
-    surface of the part that the operations are to make, from the operations alone."""
+def wanted_surfaces(context: Context) -> Iterator[tuple[str, str, float, float, float]]:
+    """Name (or `ALL_RULED`), kind of segment, tolerance [m], share, and margin [m] left out along its edge,
+    of each surface of the part that the operations are to make, from the operations alone."""
     for one in context.problem.operations:
         operation: Any = one
         if operation.process == "elastic_wire":
@@ -350,7 +360,7 @@ def wanted(context: Context) -> Iterator[tuple[str, str, float, float, float]]:
 def _straight_cuts(operation: Any) -> tuple[str, ...]:
     """Names of the surfaces that a straight wire cuts."""
     if operation.cuts == "all":
-        return (ALL,)
+        return (ALL_RULED,)
     return tuple(cut.surface for cut in operation.cuts if hasattr(cut, "surface"))
 
 
@@ -374,11 +384,11 @@ def off_cutter(milling: Milling, one: Made, places: Samples) -> FloatArray:
     tip, axis, _ = track.spaced(step)
     off, _ = sweep(places.points, tip, axis, solid)
     # the cutter's axis has to be on the outer side
-    heights = np.linspace(min(solid.radius, solid.end), solid.end, _HEIGHTS)
+    heights = np.linspace(min(solid.radius, solid.end), solid.end, _AXIS_PLACES)
     line = np.concatenate([tip + height * axis for height in heights])
     near = line[np.asarray(cKDTree(line).query(places.points)[1])]
     outside = np.einsum("ij,ij->i", near - places.points, places.normals) > 0.0
-    return np.asarray(np.where(outside & (off < SIGHT), off, np.nan))
+    return np.asarray(np.where(outside & (off < SIGHT_DISTANCE), off, np.nan))
 
 
 def of_claim(one: Made, count: int) -> Samples:
@@ -406,7 +416,7 @@ def off_sheet(forming: Forming, sheet: SheetFace, thickness: float, shifted: boo
         found = swept(one, here) - claim.radius
         near = one.face.nearest(here)
         # where the face that is claimed is not the read one, its steps and what balls reach of it say nothing
-        found[near.apart > ON_FACE + ROUNDED * sheet.tolerance] = np.nan
+        found[near.apart > ON_FACE + NOISE_TOLERANCES * sheet.tolerance] = np.nan
         ridge = np.zeros(len(here))
         np.maximum.at(ridge, near.row, claim.scallop[one.face.rows[near.triangle]])
         rows = np.flatnonzero((found > ridge) & (found < claim.radius))

@@ -233,7 +233,8 @@ def _shut(points: FloatArray) -> bool:
 
 SAME_LENGTH_SHARE: Final = 1e-3
 """Ways to lay guides on each other are as short within this share of the rulings' mean square."""
-SHARE_SLACK: Final = 1e-9
+SAME_PLACE: Final = 1e-9
+"""Points of a polyline nearer to each other than this [m] are one."""
 START_PLACES: Final = 720
 """Places about a smooth closed guide at which it may begin."""
 
@@ -262,9 +263,9 @@ class Ruled:
 
 def through(points: FloatArray, closed: bool, angle: float, either: bool = False) -> Curve:
     """A polyline with a corner where it turns by more than ``angle`` [rad]."""
-    apart = np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > SHARE_SLACK)
+    apart = np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > SAME_PLACE)
     own = points[apart]
-    if closed and len(own) > 1 and np.linalg.norm(own[0] - own[-1]) <= SHARE_SLACK:
+    if closed and len(own) > 1 and np.linalg.norm(own[0] - own[-1]) <= SAME_PLACE:
         own = own[:-1]
     count = len(own)
     way = np.roll(own, -1, axis=0) - own
@@ -298,7 +299,7 @@ def joined(start: Curve, end: Curve, match: str) -> list[Ruled]:
     if not found:
         return []
     best = min(apart for apart, _ in found)
-    return [ruled for apart, ruled in found if apart <= best * (1.0 + SAME_LENGTH_SHARE) + SHARE_SLACK**2]
+    return [ruled for apart, ruled in found if apart <= best * (1.0 + SAME_LENGTH_SHARE) + SAME_PLACE**2]
 
 
 def matched(start: Curve, end: Curve, match: str) -> Ruled:
@@ -361,7 +362,7 @@ def _ruled(start: Curve, end: Curve, match: str) -> tuple[float, Ruled]:
     for (a, at_a), (b, at_b) in zip(_pieces(start), _pieces(end), strict=True):
         share_a, share_b = (at_a, at_b) if match == "parameter" else (_share(a), _share(b))
         both = np.union1d(share_a, share_b)
-        both = both[np.append(True, np.diff(both) > SHARE_SLACK)]
+        both = both[np.append(True, np.diff(both) > SAME_PLACE)]
         both[-1] = 1.0
         even = np.linspace(0.0, 1.0, 33)
         apart = _at(a, _share(a), even) - _at(b, _share(b), even)

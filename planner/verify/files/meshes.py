@@ -17,7 +17,9 @@ from planner.verify.files.curves import Ruled, bezier, blended, bspline, joined,
 from planner.verify.files.values import UNITS, Said, UnreadError, file_of, metres, radians, row
 
 _STL: Final = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("more", "<u2")])
+"""One triangle of a binary STL file."""
 _STL_HEAD: Final = 84
+"""Bytes before the first triangle: 80 of text and the count."""
 _PLY_TYPES: Final = {
     "char": "i1",
     "int8": "i1",
@@ -36,7 +38,9 @@ _PLY_TYPES: Final = {
     "double": "f8",
     "float64": "f8",
 }
+"""Numbers of PLY files by their names."""
 _PLY_FACES: Final = ("vertex_indices", "vertex_index")
+"""Names of the property that lists a face's vertices."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -258,15 +262,16 @@ def _first_lengths(element: _Element, body: bytes, offset: int, order: str) -> l
     return out
 
 
-CELLS: Final = (40, 400)
+LOFT_CELLS: Final = (40, 400)
 """Fewest and most cells of a loft along each of its parameters."""
-SAG: Final = 1e-5
+LOFT_CHORD: Final = 1e-5
 """How far cells may be off the loft [m], where the most of them are enough."""
-_NEAR: Final = 1e-5
+_NORMAL_STEP: Final = 1e-5
 """Step of a loft's parameters by which its normals are found."""
-_ALIKE: Final = 1e-9
+_SAME_VERTEX: Final = 1e-9
 """Vertices so near, of the mesh's extent, are one."""
-_CORNER: Final = 20.0 * np.pi / 180.0
+_CORNER_ANGLE: Final = 20.0 * np.pi / 180.0
+"""A rim turns by more than this [rad] at a corner."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -292,7 +297,7 @@ def mesh_face(said: Said) -> Face:
     corners = found.corners * UNITS[str(said["unit"])] * float(said.get("scale") or 1.0)
     corners = corners[:, ::-1] if said.get("flip") else corners
     low = corners.reshape(-1, 3).min(axis=0)
-    step = max(float((corners.reshape(-1, 3).max(axis=0) - low).max()) * _ALIKE, 1e-15)
+    step = max(float((corners.reshape(-1, 3).max(axis=0) - low).max()) * _SAME_VERTEX, 1e-15)
     grid = np.rint((corners.reshape(-1, 3) - low) / step).astype(np.int64)
     _, first, index = np.unique(grid, axis=0, return_index=True, return_inverse=True)
     vertices, faces = corners.reshape(-1, 3)[first], index.reshape(-1, 3).astype(np.int64)
@@ -312,8 +317,8 @@ def loft_face(said: Said) -> Face:
     cells = _cells(said, (u0, u1), (v0, v1))
     u, v = _grid((u0, u1), (v0, v1), cells)
     points = loft_points(said, u, v)
-    along = loft_points(said, u + _NEAR, v) - loft_points(said, u - _NEAR, v)
-    across = loft_points(said, u, v + _NEAR) - loft_points(said, u, v - _NEAR)
+    along = loft_points(said, u + _NORMAL_STEP, v) - loft_points(said, u - _NORMAL_STEP, v)
+    across = loft_points(said, u, v + _NORMAL_STEP) - loft_points(said, u, v - _NORMAL_STEP)
     up = np.cross(along, across)
     up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-300)
     index = np.arange(len(u)).reshape(cells + 1, cells + 1)
@@ -330,13 +335,13 @@ def _grid(u: tuple[float, float], v: tuple[float, float], cells: int) -> tuple[F
 
 
 def _cells(said: Said, u: tuple[float, float], v: tuple[float, float]) -> int:
-    """How many cells keep within `SAG`: what they are off falls with the square of their size."""
-    least, most = CELLS
+    """How many cells keep within `LOFT_CHORD`: what they are off falls with the square of their size."""
+    least, most = LOFT_CELLS
     at = loft_points(said, *_grid(u, v, least)).reshape(least + 1, least + 1, 3)
     off = [at[1:-1:2] - 0.5 * (at[:-1:2] + at[2::2]), at[:, 1:-1:2] - 0.5 * (at[:, :-1:2] + at[:, 2::2])]
     off.append(at[1:-1:2, 1:-1:2] - 0.5 * (at[:-1:2, :-1:2] + at[2::2, 2::2]))
     far = max(float(np.linalg.norm(one, axis=2).max()) for one in off)
-    return int(np.clip(0.5 * least * np.sqrt(far / SAG), least, most))
+    return int(np.clip(0.5 * least * np.sqrt(far / LOFT_CHORD), least, most))
 
 
 def loft_points(said: Said, u: FloatArray, v: FloatArray) -> FloatArray:
@@ -378,7 +383,7 @@ def edges_of(front: Face, back: Face, moved: bool) -> list[Ruled]:
     if moved:
         ring = np.append(first, first[0])
         return [Ruled(front.vertices[ring], back.vertices[ring])]
-    one, other = through(start, True, _CORNER), through(back.vertices[loops[1]], True, _CORNER)
+    one, other = through(start, True, _CORNER_ANGLE), through(back.vertices[loops[1]], True, _CORNER_ANGLE)
     return joined(one, other, "arc_length")
 
 

@@ -23,9 +23,9 @@ NOISE_DEVIATIONS = 3.0
 """Vertices are within so many standard deviations of their face."""
 LEAST_NOISE = 3e-6
 """Noise below this [m] is none: rounding of coordinates."""
-QUIET = 0.2
+QUIET_SHARE = 0.2
 """The share of vertices that are farthest from folds of a mesh, at least."""
-_NORMAL = 0.2533
+_NORMAL_QUANTILE = 0.2533
 """The size that this share of normal values of unit deviation stays below."""
 MEAN_CELL = 6e-3
 """Width [m] of the places over which a mean is taken."""
@@ -80,7 +80,7 @@ def tolerance_of(vertices: FloatArray, faces: IntArray) -> float:
     size = np.stack([np.maximum(normal[:, k, k], 1e-300) for k in (1, 2)])
     steep = np.sqrt(1.0 + ((slope / size) ** 2).sum(axis=0))
     chosen = good & (graph @ good > 0)
-    found = float(np.quantile(left[chosen] / unit[chosen] / steep[chosen], QUIET)) / _NORMAL
+    found = float(np.quantile(left[chosen] / unit[chosen] / steep[chosen], QUIET_SHARE)) / _NORMAL_QUANTILE
     return NOISE_DEVIATIONS * found if found >= LEAST_NOISE else 0.0
 
 
@@ -97,7 +97,7 @@ def _folded(corners: FloatArray, faces: IntArray) -> float:
     size = np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
     normal = normal / size[:, None]
     apart = np.abs(np.einsum("nkd,nd->nk", corners[two] - corners[one, :1], normal[one])).max(axis=1)
-    return float(np.quantile(apart, QUIET)) / _NORMAL
+    return float(np.quantile(apart, QUIET_SHARE)) / _NORMAL_QUANTILE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,15 +141,18 @@ def together(faces: IntArray, off: FloatArray, limit: float) -> IntArray:
 
 
 FLAT_COSINE: Final = np.cos(np.deg2rad(3.0))
-"""Facets whose normals are so near to z may be flats or floors, which tools do not form."""
+"""Facets whose normals are nearer to z than this cosine (3 degrees) may be flats or floors, which tools do
+not form."""
 NOISE_FACTOR: Final = 1.2
 """Noise of a mesh as found twice, by different means, may differ by this factor."""
 NOISY_FLAT_COSINE: Final = np.cos(np.deg2rad(8.0))
-"""The same of the mean of facets about a place, where the mesh has noise."""
+"""The same (8 degrees) of the mean of facets about a place, where the mesh has noise."""
 MEAN_RADIUS: Final = 2e-3
 """How far about a place [m] that mean is taken."""
-_ACROSS: Final = 0.9
+_ACROSS_COSINE: Final = 0.9
+"""Cosine beyond which a normal is too near to x to take that as the direction along the sheet."""
 SHEET_PLACES: Final = 800
+"""Places of the walls of a sheet that are compared."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -232,7 +235,7 @@ def _levelled(face: Face, corners: FloatArray, down: bool) -> FloatArray:
     height = (corners.reshape(-1, 3) - middle) @ up
     if (height[np.abs(height).argmax()] > 0.0) == down:
         up = -up
-    along = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < _ACROSS else np.array([0.0, 1.0, 0.0])
+    along = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < _ACROSS_COSINE else np.array([0.0, 1.0, 0.0])
     along = along - (along @ up) * up
     along = along / np.linalg.norm(along)
     return np.asarray((corners - middle) @ np.column_stack([along, np.cross(up, along), up]))

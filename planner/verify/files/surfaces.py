@@ -61,7 +61,8 @@ _REFLEXED: Final = {
     5: (0.441, 3.191, 0.1355),
 }
 """The same with a third digit 1, and k2 / k1 behind the joint."""
-_STATIONS: Final = 201
+_SECTION_STATIONS: Final = 201
+"""Stations along the chord of a section that its digits give."""
 
 
 def read_section(path: Path) -> FloatArray:
@@ -114,7 +115,7 @@ def _from_the_tail(points: FloatArray) -> FloatArray:
 
 def section_of_digits(digits: str) -> FloatArray:
     """The section of NACA digits. Raises `UnreadError`."""
-    x = np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, _STATIONS)) ** 2  # close together at both edges
+    x = np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, _SECTION_STATIONS)) ** 2  # close together at both edges
     line, slope = _camber(digits, x)
     tall = float(digits[-2:]) / 20.0
     half = tall * (0.2969 * x**0.5 - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
@@ -152,9 +153,9 @@ def _camber(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     return lift * k / 6.0 * line, lift * k / 6.0 * slope
 
 
-SHARP: Final = 1e-6
+SHARP_EDGE: Final = 1e-6
 """A trailing edge that is thinner [m] is an edge."""
-_SIDE: Final = 600
+_SECTION_PLACES: Final = 600
 """Places along each side of a section."""
 
 
@@ -177,7 +178,7 @@ def skin(said: Said) -> Ruled:
     turn = (0.0, radians(said.get("twist_deg") or 0.0))
     guides = []
     for k, (points, chord) in enumerate(zip(sections, chords, strict=True)):
-        curve = _curve(points, chord, max(gaps) > SHARP)
+        curve = _curve(points, chord, max(gaps) > SHARP_EDGE)
         x, z = curve.points[:, 0] - 0.25 * chord, curve.points[:, 1]
         c, s = np.cos(turn[k]), np.sin(turn[k])  # the nose, at x below zero, goes down
         placed = np.column_stack(
@@ -209,10 +210,10 @@ def _curve(points: FloatArray, chord: float, blunt: bool) -> Curve:
     at = _nose(points)
     near = np.linspace(way[max(at - 1, 0)], way[min(at + 1, len(way) - 1)], 4001)
     nose = near[int(np.argmax(np.hypot(*(curve(near) - tail).T)))]
-    lower, upper = np.linspace(way[-1], nose, _SIDE), np.linspace(nose, 0.0, _SIDE)[1:]
+    lower, upper = np.linspace(way[-1], nose, _SECTION_PLACES), np.linspace(nose, 0.0, _SECTION_PLACES)[1:]
     flat = curve(np.concatenate([lower, upper]))
     anchor = np.zeros(len(flat), dtype=np.bool_)
-    anchor[[0, _SIDE - 1, -1]] = True
+    anchor[[0, _SECTION_PLACES - 1, -1]] = True
     if not blunt:
         flat[0] = tail
         flat, anchor = flat[:-1], anchor[:-1]
@@ -222,12 +223,13 @@ def _curve(points: FloatArray, chord: float, blunt: bool) -> Curve:
 
 SURFACE_PLACES: Final = 600
 """Places of a surface."""
-SEVERAL: Final = 6000
-"""Places of all the outlines of a plate together, but for `LEAST` of each."""
-LEAST: Final = 60
-CORNER_ANGLE: Final = 20.0
+OUTLINE_PLACES: Final = 6000
+"""Places of all the outlines of a plate together, but for `LEAST_OUTLINE_PLACES` of each."""
+LEAST_OUTLINE_PLACES: Final = 60
+"""Places of one outline at least."""
+CORNER_ANGLE_DEG: Final = 20.0
 """Angle [deg] of a corner, where none is stated."""
-_CURVE: Final = 2000
+_SPLINE_PLACES: Final = 2000
 """Places along a spline."""
 
 
@@ -255,7 +257,8 @@ class Surface:
         return np.zeros((0, 2, 3)) if self.face is None else self.face.vertices[rims(self.face)]
 
 
-NUMBERS: Final = "the problem's numbers"
+FROM_NUMBERS: Final = "the problem's numbers"
+"""Stands for a file's name where a part is given by numbers in the problem."""
 
 
 def stated(part: Said, height: float, edges: bool = True) -> list[Surface]:
@@ -302,7 +305,7 @@ def _face(said: Said) -> tuple[Face, str]:
         own = said["mesh"]
         face: Face = _read(own, lambda: mesh_face(own))
         return face, _name(own)
-    return loft_face(said["loft"]), NUMBERS
+    return loft_face(said["loft"]), FROM_NUMBERS
 
 
 def _of_face(name: str, file: str, face: Face, spare: float = 0.0) -> Surface:
@@ -338,7 +341,7 @@ def _of_rulings(
 
 def _wing(said: Said) -> Surface:
     files = [Path(str(said[side]["file"])).name for side in ("root", "tip") if said[side].get("file")]
-    name = " and ".join(dict.fromkeys(files)) or NUMBERS
+    name = " and ".join(dict.fromkeys(files)) or FROM_NUMBERS
     try:
         found = skin(said)
     except (UnreadError, OSError) as error:
@@ -359,12 +362,12 @@ def _ruled(said: Said) -> Surface:
         found = [_outwards(one, bool(said.get("hole"))) for one in found]
     elif said.get("flip"):
         found = [Ruled(one.start[::-1], one.end[::-1]) for one in found]
-    name = " and ".join(dict.fromkeys(files)) or NUMBERS
+    name = " and ".join(dict.fromkeys(files)) or FROM_NUMBERS
     return _of_rulings(str(said["name"]), name, found, guides=match == "least_twist")
 
 
 def _guide(said: Said, closed: bool) -> Curve:
-    angle = radians(said.get("corner_deg", CORNER_ANGLE))
+    angle = radians(said.get("corner_deg", CORNER_ANGLE_DEG))
     if said.get("polyline_mm") is not None:
         curve = through(row(said["polyline_mm"]), closed, angle)
     elif said.get("dxf") is not None:
@@ -387,11 +390,11 @@ def _guide(said: Said, closed: bool) -> Curve:
 
 def _smooth(control: FloatArray, kind: str, closed: bool) -> Curve:
     """A spline without corners, but where a closed one's ends meet at an angle."""
-    t = np.linspace(0.0, 1.0, _CURVE + 1)
+    t = np.linspace(0.0, 1.0, _SPLINE_PLACES + 1)
     points = (bspline if kind == "bspline_mm" else bezier)(control, t)
     if closed:
         points, t = points[:-1], t[:-1]
-    curve = through(points, closed, radians(CORNER_ANGLE))
+    curve = through(points, closed, radians(CORNER_ANGLE_DEG))
     if len(curve.points) != len(points):
         return curve
     anchor = np.zeros(len(points), dtype=np.bool_)
@@ -420,12 +423,12 @@ def _plate(said: Said, height: float) -> list[Surface]:
     """The outlines; named after what they are alone, as their order is not told by the problem: ``outline``
     or ``hole``."""
     rings: list[FloatArray] = [_outline(own) for own in said.get("outlines") or ()]
-    names = [NUMBERS] * len(rings)
+    names = [FROM_NUMBERS] * len(rings)
     if said.get("dxf"):
         curves = _drawing(said["dxf"])
         rings += [curve.points[:, :2] for curve in curves]
         names += [_name(said["dxf"])] * len(curves)
-    count = min(SURFACE_PLACES, max(LEAST, SEVERAL // max(len(rings), 1)))
+    count = min(SURFACE_PLACES, max(LEAST_OUTLINE_PLACES, OUTLINE_PLACES // max(len(rings), 1)))
     out = []
     for k, ring in enumerate(rings):
         around = sum(_inside(ring[0], other) for j, other in enumerate(rings) if j != k)
@@ -448,7 +451,7 @@ def _outline(said: Said) -> FloatArray:
     if said.get("polyline_mm"):
         return row(said["polyline_mm"])
     control = row(said["bspline_mm"])
-    return bspline(np.concatenate([control, control[:1]]), np.linspace(0.0, 1.0, _CURVE + 1))[:-1]
+    return bspline(np.concatenate([control, control[:1]]), np.linspace(0.0, 1.0, _SPLINE_PLACES + 1))[:-1]
 
 
 def _inside(point: FloatArray, ring: FloatArray) -> bool:

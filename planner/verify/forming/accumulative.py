@@ -68,7 +68,7 @@ class Wanted:
         return out
 
 
-def wanted(text: str, prefer: str) -> Wanted:
+def wanted_conditions(text: str, prefer: str) -> Wanted:
     """What the table in ``text`` wants, of all solutions the one with the smallest position angle ("angle")
     or the largest gap ("gap"), the other one deciding between equals. Raises ``ValueError`` for a text that
     is no such table."""
@@ -141,8 +141,11 @@ WALL_ANGLE_ERROR = np.deg2rad(0.1)
 EDGE_CONTACT = 5e-5
 """A ball that touches no wall by so little [m] in plan is at its edge."""
 _NEIGHBOURS = 16
-_LEVELS = 200
-_PLACES = 60_000
+"""Pieces of a way with the nearest middles to a point, of which the nearest is taken."""
+_ANGLE_LEVELS = 200
+"""Levels over a wall's height at which its mean angle is taken."""
+_WALL_PLACES = 60_000
+"""Places of the walls that must be passed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -213,7 +216,7 @@ class Way:
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         return Contacts(row, np.einsum("mk,mkd->md", share, corners[triangle]), normal)
 
-    def seen(self, found: Contacts) -> tuple[FloatArray, FloatArray]:
+    def support_offset(self, found: Contacts) -> tuple[FloatArray, FloatArray]:
         """Where the support is at contacts (M,) from the forming ball, in the plane upright to the wall there
         (M, 2) [m]: outward from the feature's inside, and behind the sheet; and how far off that plane
         (M,)."""
@@ -228,7 +231,7 @@ class Way:
         the wall, how far off that plane, infinite where the ball touches no wall, and the place (K, 3) [m]
         that it touches: of several that which fits best."""
         claim, found = self.claim, self.contacts
-        got, aside = self.seen(found)
+        got, aside = self.support_offset(found)
         curve = table.apart(claim.thickness, sum(claim.radii), claim.give)
         wall = np.arccos(np.clip(found.normal[:, 2], -1.0, 1.0))
         off = table.off(wall, got, curve, WALL_ANGLE_ERROR)
@@ -260,20 +263,20 @@ class Way:
         low = self.face.corners[self.walls][:, :, 2].min(axis=1)
         high = self.face.corners[self.walls][:, :, 2].max(axis=1)
         slope = np.sqrt(1.0 - self.face.normal[self.walls, 2] ** 2) / self.face.normal[self.walls, 2]
-        edges = np.linspace(self.end, self.start, _LEVELS + 1)
+        edges = np.linspace(self.end, self.start, _ANGLE_LEVELS + 1)
         width = float(edges[1] - edges[0])
-        first = np.clip(((low - self.end) / width - 1.0).astype(np.int64), 0, _LEVELS - 1)
-        last = np.clip(((high - self.end) / width + 1.0).astype(np.int64), 0, _LEVELS - 1)
-        steepest = np.zeros(_LEVELS)
+        first = np.clip(((low - self.end) / width - 1.0).astype(np.int64), 0, _ANGLE_LEVELS - 1)
+        last = np.clip(((high - self.end) / width + 1.0).astype(np.int64), 0, _ANGLE_LEVELS - 1)
+        steepest = np.zeros(_ANGLE_LEVELS)
         for step in range(int((last - first).max(initial=0)) + 1):
             at = np.minimum(first + step, last)
             np.maximum.at(steepest, at, slope)
-        at = np.clip(((level - self.end) / width).astype(np.int64), 0, _LEVELS - 1)
+        at = np.clip(((level - self.end) / width).astype(np.int64), 0, _ANGLE_LEVELS - 1)
         return np.asarray(self.claim.pitch * steepest[at])
 
     def _places(self) -> tuple[FloatArray, FloatArray]:
         """Places (P, 3) spread evenly over the walls by area, always the same ones, and how far (P,) [m]
         loops are apart along the wall there."""
-        points, owner = spread_over(self.face.corners[self.walls], _PLACES)
+        points, owner = spread_over(self.face.corners[self.walls], _WALL_PLACES)
         sine = np.sqrt(1.0 - self.face.normal[self.walls, 2] ** 2)
         return points, self.rise(points[:, 2]) / sine[owner]

@@ -28,7 +28,8 @@ from scipy.spatial import cKDTree
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, corner_normals, small_pieces
 
-BRANCH: Final = 4
+TREE_BRANCHES: Final = 4
+"""Branches of each node of the tree of triangles."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,8 +48,8 @@ class Tree:
 
     def __init__(self, corners: FloatArray) -> None:
         count = len(corners)
-        depth = max(int(np.ceil(np.log(max(count, 1)) / np.log(BRANCH))), 0)
-        full = BRANCH**depth
+        depth = max(int(np.ceil(np.log(max(count, 1)) / np.log(TREE_BRANCHES))), 0)
+        full = TREE_BRANCHES**depth
         middle = corners.mean(axis=1)
         order = np.arange(count)
         slots = np.full(full, -1, dtype=np.int64)
@@ -75,7 +76,9 @@ class Tree:
         slots[place] = order
         self.triangle = slots
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self.levels = tuple(_level(corners, cross, slots.reshape(BRANCH**k, -1)) for k in range(depth + 1))
+        self.levels = tuple(
+            _level(corners, cross, slots.reshape(TREE_BRANCHES**k, -1)) for k in range(depth + 1)
+        )
 
     def near_points(self, points: FloatArray, limit: FloatArray) -> tuple[IntArray, IntArray]:
         """Pairs of points (N, 3) and triangles that may be nearer than ``limit`` (N,) [m]."""
@@ -93,8 +96,8 @@ class Tree:
         node = np.zeros(len(limit), dtype=np.int64)
         for k, level in enumerate(self.levels):
             if k:
-                which = np.repeat(which, BRANCH)
-                node = (BRANCH * node[:, None] + np.arange(BRANCH)).ravel()
+                which = np.repeat(which, TREE_BRANCHES)
+                node = (TREE_BRANCHES * node[:, None] + np.arange(TREE_BRANCHES)).ravel()
             near = off(level, node, which) < limit[which]
             which, node = which[near], node[near]
         return which, self.triangle[node]
@@ -156,10 +159,13 @@ def _off(level: Level, node: IntArray, flat: FloatArray, height: FloatArray) -> 
 EQUALLY_NEAR = 1e-7
 """Places whose distances differ by less [m] are equally near."""
 CREASE_ANGLE = np.deg2rad(20.0)
-"""Triangles that turn by more than this over an edge meet in a crease."""
-_SMALLEST = 0.003
-_MOST_PIECES = 150_000
-_CHUNK = 10_000
+"""Triangles that turn by more than this [rad] over an edge meet in a crease."""
+_SEED_SIZE = 0.003
+"""Triangles are divided into pieces no smaller than this [m] to find the nearest ones."""
+_MOST_SEEDS = 150_000
+"""Such pieces at most."""
+_POINTS_AT_ONCE = 10_000
+"""Points, or segments, that are held against the face at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -218,7 +224,7 @@ class Face:
         self.area = 0.5 * size[kept]
         self.normal = cross[kept] / size[kept, None]
         self.border = _border(vertices, self.faces)
-        pieces, self._owner = small_pieces(self.corners, max(_SMALLEST, 0.25 * scale), _MOST_PIECES)
+        pieces, self._owner = small_pieces(self.corners, max(_SEED_SIZE, 0.25 * scale), _MOST_SEEDS)
         self._seeds = cKDTree(pieces.mean(axis=1))
         self._tree = Tree(self.corners)
 
@@ -236,7 +242,7 @@ class Face:
         at most."""
         apart = np.full(len(points), np.inf)
         kept: list[tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]] = []
-        for rows in np.array_split(np.arange(len(points)), max(1, len(points) // _CHUNK)):
+        for rows in np.array_split(np.arange(len(points)), max(1, len(points) // _POINTS_AT_ONCE)):
             if not len(rows):
                 continue
             first = self._owner[np.asarray(self._seeds.query(points[rows])[1])]
@@ -275,7 +281,7 @@ class Face:
         """How near (K,) [m] straight ways from ``start`` to ``end`` (K, 3) come to the face between their
         ends; infinite where it is ``need`` (K,) or more."""
         out = np.full(len(start), np.inf)
-        for rows in np.array_split(np.arange(len(start)), max(1, len(start) // _CHUNK)):
+        for rows in np.array_split(np.arange(len(start)), max(1, len(start) // _POINTS_AT_ONCE)):
             if len(rows):
                 which, triangle = self._tree.near_ways(start[rows], end[rows], need[rows])
                 which = rows[which]
@@ -352,9 +358,11 @@ REACHED_WITHIN = 3e-5
 """What a ball comes nearer to than this [m] it reaches."""
 PIECE_SHARE = 0.15
 """Triangles that a ball does not reach are parted into pieces of this share of its radius."""
-_ROUNDS = 24
-_PLANES = 3
-_MOST = 100_000
+_CENTRE_ROUNDS = 24
+"""Rounds at most in which the nearest centre of a ball is found beyond the planes of the face."""
+_MOST_PLANES = 3
+"""Planes that may hold a centre back at once: three make a corner."""
+_MOST_PIECES = 100_000
 """Pieces at most: where there would be more, what a ball does not reach is looked for less closely, and
 what is not looked at closely counts as reached."""
 
@@ -376,7 +384,7 @@ def centres(face: Face, points: FloatArray, normals: FloatArray, radius: float, 
     # each plane as its unit normal, and how far along it a centre is at least
     normal = np.zeros((len(points), 0, 3))
     level = np.zeros((len(points), 0))
-    for _ in range(_ROUNDS):
+    for _ in range(_CENTRE_ROUNDS):
         near = face.nearest(found[rows])
         room = side * near.signed
         rows_in = room < radius - CUT_IN
@@ -392,7 +400,7 @@ def centres(face: Face, points: FloatArray, normals: FloatArray, radius: float, 
         normal = np.concatenate([normal, way[:, None]], axis=1)
         level = np.concatenate([level, (dots(way, near_place) + radius)[:, None]], axis=1)
         found[rows], kept = _beyond(points[rows], normal, level)
-        if normal.shape[1] > _PLANES:  # one that does not hold the centre back goes
+        if normal.shape[1] > _MOST_PLANES:  # one that does not hold the centre back goes
             use = np.sort(np.argsort(kept, axis=1, kind="stable")[:, 1:], axis=1)
             normal = np.take_along_axis(normal, use[:, :, None], axis=1)
             level = np.take_along_axis(level, use, axis=1)
@@ -430,7 +438,7 @@ def left_by(face: Face, radius: float, side: int, start: float) -> Face:
     reach; the face itself where it reaches all of it. What is flat at the level ``start`` [m] it reaches."""
     corners = face.corners
     moved = np.flatnonzero((side * corners[:, :, 2]).min(axis=1) < side * start - CUT_IN)
-    parts, owner = small_pieces(corners[moved], PIECE_SHARE * radius, _MOST)
+    parts, owner = small_pieces(corners[moved], PIECE_SHARE * radius, _MOST_PIECES)
     owner = moved[owner]
     off = least_gap(face, parts.mean(axis=1), face.normal[owner], radius, side)
     wrong = np.zeros(len(corners), dtype=np.bool_)
@@ -465,7 +473,7 @@ def _fine(face: Face, rows: IntArray, radius: float, side: int) -> tuple[FloatAr
     owners: list[IntArray] = []
     while len(open_):
         long = np.linalg.norm(open_ - np.roll(open_, 1, axis=1), axis=2).max(axis=1) > size
-        long &= many + 2 * len(open_) <= _MOST
+        long &= many + 2 * len(open_) <= _MOST_PIECES
         split = np.flatnonzero(long)
         looks = np.concatenate([open_[split], open_[split].mean(axis=1, keepdims=True)], axis=1)
         up = np.repeat(face.normal[owner[split]], 4, axis=0)

@@ -22,7 +22,7 @@ from planner.claims.forming import FormsByTable, FormsInOrder, FormsPart, FormsS
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.mesh import closest_on_triangles
 
-_STEPS = (0.7548776662466927, 0.5698402909980532)
+_PLASTIC_STEPS = (0.7548776662466927, 0.5698402909980532)
 """Steps of the plastic number's powers, whose multiples fill a square evenly (Roberts 2018)."""
 
 
@@ -58,7 +58,7 @@ def spread_over(corners: FloatArray, count: int) -> tuple[FloatArray, IntArray]:
     area = np.cumsum(np.linalg.norm(cross, axis=1))
     number = np.arange(count)
     owner = np.minimum(np.searchsorted(area, (number + 0.5) / count * area[-1]), len(area) - 1)
-    u, v = np.mod(number * _STEPS[0], 1.0), np.mod(number * _STEPS[1], 1.0)
+    u, v = np.mod(number * _PLASTIC_STEPS[0], 1.0), np.mod(number * _PLASTIC_STEPS[1], 1.0)
     over = u + v > 1.0
     u, v = np.where(over, 1.0 - u, u), np.where(over, 1.0 - v, v)
     return np.einsum("pk,pkd->pd", np.stack([1.0 - u - v, u, v], axis=1), corners[owner]), owner
@@ -66,18 +66,20 @@ def spread_over(corners: FloatArray, count: int) -> tuple[FloatArray, IntArray]:
 
 Passed = FormsSheet | FormsByTable
 
-MOVED = 1e-6
+LEAST_MOTION = 1e-6
 """What a pass moves by less [m] it leaves where it is."""
-NOISE = 6e-5
+FLAT_NOISE = 6e-5
 """What is off the flat by less [m] may be noise of its mesh."""
-BUMP = 1e-4
+WALL_NOISE = 1e-4
 """A wall that turns back by less [m] is noise of its mesh."""
-ACROSS = 2.5e-3
+NOISE_WIDTH = 2.5e-3
 """What turns back over less [m] is noise too."""
 PART_PLACES, FEATURE_PLACES = 6_000, 2_000
 """Places at which part and passes are held against each other: of the part, and of each feature."""
-_NAME = re.compile(r"f(\d+)(?:_p\d+)?")
-_LEVELS = 12
+_PASS_NAME = re.compile(r"f(\d+)(?:_p\d+)?")
+"""Name of a segment of forming: its feature, and its pass where it has several."""
+_OVERHANG_LEVELS = 12
+"""Levels at which a feature's contours are looked at for walls that turn back."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -105,12 +107,12 @@ class Shape:
     @cached_property
     def moved(self) -> BoolArray:
         """Triangles (T,) with a corner that is off the level around."""
-        return np.asarray((np.abs(self.corners[:, :, 2] - self.base) > MOVED).any(axis=1))
+        return np.asarray((np.abs(self.corners[:, :, 2] - self.base) > LEAST_MOTION).any(axis=1))
 
     @cached_property
     def raised(self) -> BoolArray:
         """Triangles (T,) with a corner that is off the level around by more than noise."""
-        return np.asarray((np.abs(self.corners[:, :, 2] - self.base) > NOISE).any(axis=1))
+        return np.asarray((np.abs(self.corners[:, :, 2] - self.base) > FLAT_NOISE).any(axis=1))
 
     @cached_property
     def over(self) -> Overhead:
@@ -127,7 +129,7 @@ class Shape:
 
     def shift(self, places: FloatArray) -> FloatArray:
         """How far (N,) [m] along z the sheet is moved at places in plan (N, 2)."""
-        row, triangle, share = self.over.at(places, MOVED * 1e-3)
+        row, triangle, share = self.over.at(places, LEAST_MOTION * 1e-3)
         height = (share * self.corners[self.moved][triangle][:, :, 2]).sum(axis=1)
         out = np.zeros(len(places))
         first = np.flatnonzero(np.diff(row, prepend=-1) != 0)
@@ -150,7 +152,7 @@ class Shape:
     def rim(self) -> FloatArray:
         """Places (R, 2) in plan where what is moved begins."""
         corners = self.corners[self.raised].reshape(-1, 3)
-        return np.unique(corners[np.abs(corners[:, 2] - self.base) <= NOISE, :2], axis=0)
+        return np.unique(corners[np.abs(corners[:, 2] - self.base) <= FLAT_NOISE, :2], axis=0)
 
     def turns_back(self, sign: float) -> FloatArray | None:
         """A place (3,) where a wall that goes ``sign`` turns back, or where it parts in two, by more than the
@@ -166,15 +168,15 @@ class Shape:
             np.sort(node[np.stack([faces, np.roll(faces, -1, axis=1)], -1)].reshape(-1, 2)), axis=0
         )
         edge = edge[edge[:, 0] != edge[:, 1]]
-        for level in np.linspace(0.0, float(depth.max()), _LEVELS + 2)[1:-1].tolist():
+        for level in np.linspace(0.0, float(depth.max()), _OVERHANG_LEVELS + 2)[1:-1].tolist():
             for deep, inside in ((False, depth < level), (True, depth > level)):
                 size, label = _pieces(inside, edge)
                 reach = np.zeros(size)
                 np.maximum.at(reach, label[inside], np.abs(depth[inside] - level))
                 wide = _extent(where[inside], label[inside], size)
-                real = (reach > BUMP) & (wide > ACROSS)
+                real = (reach > WALL_NOISE) & (wide > NOISE_WIDTH)
                 if not deep:  # what is left around, at its start, is no island
-                    real[np.unique(label[inside & (depth <= NOISE)])] = False
+                    real[np.unique(label[inside & (depth <= FLAT_NOISE)])] = False
                 if real.sum() > int(deep):
                     rows = np.flatnonzero(inside & (label == np.flatnonzero(real)[-1]))
                     return np.asarray(where[rows[int(np.argmax(np.abs(depth[rows] - level)))]])
@@ -232,7 +234,7 @@ class PartShapes:
         self.moved = self.moved.reshape(len(self.features), len(self.places))
 
     def _over(self, corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-        row, triangle, share = Overhead(corners).at(self.places, MOVED * 1e-3)
+        row, triangle, share = Overhead(corners).at(self.places, LEAST_MOTION * 1e-3)
         first = np.flatnonzero(np.diff(row, prepend=-1) != 0)
         row, triangle, share = row[first], triangle[first], share[first]
         height, steep = np.zeros(len(self.places)), np.ones(len(self.places))
@@ -244,7 +246,7 @@ class PartShapes:
     @cached_property
     def inside(self) -> BoolArray:
         """(F, F): whether the first feature stands inside what the second one moves."""
-        own = np.abs(self.moved) > NOISE
+        own = np.abs(self.moved) > FLAT_NOISE
         count = np.maximum(own.sum(axis=1), 1)
         shared = (own[:, None] & own[None]).sum(axis=2) / count[:, None]
         larger = self.area[:, None] < self.area[None]
@@ -278,7 +280,7 @@ def in_order(group: Sequence[Claim]) -> tuple[Passed, ...]:
 def _features(part: FormsPart, passes: tuple[Passed, ...]) -> tuple[Feature, ...]:
     out: list[tuple[int, list[Shape]]] = []
     for claim in passes:
-        found = _NAME.fullmatch(claim.segment.name)
+        found = _PASS_NAME.fullmatch(claim.segment.name)
         number = int(found.group(1)) if found else -1
         base, far = (claim.end, claim.start) if part.male else (claim.start, claim.end)
         same = bool(out) and out[-1][0] == number

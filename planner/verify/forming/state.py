@@ -21,8 +21,10 @@ from planner.verify.forming.face import Face, Nearest, left_by
 from planner.verify.forming.shapes import PartShapes, in_order
 from planner.verify.replay.motion import Poses, during
 
-_BLOCK = 32
-_CHUNK = 65_536
+_BLOCK_SAMPLES = 32
+"""Samples of a way that are bounded as one."""
+_SAMPLES_AT_ONCE = 65_536
+"""Samples that are worked on at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,9 +101,9 @@ def pieces(way: Track, within: float) -> Pieces:
     turn = np.flatnonzero((way.own[1:] != way.own[:-1]) & way.joined) + 1  # ends one piece and begins another
     starts = np.sort(np.concatenate([[0], cut + 1, turn]))
     ends = np.sort(np.concatenate([cut, turn, [count - 1]]))
-    first = np.concatenate([np.arange(a, b, _BLOCK) for a, b in zip(starts, ends, strict=True)])
-    to = np.repeat(ends, [len(range(a, b, _BLOCK)) for a, b in zip(starts, ends, strict=True)])
-    last = np.minimum(first + _BLOCK, to)
+    first = np.concatenate([np.arange(a, b, _BLOCK_SAMPLES) for a, b in zip(starts, ends, strict=True)])
+    to = np.repeat(ends, [len(range(a, b, _BLOCK_SAMPLES)) for a, b in zip(starts, ends, strict=True)])
+    last = np.minimum(first + _BLOCK_SAMPLES, to)
     done_first, done_last = [], []
     while len(first):
         good = (last - first == 1) | (_off(way.centre, first, last) <= within)
@@ -175,7 +177,9 @@ def _stretch(centre: FloatArray, joined: BoolArray) -> FloatArray:
 
 def _parts(count: int) -> list[tuple[int, int]]:
     """Rows from 1 to ``count`` - 1, so many at once."""
-    return [(begin, min(begin + _CHUNK, count - 1)) for begin in range(1, count - 1, _CHUNK)]
+    return [
+        (begin, min(begin + _SAMPLES_AT_ONCE, count - 1)) for begin in range(1, count - 1, _SAMPLES_AT_ONCE)
+    ]
 
 
 def _corner(before: FloatArray, behind: FloatArray, joined: BoolArray) -> FloatArray:
@@ -198,15 +202,15 @@ class Balls:
     def __init__(self, track: Track, face: Face) -> None:
         self.track, self.face = track, face
         self._rows = np.zeros(0, dtype=np.int64)
-        self._near = face.nearest(np.zeros((0, 3)), TIED)
+        self._near = face.nearest(np.zeros((0, 3)), TOUCHED_WITHIN)
 
     def near(self, rows: IntArray) -> Nearest:
-        """At ``rows`` (K,) of the track, ascending; ties within `TIED`."""
+        """At ``rows`` (K,) of the track, ascending; ties within `TOUCHED_WITHIN`."""
         fresh = np.setdiff1d(rows, self._rows)
         if len(fresh):
             known = np.concatenate([self._rows, fresh])
             order = np.argsort(known)
-            found = self.face.nearest(self.track.centre[fresh, 0], TIED)
+            found = self.face.nearest(self.track.centre[fresh, 0], TOUCHED_WITHIN)
             self._rows, self._near = known[order], self._near.followed_by(found).at(order)
         return self._near.at(np.searchsorted(self._rows, rows))
 
@@ -230,7 +234,7 @@ class Formed:
         return self.balls.near(self.knots)
 
     @cached_property
-    def left(self) -> Face:
+    def remaining_face(self) -> Face:
         """The face as the ball leaves it where it reaches no nearer: with fillets of its own radius."""
         return left_by(self.face, self.claim.radius, self.claim.side, self.claim.start)
 
@@ -279,7 +283,7 @@ def _meetings(context: Context, way: Track) -> IntArray:
     return rows[way.own[rows]]
 
 
-TIED = 5e-6
+TOUCHED_WITHIN = 5e-6
 """Places of a face that are so near to the nearest one [m] are touched as well: facets are chords."""
 
 

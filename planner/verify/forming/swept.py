@@ -25,9 +25,12 @@ from planner.verify.wire.cut_surface import areas, divided, vertex_normals
 
 SAME_LEVEL = 1e-5
 """Triangles all of whose corners are so near to a level [m] are flat there."""
-_SAMPLES = 40_000
-_STEP = 0.002
+_WALL_SAMPLES = 40_000
+"""Places of the walls that are asked, about, at least."""
+_WALL_STEP = 0.002
+"""Largest size [m] of the triangles and pieces of a way that stand for places."""
 _NEIGHBOURS = 16
+"""Pieces of a way with the nearest middles to a point, of which the nearest is taken."""
 
 
 def envelope(one: Formed) -> CutFace:
@@ -37,7 +40,7 @@ def envelope(one: Formed) -> CutFace:
     claim = one.claim
     rows = np.flatnonzero(_walls(claim))
     walls = claim.vertices[claim.faces[rows]]
-    size = min(_STEP, float(np.sqrt(areas(walls).sum() / _SAMPLES)) * 2.0)
+    size = min(_WALL_STEP, float(np.sqrt(areas(walls).sum() / _WALL_SAMPLES)) * 2.0)
     parts, owner = divided(walls, max(size, 1e-4))
     area = areas(parts)
     points = parts.mean(axis=1)
@@ -101,7 +104,7 @@ def swept(one: Formed, points: FloatArray) -> FloatArray:
     start, end = one.track.centre[one.pieces.first[use], 0], one.track.centre[one.pieces.last[use], 0]
     if not len(start):
         return np.full(len(points), np.inf)
-    count = np.maximum(np.ceil(np.linalg.norm(end - start, axis=1) / _STEP).astype(np.int64), 1)
+    count = np.maximum(np.ceil(np.linalg.norm(end - start, axis=1) / _WALL_STEP).astype(np.int64), 1)
     which = np.repeat(np.arange(len(start)), count)
     step = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / count[which]
     way = end - start
@@ -118,7 +121,8 @@ def swept(one: Formed, points: FloatArray) -> FloatArray:
     return best
 
 
-_CHUNK = 10_000
+_SEGMENTS_AT_ONCE = 10_000
+"""Segments that are worked on at once."""
 
 
 def levels(one: Formed) -> FloatArray:
@@ -138,7 +142,7 @@ def least(
     """How near (K,) [m] straight ways from ``start`` to ``end`` (K, 3), ends included, come to what of a face
     is at ``level`` (K,) [m] or higher toward ``side``; infinite where it is ``need`` (K,) or more."""
     out = np.full(len(start), np.inf)
-    for rows in np.array_split(np.arange(len(start)), max(1, len(start) // _CHUNK)):
+    for rows in np.array_split(np.arange(len(start)), max(1, len(start) // _SEGMENTS_AT_ONCE)):
         if not len(rows):
             continue
         which, triangle = face.near_ways(start[rows], end[rows], need[rows])
@@ -184,12 +188,14 @@ def _above(corners: FloatArray, side: int, level: FloatArray) -> tuple[IntArray,
     return np.concatenate([whole, two, two, one]), np.concatenate(parts)
 
 
-LOOKED = 0.001
+LOOK_STEP = 0.001
 """Where bounds do not settle it, tools are looked at at least whenever they have moved half as far [m]."""
 BOUND_SHARE = 0.02
 """Bounds by the nearest place may be too near by this share."""
-_BLOCK = 128
-_QUERIES = 2000
+_BLOCK_SAMPLES = 128
+"""Samples of a way that are bounded as one."""
+_QUERIES_AT_ONCE = 2000
+"""Samples that are asked for their distance at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,10 +217,10 @@ class HeadWay:
     @staticmethod
     def of(centre: FloatArray, axis: FloatArray, rise: FloatArray, back: float) -> HeadWay:
         """Of rows (T, ...), those between which nothing up to ``back`` [m] behind the TCP goes farther than
-        half of ``LOOKED``, or single steps that are longer."""
+        half of ``LOOK_STEP``, or single steps that are longer."""
         slide = np.concatenate([[0.0], np.cumsum(lengths(np.diff(centre, axis=0)) + np.abs(np.diff(rise)))])
         turn = np.concatenate([[0.0], np.cumsum(lengths(np.diff(axis, axis=0)))])
-        number = np.floor((slide + back * turn) / (0.5 * LOOKED))
+        number = np.floor((slide + back * turn) / (0.5 * LOOK_STEP))
         rows = np.flatnonzero(np.diff(number, prepend=-1.0, append=np.inf)[:-1] != 0)
         return HeadWay(rows, centre[rows], axis[rows], rise[rows], slide[rows], turn[rows])
 
@@ -271,7 +277,7 @@ class Head:
             open_ = _near(tree, way, back, size - need)
             open_ = open_[way.past(open_, back, size, height) - self.back[0] > need]
             looked[open_] = True
-            for rows in np.array_split(open_, max(1, len(open_) // _QUERIES)):
+            for rows in np.array_split(open_, max(1, len(open_) // _QUERIES_AT_ONCE)):
                 if not len(rows):
                     continue
                 found = np.atleast_1d(
@@ -327,8 +333,8 @@ def _near(tree: cKDTree, way: HeadWay, back: float, size: float) -> IntArray:
     so near that there is a point at all of it."""
     count = len(way.rows)
     gone = way.slide + abs(back) * way.turn
-    first = np.arange(0, count, _BLOCK)
-    last = np.minimum(first + _BLOCK, count) - 1
+    first = np.arange(0, count, _BLOCK_SAMPLES)
+    last = np.minimum(first + _BLOCK_SAMPLES, count) - 1
     mark = np.zeros(count + 1, dtype=np.int64)
     while len(first):
         look = (first + last) // 2
@@ -339,7 +345,7 @@ def _near(tree: cKDTree, way: HeadWay, back: float, size: float) -> IntArray:
         bound = (1.0 + BOUND_SHARE) * most + 1e-9
         far = np.asarray(tree.query(way.places(look, back), eps=BOUND_SHARE, distance_upper_bound=bound)[0])
         open_ = far < (1.0 + BOUND_SHARE) * reach
-        small = open_ & ((far + step <= size) | (gone[last] - gone[first] <= LOOKED) | (last == first))
+        small = open_ & ((far + step <= size) | (gone[last] - gone[first] <= LOOK_STEP) | (last == first))
         np.add.at(mark, first[small], 1)
         np.add.at(mark, last[small] + 1, -1)
         split = open_ & ~small

@@ -16,10 +16,10 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.verify.krl.panel import Panel, PanelError
 from planner.verify.krl.syntax_tree import (
-    AXES,
-    CHOICES,
-    FRAMES,
-    MOVING,
+    AXIS_SPEEDS,
+    CHOICE_SETTINGS,
+    FRAME_SETTINGS,
+    MOTION_SETTINGS,
     SPLINE_MOVE,
     Call,
     DataList,
@@ -61,23 +61,28 @@ from planner.verify.programs.steps import (
 )
 
 MAX_CALLS = 10
-WORK = 100_000
+"""Programs that call each other may be so deep."""
+MOST_STATEMENTS = 100_000
 """Statements that may run more than once; programs call each other seldom."""
-MAIN = "main"
+MAIN_PROCEDURE = "main"
 """What the procedure of the main program is called in steps: its own name is the problem's."""
-_BLOCK = "l_block_"
+_BLOCK_LOAD = "l_block_"
 """How the loads of a tool together with a block are called."""
-_FINE = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_THROUGH = Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_EXACT_STOP = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""At a point without an approximation: the arm stops there."""
+_FLY_BY = Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """At a point of a spline block: the arm goes through it without a stop."""
-_STILL = np.zeros(6)
-_HEAD = (
+_NO_AXES = np.zeros(6)
+"""Values of external axes, of which there are none."""
+_PRELUDE = (
     (False, "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )"),
     (True, "INTERRUPT ON 3 behind it"),
     (Start, "BAS(#INITMOV,0) behind it"),
 )
-_BEGINS = "stop reactions and settings need"
-_ANY = 1.0
+"""What the main program begins with, and how faults name it."""
+_PRELUDE_REASON = "stop reactions and settings need"
+"""Why they are needed, for faults."""
+_UNBOUNDED = 1.0
 """A length [m] that is no bound: for a corner that the angle alone decides."""
 
 
@@ -118,10 +123,10 @@ class Runner:
         self.carried = ""
         self.load_line = 0
         self.program: Program
-        self.procedure = MAIN
+        self.procedure = MAIN_PROCEDURE
         self.depth = 0
         self.started = False
-        self.work = WORK + sum(len(program.body) for program in programs.values())
+        self.work = MOST_STATEMENTS + sum(len(program.body) for program in programs.values())
         self._open: list[str] = []
 
     def run(self, main: Program) -> tuple[Step, ...]:
@@ -130,10 +135,10 @@ class Runner:
         self.entered.add(main.name.lower())
         self._open.append(main.name.lower())
         head = [s for s in main.body if not isinstance(s, Said)][:3]
-        for wanted, s in itertools.zip_longest(_HEAD, head):
+        for wanted, s in itertools.zip_longest(_PRELUDE, head):
             part = s.on if isinstance(s, StopInterrupt) else type(s)
             if part != wanted[0]:
-                what = f"the main program does not begin with {wanted[1]}, as {_BEGINS}"
+                what = f"the main program does not begin with {wanted[1]}, as {_PRELUDE_REASON}"
                 self._fail(s.line if s else 1, what)
         self._block(main.body)
         return tuple(self.steps)
@@ -242,7 +247,7 @@ class Runner:
         self._open.append(name)
         self.program, self.depth = program, self.depth + 1
         if program.moves:
-            for setting in MOVING:  # each file with moves states its own
+            for setting in MOTION_SETTINGS:  # each file with moves states its own
                 self.settings.pop(setting, None)
         self._block(program.body)
         self._open.pop()
@@ -251,14 +256,14 @@ class Runner:
     # ---- settings ----
 
     def _set(self, line: int, name: str, value: float | str) -> None:
-        where = "a file with moves" if name in MOVING else "the main program"
-        wrong = (name in MOVING) != (self.depth > 0)
+        where = "a file with moves" if name in MOTION_SETTINGS else "the main program"
+        wrong = (name in MOTION_SETTINGS) != (self.depth > 0)
         self._misplaced(line, wrong, f"{name.upper()} is set elsewhere than in {where}")
-        if name in CHOICES:
+        if name in CHOICE_SETTINGS:
             where_ = (self.program.file.rpartition("/")[2], self.procedure, line, "")
             self.steps.append(SettingStep(*where_, name.upper(), (), ()))
-        if name in FRAMES:
-            kind = FRAMES[name]
+        if name in FRAME_SETTINGS:
+            kind = FRAME_SETTINGS[name]
             item = self.data.items.get(str(value))
             if item is None or item.kind != kind:
                 self._fail(line, f"{value} is no {kind.upper()} of the data list")
@@ -274,7 +279,7 @@ class Runner:
             self._fail(line, f"{missing[0].upper()} is not set before this move; set it")
 
     def _tool(self, line: int) -> tuple[Tool, str]:
-        self._needed(line, ("$tool", "$load", *CHOICES))
+        self._needed(line, ("$tool", "$load", *CHOICE_SETTINGS))
         name = str(self.settings["$tool"])
         if name not in self.tools:
             own = self.data.items.get(_own_load(name))
@@ -299,7 +304,7 @@ class Runner:
         carried = "" if load == _own_load(tool) else load
         if carried == self.carried:
             return
-        if carried and not carried.startswith(_BLOCK):
+        if carried and not carried.startswith(_BLOCK_LOAD):
             self._fail(self.load_line, f"{load} is neither the load of {tool} nor one of it with a block")
         mine, _ = self._tool(line)
         whole: Load = self.data.items[load].value
@@ -317,11 +322,11 @@ class Runner:
         item = self.data.items.get(name)
         if item is None or item.kind not in ("e6axis", "e6pos"):
             self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
-        self._needed(line, AXES)
-        share = tuple(float(self.settings[axis]) / 100.0 for axis in AXES)
+        self._needed(line, AXIS_SPEEDS)
+        share = tuple(float(self.settings[axis]) / 100.0 for axis in AXIS_SPEEDS)
         speed = Speed(math.inf, math.inf, 0.0, 0.0, share)
         target: JointTarget | StatusTarget = item.value
-        self._move(line, "PTP", target, item.name, None, speed, _FINE, "")
+        self._move(line, "PTP", target, item.name, None, speed, _EXACT_STOP, "")
         self.here = None
         if isinstance(target, StatusTarget):
             x, y, z = (1e3 * target.position).tolist()
@@ -331,9 +336,9 @@ class Runner:
     def _straight(self, move: Straight) -> None:
         line = move.line
         here = self._begins(line, move.word)
-        self._needed(line, tuple(MOVING))
+        self._needed(line, tuple(MOTION_SETTINGS))
         speed, way, turn, there = self._paced(line, here, move.place)
-        target = RobTarget(1e-3 * np.array(there.position), np.array(there.quaternion), None, _STILL)
+        target = RobTarget(1e-3 * np.array(there.position), np.array(there.quaternion), None, _NO_AXES)
         zone, name = self._zone(move.corner)
         time = max(way / speed.tcp, turn / speed.turn)
         self._move(line, move.word, target, "", time, speed, zone, name)
@@ -343,7 +348,7 @@ class Runner:
         """The points of a spline block as moves: each takes its share of the block's time, and only the last
         one ends in a stop."""
         self._begins(block.line, "SPLINE")
-        self._needed(block.line, tuple(MOVING))
+        self._needed(block.line, tuple(MOTION_SETTINGS))
         last = next((step for step in reversed(self.steps) if isinstance(step, MoveStep)), None)
         if last is None or not last.zone.fine:
             self._fail(block.line, "SPLINE does not begin at an exact stop; the move before it must be one")
@@ -354,8 +359,10 @@ class Runner:
             elif isinstance(item, Point) and self.here is not None:
                 left -= 1
                 speed, _, _, there = self._paced(item.line, self.here, item.place)
-                target = RobTarget(1e-3 * np.array(there.position), np.array(there.quaternion), None, _STILL)
-                zone, name = (_THROUGH, SPLINE_MOVE) if left else (_FINE, "")
+                target = RobTarget(
+                    1e-3 * np.array(there.position), np.array(there.quaternion), None, _NO_AXES
+                )
+                zone, name = (_FLY_BY, SPLINE_MOVE) if left else (_EXACT_STOP, "")
                 seconds = item.part * block.seconds
                 self._move(item.line, SPLINE_MOVE, target, "", seconds, speed, zone, name)
                 self.here = there
@@ -386,9 +393,11 @@ class Runner:
         """A wait in a file with moves: the arm's part of a move in which it stands still."""
         if self.here is None:
             self._fail(line, "WAIT SEC stands for a move, but the arm is at no pose of this $BASE and $TOOL")
-        target = RobTarget(1e-3 * np.array(self.here.position), np.array(self.here.quaternion), None, _STILL)
+        target = RobTarget(
+            1e-3 * np.array(self.here.position), np.array(self.here.quaternion), None, _NO_AXES
+        )
         speed = Speed(1.0, 1.0, 0.0, 0.0)
-        self._move(line, "WAIT SEC", target, "", seconds, speed, _FINE, "")
+        self._move(line, "WAIT SEC", target, "", seconds, speed, _EXACT_STOP, "")
 
     def _move(
         self,
@@ -414,12 +423,12 @@ class Runner:
 
     def _zone(self, corner: str) -> tuple[Zone, str]:
         if not corner:
-            return _FINE, ""
+            return _EXACT_STOP, ""
         way, angle = 1e-3 * float(self.settings["$apo.cdis"]), math.radians(float(self.settings["$apo.cori"]))
         if corner == "C_DIS":
             angle = math.pi
         if corner == "C_ORI":
-            way = _ANY
+            way = _UNBOUNDED
         return Zone(False, way, 0.0, 0.0, angle, 0.0, 0.0), corner
 
 

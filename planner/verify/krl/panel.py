@@ -35,7 +35,8 @@ from planner.verify.krl.syntax_tree import (
 from planner.verify.krl.values import KrlValueError
 from planner.verify.programs.steps import letters
 
-_PLC = "in automatic external a PLC that starts the program again answers it"
+_EXTERNAL_REASON = "in automatic external a PLC that starts the program again answers it"
+"""What speaks against questions in automatic external."""
 
 
 class PanelError(Exception):
@@ -81,7 +82,9 @@ class Panel:
         if self._reading and not isinstance(statement, Dialog):
             raise PanelError("a text that is to be read before a question, and no question follows")
         if self._open and not isinstance(statement, NotExternal):
-            raise PanelError(f"HALT is no question by itself: {_PLC}; refuse that mode right behind it")
+            raise PanelError(
+                f"HALT is no question by itself: {_EXTERNAL_REASON}; refuse that mode right behind it"
+            )
         if self._shown and depth == 0 and not isinstance(statement, Listen | Call | Cleared):
             raise PanelError(f"the panel says {self._shown!r} here, which is not so")
 
@@ -153,10 +156,10 @@ class Panel:
         """A question of krc2; in krc4 the stop in which the program of another arm is started."""
         self._main(depth, "HALT")
         if self.dialect == "krc4":
-            calls = (letters(dialogue.START_PARTNER.say(other=arm)) for arm in self.others)
+            calls = (letters(dialogue.START_PARTNER.filled(other=arm)) for arm in self.others)
             if self._told in calls:
                 return None
-            raise PanelError(f"HALT is no question: {_PLC}; ask by a dialog")
+            raise PanelError(f"HALT is no question: {_EXTERNAL_REASON}; ask by a dialog")
         if not self._question:
             raise PanelError("HALT without a question (;?) above it")
         if not self._external:
@@ -178,7 +181,7 @@ class Panel:
 
     def _state(self, text: str) -> Message:
         forms = (dialogue.WAITING, dialogue.TOGETHER)
-        known = [form.say(arm=arm) for arm in self.others for form in forms]
+        known = [form.filled(arm=arm) for arm in self.others for form in forms]
         if text not in known:
             wanted = " or ".join(map(repr, known)) or "nothing"
             raise PanelError(f"the panel says {text!r} while it waits; wanted: {wanted}")
@@ -187,18 +190,18 @@ class Panel:
 
     def _listens(self, depth: int) -> None:
         forms = (dialogue.TOGETHER,) if depth else (dialogue.WAITING,)
-        if self._shown not in [form.say(arm=arm) for arm in self.others for form in forms]:
+        if self._shown not in [form.filled(arm=arm) for arm in self.others for form in forms]:
             raise PanelError("the program waits for the other arm, and the panel does not say so")
         self._waited = True
 
     def _foot(self, shift: float, turn: float, text: str) -> None:
-        wanted = dialogue.FOOT.say(arm=self.arm) if self.dialect == "krc4" else ""
+        wanted = dialogue.FOOT.filled(arm=self.arm) if self.dialect == "krc4" else ""
         if text != wanted:
             raise PanelError(f"$ROBROOT is looked at with the text {text!r}; wanted: {wanted!r}")
         if text and not self._prepared:
             raise PanelError("a message, and tm_opt is not set before")
-        if shift > syntax_tree.FOOT_SHIFT or turn > syntax_tree.FOOT_TURN:
-            allowed = f"{syntax_tree.FOOT_SHIFT:g} mm and {syntax_tree.FOOT_TURN:g} deg"
+        if shift > syntax_tree.FOOT_SHIFT_MM or turn > syntax_tree.FOOT_TURN_DEG:
+            allowed = f"{syntax_tree.FOOT_SHIFT_MM:g} mm and {syntax_tree.FOOT_TURN_DEG:g} deg"
             raise PanelError(f"$ROBROOT may be off by {shift:g} mm and {turn:g} deg; allowed: {allowed}")
         self.looked = True
 
@@ -207,7 +210,9 @@ Found = Sequence[re.Match[str]]
 TEXT_LENGTH = 80
 """Characters of a message's text."""
 _PARAMETER = re.compile(r"%\d")
-_PLACES = {"<text>": r'"([^"]*)"', "<number>": r"(\d+(?:\.\d+)?)", "<whole>": r"\d+"}
+"""Place of a parameter in a message's text."""
+_PLACEHOLDERS = {"<text>": r'"([^"]*)"', "<number>": r"(\d+(?:\.\d+)?)", "<whole>": r"\d+"}
+"""What stands for figures and texts in the forms below, as patterns."""
 
 VARIABLES = {
     "krc4": {
@@ -244,7 +249,7 @@ def _row(code: str) -> re.Pattern[str]:
     for before, word in zip(["", *words], words, strict=False):
         if before and "." not in (before, word):
             out += r"\s+" if re.match(r"[\w$#]", word) and re.search(r"\w$", before) else r"\s*"
-        out += _PLACES.get(word, re.escape(word))
+        out += _PLACEHOLDERS.get(word, re.escape(word))
     return re.compile(out, re.IGNORECASE | re.ASCII)
 
 
@@ -262,12 +267,14 @@ def _text(text: str) -> str:
     return text
 
 
-_LOOKED = (
+_FOOT_VALUES = (
     "tm_shift=SQRT($ROBROOT.X*$ROBROOT.X+$ROBROOT.Y*$ROBROOT.Y+$ROBROOT.Z*$ROBROOT.Z)",
     "tm_turn=ABS($ROBROOT.A)+ABS($ROBROOT.B)+ABS($ROBROOT.C)",
 )
-_AWAY = "WHILE (tm_shift><number>) OR (tm_turn><number>)"
-_SHOWN = (
+"""Statements that work out how far $ROBROOT is off zero."""
+_FOOT_LOOP = "WHILE (tm_shift><number>) OR (tm_turn><number>)"
+"""The loop that goes on while it is."""
+_FOOT_MESSAGE = (
     "tm_par[1].Par_Type=#VALUE",
     "tm_par[1].Par_Real=tm_shift",
     "tm_par[2].Par_Type=#VALUE",
@@ -275,6 +282,7 @@ _SHOWN = (
     'tm_msg={Modul[] "Tandem",Nr <whole>,Msg_txt[] <text>}',
     "tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)",
 )
+"""Statements that show it."""
 _AFTER = ("tm_par[1].Par_Type=#EMPTY", "tm_par[2].Par_Type=#EMPTY")
 
 
@@ -286,7 +294,7 @@ def _dialog(line: int, found: Found) -> Statement:
     return Dialog(line, _text(found[2][1]), yes)
 
 
-_ASKED = _rows(
+_QUESTION = _rows(
     "tm_answer=0",
     "WHILE tm_answer<>1",
     'tm_msg={Modul[] "Tandem",Nr <whole>,Msg_txt[] <text>}',
@@ -299,22 +307,25 @@ _ASKED = _rows(
     "WAIT SEC 0.1",
     "ENDWHILE",
 )
-_KEY = re.compile(
+"""Statements that ask a question until it is answered."""
+_FIRST_KEY = re.compile(
     r'tm_key\s*\[\s*1\s*\]\s*=\s*\{\s*SK_type\s+#VALUE\s*,\s*SK_txt\s*\[\s*\]\s*"(Yes|Next|Read)"\s*\}',
     re.IGNORECASE | re.ASCII,
 )
-_OTHER_KEY = re.compile(
+"""The soft key that answers."""
+_SECOND_KEY = re.compile(
     r"tm_key\s*\[\s*2\s*\]\s*=\s*"
     r'\{\s*SK_type\s+(?:#EMPTY|#VALUE\s*,\s*SK_txt\s*\[\s*\]\s*"(No)")\s*\}',
     re.IGNORECASE | re.ASCII,
 )
+"""The other soft key: of a second answer, or empty."""
 
 
 def _foot(line: int, found: Found, text: str) -> Statement:
     return Foot(line, float(found[2][1]), float(found[2][2]), text)
 
 
-FORMS: tuple[Form, ...] = (
+PANEL_FORMS: tuple[Form, ...] = (
     Form(
         "the interrupt of stop messages",
         _rows("GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM()"),
@@ -328,7 +339,7 @@ FORMS: tuple[Form, ...] = (
         _rows("WHILE $MODE_OP==#EX", "HALT", "ENDWHILE"),
         lambda line, _: NotExternal(line),
     ),
-    Form("a dialog", (*_ASKED[:3], _KEY, _OTHER_KEY, *_ASKED[5:]), _dialog),
+    Form("a dialog", (*_QUESTION[:3], _FIRST_KEY, _SECOND_KEY, *_QUESTION[5:]), _dialog),
     Form(
         "the options of messages",
         _rows(
@@ -359,12 +370,12 @@ FORMS: tuple[Form, ...] = (
     ),
     Form(
         "the look at $ROBROOT",
-        _rows(*_LOOKED, _AWAY, "HALT", *_LOOKED, "ENDWHILE"),
+        _rows(*_FOOT_VALUES, _FOOT_LOOP, "HALT", *_FOOT_VALUES, "ENDWHILE"),
         lambda line, found: _foot(line, found, ""),
     ),
     Form(
         "the look at $ROBROOT",
-        _rows(*_LOOKED, _AWAY, *_SHOWN, "HALT", *_LOOKED, "ENDWHILE", *_AFTER),
+        _rows(*_FOOT_VALUES, _FOOT_LOOP, *_FOOT_MESSAGE, "HALT", *_FOOT_VALUES, "ENDWHILE", *_AFTER),
         lambda line, found: _foot(line, found, found[7][1]),
     ),
 )

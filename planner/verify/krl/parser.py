@@ -9,13 +9,13 @@ import re
 from collections.abc import Callable, Iterator
 
 from planner.verify.krl import values
-from planner.verify.krl.panel import FORMS, Form, variables
+from planner.verify.krl.panel import PANEL_FORMS, Form, variables
 from planner.verify.krl.syntax_tree import (
-    CHOICES,
-    FRAMES,
+    CHOICE_SETTINGS,
+    FRAME_SETTINGS,
     LINE_LENGTH,
     NAME_LENGTH,
-    NUMBERS,
+    NUMBER_SETTINGS,
     RESERVED,
     Call,
     Data,
@@ -36,10 +36,14 @@ from planner.verify.krl.values import UNSIGNED, KrlValueError
 from planner.verify.programs.steps import Fault, singles
 
 _NAME = r"[A-Za-z_]\w*"
-_PLAIN = r"(-?\d{1,9}\.\d{1,20})"
-_TARGET = ",".join(f"{name} {_PLAIN}" for name in "XYZABC")
-_QUICK = re.compile(rf"(S?LIN) \{{{_TARGET}\}}(?: (C_(?:SPL|DIS|ORI)))?", re.ASCII)
-_STRAIGHT = re.compile(r"(S?LIN)\s*(\{.*\})\s*(C_SPL|C_DIS|C_ORI)?", re.IGNORECASE | re.ASCII)
+_DECIMAL = r"(-?\d{1,9}\.\d{1,20})"
+"""A number with decimals."""
+_POSE = ",".join(f"{name} {_DECIMAL}" for name in "XYZABC")
+"""The six figures of a target."""
+_QUICK_MOVE = re.compile(rf"(S?LIN) \{{{_POSE}\}}(?: (C_(?:SPL|DIS|ORI)))?", re.ASCII)
+"""A straight move as programs have thousands of."""
+_STRAIGHT_MOVE = re.compile(r"(S?LIN)\s*(\{.*\})\s*(C_SPL|C_DIS|C_ORI)?", re.IGNORECASE | re.ASCII)
+"""Any straight move."""
 _SET = re.compile(r"(\$[\w.]+(?:\[\d+\])?)\s*=\s*(#?[\w+.][\w.+-]*)", re.IGNORECASE | re.ASCII)
 _NUMBER = re.compile(rf"\+?{UNSIGNED}", re.ASCII)
 _OUT = re.compile(r"\$OUT\[(\d{1,4})\]\s*=\s*(TRUE|FALSE)", re.IGNORECASE | re.ASCII)
@@ -57,7 +61,7 @@ _DECL = re.compile(
 )
 _CHAR = re.compile(rf"DECL\s+CHAR\s+({_NAME})\[(\d{{1,3}})\]", re.IGNORECASE | re.ASCII)
 _TEXT = re.compile(rf'({_NAME})\[\s*\]\s*=\s*"([^"]*)"', re.ASCII)
-_HEAD = {
+_FILE_HEAD = {
     "ACCESS": re.compile(r"R?V?[PO]?\d{0,2}", re.ASCII),
     "REL": re.compile(r"\d{1,9}", re.ASCII),
     "COMMENT": re.compile(r".*"),
@@ -69,7 +73,7 @@ _LONGEST_LINE = 10 * LINE_LENGTH
 _SEGMENT = re.compile(r"Segment (\S[^:]*):", re.ASCII)
 
 # the guarded wait, statement by statement
-_GUARD = (
+_WAIT_GUARD = (
     re.compile(r"\$TIMER\[1\]=0", re.IGNORECASE),
     re.compile(r"\$TIMER_STOP\[1\]=FALSE", re.IGNORECASE),
     re.compile(r"WHILE \$IN\[(\d{1,4})\]==(TRUE|FALSE)", re.IGNORECASE | re.ASCII),
@@ -81,7 +85,9 @@ _GUARD = (
     re.compile(r"ENDWHILE", re.IGNORECASE),
     re.compile(r"\$TIMER_STOP\[1\]=TRUE", re.IGNORECASE),
 )
-_LONGEST_WAIT = 2**31 - 1
+"""Lines of a wait for an input that may last so long only."""
+_LONGEST_WAIT_MS = 2**31 - 1
+"""Longest such wait [ms]: the largest whole number."""
 
 
 def without_comments(text: str) -> list[str]:
@@ -133,7 +139,7 @@ class Reader:
                 if row and not row.startswith(";"):
                     self.fault(line, "syntax", f"{_shown(row)} stands behind END")
                 continue
-            quick = _QUICK.fullmatch(row)
+            quick = _QUICK_MOVE.fullmatch(row)
             if quick is not None:
                 word, *place, corner = quick.groups()
                 x, y, z, a, b, c = (singles(place) + 0.0).tolist()
@@ -165,11 +171,11 @@ class Reader:
         return None if name is None else Program(self.file, name, *parts)
 
     def _statement(self, line: int, code: str) -> Statement | None:
-        if _GUARD[0].fullmatch(code):
+        if _WAIT_GUARD[0].fullmatch(code):
             return self._listen(line)
-        if values.OPENS.fullmatch(code):
+        if values.SPLINE_START.fullmatch(code):
             return self._spline(line)
-        for pattern, make in _FORMS:
+        for pattern, make in _STATEMENTS:
             found = pattern.fullmatch(code)
             if found is None:
                 continue
@@ -178,7 +184,7 @@ class Reader:
             except KrlValueError as wrong:
                 self.fault(line, wrong.kind, wrong.message)
                 return None
-        if forms := [form for form in FORMS if form.rows[0].fullmatch(code)]:
+        if forms := [form for form in PANEL_FORMS if form.rows[0].fullmatch(code)]:
             return self._form(line, forms)
         self.fault(line, "syntax", f"{_shown(code)}: no statement of the programs that are understood")
         return None
@@ -225,7 +231,7 @@ class Reader:
     def _listen(self, line: int) -> Statement | None:
         """The guarded wait, whose first statement has been read."""
         found: list[re.Match[str]] = []
-        for pattern in _GUARD[1:]:
+        for pattern in _WAIT_GUARD[1:]:
             while self.at < len(self.rows) and (self.rows[self.at].strip() or ";").startswith(";"):
                 self.at += 1
             code = parted(self.rows[self.at].strip())[0] if self.at < len(self.rows) else ""
@@ -239,8 +245,8 @@ class Reader:
         self._quiet(line, self.at, "a guarded wait")
         number, level = int(found[1][1]), found[1][2].upper() == "FALSE"
         limit = int(found[2][1])
-        if not 0 < limit <= _LONGEST_WAIT:
-            self.fault(line, "type", f"a wait of {limit} ms; allowed: 1 to {_LONGEST_WAIT}")
+        if not 0 < limit <= _LONGEST_WAIT_MS:
+            self.fault(line, "type", f"a wait of {limit} ms; allowed: 1 to {_LONGEST_WAIT_MS}")
         return Listen(line, number, level, limit * 1e-3)
 
     def _spline(self, line: int) -> Statement | None:
@@ -329,7 +335,7 @@ class Reader:
             row = self.rows[self.at].strip()
             self.at += 1
             word, _, rest = row[1:].partition(" ")
-            pattern = _HEAD.get(word.upper())
+            pattern = _FILE_HEAD.get(word.upper())
             if pattern is None or pattern.fullmatch(rest.strip()) is None:
                 self.fault(self.at, "syntax", f"{_shown(row)}: no header line that is understood")
             if word.upper() in found and word.upper() in ("ACCESS", "REL"):
@@ -384,19 +390,19 @@ def _shown(row: str) -> str:
 
 def _set(line: int, found: re.Match[str]) -> Statement:
     name, word = found[1].lower(), found[2].lower()
-    if name in NUMBERS:
-        low, high, whole = NUMBERS[name]
+    if name in NUMBER_SETTINGS:
+        low, high, whole = NUMBER_SETTINGS[name]
         if _NUMBER.fullmatch(word) is None:
             raise KrlValueError("type", f"{found[1]} takes a number; got {word}")
         if not low <= float(word) <= high or (whole and float(word) != int(float(word))):
             kind = "whole numbers" if whole else "numbers"
             raise KrlValueError("type", f"{found[1]} is {word}; allowed: {kind} from {low:g} to {high:g}")
         return Set(line, name, float(word))
-    if name in CHOICES:
-        if word not in CHOICES[name]:
-            raise KrlValueError("type", f"{found[1]} is {word}; allowed: {', '.join(CHOICES[name])}")
+    if name in CHOICE_SETTINGS:
+        if word not in CHOICE_SETTINGS[name]:
+            raise KrlValueError("type", f"{found[1]} is {word}; allowed: {', '.join(CHOICE_SETTINGS[name])}")
         return Set(line, name, word)
-    if name in FRAMES:
+    if name in FRAME_SETTINGS:
         return Set(line, name, word)
     raise KrlValueError("syntax", f"{found[1]} is no setting that these programs may make")
 
@@ -414,13 +420,14 @@ def _output(line: int, found: re.Match[str]) -> Statement:
     return Output(line, int(found[1]), found[2].upper() == "TRUE")
 
 
-_FORMS: tuple[tuple[re.Pattern[str], Callable[[int, re.Match[str]], Statement]], ...] = (
+_STATEMENTS: tuple[tuple[re.Pattern[str], Callable[[int, re.Match[str]], Statement]], ...] = (
     (_OUT, _output),
     (_SET, _set),
-    (_STRAIGHT, _straight),
+    (_STRAIGHT_MOVE, _straight),
     (_PTP, lambda line, found: Joint(line, found[1].lower())),
     (_WAIT, _pause),
     (re.compile(r"BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)", re.IGNORECASE), lambda line, _: Start(line)),
     (re.compile(r"HALT", re.IGNORECASE), lambda line, _: Halt(line)),
     (_CALL, lambda line, found: Call(line, found[1].lower())),
 )
+"""Statements by their form, with what reads them."""

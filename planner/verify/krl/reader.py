@@ -15,7 +15,7 @@ from planner.verify.krl.flow import Runner, Signals
 from planner.verify.krl.panel import VARIABLES, Panel
 from planner.verify.krl.parser import Reader
 from planner.verify.krl.syntax_tree import (
-    FRAMES,
+    FRAME_SETTINGS,
     Call,
     DataList,
     Joint,
@@ -27,7 +27,7 @@ from planner.verify.krl.syntax_tree import (
 )
 from planner.verify.programs.steps import BASE_FRAME, DIGEST, Fault, Step
 
-_WORDS: dict[str, dict[str, tuple[str, ...]]] = {
+_MOVE_WORDS: dict[str, dict[str, tuple[str, ...]]] = {
     "krc4": {"SLIN": ("", "C_SPL")},
     "krc2": {"LIN": ("", "C_DIS", "C_ORI")},
 }
@@ -150,7 +150,7 @@ def _externals(program: Program, text: KrlText, dialect: str) -> Iterator[Fault]
 def _used(statement: Statement, text: KrlText, dialect: str) -> Iterator[tuple[str, str]]:
     """What is wrong with the words and names that a statement uses."""
     if isinstance(statement, Straight):
-        if statement.corner not in _WORDS[dialect].get(statement.word, ()):
+        if statement.corner not in _MOVE_WORDS[dialect].get(statement.word, ()):
             words = f"{statement.word} {statement.corner}".rstrip()
             yield "syntax", f"{words} is not of the dialect {dialect}, which the cell's controller has"
         return
@@ -163,8 +163,8 @@ def _used(statement: Statement, text: KrlText, dialect: str) -> Iterator[tuple[s
     used, wanted = "", tuple[str, ...]()
     if isinstance(statement, Joint):
         used, wanted = statement.name, ("e6axis", "e6pos")
-    elif isinstance(statement, Set) and statement.name in FRAMES:
-        used, wanted = str(statement.value), (FRAMES[statement.name],)
+    elif isinstance(statement, Set) and statement.name in FRAME_SETTINGS:
+        used, wanted = str(statement.value), (FRAME_SETTINGS[statement.name],)
     if not wanted:
         return
     item = None if text.data is None else text.data.items.get(used)

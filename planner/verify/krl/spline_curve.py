@@ -6,9 +6,9 @@ order from one to the next, and what it is at a point depends on two neighbours 
 all of that which keeps the following; nothing of it was seen on a controller.
 
 Poses are taken as six numbers: the TCP's position in the base, and the turn as a rotation vector in the
-tool's axes at the point where the segment begins, by ``LEVER`` [m/rad]. c_k is the step of segment k, which
-has the knot interval g_k. With d_k = c_k / g_k and s_k = d_k - d_(k-1) a curve of the family has on segment
-i, for u from 0 to 1, the quintic Hermite form
+tool's axes at the point where the segment begins, by ``TURN_LEVER`` [m/rad]. c_k is the step of segment k,
+which has the knot interval g_k. With d_k = c_k / g_k and s_k = d_k - d_(k-1) a curve of the family has on
+segment i, for u from 0 to 1, the quintic Hermite form
 
     x(u) = u c_i + g_i (H1(u) (V_i - d_i) + H4(u) (V_(i+1) - d_i)) + g_i^2 (H2(u) A_i + H3(u) A_(i+1))
 
@@ -39,8 +39,8 @@ parts across of V and A, and these are at corners of the family. Along c_i the c
 as much as an interval says; it is then as far off the next segment, within that one's length, as the two
 differ in direction over that way, and off by all of it where none is next. Suprema over u are taken on a
 grid, with more than what lies between its points. Where the curve is along its way is not bounded, for that
-is no other place. Segments turn by TURN at most: what rotation vectors add otherwise than numbers do is of
-the third order of that, and less than what the grid's factor leaves.
+is no other place. Segments turn by MOST_TURN at most: what rotation vectors add otherwise than numbers do is
+of the third order of that, and less than what the grid's factor leaves.
 """
 
 from __future__ import annotations
@@ -54,27 +54,36 @@ import numpy as np
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.rigid import log_rotation
 
-LEVER: Final = 0.1
+TURN_LEVER: Final = 0.1
 """What a turn counts as [m/rad]."""
 OUTER: Final = 0.125
+"""Part of the outer changes of slope in V_i."""
 BENDS: Final = 2.0
+"""Bound of the changes of slope in A_i together."""
 ENDS: Final = 0.5
-TURN: Final = 0.1
+"""Part of the next change of slope in V at an end of a block."""
+MOST_TURN: Final = 0.1
 """Most that a segment may turn [rad]."""
 _GRID: Final = np.linspace(0.0, 1.0, 257)
-_MORE: Final = 1.002
+"""Times of a segment, from 0 to 1, at which curves are bounded."""
+_GRID_FACTOR: Final = 1.002
 """Between grid points a bound may be larger by less than this."""
 _CURVED: Final = 4.0
 """The second derivatives of H1 and H4 are below this, those of H2 and H3 not above 1."""
 
 _U = _GRID
+"""The same, as formulas have it."""
 _H1 = _U - 6 * _U**3 + 8 * _U**4 - 3 * _U**5
+"""Quintic Hermite forms: of the slope at the start,"""
 _H2 = (_U**2 - 3 * _U**3 + 3 * _U**4 - _U**5) / 2
+"""of the second derivative at the start,"""
 _H3 = (_U**3 - 2 * _U**4 + _U**5) / 2
+"""of the second derivative at the end,"""
 _H4 = -4 * _U**3 + 7 * _U**4 - 3 * _U**5
-FORMS: Final = np.stack([_H1, _H4, _H2, _H3])
+"""of the slope at the end."""
+HERMITE_FORMS: Final = np.stack([_H1, _H4, _H2, _H3])
 """(4, G) what V_i, V_(i+1), A_i, A_(i+1) count on the grid."""
-RATES: Final = np.stack(
+HERMITE_RATES: Final = np.stack(
     [
         1 - 18 * _U**2 + 32 * _U**3 - 15 * _U**4,
         -12 * _U**2 + 28 * _U**3 - 15 * _U**4,
@@ -87,9 +96,10 @@ RATES: Final = np.stack(
 
 @dataclasses.dataclass(frozen=True)
 class Bounds:
-    """Of the N segments of a block, for every curve of the family: ``off`` (N,) [m, turns by ``LEVER``] from
-    the straight way, ``way`` (N,) [m] and ``turn`` (N,) [rad] alone of the same, ``speed`` (N,) [m/s] of the
-    TCP, ``change`` (N,) [m/s, turns by ``LEVER``] of all speeds against the mean of the segment."""
+    """Of the N segments of a block, for every curve of the family: ``off`` (N,) [m, turns by ``TURN_LEVER``]
+    from the straight way, ``way`` (N,) [m] and ``turn`` (N,) [rad] alone of the same, ``speed`` (N,) [m/s]
+    of the TCP, ``change`` (N,) [m/s, turns by ``TURN_LEVER``] of all speeds against the mean of the
+    segment."""
 
     off: FloatArray
     way: FloatArray
@@ -111,7 +121,7 @@ def bounds(pose: FloatArray, duration: FloatArray) -> Bounds:
     off, place, turn = _steps_off(step, np.minimum(1.0, by_way), np.maximum(1.0, by_way), missing)
     in_time = _curve(step, ratio, ratio, missing).at_rest(missing)
     tcp = _curve(step[:, :, :3], ratio, ratio, missing).at_rest(missing)
-    return Bounds(off, place, turn / LEVER, tcp.rate() / duration, in_time.change() / duration)
+    return Bounds(off, place, turn / TURN_LEVER, tcp.rate() / duration, in_time.change() / duration)
 
 
 def _steps_off(
@@ -119,7 +129,7 @@ def _steps_off(
 ) -> tuple[FloatArray, ...]:
     """How far (N,) [m] curves are off in all six numbers, by place, and by turn: at the ends with all of V
     and A there, or nothing, whichever is more."""
-    turns = np.linalg.norm(step[:, 2, 3:], axis=1) > LEVER * TURN
+    turns = np.linalg.norm(step[:, 2, 3:], axis=1) > TURN_LEVER * MOST_TURN
     far = turns & ~missing[:, 1:4:2].all(axis=1)
     out = []
     for some in (slice(0, 6), slice(0, 3), slice(3, 6)):
@@ -131,12 +141,12 @@ def _steps_off(
 
 def steps(pose: FloatArray) -> FloatArray:
     """Steps (N, 5, 6) of the two segments before each of N segments, itself, and the two behind it, between
-    poses (N + 1, 4, 4); turns by ``LEVER``; 0 where there is none."""
+    poses (N + 1, 4, 4); turns by ``TURN_LEVER``; 0 where there is none."""
     count = len(pose) - 1
     at = np.clip(np.arange(count)[:, None] + np.arange(-2, 4), 0, count)
     seen = pose[at]
     turn = log_rotation(np.swapaxes(pose[:-1, None, :3, :3], 2, 3) @ seen[..., :3, :3])
-    rows = np.concatenate([seen[..., :3, 3], LEVER * turn], axis=2)
+    rows = np.concatenate([seen[..., :3, 3], TURN_LEVER * turn], axis=2)
     return np.diff(rows, axis=1)
 
 
@@ -172,15 +182,15 @@ class _Curve:
 
     def rate(self) -> FloatArray:
         """The most (N,) [m] that dx/du is."""
-        low, high = self.along(RATES)
+        low, high = self.along(HERMITE_RATES)
         fast = np.maximum(np.abs(1.0 + low), np.abs(1.0 + high)) * self.size[:, None]
-        return np.asarray(_MORE * np.hypot(fast, self.across @ np.abs(RATES)).max(axis=1))
+        return np.asarray(_GRID_FACTOR * np.hypot(fast, self.across @ np.abs(HERMITE_RATES)).max(axis=1))
 
     def change(self) -> FloatArray:
         """The most (N,) [m] by which dx/du differs from the segment's step."""
-        low, high = self.along(RATES)
+        low, high = self.along(HERMITE_RATES)
         fast = np.maximum(np.abs(low), np.abs(high)) * self.size[:, None]
-        return np.asarray(_MORE * np.hypot(fast, self.across @ np.abs(RATES)).max(axis=1))
+        return np.asarray(_GRID_FACTOR * np.hypot(fast, self.across @ np.abs(HERMITE_RATES)).max(axis=1))
 
 
 def _off(curve: _Curve, step: FloatArray, some: slice) -> FloatArray:
@@ -188,8 +198,8 @@ def _off(curve: _Curve, step: FloatArray, some: slice) -> FloatArray:
     (N, 5, D)."""
     size = np.linalg.norm(step, axis=2)
     unit = step / np.maximum(size, 1e-12)[:, :, None]
-    across = _MORE * (curve.across @ np.abs(FORMS)).max(axis=1)
-    low, high = curve.along(FORMS)
+    across = _GRID_FACTOR * (curve.across @ np.abs(HERMITE_FORMS)).max(axis=1)
+    low, high = curve.along(HERMITE_FORMS)
     bent = np.maximum(np.abs(curve.low), np.abs(curve.high)) @ np.array([_CURVED, _CURVED, 1.0, 1.0])
     between = bent * (_U[1] - _U[0]) ** 2 / 8.0
     out = np.zeros(len(step))

@@ -33,26 +33,39 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.geometry.rigid import inverse, to_quaternion
 from planner.verify.krl.syntax_tree import Point, Said, Spline
-from planner.verify.programs.steps import LARGEST, JointTarget, Load, StatusTarget, poses, rotation, single
+from planner.verify.programs.steps import (
+    LARGEST_NUMBER,
+    JointTarget,
+    Load,
+    StatusTarget,
+    poses,
+    rotation,
+    single,
+)
 
 UNSIGNED = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[Ee][+-]?\d+)?"
 """A numeral without its sign, which nothing of a word may follow."""
 _NUMBER = rf"[+-]?{UNSIGNED}(?![\w.])"
+"""A numeral, perhaps with a sign."""
 _BITS = r"'[Bb](?P<bits>[01]{1,8})'"
-_PART = re.compile(
+"""A whole number by its bits."""
+_COMPONENT = re.compile(
     rf"\s*(?P<name>[A-Z]+\d?)\s+(?:(?P<number>{_NUMBER})|{_BITS}|(?P<open>\{{))\s*",
     re.IGNORECASE | re.ASCII,
 )
+"""A component of a structure and its value."""
 
-_PLACE = ("X", "Y", "Z", "A", "B", "C")
-_OUTER = ("E1", "E2", "E3", "E4", "E5", "E6")
-_PARTS: dict[str, tuple[str, ...]] = {
-    "frame": _PLACE,
+_FRAME_PARTS = ("X", "Y", "Z", "A", "B", "C")
+"""Components of a frame."""
+_EXTERNAL_AXES = ("E1", "E2", "E3", "E4", "E5", "E6")
+"""Values of external axes."""
+_COMPONENTS: dict[str, tuple[str, ...]] = {
+    "frame": _FRAME_PARTS,
     "load": ("M", "CM", "J"),
-    "e6pos": (*_PLACE, "S", "T", *_OUTER),
-    "e6axis": ("A1", "A2", "A3", "A4", "A5", "A6", *_OUTER),
+    "e6pos": (*_FRAME_PARTS, "S", "T", *_EXTERNAL_AXES),
+    "e6axis": ("A1", "A2", "A3", "A4", "A5", "A6", *_EXTERNAL_AXES),
 }
-TYPES = tuple(_PARTS)
+"""Components of each structure."""
 
 
 class KrlValueError(Exception):
@@ -72,24 +85,24 @@ def value(kind: str, text: str) -> Any:
     numbers = _read(kind, text)
     match kind:
         case "frame":
-            return pose([numbers[name] for name in _PLACE])
+            return pose([numbers[name] for name in _FRAME_PARTS])
         case "load":
             return _load(numbers)
         case "e6pos":
-            place = [numbers[name] for name in _PLACE]
+            place = [numbers[name] for name in _FRAME_PARTS]
             status, turn = (_bits(name, numbers[name], most) for name, most in (("S", 7), ("T", 63)))
             return StatusTarget(
                 np.array(place[:3]) * 1e-3, np.array(quaternion(*place[3:])), status, turn, _outer(numbers)
             )
         case _:
-            joints = np.radians([numbers[name] for name in _PARTS[kind][:6]])
+            joints = np.radians([numbers[name] for name in _COMPONENTS[kind][:6]])
             return JointTarget(joints, _outer(numbers))
 
 
 def place(text: str) -> tuple[float, float, float, float, float, float]:
     """X, Y, Z [mm], A, B, C [deg] of a target in place, in single precision. Raises `KrlValueError`."""
     numbers = _read("frame", text)
-    x, y, z, a, b, c = (numbers[name] for name in _PLACE)
+    x, y, z, a, b, c = (numbers[name] for name in _FRAME_PARTS)
     return x, y, z, a, b, c
 
 
@@ -125,7 +138,7 @@ def _read(kind: str, text: str) -> dict[str, Any]:
     out: dict[str, Any] = {}
     inside, at = text[1:-1], 0
     while True:
-        found = _PART.match(inside, at)
+        found = _COMPONENT.match(inside, at)
         if found is None:
             raise KrlValueError("syntax", f"{inside[at : at + 20]!r}: a name and a number must stand here")
         name, at = found["name"].upper(), found.end()
@@ -150,8 +163,8 @@ def _read(kind: str, text: str) -> dict[str, Any]:
         if inside[at] != ",":
             raise KrlValueError("syntax", f"{inside[at : at + 20]!r}: a comma must stand here")
         at += 1
-    if tuple(out) != _PARTS[kind]:
-        got, wanted = ",".join(out), ",".join(_PARTS[kind])
+    if tuple(out) != _COMPONENTS[kind]:
+        got, wanted = ",".join(out), ",".join(_COMPONENTS[kind])
         raise KrlValueError("type", f"a {kind.upper()} has {wanted}; got {got}")
     return out
 
@@ -159,7 +172,7 @@ def _read(kind: str, text: str) -> dict[str, Any]:
 def number(name: str, text: str) -> float:
     """The number of a numeral as the controller holds it, in single precision."""
     found = float(text)
-    if not abs(found) < LARGEST:
+    if not abs(found) < LARGEST_NUMBER:
         raise KrlValueError("number", f"{name} {text:.40} is no number that a controller holds")
     return single(found) or 0.0  # controllers write -0.0, too
 
@@ -171,7 +184,7 @@ def _bits(name: str, number: float, most: int) -> int:
 
 
 def _outer(numbers: dict[str, Any]) -> FloatArray:
-    return np.array([numbers[name] for name in _OUTER])
+    return np.array([numbers[name] for name in _EXTERNAL_AXES])
 
 
 def _load(numbers: dict[str, Any]) -> Load:
@@ -190,6 +203,7 @@ def _axes(text: str) -> FloatArray:
 
 
 NO_LOAD = Load(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
+"""The load of a flange without a tool."""
 
 
 def held_load(whole: Load, tool: Load, tcp: FloatArray) -> Load:
@@ -226,14 +240,18 @@ MOST_POINTS: Final = 500
 PARTS_SUM: Final = 1e-4
 """How far the parts may be off 100, or off the seconds at END, as a share."""
 
-_TIME: Final = r"(\d{1,7}(?:\.\d{1,12})?)"
-OPENS: Final = re.compile(r"SPLINE", re.IGNORECASE)
-_SPL: Final = re.compile(r"SPL\s*(\{.*\})", re.IGNORECASE | re.ASCII)
+_SECONDS: Final = r"(\d{1,7}(?:\.\d{1,12})?)"
+"""A time, or a part of one."""
+SPLINE_START: Final = re.compile(r"SPLINE", re.IGNORECASE)
+"""First line of a spline block."""
+_SPLINE_POINT: Final = re.compile(r"SPL\s*(\{.*\})", re.IGNORECASE | re.ASCII)
+"""A point of it."""
 _TIME_START: Final = re.compile(r"TIME_BLOCK\s+START", re.IGNORECASE)
-_TIME_PART: Final = re.compile(rf"TIME_BLOCK\s+PART\s*=\s*{_TIME}", re.IGNORECASE | re.ASCII)
-_TIME_END: Final = re.compile(rf"TIME_BLOCK\s+END\s*=\s*{_TIME}", re.IGNORECASE | re.ASCII)
-_CLOSES: Final = re.compile(r"ENDSPLINE", re.IGNORECASE)
-_WHY: Final = (
+_TIME_PART: Final = re.compile(rf"TIME_BLOCK\s+PART\s*=\s*{_SECONDS}", re.IGNORECASE | re.ASCII)
+_TIME_END: Final = re.compile(rf"TIME_BLOCK\s+END\s*=\s*{_SECONDS}", re.IGNORECASE | re.ASCII)
+_SPLINE_END: Final = re.compile(r"ENDSPLINE", re.IGNORECASE)
+"""Last line of it."""
+_REFUSALS: Final = (
     (r"SPL\b.*\}\s*C_\w+", "no approximation between the points of a block (KSS 2360)"),
     (r"S?(LIN|CIRC|PTP)(_REL)?\b.*", "no other motion than SPL in a block of these programs"),
     (r"\$.*", "no setting and no output inside of a block (KSS 2359)"),
@@ -242,6 +260,7 @@ _WHY: Final = (
     (r"ENDSPLINE\s+C_\w+", "a block ends in an exact stop, without approximation behind ENDSPLINE"),
     (r"SPLINE\b.*", "a block inside of a block"),
 )
+"""Why other lines are refused within a block."""
 
 
 class SplineError(Exception):
@@ -270,13 +289,13 @@ def block(line: int, rows: Iterator[tuple[int, str, list[Said]]]) -> Spline:
             continue
         if _TIME_START.fullmatch(code) and not started and not _points(found):
             started = True
-        elif (spl := _SPL.fullmatch(code)) and started and not pending and seconds is None:
+        elif (spl := _SPLINE_POINT.fullmatch(code)) and started and not pending and seconds is None:
             found.append(Point(last, _place(last, spl[1]), 0.0))
         elif (part := _TIME_PART.fullmatch(code)) and pending and seconds is None:
             parts.append(float(part[1]))
         elif (end := _TIME_END.fullmatch(code)) and parts and not pending and seconds is None:
             seconds = float(end[1])
-        elif _CLOSES.fullmatch(code) and seconds is not None:
+        elif _SPLINE_END.fullmatch(code) and seconds is not None:
             return _made(line, found, parts, seconds)
         else:
             raise SplineError(last, "syntax", f"{_shown(code)}: {_reason(code)}")
@@ -315,7 +334,7 @@ def _place(line: int, text: str) -> tuple[float, float, float, float, float, flo
 
 def _reason(code: str) -> str:
     """Why a statement may not stand where it does."""
-    for pattern, why in _WHY:
+    for pattern, why in _REFUSALS:
         if re.fullmatch(pattern, code, re.IGNORECASE | re.ASCII):
             return why
     return (

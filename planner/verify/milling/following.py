@@ -18,9 +18,9 @@ from planner.geometry.arrays import FloatArray, IntArray
 
 Row = list[float]
 
-LEVER = 0.05
+AXIS_LEVER = 0.05
 """What a turn of the axis by one radian counts as, against ways of the tip [m]."""
-AHEAD = 0.05
+SEARCH_AHEAD = 0.05
 """How far ahead on its way [m] a tool is looked for."""
 
 
@@ -29,7 +29,7 @@ class Followed:
     """Of T samples: how far the tip is ``off`` its way (T,) [m] and the axis ``turn`` (T,) [rad] off the one
     that is wanted there; ``missed``: how many places of the way no sample and no move between two passes.
     ``at`` (T,) [m]: how far along the way each sample is, places being ``along`` (K,) [m], turns with
-    ``LEVER``; it never falls."""
+    ``AXIS_LEVER``; it never falls."""
 
     off: FloatArray
     turn: FloatArray
@@ -73,7 +73,7 @@ def rows_to_check(tip: FloatArray, axis: FloatArray, tolerance: float) -> IntArr
     if len(tip) < 2:
         return np.arange(len(tip))
     ways = np.linalg.norm(np.diff(tip, axis=0), axis=1)
-    ways = np.maximum(ways, LEVER * np.linalg.norm(np.diff(axis, axis=0), axis=1))
+    ways = np.maximum(ways, AXIS_LEVER * np.linalg.norm(np.diff(axis, axis=0), axis=1))
     number = np.floor(np.append(0.0, np.cumsum(ways)) / (2.0 * tolerance))
     # the first sample behind each mark; the last one before it, too, where the next is farther on than that
     marks = np.diff(number)
@@ -82,7 +82,7 @@ def rows_to_check(tip: FloatArray, axis: FloatArray, tolerance: float) -> IntArr
 
 def _step(tip: FloatArray, axis: FloatArray) -> float:
     """Way [m] between two samples, by tip or by lever."""
-    ways = np.linalg.norm(tip[-1] - tip[0]), LEVER * np.linalg.norm(axis[-1] - axis[0])
+    ways = np.linalg.norm(tip[-1] - tip[0]), AXIS_LEVER * np.linalg.norm(axis[-1] - axis[0])
     return float(max(ways))
 
 
@@ -109,7 +109,7 @@ class _Way:
         leant = np.maximum((lean * lean).sum(axis=1), 1e-24)
         angle = 2.0 * np.arcsin(np.clip(0.5 * np.sqrt(leant), 0.0, 1.0))
         # samples come one after the other, and few stretches are looked at for each: plain numbers are faster
-        self.along: Row = np.append(0.0, np.cumsum(np.sqrt(square + LEVER**2 * leant))).tolist()
+        self.along: Row = np.append(0.0, np.cumsum(np.sqrt(square + AXIS_LEVER**2 * leant))).tolist()
         self.places: list[tuple[Row, Row]] = list(zip(claim.tip.tolist(), claim.axis.tolist(), strict=True))
         self.steps: list[Row] = self.step.tolist()
         self.leans: list[Row] = lean.tolist()
@@ -127,7 +127,7 @@ class _Way:
         keeps the tolerances to, or the nearest of those that follow it as long as it keeps them, of equal
         ones the first; where it keeps them to none, the nearest of all."""
         here = self.at(stretch, share)
-        end = bisect_left(self.along, here + AHEAD + 20.0 * self.claim.tolerance)
+        end = bisect_left(self.along, here + SEARCH_AHEAD + 20.0 * self.claim.tolerance)
         end = min(max(end, stretch + 1), len(self.step))
         near = best = self._near(tip, axis, stretch, share)
         for number in range(stretch + 1, end):
@@ -188,7 +188,7 @@ class _Way:
         apart = np.linalg.norm(tip[0] + share[:, None] * way - places, axis=1)
         turned = np.minimum(*(_apart(tip[i], axis[i], places, axes)[1] for i in (0, -1)))
         own = float(_apart(tip[0], axis[0], tip[-1:], axis[-1:])[1][0])
-        allowed = 2.0 * self.claim.turn + own + slack / LEVER
+        allowed = 2.0 * self.claim.turn + own + slack / AXIS_LEVER
         return int(((apart > 2.0 * self.claim.tolerance + slack) | (turned > allowed)).sum())
 
 

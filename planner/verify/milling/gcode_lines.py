@@ -18,14 +18,22 @@ from numpy.typing import NDArray
 from planner.claims.milling import ProgramFile
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 
-COMMENT = re.compile(rb"\([^()\n]*\)|;[^\n]*")
-SLASH = re.compile(rb"^[ \t]*/", re.MULTILINE)
-DELETED = re.compile(rb"^[ \t]*/[^\n]*", re.MULTILINE)
-NUMBERED = re.compile(rb"^O\d+$", re.MULTILINE)
-BLANK = b" \t\v\f\x1c\x1d\x1e\x1f\x85\xa0"
-MARK = ord("%")
-END = ord("\n")
-_UPPER = bytes(range(256)).upper()
+COMMENTS = re.compile(rb"\([^()\n]*\)|;[^\n]*")
+"""Comments: in parentheses, or from a semicolon to the end of the line."""
+SLASHES = re.compile(rb"^[ \t]*/", re.MULTILINE)
+"""Marks of lines that may be left out."""
+SLASHED_LINES = re.compile(rb"^[ \t]*/[^\n]*", re.MULTILINE)
+"""Such lines as wholes."""
+PROGRAM_NUMBERS = re.compile(rb"^O\d+$", re.MULTILINE)
+"""Lines with a program's number."""
+BLANKS = b" \t\v\f\x1c\x1d\x1e\x1f\x85\xa0"
+"""Characters that mean nothing between words."""
+PERCENT = ord("%")
+"""The sign before and behind a program."""
+LINE_FEED = ord("\n")
+"""Ends a line."""
+_CAPITALS = bytes(range(256)).upper()
+"""Table that makes letters capital."""
 
 
 class UnreadableError(ValueError):
@@ -60,32 +68,34 @@ def read(path: Path, block_delete: bool | None) -> Words:
 def words(text: bytes, block_delete: bool | None) -> Words:
     """The words of a text. Raises ``UnreadableError``."""
     text = text.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    slash = SLASH.search(text)
+    slash = SLASHES.search(text)
     if slash is not None:
         if block_delete is None:
             raise UnreadableError(
                 _line(text, slash.end() - 1), "a line with / and no block_delete that says more"
             )
-        text = DELETED.sub(b"", text) if block_delete else SLASH.sub(b"", text)
-    text = COMMENT.sub(b"", text).translate(_UPPER, BLANK)
-    text = NUMBERED.sub(b"", text) + b"\n"
+        text = SLASHED_LINES.sub(b"", text) if block_delete else SLASHES.sub(b"", text)
+    text = COMMENTS.sub(b"", text).translate(_CAPITALS, BLANKS)
+    text = PROGRAM_NUMBERS.sub(b"", text) + b"\n"
     signs = np.frombuffer(text, dtype=np.uint8)
-    number = np.cumsum(signs == END)  # of the lines that are over before a sign, but at the line's own end
-    alone = np.flatnonzero(signs == MARK)
-    edge = np.concatenate([[END], signs, [END]])
+    number = np.cumsum(
+        signs == LINE_FEED
+    )  # of the lines that are over before a sign, but at the line's own end
+    alone = np.flatnonzero(signs == PERCENT)
+    edge = np.concatenate([[LINE_FEED], signs, [LINE_FEED]])
     for at in alone.tolist():
-        if edge[at] != END or edge[at + 2] != END:
+        if edge[at] != LINE_FEED or edge[at + 2] != LINE_FEED:
             raise UnreadableError(int(number[at]) + 1, "% amid a line")
     marks = number[alone] + 1
     if len(alone):
         text = text.replace(b"%", b"")
         signs = np.frombuffer(text, dtype=np.uint8)
-        number = np.cumsum(signs == END)
+        number = np.cumsum(signs == LINE_FEED)
     capital = (signs >= ord("A")) & (signs <= ord("Z"))
     digit = ((signs >= ord("0")) & (signs <= ord("9"))) | np.isin(signs, list(b"+-."))
-    _all(~(capital | digit | (signs == END)), number, "a sign that is no part of a word of G-code")
-    before = np.concatenate([[END], signs[:-1]])
-    _all(digit & (before == END), number, "a number without a letter before it")
+    _all(~(capital | digit | (signs == LINE_FEED)), number, "a sign that is no part of a word of G-code")
+    before = np.concatenate([[LINE_FEED], signs[:-1]])
+    _all(digit & (before == LINE_FEED), number, "a number without a letter before it")
     letters = np.flatnonzero(capital)
     _all(capital & ~np.append(digit[1:], False), number, "a letter without a number behind it")
     line = number[letters] + 1
@@ -118,11 +128,13 @@ def _line(text: bytes, at: int) -> int:
 
 
 INCH = 0.0254
+"""One inch in metres."""
 MILLIMETRE = 1e-3
+"""One millimetre in metres."""
 TENTHS = 10
 """Codes are counted in tenths: G90.1 is 901."""
 
-MODES: Mapping[str, Mapping[int, float]] = {
+MODAL_GROUPS: Mapping[str, Mapping[int, float]] = {
     "motion": {0: 0.0, 10: 1.0, 20: 2.0, 30: 3.0},
     "normal": {170: 2.0, 180: 1.0, 190: 0.0},
     "unit": {200: INCH, 210: MILLIMETRE},
@@ -136,12 +148,15 @@ MODES: Mapping[str, Mapping[int, float]] = {
     "dwell": {40: 0.0},
 }
 """Modal groups of G codes, each code with what it sets."""
-SPINDLE = {30: 1.0, 40: -1.0, 50: 0.0}
-STOPS = (0, 10, 20, 300)
-CHANGE = 60
-OTHERS = {"spindle": tuple(SPINDLE), "stop": STOPS, "change": (CHANGE,)}
+SPINDLE_CODES = {30: 1.0, 40: -1.0, 50: 0.0}
+"""Codes of the spindle, with its way of turning."""
+STOP_CODES = (0, 10, 20, 300)
+"""Codes at which the program stops or ends."""
+CHANGE_CODE = 60
+"""Code of a change of tools."""
+M_CODES = {"spindle": tuple(SPINDLE_CODES), "stop": STOP_CODES, "change": (CHANGE_CODE,)}
 """M codes, in tenths."""
-TAKES_AXES = {"G10", "G28", "G30", "G52", "G53", "G92"}
+CODES_WITH_AXES = {"G10", "G28", "G30", "G52", "G53", "G92"}
 """Codes whose line's axis words are theirs: passed over with them."""
 INVERSE, MINUTE, TURN = 0.0, 1.0, 2.0
 
@@ -188,20 +203,20 @@ def lines(words: Words, stated: ProgramFile) -> Lines:
     rows = row[coded]
     skipped = [_tenths(name) for name in stated.skip]
     passed = np.isin(codes, skipped)
-    with_axes = np.isin(codes, [_tenths(name) for name in TAKES_AXES]) & passed
+    with_axes = np.isin(codes, [_tenths(name) for name in CODES_WITH_AXES]) & passed
     word = _table(words, ~coded, row, count)
     _drop(word, rows[with_axes], "XYZABC")
     _drop(word, rows[passed], "DEHLPQ")
     codes, rows = codes[~passed], rows[~passed]
-    set_by = {name: _group(codes, rows, values, count, numbers) for name, values in MODES.items()}
+    set_by = {name: _group(codes, rows, values, count, numbers) for name, values in MODAL_GROUPS.items()}
     others = {
         name: _group(codes, rows, {100_000 + k: float(k) for k in own}, count, numbers)
-        for name, own in OTHERS.items()
+        for name, own in M_CODES.items()
     }
     _known(codes, rows, numbers)
     first = _stated(stated)
-    mode = {name: held_values(own, first.get(name, np.nan)) for name, own in set_by.items()}
-    speed = held_values(word["S"], np.nan if stated.spindle_rpm is None else stated.spindle_rpm)
+    mode = {name: modal_values(own, first.get(name, np.nan)) for name, own in set_by.items()}
+    speed = modal_values(word["S"], np.nan if stated.spindle_rpm is None else stated.spindle_rpm)
     tool, spindle = _tools(word["T"], others, speed, stated, numbers)
     shifts = np.array([[0.0, 0.0, 0.0], *(shift for _, shift in stated.offsets)]) * MILLIMETRE
     places = {float(name[1:]): k for k, (name, _) in enumerate(stated.offsets, 1)}
@@ -234,7 +249,7 @@ def _dwell(asked: FloatArray, waits: BoolArray, stated: ProgramFile, numbers: In
     return np.asarray(out)
 
 
-def held_values(given: FloatArray, before: float) -> FloatArray:
+def modal_values(given: FloatArray, before: float) -> FloatArray:
     """Values (L,) that stay until another is given; NaN is none, ``before`` the first one."""
     last = np.maximum.accumulate(np.where(np.isnan(given), -1, np.arange(len(given))))
     return np.where(last >= 0, given[np.maximum(last, 0)], before) if len(given) else given
@@ -302,8 +317,8 @@ def _group(
 
 
 def _known(codes: IntArray, rows: IntArray, numbers: IntArray) -> None:
-    known = [code for values in MODES.values() for code in values]
-    known += [100_000 + code for own in OTHERS.values() for code in own]
+    known = [code for values in MODAL_GROUPS.values() for code in values]
+    known += [100_000 + code for own in M_CODES.values() for code in own]
     refuse(~np.isin(codes, known), numbers[rows], "a code that is not known")
 
 
@@ -331,15 +346,15 @@ def _tools(
     spindle as the problem states it."""
     running = 1.0 if stated.spindle_rpm is not None else 0.0
     change = np.isfinite(others["change"])
-    tool = held_values(np.where(change, held_values(asked, np.nan), np.nan), 0.0)
+    tool = modal_values(np.where(change, modal_values(asked, np.nan), np.nan), 0.0)
     before = np.concatenate([[0.0], tool[:-1]])
     other = change & (tool != before)
     if stated.tool is None:
         refuse(other & (before != 0.0), numbers, "another tool, and the problem does not say which is wanted")
     way = np.where(other, running, np.nan)
-    for code, value in SPINDLE.items():
+    for code, value in SPINDLE_CODES.items():
         way = np.where(others["spindle"] == code, value, way)
-    way = held_values(way, running)
+    way = modal_values(way, running)
     return tool, np.where(way == 0.0, 0.0, way * speed)
 
 

@@ -18,8 +18,8 @@ from planner.verify.milling.gcode_lines import (
     TURN,
     Lines,
     UnreadableError,
-    held_values,
     lines,
+    modal_values,
     refuse,
 )
 
@@ -40,18 +40,20 @@ MACHINES: Mapping[str, str] = {
 """Rotations whose product turns z to the tool axis, in the part's frame, as the table in docs/gcode.md has
 them: ``-C+A`` is Rz(-C) Rx(A)."""
 RADIUS_TOLERANCE = 2e-5
+"""How far [m] the radii at both ends of an arc may differ."""
 RADIUS_SHARE = 1e-3
-"""How far the radii at both ends of an arc may differ: [m], or as a share of the radius."""
+"""The same as a share of the radius, where that is more."""
 SAME_PLACE = 1e-9
 """Places nearer to one another than this [m] are one."""
 WIDEST_ARC_PIECE = math.radians(20.0)
-"""Longest piece of an arc."""
+"""Longest piece [rad] of an arc."""
 EVEN_TURN = math.radians(1.5)
-"""Longest turn of a machine's axes that counts as an even turn of the tool: over it the tool is off the
-shortest turn by FINE^2 / 8 at most, 0.005 degrees."""
+"""Longest turn [rad] of a machine's axes that counts as an even turn of the tool: over it the tool is off
+the shortest turn by its square over 8 at most, 0.005 degrees."""
 AXIS_LENGTH_ERROR = 0.01
 """How far a tool axis I J K may be off length 1."""
 OPPOSITE_COSINE = math.cos(math.radians(179.0))
+"""Cosine of the turn (179 degrees) of a tool axis in one move beyond which its way is not known."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,7 +170,7 @@ def _coordinate(own: Lines, k: int, stated: ProgramFile) -> FloatArray:
     change = np.where((own.absolute == 0.0) & np.isfinite(given), given, 0.0)
     total = np.cumsum(change)
     fixed = np.where(own.absolute == 1.0, given + own.shift[:, k] - total, np.nan)
-    return np.asarray(held_values(fixed, float(_start(stated)[k])) + total)
+    return np.asarray(modal_values(fixed, float(_start(stated)[k])) + total)
 
 
 def _turns(own: Lines, stated: ProgramFile) -> FloatArray:
@@ -178,12 +180,12 @@ def _turns(own: Lines, stated: ProgramFile) -> FloatArray:
         straight = own.motion < 2.0
         upright = 1.0 if stated.ijk_to == "spindle" else -1.0
         for k, letter in enumerate("IJK"):
-            out[:, k] = held_values(np.where(straight, own.word[letter], np.nan), upright if k == 2 else 0.0)
+            out[:, k] = modal_values(np.where(straight, own.word[letter], np.nan), upright if k == 2 else 0.0)
     elif stated.tool_axis == "rotary":
         for k, letter in enumerate("ABC"):
             given = np.deg2rad(own.word[letter])
             total = np.cumsum(np.where((own.absolute == 0.0) & np.isfinite(given), given, 0.0))
-            out[:, k] = held_values(np.where(own.absolute == 1.0, given - total, np.nan), 0.0) + total
+            out[:, k] = modal_values(np.where(own.absolute == 1.0, given - total, np.nan), 0.0) + total
     return out
 
 
@@ -213,7 +215,7 @@ def _led(own: Lines, moving: BoolArray, row: IntArray) -> None:
     state = np.full(len(own.line), np.nan)
     state[moving & ~own.wanted] = 1.0
     state[row[own.motion[row] == 0.0]] = 0.0
-    lost = held_values(state, 0.0) == 1.0
+    lost = modal_values(state, 0.0) == 1.0
     cutting = np.zeros(len(lost), dtype=bool)
     cutting[row[own.motion[row] != 0.0]] = True
     refuse(lost & cutting, own.line, "a cut from where another tool was")

@@ -23,7 +23,7 @@ from planner.tooling import Cutter
 
 SAMPLES_TOGETHER = 400
 """Samples that are held against all rulings at once."""
-CHORD = 0.5e-3
+END_LENGTH = 0.5e-3
 """Way [m] at the end of a pass that says in which direction it goes on."""
 WAY_ASIDE_SHARE = 0.05
 """How far a way in or out may leave the direction in which the surface ends, over its length."""
@@ -31,7 +31,8 @@ WAY_TURN = np.deg2rad(10.0)
 """How far a tool turns on along a way in or out at most [rad]."""
 WAY_LENGTH_FACTOR = 1.25
 """How much longer than stated a way in or out may be: the ends of a tool that turns go different ways."""
-_TINY = 1e-12
+_LEAST_LENGTH = 1e-12
+"""Lengths [m] are divided by no less than this."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,7 +119,7 @@ def _nearest(guide: FloatArray, wanted: FloatArray, tip: FloatArray, axis: Float
         height = np.einsum("tmk,tk->tm", rest, axis[rows])
         flat = rest - height[..., None] * axis[rows, None]
         step = np.diff(flat, axis=1)
-        square = np.maximum(np.einsum("tmk,tmk->tm", step, step), _TINY**2)
+        square = np.maximum(np.einsum("tmk,tmk->tm", step, step), _LEAST_LENGTH**2)
         part = np.clip(-np.einsum("tmk,tmk->tm", flat[:, :-1], step) / square, 0.0, 1.0)
         there = flat[:, :-1] + part[..., None] * step
         over = (height - wanted)[:, :-1] + part * np.diff(height - wanted, axis=1)
@@ -209,7 +210,7 @@ def ways(
     tall = float(np.linalg.norm(claim.high - claim.low, axis=1).mean())
     base, top = (end[0] + h * end[1] for h in (depth, depth + tall))
     low, high = base[0] - base[1], top[0] - top[1]
-    size = max(float(np.linalg.norm(low)), float(np.linalg.norm(high)), _TINY)
+    size = max(float(np.linalg.norm(low)), float(np.linalg.norm(high)), _LEAST_LENGTH)
     straight, first = 0.5 * (low + high) / size, low / size
     gone = tip + depth * axis - base[0]
     far = np.linalg.norm(gone, axis=1)
@@ -240,7 +241,7 @@ def ways(
 
 def _from_ray(gone: FloatArray, way: FloatArray) -> FloatArray:
     """Distance (T,) of places (T, 3) from the ray along a way (3,)."""
-    share = np.maximum(gone @ way / max(float(way @ way), _TINY), 0.0)
+    share = np.maximum(gone @ way / max(float(way @ way), _LEAST_LENGTH), 0.0)
     return np.asarray(np.linalg.norm(gone - share[:, None] * way, axis=1))
 
 
@@ -261,7 +262,8 @@ def _angle(axis: FloatArray, other: FloatArray) -> FloatArray:
 
 
 CREASE_COSINE = np.cos(np.deg2rad(20.0))
-"""Triangles that turn by more than this over an edge meet in a crease, across which no normal is smoothed."""
+"""Cosine of the angle (20 degrees) at an edge between triangles from which on it is a crease, across which
+no normal is smoothed."""
 PLAN_ROUNDING = 1e-6
 """Places this near to a triangle [m] in plan are on it."""
 
@@ -333,8 +335,9 @@ def smooth_normals(corners: FloatArray, faces: IntArray) -> FloatArray:
 CONTACT_ROUNDS = 4
 """Times that the contact is looked for anew, with the normal of the place that was found."""
 NORMAL_RADIUS = 1.5e-3
-"""Normals of places so far around count, too: over a crease the tool turns from the one to the other."""
-UPRIGHT = 1e-3
+"""Normals of places so far [m] around count, too: over a crease the tool turns from the one to the other."""
+UPRIGHT_SINE = 1e-3
+"""A flat end whose axis leans off the normal by less than this (sine) touches with its middle."""
 
 
 def within(corners: FloatArray, margin: float) -> shapely.Geometry:
@@ -415,5 +418,5 @@ def _contact(tip: FloatArray, axis: FloatArray, normal: FloatArray, cutter: Cutt
     height of the round edge's tube, out to it by ``rim`` of the way, and down along the normal."""
     out = (normal * axis).sum(axis=1, keepdims=True) * axis - normal
     size = np.linalg.norm(out, axis=1, keepdims=True)
-    outward = np.where(size > UPRIGHT, out / np.maximum(size, 1e-12), 0.0)
+    outward = np.where(size > UPRIGHT_SINE, out / np.maximum(size, 1e-12), 0.0)
     return np.asarray(tip + cutter.corner * (axis - normal) + rim * (cutter.radius - cutter.corner) * outward)

@@ -200,7 +200,7 @@ class Milling:
         return Track(rows, seen[:, :3, 3], -seen[:, :3, 2], joined, names[motion.node[rows]])
 
 
-SIGHT = 3e-3
+SIGHT_DISTANCE = 3e-3
 """Points farther off than this [m] are not told apart."""
 
 
@@ -246,10 +246,10 @@ def signed(solid: Solid, back: FloatArray, beside: FloatArray) -> FloatArray:
 
 
 def comes_near(vertices: FloatArray, tip: FloatArray, axis: FloatArray, solid: Solid) -> bool:
-    """Whether a solid at places (M, 3) of a track may come within ``SIGHT`` of a face with ``vertices``
-    (V, 3), by the boxes around both."""
+    """Whether a solid at places (M, 3) of a track may come within ``SIGHT_DISTANCE`` of a face with
+    ``vertices`` (V, 3), by the boxes around both."""
     ends = np.concatenate([tip + solid.start * axis, tip + solid.end * axis])
-    room = solid.radius + SIGHT
+    room = solid.radius + SIGHT_DISTANCE
     apart = (ends.min(axis=0) - room > vertices.max(axis=0)) | (
         ends.max(axis=0) + room < vertices.min(axis=0)
     )
@@ -260,32 +260,32 @@ def sweep(
     points: FloatArray, tip: FloatArray, axis: FloatArray, solid: Solid, below: float = np.inf
 ) -> tuple[FloatArray, IntArray]:
     """Least distance (P,) [m] of points (P, 3) from a solid at any of the places (M, 3) of a track, below
-    zero inside, and the index (P,) of that place; at most ``SIGHT`` is told. All places count. With ``below``
-    [m] what is not less may be told too large, but for the least of all."""
+    zero inside, and the index (P,) of that place; at most ``SIGHT_DISTANCE`` is told. All places count. With
+    ``below`` [m] what is not less may be told too large, but for the least of all."""
 
     def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
         return signed(solid, back, beside)
 
     body = RoundBody(solid.start, solid.end, solid.radius, distance, solid.corner == 0.0)
-    return least_distances(points, tip, axis, body, SIGHT, below)
+    return least_distances(points, tip, axis, body, SIGHT_DISTANCE, below)
 
 
-SLICE = 5e-3
+SLICE_LENGTH = 5e-3
 """How long slices of a tool at its edges are [m]: what goes in by more than half of that is seen without."""
-RIM_STEP = 2.0
+EDGE_SPACING = 2.0
 """Way between places over the tolerance: an edge at 45 degrees that goes in by the tolerance is so wide, and
 leaves stairs half as deep as the step between two places."""
 LEAST_STEP = 0.1e-3
 """The same at least [m]."""
-FINEST = 0.4e-3
+FINEST_SPACING = 0.4e-3
 """Places of a face are no nearer to one another than this [m],"""
-MOST = 4_000_000
+MOST_FACE_POINTS = 4_000_000
 """and there are at most so many by one piece of a tool."""
 
 
 def rim_step(tolerance: float) -> float:
     """Way between places [m] at which edges are looked at."""
-    return max(RIM_STEP * tolerance, LEAST_STEP)
+    return max(EDGE_SPACING * tolerance, LEAST_STEP)
 
 
 def edges(pieces: tuple[Solid, ...]) -> tuple[Solid, ...]:
@@ -296,22 +296,22 @@ def edges(pieces: tuple[Solid, ...]) -> tuple[Solid, ...]:
         before = pieces[k - 1].radius if k else 0.0
         behind = pieces[k + 1].radius if k + 1 < len(pieces) else 0.0
         if own.corner == 0.0 and own.radius > before:
-            out.append(dataclasses.replace(own, end=min(own.end, own.start + SLICE)))
+            out.append(dataclasses.replace(own, end=min(own.end, own.start + SLICE_LENGTH)))
         if own.radius > behind:
-            out.append(dataclasses.replace(own, start=max(own.start, own.end - SLICE), corner=0.0))
+            out.append(dataclasses.replace(own, start=max(own.start, own.end - SLICE_LENGTH), corner=0.0))
     return tuple(out)
 
 
 def rim_size(tolerance: float) -> float:
     """How near [m] to one another places of a face are by an edge: as it is wide where it goes in by the
     tolerance."""
-    return max(RIM_STEP * tolerance, FINEST)
+    return max(EDGE_SPACING * tolerance, FINEST_SPACING)
 
 
 def round_size(radius: float, tolerance: float) -> float:
     """The same for what is round, of ``radius`` [m]: between them it is in the face by half of the tolerance
     at most, s^2 / 6 r."""
-    return max(float(np.sqrt(3.0 * radius * tolerance)), FINEST)
+    return max(float(np.sqrt(3.0 * radius * tolerance)), FINEST_SPACING)
 
 
 def near_places(
@@ -319,7 +319,7 @@ def near_places(
 ) -> tuple[FloatArray, int]:
     """Places (P, 3) of triangles (T, 3, 3) within sight of a solid somewhere on its way ``tip``, ``axis``
     (M, 3), as near to one another as pieces of edges of ``size`` [m] are, and how many these are: above
-    ``MOST`` that is too many, and there are none."""
+    ``MOST_FACE_POINTS`` that is too many, and there are none."""
     body = RoundBody(solid.start, solid.end, solid.radius, functools.partial(signed, solid))
-    places, _, count = places_near(corners, tip, axis, body, SIGHT, size, MOST)
+    places, _, count = places_near(corners, tip, axis, body, SIGHT_DISTANCE, size, MOST_FACE_POINTS)
     return places, count

@@ -19,7 +19,7 @@ from scipy.interpolate import BSpline
 
 from planner.claims import dialogue
 from planner.claims.claim import Claim, FeedWindow
-from planner.claims.dialogue import DialogueStep, DialogueStop, OperatorDialogue, ask_step
+from planner.claims.dialogue import DialogueStep, DialogueStop, OperatorDialogue, question_step
 from planner.claims.milling import DrawnCurve, Engraves, MillsAlong, MillsProgram, SafeWays, SparesPart
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
@@ -75,7 +75,7 @@ def above(safe: SafeWays, tip: FloatArray, axis: FloatArray) -> FloatArray:
 
 ARC_CHORD_SHARE = 0.05
 """Arcs are parted within this share of the tolerance, or as the problem says where that is less."""
-STILL = 1e-6
+SAME_PLACE = 1e-6
 """A stretch whose places are all so near to its first one [m] is no pass."""
 PASS_LEVER = 0.05
 """A point so far [m] behind the tip stands for the axis."""
@@ -109,13 +109,13 @@ def passes(program: MillsProgram) -> tuple[Pass, ...]:
         zip((np.flatnonzero(edge > 0) - 1).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True), 1
     ):
         pauses = [line for line, at in way.pauses if before < at - 1 <= first]
-        spoken = [dialogue.FILE_LINE.say(line=line) for line in pauses]
+        spoken = [dialogue.FILE_LINE.filled(line=line) for line in pauses]
         own = float(way.spindle[last])
         if own != speed:
-            spoken.append((dialogue.SPEED if own > 0.0 else dialogue.SPEED_BACK).say(rpm=abs(own)))
-        question = dialogue.GO_ON.say(asked=", ".join(spoken)) if spoken else ""
+            spoken.append((dialogue.SPEED if own > 0.0 else dialogue.SPEED_BACK).filled(rpm=abs(own)))
+        question = dialogue.GO_ON.filled(asked=", ".join(spoken)) if spoken else ""
         rows = slice(first, last + 1)
-        if _extent(way, rows) > STILL:
+        if _extent(way, rows) > SAME_PLACE:
             out.append(Pass(number, _part(way, rows), question))
             speed, before = own, last
     return tuple(out)
@@ -128,9 +128,9 @@ def _extent(way: Way, rows: slice) -> float:
 
 
 def _dwell(way: Way) -> float:
-    """The longest wait [s] at one place; places that are no farther apart than ``STILL`` are one."""
-    moved = np.linalg.norm(np.diff(way.tip, axis=0), axis=1) > STILL
-    moved |= np.linalg.norm(np.diff(way.axis, axis=0), axis=1) > STILL
+    """The longest wait [s] at one place; places that are no farther apart than ``SAME_PLACE`` are one."""
+    moved = np.linalg.norm(np.diff(way.tip, axis=0), axis=1) > SAME_PLACE
+    moved |= np.linalg.norm(np.diff(way.axis, axis=0), axis=1) > SAME_PLACE
     stretch = np.concatenate([[0], np.cumsum(moved)])
     waited = np.zeros(stretch[-1] + 1)
     for seconds, at in way.waits:
@@ -154,7 +154,7 @@ def program_dialogue(
     for program in programs:
         for number, one in enumerate(known[program.name]):
             segment = Segment(MILL, f"{program.name}_{one.number}")
-            question = ask_step(dialogue.PLAIN, text=one.question)
+            question = question_step(dialogue.PLAIN, text=one.question)
             if one.question and program.first and number == 0:
                 first = (*first[:1], question, *first[1:])
             elif one.question:
@@ -181,15 +181,18 @@ def program_segments(program: MillsProgram, own: Pass) -> Iterator[Claim]:
 
 
 MILLIMETRE = 1e-3
-ALONG = 0.25e-3
+"""One millimetre in metres."""
+CURVE_SPACING = 0.25e-3
 """Distance [m] of the places at which a curve is laid on the face; what a tool leans along is the chord
 between the two beside a place."""
 SPLINE_PLACES = 4000
 """Places on a spline."""
-CORNERED = ("polyline", "dxf")
-UPRIGHT = 1e-3
+CORNERED_KINDS = ("polyline", "dxf")
+"""Kinds of curves whose corners are meant."""
+UPRIGHT_ANGLE = 1e-3
 """A flat end that leans off the normal by less than this [rad] touches with its middle."""
 SAME_POINT = 1e-9
+"""Points of a curve nearer to each other than this [m] are one."""
 
 
 class NotThereError(ValueError):
@@ -254,7 +257,7 @@ def _of_file(drawn: DrawnCurve, file: Path) -> tuple[FloatArray, bool]:
 
 def tool_along(claim: Engraves, face: Laid, number: int, curve: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Tips and axes (N, 3) along a curve (K, 3) [m]. Raises ``NotThereError``."""
-    corners = claim.curves[number].kind in CORNERED
+    corners = claim.curves[number].kind in CORNERED_KINDS
     laid = face.at(evenly(curve, corners)[:, :2])
     if not np.isfinite(laid.point).all():
         at = evenly(curve, corners)[int(np.argmin(np.isfinite(laid.point[:, 2])))] / MILLIMETRE
@@ -265,9 +268,10 @@ def tool_along(claim: Engraves, face: Laid, number: int, curve: FloatArray) -> t
 
 
 def evenly(curve: FloatArray, corners: bool) -> FloatArray:
-    """Places (N, 3) along a curve, ``ALONG`` apart at most, its corners among them where it has some."""
+    """Places (N, 3) along a curve, ``CURVE_SPACING`` apart at most, its corners among them where it has "
+    "some."""
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1)))
-    count = max(int(np.ceil(way[-1] / ALONG)), 2)
+    count = max(int(np.ceil(way[-1] / CURVE_SPACING)), 2)
     at = way[-1] * np.arange(count + 1) / count
     at = np.union1d(at, way) if corners else at
     return np.stack([np.interp(at, way, curve[:, k]) for k in range(3)], axis=1)
@@ -278,7 +282,7 @@ def tip_at(contact: FloatArray, normal: FloatArray, axis: FloatArray, cutter: Cu
     contact to the middle of the round edge's tube, in to the middle of the edge, and down the axis."""
     out = normal - (normal * axis).sum(axis=1, keepdims=True) * axis
     size = np.linalg.norm(out, axis=1, keepdims=True)
-    inward = np.where(size > UPRIGHT, out / np.maximum(size, 1e-12), 0.0)
+    inward = np.where(size > UPRIGHT_ANGLE, out / np.maximum(size, 1e-12), 0.0)
     tube = contact + cutter.corner * normal
     return np.asarray(tube + (cutter.radius - cutter.corner) * inward - cutter.corner * axis)
 
@@ -292,7 +296,7 @@ def _axis(claim: Engraves, number: int, laid: Places) -> FloatArray:
         drawn = claim.axis_curves[number]
         curve, either = points(drawn)
         there = [np.linalg.norm(laid.point[[0, -1]] - row[[0, -1]]) for row in (curve, curve[::-1])]
-        other = evenly(curve[::-1] if either and there[1] < there[0] else curve, drawn.kind in CORNERED)
+        other = evenly(curve[::-1] if either and there[1] < there[0] else curve, drawn.kind in CORNERED_KINDS)
         shares = [_shares(row) for row in (laid.point, other)]
         at = np.stack([np.interp(shares[0], shares[1], other[:, k]) for k in range(3)], axis=1)
         return _unit(at - laid.point)
@@ -312,7 +316,8 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-CODE = "verify.mill_path"
+MILL_PATH = "verify.mill_path"
+"""Code of the rule that these ways belong to."""
 Claims = Mapping[str, tuple[Claim, ...]]
 
 
@@ -337,7 +342,7 @@ def _group(group: tuple[Claim, ...], issues: list[Issue]) -> Iterator[Claim]:
                 yield from engraved_segments(claim)
             except NotThereError as error:
                 what = f"{claim.name}: {error}; the planner has it otherwise, report this"
-                issues.append(Issue(CODE, what, field=claim.name))
+                issues.append(Issue(MILL_PATH, what, field=claim.name))
         elif isinstance(claim, SparesPart) and known:
             yield dataclasses.replace(claim, segments=tuple(_each(claim.segments, known)))
         elif isinstance(claim, OperatorDialogue) and known:
@@ -363,5 +368,5 @@ def _passes(program: MillsProgram, issues: list[Issue]) -> tuple[Pass, ...]:
         path = str(program.file.path)
         where = f"{path}, line {error.line}" if error.line else path
         what = f"{where}: the proof's own reader of G-code cannot read it: {error}; correct the file"
-        issues.append(Issue(CODE, what, file=path, line=error.line or None))
+        issues.append(Issue(MILL_PATH, what, file=path, line=error.line or None))
         return ()

@@ -27,8 +27,10 @@ from planner.verify.programs.steps import (
 )
 
 Sections = Mapping[tuple[str, str], tuple[Step, ...]]
-_READY = "readytomeetarm"
-_START = "starttheprogramofarm"
+_READY_TEXT = "readytomeetarm"
+"""Letters of the message that a program which follows shows before the two meet."""
+_START_TEXT = "starttheprogramofarm"
+"""Letters of the message that asks to start it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +124,7 @@ def _of(arm: str, arms: Sequence[str], places: Mapping[str, Mapping[str, int]]) 
 def _asked(arm: str, steps: Mapping[str, Sequence[Step]], arms: Sequence[str]) -> int | None:
     """The step at which a program asks whether the other one's panel says that it is ready to meet this arm,
     None where it does not, or where the other one's panel never says so."""
-    sentence = _READY + letters(arm)
+    sentence = _READY_TEXT + letters(arm)
     told = any(
         sentence in _told(steps[other], i) for other in arms if other != arm for i in _first(steps[other])
     )
@@ -227,11 +229,13 @@ class _Reader:
                 return True
             case MessageStep() if not step.confirm:
                 said = _told(self.steps, i)
-                if _READY in said:
+                if _READY_TEXT in said:
                     self._rest()
-                    self.ready.setdefault(said.split(_READY, 1)[1], len(self.actions))
-                if _START in said:
-                    self.starts.setdefault(said.split(_START, 1)[1].split("now", 1)[0], len(self.actions))
+                    self.ready.setdefault(said.split(_READY_TEXT, 1)[1], len(self.actions))
+                if _START_TEXT in said:
+                    self.starts.setdefault(
+                        said.split(_START_TEXT, 1)[1].split("now", 1)[0], len(self.actions)
+                    )
             case SyncStep():
                 self._fault(f"{step.kind}: the tasks of two controllers cannot synchronise so", step)
             case MoveStep():

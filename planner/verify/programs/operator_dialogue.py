@@ -31,8 +31,8 @@ from planner.claims.dialogue import (
     Figure,
     OperatorDialogue,
     Sentence,
-    ask_step,
-    tell_step,
+    message_step,
+    question_step,
 )
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
@@ -42,7 +42,7 @@ from planner.verify.job import JobText, TaskText
 from planner.verify.programs.program_text import segment_of_name
 from planner.verify.programs.steps import MessageStep, MoveStep, RobTarget, SignalStep, Step, WaitStep
 
-STATE = "#STATE"
+PANEL_STATE = "#STATE"
 """What the panel of a KUKA controller shows while a program waits, in forms that their own reader holds."""
 
 
@@ -147,7 +147,7 @@ def _counts(row: _Row) -> bool:
     """Whether a step is one that this is about: a wait of no time is not, nor are arrivals."""
     step = row.step
     if isinstance(step, MessageStep):
-        return step.kind != STATE
+        return step.kind != PANEL_STATE
     if row.protocol:
         return False
     if isinstance(step, WaitStep):
@@ -164,12 +164,13 @@ def _meanwhile(job: JobText, task: TaskText, number: int) -> MoveStep | None:
     return None
 
 
-NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
-SLACK = 1e-8
+NUMBER_PATTERN = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+"""A number in a text."""
+FIGURE_SHARE = 1e-8
 """What two ways to work out a figure may differ by besides its rounding, as a share of it."""
 DIGITS = 6
 """Digits of a figure whose format states none."""
-LONG = 40
+LONGEST_WORD = 40
 """Longer words are parted where a line of the panel ends."""
 
 
@@ -251,7 +252,7 @@ def _pattern(sentence: Sentence, figures: Mapping[str, Figure]) -> tuple[str, di
     pattern = re.escape(flat)
     for k, piece in enumerate(pieces):
         if k % 2:
-            pattern = pattern.replace(re.escape(_mark(k)), f"(?P<{piece}>{NUMBER})")
+            pattern = pattern.replace(re.escape(_mark(k)), f"(?P<{piece}>{NUMBER_PATTERN})")
     return pattern, marks
 
 
@@ -267,7 +268,7 @@ def _rounded(shown: str, spec: str, value: float) -> bool:
     """Whether a number is written as its format says, and is the value but for its rounding."""
     if not math.isfinite(value) or not _written(shown, spec):
         return False
-    return abs(float(shown) - value) <= tolerance(spec, value) + SLACK * max(abs(value), 1.0)
+    return abs(float(shown) - value) <= tolerance(spec, value) + FIGURE_SHARE * max(abs(value), 1.0)
 
 
 def _without_spaces(sentence: Sentence, figures: Mapping[str, Figure], text: str) -> bool:
@@ -275,12 +276,14 @@ def _without_spaces(sentence: Sentence, figures: Mapping[str, Figure], text: str
     if any(not isinstance(value, str) for value in figures.values()):
         return False
     whole = sentence_text(sentence, figures)
-    if max(map(len, whole.split()), default=0) <= LONG or whole.replace(" ", "") != text.replace(" ", ""):
+    if max(map(len, whole.split()), default=0) <= LONGEST_WORD or whole.replace(" ", "") != text.replace(
+        " ", ""
+    ):
         return False
-    return re.findall(NUMBER, whole) == re.findall(NUMBER, text)
+    return re.findall(NUMBER_PATTERN, whole) == re.findall(NUMBER_PATTERN, text)
 
 
-ROUNDED: Final = 1e-4
+TARGET_ROUNDING: Final = 1e-4
 """What a target that is written may be off its place [m]."""
 Said = tuple[Sentence, dict[str, Figure]]
 
@@ -323,7 +326,7 @@ class Place:
         target = None if move is None else move.target
         if not isinstance(target, RobTarget):
             return False
-        return bool(np.linalg.norm(target.position - self.at) <= self.near + ROUNDED)
+        return bool(np.linalg.norm(target.position - self.at) <= self.near + TARGET_ROUNDING)
 
     def __str__(self) -> str:
         number = self.operation + 1
@@ -353,7 +356,7 @@ class Part:
     optional: bool = False
 
 
-def wanted(context: Context) -> dict[str, list[Part]]:
+def wanted_dialogue(context: Context) -> dict[str, list[Part]]:
     """What each task should say, in order, by its name."""
     tasks = context.job.tasks
     out: dict[str, list[Part]] = {task.name: [Part(Place("start"), _start(context, task))] for task in tasks}
@@ -407,23 +410,23 @@ def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
         question = dialogue.CLEAR if first else dialogue.READY
     partner = _partner(context, task)
     if partner:
-        earlier = ask_step(dialogue.KRL_EARLIER if krl else dialogue.EARLIER, other=partner)
+        earlier = question_step(dialogue.KRL_EARLIER if krl else dialogue.EARLIER, other=partner)
         if not lead:
-            return earlier, tell_step(dialogue.READY_TO_MEET, other=partner)
+            return earlier, message_step(dialogue.READY_TO_MEET, other=partner)
         both = {"other": partner, "arm": task.arm.name, "start": question.words}
         return (
             earlier,
-            tell_step(dialogue.START_PARTNER, other=partner),
-            ask_step(dialogue.PARTNER_READY, **both),
+            message_step(dialogue.START_PARTNER, other=partner),
+            question_step(dialogue.PARTNER_READY, **both),
         )
     if not lead:
         return ()
-    return (ask_step(dialogue.NO_WIRE if joined(context) and not krl else question),)
+    return (question_step(dialogue.NO_WIRE if joined(context) and not krl else question),)
 
 
 def _setup(setup: Setup) -> tuple[DialogueStep, ...]:
-    steps = (tell_step(dialogue.PLAIN, text=step) for step in setup.steps)
-    return (*steps, ask_step(dialogue.PLAIN, text=setup.confirmation))
+    steps = (message_step(dialogue.PLAIN, text=step) for step in setup.steps)
+    return (*steps, question_step(dialogue.PLAIN, text=setup.confirmation))
 
 
 def _operation(number: int, claim: OperatorDialogue) -> Sequence[Part]:
@@ -441,10 +444,11 @@ def _stop(number: int, stop: DialogueStop) -> Part:
     return Part(place, stop.steps, stop.repeats, stop.optional)
 
 
-CODE = "verify.dialogue"
+DIALOGUE = "verify.dialogue"
+"""Code of the rule that asks for these sentences."""
 
 
-def told_choice(context: Context) -> Context:
+def chosen_groups(context: Context) -> Context:
     """The same proof with the one group of each `OneOf` that the text names at the operation's first targets.
 
     Where it names none, or more than one, the first group stands in, and ``untold`` has a fault of
@@ -482,7 +486,7 @@ def _settled(
     names = "; ".join(dict.fromkeys(_shown(group) for group in claim.either))
     what = "none" if not fitting else "more than one"
     message = f"{name}: of what may be mounted the operator is told {what} at the first targets; at hand are "
-    untold.append(Issue(CODE, message + names, field=name, hint="plan again"))
+    untold.append(Issue(DIALOGUE, message + names, field=name, hint="plan again"))
     return claim.either[0]
 
 

@@ -32,16 +32,18 @@ _RAPID_MOVE = re.compile(
     r"|Trigg(?:AbsJ|[LJ]IOs|[LJC])|Search(?:ExtJ|[LC])|(?:Arc|Spot|Disp|Paint|Cap|Contact|EGMMove|FCPress|Laser|Glue|Cut)[LCJ]\w*))\b(?!\s*(?:\(|:=))",
     re.IGNORECASE | re.MULTILINE,
 )
+"""Instructions of RAPID that move the arm."""
 _KRL_MOVE = re.compile(
     r"^[ \t]*((?:(?:S?PTP|S?LIN|S?CIRC)(?:_REL)?|SPL|ASYPTP))\b(?!\s*=)", re.IGNORECASE | re.MULTILINE
 )
+"""Instructions of KRL that move the arm."""
 _SHIFTS = re.compile(
     r"\b(PDisp\w*|EOffs\w*|SoftAct|CorrCon|CorrWrite|TuneServo|ActUnit|DeactUnit|SetSysData|ReadCfgData"
     r"|WriteCfgData|WorldAccLim|ContactL|IndAMove|IndCMove)\b",
     re.IGNORECASE,
 )
 """What may move the places of all moves behind it."""
-KINDS = frozenset({"MoveAbsJ", "MoveL", "PTP", "LIN", "SLIN"})
+KNOWN_MOVES = frozenset({"MoveAbsJ", "MoveL", "PTP", "LIN", "SLIN"})
 """Moves whose way between targets is known."""
 
 

@@ -26,11 +26,14 @@ from planner.problem import Controller
 from planner.verify.programs.steps import Fault
 from planner.verify.rapid.lexer import Cursor
 
-MARK = "\ufeff"
+BYTE_ORDER_MARK = "\ufeff"
 """The byte order mark that some editors put before UTF-8."""
-_CONTROL = re.compile(r"[^\t\n\r -~]|\r(?!\n)")
+_CONTROL_CHARACTER = re.compile(r"[^\t\n\r -~]|\r(?!\n)")
+"""Characters that no program has."""
 _STRING = re.compile(r'"[^"\n]*"')
-_COMMENT = {".src": ";", ".dat": ";", ".sub": ";"}
+"""A string in quotes."""
+_COMMENT_SIGN = {".src": ";", ".dat": ";", ".sub": ";"}
+"""Sign of a comment by the file's suffix; in RAPID it is another one."""
 
 
 def decode(data: bytes, file: str = "") -> str:
@@ -52,7 +55,7 @@ def settled(file: str, text: str) -> tuple[str, tuple[Fault, ...]]:
     other lines than the readers, and :func:`strange` refuses the text.
     """
     notes = []
-    if text.startswith(MARK) and not _utf_8(file):
+    if text.startswith(BYTE_ORDER_MARK) and not _utf_8(file):
         text = text[1:]
         what = "the file begins with a byte order mark, which controllers do not expect; save it without"
         notes.append(Fault(1, 1, "text.encoding", what, file))
@@ -71,8 +74,8 @@ def _utf_8(file: str) -> bool:
 def strange(file: str, text: str) -> list[Fault]:
     """The first character that a controller may take for something else, such as a lone carriage return,
     which would end a comment. Letters of any alphabet may stand in comments, and there alone."""
-    mark = _COMMENT.get(PurePosixPath(file).suffix.lower(), "!")
-    for found in _CONTROL.finditer(text):
+    mark = _COMMENT_SIGN.get(PurePosixPath(file).suffix.lower(), "!")
+    for found in _CONTROL_CHARACTER.finditer(text):
         letter = found.group()
         if not _takes_only_place(letter):
             what = f"character {ord(letter)} in the text: it may end or hide a line; take it out"
@@ -100,7 +103,7 @@ def _commented(text: str, at: int, mark: str) -> bool:
     return mark in _STRING.sub("", before).partition('"')[0]
 
 
-_AGAIN: Final = re.compile(r"__[0-9]+$")
+_REPEATED_NAME: Final = re.compile(r"__[0-9]+$")
 """Ends the name of a procedure that is not the first one of its segment."""
 _LONG_KIND: Final = "__k"
 """Stands behind a kind that has underscores of its own, which else ends at the first one."""
@@ -117,7 +120,7 @@ def segment_of_name(procedure: str) -> Segment:
     if "/" in name:
         kind, _, rest = name.partition("/")
         return _phased(kind, rest)
-    name = _AGAIN.sub("", name)
+    name = _REPEATED_NAME.sub("", name)
     kind, long, rest = name.partition(_LONG_KIND)
     if long and rest[:1] in ("", "_"):
         return _phased(kind, rest[1:])
@@ -146,10 +149,12 @@ def _plain_name(text: str) -> str:
 Row = frozenset[tuple[str, str]]
 """Attributes of an instance with their values, "" for one that has none; names in lower case."""
 
-_SILENT = ("label", "category")
+_SILENT_ATTRIBUTES = ("label", "category")
 """Attributes that change nothing."""
-_WORD = re.compile(r'-(\w+)(?:\s+("[^"]*"|[^\s"-]\S*))?\s*')
-_KIND = re.compile(r"(\w+):")
+_ATTRIBUTE = re.compile(r'-(\w+)(?:\s+("[^"]*"|[^\s"-]\S*))?\s*')
+"""An attribute of a line of a configuration file."""
+_INSTANCE_KIND = re.compile(r"(\w+):")
+"""The kind of what such a file lists."""
 
 
 class UnreadError(Exception):
@@ -165,7 +170,7 @@ def configuration(text: str) -> tuple[str, dict[str, list[Row]]]:
         plain = line.strip()
         if not plain:
             continue
-        found = _KIND.fullmatch(plain)
+        found = _INSTANCE_KIND.fullmatch(plain)
         if plain == "#":
             kind = None
         elif found is not None and kind is None:
@@ -184,7 +189,7 @@ def _row(line: str) -> Row:
     values: dict[str, str] = {}
     place = 0
     while place < len(line):
-        found = _WORD.match(line, place)
+        found = _ATTRIBUTE.match(line, place)
         if found is None:
             raise UnreadError(f"{line[place : place + 40]!r} is no attribute")
         name, value = found.group(1).lower(), (found.group(2) or "").strip('"')
@@ -192,7 +197,7 @@ def _row(line: str) -> Row:
             raise UnreadError(f"-{name} stands there twice in one row")
         values[name] = value
         place = found.end()
-    return frozenset((name, value) for name, value in values.items() if name not in _SILENT)
+    return frozenset((name, value) for name, value in values.items() if name not in _SILENT_ATTRIBUTES)
 
 
 def crossed(row: Row) -> tuple[str, frozenset[str]] | None:
@@ -287,7 +292,8 @@ class Partner:
         ]
 
 
-_CARRIED: Final = re.compile(r"[0-9a-f]{16}")
+_DIGEST: Final = re.compile(r"[0-9a-f]{16}")
+"""The digest that a program carries."""
 
 
 def changed(source: Any) -> tuple[str, ...]:
@@ -298,7 +304,7 @@ def changed(source: Any) -> tuple[str, ...]:
             path = Path(value) if key == "file" and isinstance(value, str) else None
             if path is None:
                 out += changed(value)
-            elif path.parent.name == "files" and _CARRIED.fullmatch(path.stem) and _other(path):
+            elif path.parent.name == "files" and _DIGEST.fullmatch(path.stem) and _other(path):
                 out.append(f"{path.parent.name}/{path.name}")
     elif isinstance(source, list | tuple):
         for value in source:

@@ -109,7 +109,7 @@ class SetupClaims:
         return out
 
     @property
-    def holds(self) -> tuple[HoldsStock, ...]:
+    def stock_holders(self) -> tuple[HoldsStock, ...]:
         """Claims about who holds the block, and its weight."""
         return tuple(c for group in self.groups for c in group if isinstance(c, HoldsStock))
 

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
-from planner.verify.krl.syntax_tree import WORLD
+from planner.verify.krl.syntax_tree import WORLD_FRAME
 
 BASE_FRAME = "base_frame"
 """The datum of a program that says where its arm's base is,"""
@@ -120,17 +120,17 @@ class WorkObject:
     object: FloatArray
 
 
-LARGEST = 3.4e38
+LARGEST_NUMBER = 3.4e38
 """Numbers of a controller are smaller."""
 
 
 def single(number: float) -> float:
-    """A number as a controller holds it, in single precision; `number` is below `LARGEST`."""
+    """A number as a controller holds it, in single precision; `number` is below `LARGEST_NUMBER`."""
     return float(np.float32(number))
 
 
 def singles(numbers: Any) -> FloatArray:
-    """Numbers as a controller holds them, in single precision; all below `LARGEST`."""
+    """Numbers as a controller holds them, in single precision; all below `LARGEST_NUMBER`."""
     return np.array(numbers, dtype=np.float32).astype(np.float64)
 
 
@@ -190,7 +190,7 @@ class MoveStep(Step):
     def in_world(self) -> bool:
         """Whether the frame is the world by its name: the controller's own, or the one that KRL programs
         have for it."""
-        return self.wobj_name.lower() in ("wobj0", WORLD)
+        return self.wobj_name.lower() in ("wobj0", WORLD_FRAME)
 
     @property
     def by_joints(self) -> bool:

@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from planner.verify.programs.steps import LARGEST, FlowError, single
-from planner.verify.rapid.lexer import FORMS
+from planner.verify.programs.steps import LARGEST_NUMBER, FlowError, single
+from planner.verify.rapid.lexer import INSTRUCTIONS
 from planner.verify.rapid.syntax_tree import (
-    OPAQUE,
+    OPAQUE_TYPES,
     PREDEFINED,
     RECORDS,
     Aggregate,
@@ -35,9 +35,11 @@ from planner.verify.rapid.syntax_tree import (
 from planner.verify.rapid.type_check import placed
 
 UNKNOWN = None  # the value of what only the controller knows
-WORK = 100_000
+LEAST_WORK = 100_000
+"""Statements that may run in any program,"""
 WORK_PER_LINE = 20
-"""Statements that may run in all, a move counting as five: most programs run each line about once."""
+"""and so many more for each of its lines, a move counting as five: most programs run each line about
+once."""
 
 
 class Names:
@@ -50,7 +52,7 @@ class Names:
     def __init__(self, modules: Sequence[Module]) -> None:
         self.modules = {module.name.lower(): module for module in modules}
         self.written = frozenset(name for module in modules for name in _written(module))
-        self.work = WORK + WORK_PER_LINE * sum(module.lines for module in modules)
+        self.work = LEAST_WORK + WORK_PER_LINE * sum(module.lines for module in modules)
         self._items: dict[str, dict[str, list[Data | Procedure]]] = {}
         self._found: dict[tuple[str, str], tuple[Module, Data | Procedure] | None] = {}
 
@@ -164,7 +166,7 @@ class Evaluator:
     def _initial(self, module: Module, data: Data) -> Value:
         if data.kind == "syncident":
             return SyncIdent(data.name)
-        if data.initial is None or data.kind in OPAQUE or data.name.lower() in self.written:
+        if data.initial is None or data.kind in OPAQUE_TYPES or data.name.lower() in self.written:
             return UNKNOWN
         if "PERS" in data.storage and data.kind not in RECORDS:
             return UNKNOWN  # a number, truth or text that the operator may change between runs
@@ -195,7 +197,7 @@ class Evaluator:
             found = _BINARY[expr.operator](left, right)
         except (ArithmeticError, ValueError):
             found = math.nan
-        if not abs(found) < LARGEST:
+        if not abs(found) < LARGEST_NUMBER:
             raise self.fail(expr.start, f"{left:g} {expr.operator} {right:g} has no value")
         return found if all(map(_single, (left, right, found))) else UNKNOWN
 
@@ -215,7 +217,7 @@ def _written(module: Module) -> Iterator[str]:
                 case Assign():
                     yield statement.target.key
                 case Instruction():
-                    form = FORMS[statement.name.lower()]
+                    form = INSTRUCTIONS[statement.name.lower()]
                     slots = [*zip(form.required, statement.arguments, strict=False)]
                     slots += [(form.options[key][1], v) for key, v in statement.options if v is not None]
                     for kind, value in slots:
@@ -231,6 +233,7 @@ def _written(module: Module) -> Iterator[str]:
 
 
 _UNARY: dict[str, Callable[[Any], Any]] = {"-": lambda x: -x, "+": lambda x: x, "not": lambda x: not x}
+"""Operators with one operand."""
 _BINARY: dict[str, Callable[[Any, Any], Any]] = {
     "+": lambda a, b: a + b,
     "-": lambda a, b: a - b,
@@ -248,3 +251,4 @@ _BINARY: dict[str, Callable[[Any, Any], Any]] = {
     "or": lambda a, b: a or b,
     "xor": lambda a, b: a != b,
 }
+"""Operators with two operands."""

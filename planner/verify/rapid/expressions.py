@@ -11,11 +11,11 @@ import json
 import re
 from typing import Any, NamedTuple
 
-from planner.verify.programs.steps import LARGEST
+from planner.verify.programs.steps import LARGEST_NUMBER
 from planner.verify.rapid.lexer import (
-    EXCLUSIVE,
-    FORMS,
-    MOVES,
+    EXCLUSIVE_OPTIONS,
+    INSTRUCTIONS,
+    MOVE_INSTRUCTIONS,
     RESERVED,
     Cursor,
     Form,
@@ -23,8 +23,8 @@ from planner.verify.rapid.lexer import (
     shown,
 )
 from planner.verify.rapid.syntax_tree import (
-    NUMBERS,
-    OPAQUE,
+    NUMBER_TYPES,
+    OPAQUE_TYPES,
     Aggregate,
     Binary,
     Expr,
@@ -40,20 +40,23 @@ from planner.verify.rapid.syntax_tree import (
     build,
 )
 
-MAX_DEPTH = 40
+MAX_BRACKETS = 40
+"""Brackets inside one another at most."""
 MAX_OPERATORS = 60
-"""As many as one expression may have: what is read here is walked through by recursion."""
+"""Operators of one expression at most: what is read here is walked through by recursion."""
 
-NUMERIC = re.compile(r"[\[\]\d+\-.eE, \t\r\n]*")
-_COMPARE = frozenset({"=", "<>", "<", ">", "<=", ">="})
+NUMERIC_TEXT = re.compile(r"[\[\]\d+\-.eE, \t\r\n]*")
+"""Text of brackets and numbers alone, as most data have."""
+_COMPARISONS = frozenset({"=", "<>", "<", ">", "<=", ">="})
+"""Operators that compare."""
 
 
 def expression(cursor: Cursor, longest_string: int, depth: int = 0) -> Expr:
     """One expression: [NOT] terms joined by OR and XOR, of relations joined by AND. Raises
     `RapidSyntaxError`.
     """
-    if depth > MAX_DEPTH:
-        raise cursor.fault(f"at most {MAX_DEPTH} nested brackets")
+    if depth > MAX_BRACKETS:
+        raise cursor.fault(f"at most {MAX_BRACKETS} nested brackets")
     if not depth:
         cursor.operators = 0
     left = _logical_term(cursor, longest_string, depth)
@@ -83,7 +86,7 @@ def _logical_term(cursor: Cursor, longest: int, depth: int) -> Expr:
 def _relation(cursor: Cursor, longest: int, depth: int) -> Expr:
     left = _sum(cursor, longest, depth)
     token = cursor.token
-    if token.kind == "symbol" and token.text in _COMPARE:
+    if token.kind == "symbol" and token.text in _COMPARISONS:
         cursor.take()
         return Binary(token.start, token.text, left, _sum(cursor, longest, depth))
     return left
@@ -140,15 +143,15 @@ def _primary(cursor: Cursor, longest: int, depth: int) -> Expr:
 def number(text: str, start: int) -> float:
     """The number of an unsigned numeral; refuses what a controller's number cannot hold."""
     value = float(text)
-    if value >= LARGEST:
+    if value >= LARGEST_NUMBER:
         raise RapidSyntaxError(start, "rapid.number", f"{shown(text)} is too large for a number")
     return value
 
 
 def _signed(cursor: Cursor, longest: int, depth: int) -> Expr:
     sign = cursor.take()
-    if depth > MAX_DEPTH:
-        raise cursor.fault(f"at most {MAX_DEPTH} nested signs")
+    if depth > MAX_BRACKETS:
+        raise cursor.fault(f"at most {MAX_BRACKETS} nested signs")
     operand = _primary(cursor, longest, depth + 1)
     if isinstance(operand, Literal) and operand.kind == "num":
         value = -operand.value if sign.text == "-" else operand.value
@@ -193,8 +196,8 @@ def aggregate(cursor: Cursor, longest: int, depth: int) -> Expr:
     if quick is not None:
         cursor.jump(quick[1])
         return Literal(start, "list", quick[0])
-    if depth > MAX_DEPTH:
-        raise cursor.fault(f"at most {MAX_DEPTH} nested brackets")
+    if depth > MAX_BRACKETS:
+        raise cursor.fault(f"at most {MAX_BRACKETS} nested brackets")
     cursor.take()
     items = [expression(cursor, longest, depth + 1)]
     while cursor.take_symbol(","):
@@ -204,6 +207,7 @@ def aggregate(cursor: Cursor, longest: int, depth: int) -> Expr:
 
 
 _DECODER = json.JSONDecoder()
+"""Reads text of brackets and numbers fast."""
 
 
 def number_list(text: str, start: int) -> tuple[list[Any], int] | None:
@@ -216,7 +220,7 @@ def number_list(text: str, start: int) -> tuple[list[Any], int] | None:
         found, end = _DECODER.raw_decode(text, start)
     except (ValueError, RecursionError):
         return None
-    if NUMERIC.fullmatch(text, start, end) is None or text.count("[", start, end) > MAX_DEPTH:
+    if NUMERIC_TEXT.fullmatch(text, start, end) is None or text.count("[", start, end) > MAX_BRACKETS:
         return None
     return (found, end) if isinstance(found, list) and _finite(found) else None
 
@@ -224,7 +228,7 @@ def number_list(text: str, start: int) -> tuple[list[Any], int] | None:
 def _finite(found: Any) -> bool:
     if isinstance(found, list):
         return bool(found) and all(map(_finite, found))
-    return bool(-LARGEST < found < LARGEST)
+    return bool(-LARGEST_NUMBER < found < LARGEST_NUMBER)
 
 
 def plain(found: Expr) -> Any:
@@ -241,13 +245,13 @@ def typed(found: Expr, kind: str) -> Expr:
     """The expression as a `Literal` of type `kind` where it holds no names. Raises `RapidSyntaxError` where
     it does not fit.
     """
-    if kind in OPAQUE or isinstance(found, Name | Function | Unary | Binary):
+    if kind in OPAQUE_TYPES or isinstance(found, Name | Function | Unary | Binary):
         return found
     items = plain(found)
     if items is None:
         return found
     try:
-        return Literal(found.start, base_type(kind) if kind in NUMBERS else kind, build(kind, items))
+        return Literal(found.start, base_type(kind) if kind in NUMBER_TYPES else kind, build(kind, items))
     except RapidValueError as wrong:
         raise RapidSyntaxError(found.start, wrong.code, wrong.message) from None
 
@@ -262,7 +266,7 @@ class _Option(NamedTuple):
 def instruction(cursor: Cursor, line: int, longest_string: int) -> Statement:
     """The instruction at the cursor, which stands on its name. Raises `RapidSyntaxError`."""
     first = cursor.take()
-    form = FORMS[first.word]
+    form = INSTRUCTIONS[first.word]
     required, options = _arguments(cursor, longest_string, form)
     cursor.expect_symbol(";", f"or a further argument of {form.name}")
     if len(required) != len(form.required):
@@ -272,13 +276,13 @@ def instruction(cursor: Cursor, line: int, longest_string: int) -> Statement:
     values = {option.name: _option(option, form) for option in options}
     if len(values) != len(options):
         raise RapidSyntaxError(first.start, "rapid.syntax", f"an option of {form.name} is given twice")
-    for pair in EXCLUSIVE:
+    for pair in EXCLUSIVE_OPTIONS:
         if pair[0] in values and pair[1] in values:
             both = " and ".join("\\" + name for name in pair)
             raise RapidSyntaxError(
                 first.start, "rapid.options", f"{form.name}: {both} exclude each other; give one"
             )
-    if first.word not in MOVES:
+    if first.word not in MOVE_INSTRUCTIONS:
         if form.name in ("ConfL", "ConfJ", "SingArea") and len(values) != 1:
             allowed = ", ".join("\\" + name for name in form.options)
             raise RapidSyntaxError(first.start, "rapid.options", f"{form.name} needs one of {allowed}")
@@ -343,21 +347,25 @@ def _option(option: _Option, form: Form) -> Expr | None:
     return None if option.value is None else _argument(option.value, kind)
 
 
-_HEAD = re.compile(r"(?:Move(?P<linear>[LJ])|MoveAbsJ)[ \t]+(?P<name>[A-Za-z]\w*)?", re.IGNORECASE | re.ASCII)
+_MOVE_HEAD = re.compile(
+    r"(?:Move(?P<linear>[LJ])|MoveAbsJ)[ \t]+(?P<name>[A-Za-z]\w*)?", re.IGNORECASE | re.ASCII
+)
+"""First words of a move."""
 # possessive, as three runs of blanks in a row would be tried against each other
-_TAIL = re.compile(
+_MOVE_TAIL = re.compile(
     r"""[ \t]*+(?:\\ID:=(?P<id>\d{1,9}))?[ \t]*+(?P<still>\\NoEOffs)?[ \t]*+,[ \t]*+
     (?P<speed>[A-Za-z]\w*|\[[^\[\]]*\])(?:[ \t]*+\\T:=(?P<time>\d+(?:\.\d+)?))?[ \t]*+,[ \t]*+
     (?P<zone>[A-Za-z]\w*)[ \t]*+,[ \t]*+(?P<tool>[A-Za-z]\w*)
     (?:[ \t]*+\\WObj:=(?P<wobj>[A-Za-z]\w*))?[ \t]*+;""",
     re.IGNORECASE | re.ASCII | re.VERBOSE,
 )
+"""The rest of a move behind its target."""
 
 
 def quick_move(cursor: Cursor, line: int) -> Move | None:
     """The move at the cursor, or None when it is not of the usual form; then the cursor has not moved."""
     text, first = cursor.text, cursor.token.start
-    head = _HEAD.match(text, first)
+    head = _MOVE_HEAD.match(text, first)
     if head is None:
         return None
     kind = "MoveAbsJ" if head["linear"] is None else "Move" + head["linear"].upper()
@@ -371,7 +379,7 @@ def quick_move(cursor: Cursor, line: int) -> Move | None:
                 return None
             record = "jointtarget" if kind == "MoveAbsJ" else "robtarget"
             target, end = Literal(end, record, build(record, found[0])), found[1]
-        tail = _TAIL.match(text, end)
+        tail = _MOVE_TAIL.match(text, end)
         if tail is None or target is None or (tail["still"] and kind != "MoveAbsJ"):
             return None
         zone = _free_name(tail["zone"], tail.start("zone"))
@@ -382,7 +390,7 @@ def quick_move(cursor: Cursor, line: int) -> Move | None:
             return None
     except RapidValueError:
         return None
-    if tail["time"] and float(tail["time"]) >= LARGEST:
+    if tail["time"] and float(tail["time"]) >= LARGEST_NUMBER:
         return None
     ident = Literal(tail.start("id"), "num", float(tail["id"])) if tail["id"] else None
     time = Literal(tail.start("time"), "num", float(tail["time"])) if tail["time"] else None

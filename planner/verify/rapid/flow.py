@@ -30,7 +30,7 @@ from planner.verify.programs.steps import (
     single,
 )
 from planner.verify.rapid.evaluation import UNKNOWN, Evaluator, Names
-from planner.verify.rapid.lexer import FORMS
+from planner.verify.rapid.lexer import INSTRUCTIONS
 from planner.verify.rapid.syntax_tree import (
     PREDEFINED,
     Assign,
@@ -51,10 +51,15 @@ from planner.verify.rapid.syntax_tree import (
 )
 
 MAX_CALLS = 50
-MAX_ROUNDS = 100_000
-_ENDS = ("RETURN", "EXIT", "RAISE", "RETRY", "TRYNEXT")
-_MESSAGES = ("TPWrite", "TPErase", "UIMsgBox", "TPReadFK", "ErrWrite")
-_STOPS = ("EXIT", "Stop", "StopMove")
+"""Procedures that call each other may be so deep."""
+MAX_LOOPS = 100_000
+"""Rounds of a FOR at most."""
+_END_STATEMENTS = ("RETURN", "EXIT", "RAISE", "RETRY", "TRYNEXT")
+"""Statements that end a procedure or handler."""
+_MESSAGE_STATEMENTS = ("TPWrite", "TPErase", "UIMsgBox", "TPReadFK", "ErrWrite")
+"""Statements that show or ask something."""
+_STOP_STATEMENTS = ("EXIT", "Stop", "StopMove")
+"""Statements that stop the motion."""
 
 
 class _LeaveError(Exception):
@@ -109,10 +114,12 @@ class Runner(Evaluator):
     # ---- statements ----
 
     def block(self, statements: Sequence[Statement]) -> None:
+        """Runs statements one after the other."""
         for statement in statements:
             self.statement(statement)
 
     def statement(self, statement: Statement) -> None:
+        """Runs one statement; what it does is appended to ``steps``."""
         self._spend(statement, 5 if isinstance(statement, Move) else 1)
         match statement:
             case Move():
@@ -187,7 +194,7 @@ class Runner(Evaluator):
         return value
 
     def _move(self, move: Move) -> MoveStep:
-        form = FORMS[move.kind.lower()]
+        form = INSTRUCTIONS[move.kind.lower()]
         target = self._needed(move.target, form.required[0])
         ident = None if move.id is None else int(self._needed(move.id, "num"))
         time = None if move.time is None else single(self._needed(move.time, "num"))
@@ -229,7 +236,7 @@ class Runner(Evaluator):
             self.steps.append(WaitStep(*where, name, seconds, signal, value, "inpos" in options, told))
             if flag is not None:
                 self._assign(flag, UNKNOWN)
-        elif name in _MESSAGES:
+        elif name in _MESSAGE_STATEMENTS:
             self._message(statement, options)
         elif name.startswith(("WaitSync", "SyncMove")):
             ident = _text(arguments[0]) if arguments else ""
@@ -246,7 +253,7 @@ class Runner(Evaluator):
                 self.value(argument, "num") for argument in arguments if not isinstance(argument, Name)
             )
             self.steps.append(SettingStep(*where, name, tuple(options), values, name == "Stop"))
-            if name in _ENDS and not self.condition:
+            if name in _END_STATEMENTS and not self.condition:
                 raise _LeaveError(name)
 
     def _message(self, statement: Instruction, options: dict[str, Expr | None]) -> None:
@@ -312,7 +319,7 @@ class Runner(Evaluator):
     def _for(self, statement: For) -> None:
         first, last = self._needed(statement.first, "num"), self._needed(statement.last, "num")
         step = self._needed(statement.step, "num") if statement.step else (1.0 if last >= first else -1.0)
-        if step == 0 or abs(last - first) > MAX_ROUNDS * abs(step):
+        if step == 0 or abs(last - first) > MAX_LOOPS * abs(step):
             raise self.fail(statement.start, f"FOR from {first:g} to {last:g} by {step:g} has no end")
         key = ("for", statement.name.lower())
         outer = self.cells.get(key)
@@ -364,7 +371,7 @@ def _harmless(step: Step, branch: Sequence[Step]) -> bool:
     ends = isinstance(last, SettingStep) and last.kind == "EXIT" and last.condition == branch[0].condition
     match step:
         case SettingStep():
-            return step.kind in _STOPS
+            return step.kind in _STOP_STATEMENTS
         case SignalStep():
             return ends and step.value == 0.0 and not step.delay
         case _:

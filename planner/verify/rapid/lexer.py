@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 _SKIP = re.compile(r"(?:[ \t\r\n]+|![^\n]*)*")
+"""Blanks, line ends and comments."""
 _TOKEN = re.compile(
     r"""(?P<name>[A-Za-z][A-Za-z0-9_]*)
     |(?P<number>(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.\#]))
@@ -160,7 +161,9 @@ _RESERVED = (
     "then to trap true trynext undo var viewonly while with xor "
 )
 RESERVED = frozenset(_RESERVED.split())
-ATTRIBUTES = frozenset({"sysmodule", "noview", "nostepin", "viewonly", "readonly"})
+"""Words of the language."""
+MODULE_ATTRIBUTES = frozenset({"sysmodule", "noview", "nostepin", "viewonly", "readonly"})
+"""Attributes that a module may have."""
 
 
 @dataclass(frozen=True)
@@ -189,9 +192,17 @@ def _move(name: str, target: str, extra: dict[str, tuple[int, str]]) -> Form:
     return Form(name, (target, "speeddata", "zonedata", "tooldata"), options | extra)
 
 
-_LINES: dict[str, tuple[int, str]] = {f"msgline{n}": (1, "string") for n in range(2, 6)}
-_BOX = {"header": (0, "string"), **_LINES, "wrap": (1, "switch"), "buttons": (1, "num"), "icon": (1, "num")}
-_BOX |= {"result": (1, "variable num"), "maxtime": (1, "num")}
+_BOX_LINES: dict[str, tuple[int, str]] = {f"msgline{n}": (1, "string") for n in range(2, 6)}
+"""Options of a message box: its lines but for the first,"""
+_BOX_OPTIONS = {
+    "header": (0, "string"),
+    **_BOX_LINES,
+    "wrap": (1, "switch"),
+    "buttons": (1, "num"),
+    "icon": (1, "num"),
+}
+"""and all others."""
+_BOX_OPTIONS |= {"result": (1, "variable num"), "maxtime": (1, "num")}
 
 _FORMS = (
     _move("MoveAbsJ", "jointtarget", {"noeoffs": (1, "switch")}),
@@ -209,7 +220,7 @@ _FORMS = (
         ("string",),
         {"num": (1, "num"), "bool": (1, "bool"), "pos": (1, "pos"), "orient": (1, "orient")},
     ),
-    Form("UIMsgBox", ("string",), _BOX),
+    Form("UIMsgBox", ("string",), _BOX_OPTIONS),
     Form("TPReadFK", ("variable num", *("string",) * 6), {"maxtime": (7, "num")}),
     Form("WaitSyncTask", ("syncident", "tasks"), {"inpos": (0, "switch"), "timeout": (2, "num")}),
     Form("SyncMoveOn", ("syncident", "tasks"), {"timeout": (2, "num")}),
@@ -246,10 +257,13 @@ _FORMS = (
     Form("RETRY"),
     Form("TRYNEXT"),
 )
-FORMS: dict[str, Form] = {form.name.lower(): form for form in _FORMS}
-MOVES = frozenset({"moveabsj", "movej", "movel"})
+INSTRUCTIONS: dict[str, Form] = {form.name.lower(): form for form in _FORMS}
+"""Instructions by name, in small letters."""
+MOVE_INSTRUCTIONS = frozenset({"moveabsj", "movej", "movel"})
+"""Instructions that move an arm."""
 IN_HANDLER_ONLY = frozenset({"retry", "trynext"})
-EXCLUSIVE = (
+"""Instructions of error handlers alone."""
+EXCLUSIVE_OPTIONS = (
     ("v", "t"),
     ("on", "off"),
     ("off", "wrist"),
@@ -257,6 +271,7 @@ EXCLUSIVE = (
     ("conc", "id"),
     ("errifchanged", "save"),
 )
+"""Options that exclude each other."""
 
 # functions: types of the arguments and of the result
 FUNCTIONS: dict[str, tuple[tuple[str, ...], str]] = {

@@ -14,12 +14,12 @@ from pathlib import PurePosixPath
 
 from planner.verify.programs import program_text
 from planner.verify.programs.steps import Fault, FlowError
-from planner.verify.rapid.expressions import MAX_DEPTH, expression, instruction, quick_move, typed
+from planner.verify.rapid.expressions import MAX_BRACKETS, expression, instruction, quick_move, typed
 from planner.verify.rapid.flow import Flow, flatten, flow, handlers
 from planner.verify.rapid.lexer import (
-    ATTRIBUTES,
-    FORMS,
     FUNCTIONS,
+    INSTRUCTIONS,
+    MODULE_ATTRIBUTES,
     RESERVED,
     Cursor,
     RapidSyntaxError,
@@ -28,7 +28,7 @@ from planner.verify.rapid.lexer import (
     shown,
 )
 from planner.verify.rapid.syntax_tree import (
-    TYPES,
+    ALL_TYPES,
     Assign,
     Data,
     Expr,
@@ -44,11 +44,18 @@ from planner.verify.rapid.syntax_tree import (
 )
 from planner.verify.rapid.type_check import Checker
 
-_CLOSERS = ("endproc", "endmodule", "error", "undo", "proc")
+_CLOSING_WORDS = ("endproc", "endmodule", "error", "undo", "proc")
+"""Words that end what is open."""
 _BLOCK_ENDS = ("endif", "else", "elseif", "endwhile", "endfor")
-_STORAGE = ("const", "var", "pers", "task", "local")
-_STARTS = frozenset({*FORMS, *_CLOSERS, *_BLOCK_ENDS, *_STORAGE, "if", "while", "for"})
-_HEADER = re.compile(r"\s*%%%\s*VERSION:\s*1\s+LANGUAGE:\s*ENGLISH\s*%%%", re.IGNORECASE)
+"""Words that end a block of statements."""
+_STORAGE_WORDS = ("const", "var", "pers", "task", "local")
+"""Words that declarations begin with."""
+_STATEMENT_STARTS = frozenset(
+    {*INSTRUCTIONS, *_CLOSING_WORDS, *_BLOCK_ENDS, *_STORAGE_WORDS, "if", "while", "for"}
+)
+"""Words that a statement or declaration begins with."""
+_FILE_HEADER = re.compile(r"\s*%%%\s*VERSION:\s*1\s+LANGUAGE:\s*ENGLISH\s*%%%", re.IGNORECASE)
+"""Lines that controllers put in front of modules."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +115,7 @@ class Parser:
 
     def _skip_old_header(self) -> None:
         # IRC5 still accepts the header lines of older controllers: %%% VERSION:1 LANGUAGE:ENGLISH %%%
-        head = _HEADER.match(self.text)
+        head = _FILE_HEADER.match(self.text)
         if head is not None:
             self.cursor.jump(head.end())
 
@@ -116,9 +123,11 @@ class Parser:
         found: list[str] = []
         if self.cursor.take_symbol("("):
             while True:
-                word = self.cursor.take_word(*ATTRIBUTES)
+                word = self.cursor.take_word(*MODULE_ATTRIBUTES)
                 if word is None:
-                    raise self.cursor.fault("a module attribute: " + ", ".join(sorted(ATTRIBUTES)).upper())
+                    raise self.cursor.fault(
+                        "a module attribute: " + ", ".join(sorted(MODULE_ATTRIBUTES)).upper()
+                    )
                 found.append(word)
                 if not self.cursor.take_symbol(","):
                     break
@@ -141,8 +150,8 @@ class Parser:
 
     def _data(self, first: Token, storage: str, local: bool) -> Data:
         token = self.cursor.token
-        if token.kind != "name" or token.word not in TYPES:
-            raise self.cursor.fault("a data type: " + ", ".join(sorted(TYPES)))
+        if token.kind != "name" or token.word not in ALL_TYPES:
+            raise self.cursor.fault("a data type: " + ", ".join(sorted(ALL_TYPES)))
         kind = self.cursor.take().word
         start = self.cursor.token.start
         name = self._new_name("data")
@@ -173,7 +182,7 @@ class Parser:
             raise RapidSyntaxError(
                 token.start, "rapid.name_reserved", f"{shown(token.text)} is a reserved word of RAPID"
             )
-        if token.word in FORMS or token.word in FUNCTIONS or token.word in TYPES:
+        if token.word in INSTRUCTIONS or token.word in FUNCTIONS or token.word in ALL_TYPES:
             message = f"{shown(token.text)} is built in (instruction, function or type); choose another name"
             self.fault(token.start, "rapid.name_reserved", message)
         if len(token.text) > self.limits.name:
@@ -188,19 +197,19 @@ class Parser:
         name = self._new_name("procedure")
         self.cursor.expect_symbol("(", "behind the procedure's name")
         self.cursor.expect_symbol(")", "(procedures of this subset take no parameters)")
-        body = self._block(_CLOSERS, 0)
-        error = self._block(_CLOSERS, 0) if self.cursor.take_word("error") else None
-        undo = self._block(_CLOSERS, 0) if self.cursor.take_word("undo") else None
+        body = self._block(_CLOSING_WORDS, 0)
+        error = self._block(_CLOSING_WORDS, 0) if self.cursor.take_word("error") else None
+        undo = self._block(_CLOSING_WORDS, 0) if self.cursor.take_word("undo") else None
         if self.cursor.take_word("endproc") is None:
             self._note(self.cursor.fault(f"ENDPROC of {name}"))
         return Procedure(self.cursor.line(first.start), start, name, local, body, error, undo)
 
     def _block(self, ends: tuple[str, ...], depth: int) -> tuple[Statement, ...]:
-        if depth > MAX_DEPTH:
-            raise self.cursor.fault(f"at most {MAX_DEPTH} nested blocks")
+        if depth > MAX_BRACKETS:
+            raise self.cursor.fault(f"at most {MAX_BRACKETS} nested blocks")
         found: list[Statement] = []
         while not (self.cursor.token.kind == "end" or self._at(ends)):
-            if self._at((*_CLOSERS, "local")):
+            if self._at((*_CLOSING_WORDS, "local")):
                 break  # an inner block that was never closed; its owner says so
             self._guard(lambda: found.append(self._statement(depth)))
         return tuple(found)
@@ -216,7 +225,7 @@ class Parser:
                 move = quick_move(self.cursor, line)
                 if move is not None:
                     return move
-            if first.word in FORMS:
+            if first.word in INSTRUCTIONS:
                 return instruction(self.cursor, line, self.limits.string)
             if first.word == "if":
                 return self._if(line, depth)
@@ -255,8 +264,8 @@ class Parser:
         first = self.cursor.take()
         condition, source = self._condition()
         if self.cursor.take_word("then") is None:  # the short form: IF condition statement;
-            if depth > MAX_DEPTH:
-                raise self.cursor.fault(f"at most {MAX_DEPTH} nested blocks")
+            if depth > MAX_BRACKETS:
+                raise self.cursor.fault(f"at most {MAX_BRACKETS} nested blocks")
             return If(line, first.start, ((condition, (self._statement(depth + 1),)),), (), (source,))
         ends = ("elseif", "else", "endif")
         branches = [(condition, self._block(ends, depth + 1))]
@@ -322,7 +331,11 @@ class Parser:
         while self.cursor.token.kind != "end":
             token = self.cursor.token
             here = self.cursor.line(token.start)
-            if token.kind == "name" and token.word in _STARTS and (here > line or token.word in _CLOSERS):
+            if (
+                token.kind == "name"
+                and token.word in _STATEMENT_STARTS
+                and (here > line or token.word in _CLOSING_WORDS)
+            ):
                 return
             if token.kind == "bad" and here > line:
                 self._note(bad_token(token))
@@ -345,7 +358,7 @@ __all__ = [
 ]
 
 
-CHECK = re.compile(r"(?i)TandemCheck_\w+\.(modx?)$")
+CHECK_MODULE = re.compile(r"(?i)TandemCheck_\w+\.(modx?)$")
 """Names of the modules that compare the cell with the plan, which a rule of their own reads."""
 _COMPARES = re.compile(
     r"(?is)(?<=PROC check_cell\(\)).*?(?=^\s*ERROR\b)|^\s*PROC check_pose\b.*(?=^\s*ENDMODULE)", re.M
@@ -406,7 +419,7 @@ def read_task(
     faults: list[Fault] = []
     names: dict[str, str] = {}
     for file, text in files.items():
-        if isinstance(text, str) and CHECK.match(PurePosixPath(file).name):
+        if isinstance(text, str) and CHECK_MODULE.match(PurePosixPath(file).name):
             text = masked(text)
         module, wrong = read_module(text, file, limits)
         faults += wrong

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.verify.programs.steps import (
-    LARGEST,
+    LARGEST_NUMBER,
     JointTarget,
     Load,
     RobTarget,
@@ -32,7 +32,9 @@ from planner.verify.programs.steps import (
 )
 
 UNUSED_AXIS = 9e9
+"""Value of an external axis that is not there."""
 QUATERNION_TOLERANCE = 1e-5
+"""How far the norm of a quaternion may be off 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +62,13 @@ RECORDS: dict[str, tuple[str, ...]] = {
     "zonedata": ("bool", *("num",) * 6),
     "tasks": ("string",),
 }
-NUMBERS = frozenset({"num", "btnres", "buttondata", "icondata", "errnum", "dionum"})
-OPAQUE = frozenset({"syncident", "clock", "signaldo", "signaldi"})
-TYPES = frozenset(RECORDS) | NUMBERS | OPAQUE | {"bool", "string"}
+"""Components of each record, in order."""
+NUMBER_TYPES = frozenset({"num", "btnres", "buttondata", "icondata", "errnum", "dionum"})
+"""Types whose values are numbers."""
+OPAQUE_TYPES = frozenset({"syncident", "clock", "signaldo", "signaldi"})
+"""Types whose values no program sees."""
+ALL_TYPES = frozenset(RECORDS) | NUMBER_TYPES | OPAQUE_TYPES | {"bool", "string"}
+"""All types that are understood."""
 
 
 class RapidValueError(Exception):
@@ -76,7 +82,7 @@ class RapidValueError(Exception):
 
 def base_type(name: str) -> str:
     """The type that counts for agreement: aliases of num are num."""
-    return "num" if name in NUMBERS else name
+    return "num" if name in NUMBER_TYPES else name
 
 
 def build(kind: str, items: Any) -> Value:
@@ -104,7 +110,7 @@ def build(kind: str, items: Any) -> Value:
         except (TypeError, ValueError, OverflowError):
             pass  # the walk below finds what is wrong and says so
     conform(kind, items, kind)
-    convert = _CONVERT.get(kind)
+    convert = _CONVERTERS.get(kind)
     return convert(items) if convert else items
 
 
@@ -130,7 +136,7 @@ def conform(kind: str, items: Any, path: str) -> None:
     wanted = base_type(kind)
     if _kind(items) != wanted:
         raise RapidValueError("rapid.type", f"{path}: got {_kind(items)}; expected {wanted}")
-    if wanted == "num" and not abs(items) < LARGEST:
+    if wanted == "num" and not abs(items) < LARGEST_NUMBER:
         raise RapidValueError("rapid.number", f"{path}: {items} is no number that a controller holds")
 
 
@@ -181,7 +187,7 @@ def _zone(items: Any) -> Zone:
     return Zone(fine, *lengths, math.radians(angle), linear * 1e-3, math.radians(rotary))
 
 
-_CONVERT: dict[str, Callable[[Any], Value]] = {
+_CONVERTERS: dict[str, Callable[[Any], Value]] = {
     "num": float,
     "pos": _pos,
     "orient": singles,
@@ -195,9 +201,11 @@ _CONVERT: dict[str, Callable[[Any], Value]] = {
     "zonedata": _zone,
     "tasks": lambda items: items[0],
 }
+"""What makes a value of each type from parsed data."""
 
-_UNIT = [[0, 0, 0], [1, 0, 0, 0]]
-_SPEEDS = (
+_UNIT_POSE = [[0, 0, 0], [1, 0, 0, 0]]
+"""The pose that moves nothing."""
+_SPEEDS_MM_S = (
     5,
     10,
     20,
@@ -220,7 +228,8 @@ _SPEEDS = (
     2500,
     3000,
 )
-_ZONES = {
+"""Predefined speeds of the TCP [mm/s], up to v3000."""
+_ZONES_MM = {
     0: (0.3, 0.3, 0.03),
     1: (1, 1, 0.1),
     5: (5, 8, 0.8),
@@ -228,24 +237,25 @@ _ZONES = {
     15: (15, 23, 2.3),
     20: (20, 30, 3),
 }
-_ZONES |= {30: (30, 45, 4.5), 40: (40, 60, 6), 50: (50, 75, 7.5), 60: (60, 90, 9), 80: (80, 120, 12)}
-_ZONES |= {100: (100, 150, 15), 150: (150, 225, 23), 200: (200, 300, 30)}
+"""Predefined zones: way of the TCP and of external axes [mm], turn [deg]."""
+_ZONES_MM |= {30: (30, 45, 4.5), 40: (40, 60, 6), 50: (50, 75, 7.5), 60: (60, 90, 9), 80: (80, 120, 12)}
+_ZONES_MM |= {100: (100, 150, 15), 150: (150, 225, 23), 200: (200, 300, 30)}
 
 
 def _predefined() -> dict[str, tuple[str, Value]]:
     table: dict[str, tuple[str, Value]] = {
         f"v{v}": ("speeddata", build("speeddata", [v, 500, 5000, 1000]))
-        for v in (*_SPEEDS, 4000, 5000, 6000, 7000)
+        for v in (*_SPEEDS_MM_S, 4000, 5000, 6000, 7000)
     }
     # vmax is the robot's own highest TCP speed: the instruction sets no limit
     table["vmax"] = ("speeddata", Speed(math.inf, math.radians(500), 5.0, math.radians(1000)))
-    for name, (tcp, turn, angle) in _ZONES.items():
+    for name, (tcp, turn, angle) in _ZONES_MM.items():
         table[f"z{name}"] = ("zonedata", build("zonedata", [False, tcp, turn, turn, angle, turn, angle]))
     table["fine"] = ("zonedata", build("zonedata", [True, 0, 0, 0, 0, 0, 0]))
     load = [0.001, [0, 0, 0.001], [1, 0, 0, 0], 0, 0, 0]
     table["load0"] = ("loaddata", build("loaddata", load))
-    table["tool0"] = ("tooldata", build("tooldata", [True, _UNIT, load]))
-    table["wobj0"] = ("wobjdata", build("wobjdata", [False, True, "", _UNIT, _UNIT]))
+    table["tool0"] = ("tooldata", build("tooldata", [True, _UNIT_POSE, load]))
+    table["wobj0"] = ("wobjdata", build("wobjdata", [False, True, "", _UNIT_POSE, _UNIT_POSE]))
     answers = ("resunkwn", "resok", "resabort", "resretry", "resignore", "rescancel", "resyes", "resno")
     buttons = (
         "btnnone",
@@ -276,6 +286,7 @@ def _predefined() -> dict[str, tuple[str, Value]]:
 
 
 PREDEFINED = _predefined()
+"""Data that every RAPID program knows."""
 
 
 # ---- expressions; `start` is the offset in the module's text -----------------------------------------------

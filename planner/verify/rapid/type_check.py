@@ -6,9 +6,9 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 
 from planner.verify.programs.steps import Fault
-from planner.verify.rapid.lexer import FORMS, FUNCTIONS, IN_HANDLER_ONLY, shown
+from planner.verify.rapid.lexer import FUNCTIONS, IN_HANDLER_ONLY, INSTRUCTIONS, shown
 from planner.verify.rapid.syntax_tree import (
-    OPAQUE,
+    OPAQUE_TYPES,
     PREDEFINED,
     RECORDS,
     Aggregate,
@@ -35,8 +35,10 @@ from planner.verify.rapid.syntax_tree import (
     conform,
 )
 
-_SIGNALS = ("signaldo", "signaldi")
+_SIGNAL_TYPES = ("signaldo", "signaldi")
+"""Types of signals."""
 _MOVE_OPTIONS = ("id", "time", "velocity", "wobj")
+"""Fields of a move whose types are checked: numbers, and the work object."""
 
 
 class Checker:
@@ -106,7 +108,7 @@ class Checker:
     def _data(self, data: Data) -> None:
         if data.initial is None:
             return
-        if data.kind in OPAQUE:
+        if data.kind in OPAQUE_TYPES:
             self.fault(data.start, "rapid.type", f"{data.kind} {data.name} takes no value")
             return
         if "PERS" in data.storage and any(
@@ -172,7 +174,7 @@ class Checker:
             self.fault(loop.start, "rapid.name_duplicate", message)
 
     def _move(self, move: Move) -> None:
-        form = FORMS[move.kind.lower()]
+        form = INSTRUCTIONS[move.kind.lower()]
         for value, kind in zip((move.target, move.speed, move.zone, move.tool), form.required, strict=True):
             self.expect(value, kind)
         for name, kind in zip(_MOVE_OPTIONS, ("num", "num", "num", "wobjdata"), strict=True):
@@ -186,7 +188,7 @@ class Checker:
             self.fault(move.id.start, "rapid.number", f"\\ID is {move.id.value:g}; allowed: whole numbers")
 
     def _instruction(self, statement: Instruction, handler: bool) -> None:
-        form = FORMS[statement.name.lower()]
+        form = INSTRUCTIONS[statement.name.lower()]
         if statement.name.lower() in IN_HANDLER_ONLY and not handler:
             self.fault(
                 statement.start, "rapid.syntax", f"{statement.name} is allowed in an ERROR section only"
@@ -201,7 +203,7 @@ class Checker:
         found = self.find(statement.target.key)
         if not isinstance(found, Data):
             self._unknown(statement.target)
-        elif found.storage == "CONST" or found.kind in OPAQUE:
+        elif found.storage == "CONST" or found.kind in OPAQUE_TYPES:
             message = f"{found.name} is {found.storage} {found.kind}; it cannot be assigned"
             self.fault(statement.target.start, "rapid.type", message)
         else:
@@ -236,7 +238,7 @@ class Checker:
             for part, item in zip(parts, value.items, strict=True):
                 self.expect(item, part)
             return
-        if wanted in _SIGNALS and isinstance(value, Name) and self.find(value.key) is None:
+        if wanted in _SIGNAL_TYPES and isinstance(value, Name) and self.find(value.key) is None:
             if self.signals is not None and value.key not in self.signals:
                 known = ", ".join(sorted(self.signals))
                 message = f"{shown(value.text)} is not a signal of the cell; known: {known}"

@@ -21,8 +21,9 @@ from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError
 
 BASE_LINK: Final = "base_link"
+"""The link that the chain goes from, the robot's foot."""
 TIP_LINK: Final = "tool0"
-"""The links that the chain goes from and to: the robot's foot and its flange."""
+"""The link that the chain goes to, the robot's flange."""
 
 POSTURES_TOGETHER: Final = 4096
 """Postures that are worked out at once: their arrays stay in the processor's cache."""
@@ -215,10 +216,10 @@ def _numbers(joint: ET.Element, element: ET.Element, key: str, default: str) -> 
     return values
 
 
-EXACT: Final = 1e-9
+AXIS_ERROR: Final = 1e-9
 """How far [m] axes may be off from meeting, and [rad] from being parallel or square: files round so far."""
 
-_DIGITS: Final = 11
+_LENGTH_DECIMALS: Final = 11
 """Lengths count to so many decimals of a metre: sums of a file's decimals get no noise."""
 
 
@@ -293,7 +294,7 @@ def shape_of(chain: Chain) -> ArmShape:
             [np.sign(w[0] @ up), sign2, np.sign(w[2] @ side), sign4, sign5, np.sign(w[5] @ flange[:3, 2])]
         ),
     )
-    if not (shape.c2 > EXACT and np.hypot(shape.a2, shape.c3) > EXACT):
+    if not (shape.c2 > AXIS_ERROR and np.hypot(shape.a2, shape.c3) > AXIS_ERROR):
         raise ValueError(
             f"has an upper arm of {shape.c2:g} m and a forearm of {shape.c3:g} m; both need length"
         )
@@ -301,7 +302,7 @@ def shape_of(chain: Chain) -> ArmShape:
 
 
 def _metres(value: float) -> float:
-    return round(float(value), _DIGITS) + 0.0
+    return round(float(value), _LENGTH_DECIMALS) + 0.0
 
 
 def _along(axis: FloatArray, wanted: FloatArray) -> tuple[FloatArray, float]:
@@ -318,34 +319,36 @@ def _meeting(a: FloatArray, u: FloatArray, b: FloatArray, v: FloatArray) -> Floa
 
 def _parallel(a: FloatArray, b: FloatArray, one: str, other: str) -> None:
     off = float(np.linalg.norm(np.cross(a, b)))
-    if not off <= EXACT:
+    if not off <= AXIS_ERROR:
         raise ValueError(_not_so(one, other, "parallel to", off))
 
 
 def _square(a: FloatArray, b: FloatArray, one: str, other: str) -> None:
     off = abs(float(a @ b))
-    if not off <= EXACT:
+    if not off <= AXIS_ERROR:
         raise ValueError(_not_so(one, other, "square to", off))
 
 
 def _not_so(one: str, other: str, word: str, off: float) -> str:
     degrees = np.rad2deg(np.arcsin(min(off, 1.0)))
-    return (
-        f"has {one} {degrees:.6f} deg off from being {word} {other}; {np.rad2deg(EXACT):.0e} deg is allowed"
-    )
+    most = np.rad2deg(AXIS_ERROR)
+    return f"has {one} {degrees:.6f} deg off from being {word} {other}; {most:.0e} deg is allowed"
 
 
 def _met(gap: FloatArray, one: str, other: str) -> None:
     off = float(np.linalg.norm(gap))
-    if not off <= EXACT:
-        raise ValueError(f"has {one} {1e3 * off:.6f} mm beside {other}; {1e3 * EXACT:g} mm is allowed")
+    if not off <= AXIS_ERROR:
+        raise ValueError(f"has {one} {1e3 * off:.6f} mm beside {other}; {1e3 * AXIS_ERROR:g} mm is allowed")
 
 
 ROBOT_MODEL: Final = "verify.robot_model"
+"""Code of the rule about robot data."""
 MODEL_AGREEMENT: Final = 1e-8
 """How far catalogue and URDF may differ, in m, rad and rad/s: files round to 1e-9."""
 REINSTALL_HINT: Final = "install tandem-planner again, or restore the file"
-_LENGTHS: Final = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
+"""What to do where robot data do not agree."""
+_LINK_LENGTHS: Final = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
+"""Lengths of an arm with a spherical wrist, as the catalogue names them."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -386,7 +389,7 @@ def differences(machine: Machine) -> list[str]:
     shape, chain, data = machine.shape, machine.chain, machine.data
     planned = data.opw
     out = []
-    for key in _LENGTHS:
+    for key in _LINK_LENGTHS:
         here, there = getattr(shape, key), getattr(planned, key)
         if not abs(here - there) <= MODEL_AGREEMENT:
             out.append(

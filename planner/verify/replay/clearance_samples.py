@@ -21,16 +21,18 @@ from planner.tooling import working_solid
 from planner.verify.context import Context
 from planner.verify.replay import arm_model
 
-STRIDE = 0.012
+SAMPLE_STRIDE = 0.012
 """Way of any point of an arm between looks [m], the wanted clearance at most: bodies that keep it at two
-looks do not touch between them, as long as it is more than ``LEAST``."""
-LEAST = 0.003
-SHOWN = 20_000
+looks do not touch between them, as long as it is more than ``LEAST_STRIDE``."""
+LEAST_STRIDE = 0.003
+"""Least such way [m]."""
+MOST_MEASURED = 20_000
 """Up to so many looks all distances are measured; of more, a quarter of it and all that are in doubt."""
-BATCH = 2000
+SAMPLES_AT_ONCE = 2000
+"""Looks that are measured before it is asked whether enough of them are bad."""
 MOST_NEAREST = 50_000
 """Looks that are measured at most to find the least distance where none is in doubt."""
-PRECISE = 1e-5
+DISTANCE_PRECISION = 1e-5
 """How precisely the least distance is found [m], where none is in doubt."""
 MOST_DOUBTED = 250_000
 """Looks that bounds leave in doubt at most; a motion that has more is refused."""
@@ -55,7 +57,7 @@ class Measured:
 
 def clearance_rows(context: Context, index: int) -> IntArray:
     """Samples of setup ``index`` at which clearance is looked at: no point of an arm, its tool or what it
-    holds moves farther than ``STRIDE`` between them."""
+    holds moves farther than ``SAMPLE_STRIDE`` between them."""
     rows = np.flatnonzero(context.sample_setup == index)
     if not len(rows):
         return rows
@@ -63,7 +65,9 @@ def clearance_rows(context: Context, index: int) -> IntArray:
     for task in context.job.tasks:
         way[1:] += travel(context, index, task.arm.name, rows)
     along = np.cumsum(way)
-    count = max(int(np.ceil(along[-1] / min(STRIDE, max(context.problem.settings.clearance, LEAST)))), 1)
+    count = max(
+        int(np.ceil(along[-1] / min(SAMPLE_STRIDE, max(context.problem.settings.clearance, LEAST_STRIDE)))), 1
+    )
     marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
     return rows[np.unique(np.clip(marks, 0, len(along) - 1))]
 
@@ -77,33 +81,31 @@ def least_distances(
     Raises :class:`TandemError` (``verify.duration``) where too many looks are in doubt.
     """
     count = max((len(rows) for rows in q.values()), default=0)
-    if count <= SHOWN:
-        found = _witnessed(
-            model, q, reach, ignore, np.arange(count), clearance.least(model, q, reach, ignore)
-        )
-        return Measured(np.arange(count), found, np.inf)
+    if count <= MOST_MEASURED:
+        look, found = np.arange(count), clearance.least(model, q, reach, ignore)
+        return Measured(look, _witnessed(model, q, reach, ignore, look, found), np.inf)
     asked = _Asked(model, q, reach, ignore, count)
-    asked.ask(np.unique(np.linspace(0, count - 1, SHOWN // 4).astype(np.int64)))
+    asked.ask(np.unique(np.linspace(0, count - 1, MOST_MEASURED // 4).astype(np.int64)))
     # neither the limit nor the least distance is beyond this, and bounds that need not reach farther are fast
     near = max(limit, float(np.nanmin(asked.distance, initial=reach)))
     lower = clearance.at_least(model, q, min(reach, near + 2.0 * clearance.BOUND_ERROR), ignore)
     lower[~np.isfinite(model.stack(q)).all(axis=1)] = -np.inf
     doubted = np.flatnonzero(lower < limit)
-    for first in range(0, len(doubted), BATCH):
+    for first in range(0, len(doubted), SAMPLES_AT_ONCE):
         if np.count_nonzero(asked.distance < limit) > MOST_BROKEN:
             break
         if first >= MOST_DOUBTED:
             what = f"clearance is in doubt at {len(doubted)} of {count} looks"
             what = f"{what}, at most {MOST_DOUBTED} are measured; split the job"
             raise TandemError(Issue("verify.duration", what, value=len(doubted), limit=MOST_DOUBTED))
-        asked.ask(doubted[first : first + BATCH])
+        asked.ask(doubted[first : first + SAMPLES_AT_ONCE])
     order = np.argsort(lower, kind="stable")
-    for first in range(0, MOST_NEAREST, BATCH):
-        nearest = order[first : first + BATCH]
+    for first in range(0, MOST_NEAREST, SAMPLES_AT_ONCE):
+        nearest = order[first : first + SAMPLES_AT_ONCE]
         # a bound is a touch below the distance that it bounds
         if (
             not len(nearest)
-            or lower[nearest[0]] + clearance.BOUND_ERROR >= np.nanmin(asked.distance) - PRECISE
+            or lower[nearest[0]] + clearance.BOUND_ERROR >= np.nanmin(asked.distance) - DISTANCE_PRECISION
         ):
             break
         asked.ask(nearest)
@@ -126,7 +128,7 @@ def _witnessed(
     spread = np.linspace(0, len(look) - 1, WITNESSED).astype(np.int64) if len(look) else look
     some = np.union1d(np.argsort(found.distance, kind="stable")[:WITNESSED], spread)
     drake = clearance.witness(model, {arm: rows[look[some]] for arm, rows in q.items()}, reach, ignore)
-    less = np.flatnonzero(drake.distance < found.distance[some] - PRECISE)
+    less = np.flatnonzero(drake.distance < found.distance[some] - DISTANCE_PRECISION)
     distance, pair = found.distance.copy(), list(found.pair)
     for k in less.tolist():
         distance[some[k]], pair[some[k]] = drake.distance[k], drake.pair[k]

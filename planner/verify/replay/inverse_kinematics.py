@@ -27,6 +27,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.verify.replay.arm_model import Machine
 
 FULL_TURN = 2.0 * np.pi
+"""One turn of a joint [rad]."""
 REPRODUCED = 1e-9
 """How far off its pose [m, and in each entry of the rotation] a solution may be by the URDF's chain."""
 
@@ -134,43 +135,41 @@ def _unit(cosine: FloatArray) -> FloatArray:
 
 
 QUADRANT_ANGLE = 0.5 * np.pi
-_AXES = (0, 3, 5)
-TOLERANCE = np.deg2rad(0.01)
-"""How far past a quadrant's border an axis may be: rounded targets put an axis at exactly 90 degrees on
-either side."""
-
-
-def quadrants(q: FloatArray) -> IntArray:
-    """cf1, cf4, cf6 (..., 3) of serial joint angles (..., 6)."""
-    return np.floor(q[..., _AXES] / QUADRANT_ANGLE).astype(np.int64)
+"""A quarter of a turn [rad]."""
+_CONF_AXES = (0, 3, 5)
+"""Axes 1, 4 and 6, whose quadrants confdata names."""
+QUADRANT_TOLERANCE = np.deg2rad(0.01)
+"""How far past a quadrant's border an axis may be [rad]: rounded targets put an axis at exactly 90 degrees
+on either side."""
 
 
 def select_by_confdata(machine: Machine, flange: FloatArray, conf: IntArray) -> FloatArray:
     """Joint angles (B, 6) that confdata (B, 4) select at flange poses (B, 4, 4) in the base; NaN where they
     select none."""
     q = solve(machine, flange, conf[:, 3])
-    for column, axis in enumerate(_AXES):
+    for column, axis in enumerate(_CONF_AXES):
         middle = (conf[:, column] + 0.5) * QUADRANT_ANGLE
         q[:, axis] += FULL_TURN * np.round((middle - q[:, axis]) / FULL_TURN)
-        off = np.abs(q[:, axis] - middle) > 0.5 * QUADRANT_ANGLE + TOLERANCE
+        off = np.abs(q[:, axis] - middle) > 0.5 * QUADRANT_ANGLE + QUADRANT_TOLERANCE
         q[off] = np.nan
     q[(conf[:, 3] < 0) | (conf[:, 3] > 7)] = np.nan
     return q
 
 
 def fits_confdata(machine: Machine, q: FloatArray, conf: IntArray) -> BoolArray:
-    """Whether confdata (B, 4) are the true ones of joint angles (B, 6), within ``TOLERANCE`` of a quadrant's
-    border."""
+    """Whether confdata (B, 4) are the true ones of joint angles (B, 6), within ``QUADRANT_TOLERANCE`` of a
+    quadrant's border."""
     middle = (conf[:, :3] + 0.5) * QUADRANT_ANGLE
-    quadrant = np.all(np.abs(q[:, _AXES] - middle) <= 0.5 * QUADRANT_ANGLE + TOLERANCE, axis=-1)
+    quadrant = np.all(np.abs(q[:, _CONF_AXES] - middle) <= 0.5 * QUADRANT_ANGLE + QUADRANT_TOLERANCE, axis=-1)
     return np.asarray(quadrant & (branch_of(machine, q) == conf[:, 3]))
 
 
-NEAR_ZERO = np.deg2rad(2.0)
-"""A controller may leave the turn bit of an axis alone that is so near to zero."""
-_EDGE = np.deg2rad(1e-4)
-"""How far an axis may be on the other side of zero than its turn bit says: poses are rounded."""
+NEAR_ZERO_ANGLE = np.deg2rad(2.0)
+"""A controller may leave the turn bit of an axis alone that is nearer to zero than this [rad]."""
+_ZERO_TOLERANCE = np.deg2rad(1e-4)
+"""How far [rad] an axis may be on the other side of zero than its turn bit says: poses are rounded."""
 _SAME_SOLUTION = np.deg2rad(1e-3)
+"""Solutions whose joints differ by less [rad] are one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -212,14 +211,17 @@ def select_by_status(machine: Machine, flange: FloatArray, status: int, turn: in
         for some in itertools.product(*turns):
             values = np.array(some)
             negative = np.array([bool(turn >> axis & 1) for axis in range(6)])
-            fits = np.where(negative, values < _EDGE, values >= -_EDGE)
+            fits = np.where(negative, values < _ZERO_TOLERANCE, values >= -_ZERO_TOLERANCE)
             if fits.all() and not any(np.abs(values - other).max() < _SAME_SOLUTION for other in found):
                 found.append(values)
-    near = tuple(int(i) + 1 for i in np.flatnonzero(np.abs(found[0]) < NEAR_ZERO)) if found else ()
+    near = tuple(int(i) + 1 for i in np.flatnonzero(np.abs(found[0]) < NEAR_ZERO_ANGLE)) if found else ()
     return Chosen(np.array(found).reshape(-1, 6), near)
 
 
 def _turns(angle: float, lower: float, upper: float) -> list[float]:
     """The angle with all whole turns that lie within limits, a hair beyond them counted in."""
-    low, high = np.ceil((lower - _EDGE - angle) / FULL_TURN), np.floor((upper + _EDGE - angle) / FULL_TURN)
+    low, high = (
+        np.ceil((lower - _ZERO_TOLERANCE - angle) / FULL_TURN),
+        np.floor((upper + _ZERO_TOLERANCE - angle) / FULL_TURN),
+    )
     return [angle + FULL_TURN * k for k in range(int(low), int(high) + 1)]

@@ -152,10 +152,10 @@ def differences(time: FloatArray, q: FloatArray, order: int) -> FloatArray:
     return out
 
 
-MELTED = 1e-3
+MELTED_WAY = 1e-3
 """[m] heat reaches ahead of the wire, to its sides and behind it by about half a slot: what the wire does on
 less of its way either way is melted together, so that a slot cannot grow wide and narrow again within it."""
-_STILL = 1e-12
+_STANDING_WAY = 1e-12
 """[m] least way between stations: a wire that stands takes time and goes nowhere."""
 
 
@@ -170,17 +170,17 @@ def steps_across(points: FloatArray) -> FloatArray:
 def local(points: FloatArray, time: FloatArray, inside: BoolArray) -> FloatArray:
     """Speed (T, P) [m/s] across the wire of its points (T, P, 3) at each of the times (T,): the way over the
     time, from the station before to the one behind, or from farther off, until the fastest point ``inside``
-    (T, P) the foam, or in the air of all, has moved ``MELTED`` either way; at the ends what there is.
+    (T, P) the foam, or in the air of all, has moved ``MELTED_WAY`` either way; at the ends what there is.
     """
     if len(points) < 2:
         return np.zeros(points.shape[:2])
     step = steps_across(points)
     both = inside[1:] & inside[:-1]
     lead = np.where(both | ~both.any(axis=1, keepdims=True), step, 0.0).max(axis=1)
-    gone = np.concatenate([[0.0], np.cumsum(np.maximum(lead, _STILL))])
+    gone = np.concatenate([[0.0], np.cumsum(np.maximum(lead, _STANDING_WAY))])
     way = np.concatenate([np.zeros((1, points.shape[1])), np.cumsum(step, axis=0)])
-    low = np.minimum(np.concatenate([gone[:1], gone[:-1]]), gone - MELTED).clip(gone[0])
-    high = np.maximum(np.concatenate([gone[1:], gone[-1:]]), gone + MELTED).clip(None, gone[-1])
+    low = np.minimum(np.concatenate([gone[:1], gone[:-1]]), gone - MELTED_WAY).clip(gone[0])
+    high = np.maximum(np.concatenate([gone[1:], gone[-1:]]), gone + MELTED_WAY).clip(None, gone[-1])
     span = np.interp(high, gone, time) - np.interp(low, gone, time)
     return np.asarray((_at(high, gone, way) - _at(low, gone, way)) / np.maximum(span, 1e-9)[:, None])
 

@@ -122,7 +122,8 @@ def _progress(law: TimeLaw, move: IntArray, elapsed: FloatArray) -> tuple[FloatA
 
 _ARM_LENGTH = 0.3
 """Weight [m/rad] of turning against moving where speeds at ramps are matched."""
-_REACH_HALF = 0.5
+_MOST_CORNER_SHARE = 0.5
+"""Share of a move that a corner takes at most."""
 ACCURACY = 1e-5
 """Path accuracy [m] that a corner is rounded within even without a zone; a tenth of what ABB states for path
 repeatability."""
@@ -243,7 +244,7 @@ def make_law(
     rounding. ``starts`` (4, 4) are each row's TCP in the frame of its poses, ``joints`` (6,) its angles."""
     count = len(rows[0].moves)
     duration, length = np.zeros(count), np.zeros(count)
-    reach = np.full((count + 1, 2), _REACH_HALF)
+    reach = np.full((count + 1, 2), _MOST_CORNER_SHARE)
     deltas = []
     for row, start, q in zip(rows, starts, joints, strict=True):
         before = np.concatenate([start[None], row.pose[:-1]])
@@ -265,7 +266,7 @@ def make_law(
     ) in deltas:  # a rounding of half width h strays from the corner by h |change of speed| / 4
         change = _sideways(delta / duration[:, None])
         room[1:-1] = np.minimum(room[1:-1], 4.0 * accuracy / np.maximum(change, 1e-12))
-    return time_law_of(duration, length, stop, np.clip(reach, 0.0, _REACH_HALF), room)
+    return time_law_of(duration, length, stop, np.clip(reach, 0.0, _MOST_CORNER_SHARE), room)
 
 
 def _durations(row: Row, start: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
@@ -320,7 +321,7 @@ def _sideways(speed: FloatArray) -> FloatArray:
 
 def _share(zone: FloatArray, angle: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
     """Fraction of moves that zones cover: by the way of the TCP, or by the turning of a TCP that stands."""
-    by_turn = np.where(turn > 1e-6, angle / np.maximum(turn, 1e-6), _REACH_HALF)
+    by_turn = np.where(turn > 1e-6, angle / np.maximum(turn, 1e-6), _MOST_CORNER_SHARE)
     return np.where(step > 1e-5, zone / np.maximum(step, 1e-5), by_turn)
 
 
@@ -337,25 +338,26 @@ def between(steps: tuple[Step, ...], count: int) -> list[list[Step]]:
     return out
 
 
-def waits(steps: list[Step]) -> float:
+def dwell_time(steps: list[Step]) -> float:
+    """Seconds that the steps wait for."""
     return sum(step.pause for step in steps if isinstance(step, WaitStep))
 
 
-def holds(steps: list[Step]) -> bool:
+def needs_standstill(steps: list[Step]) -> bool:
     """Whether the steps need the arm to stand: waits and questions to the operator, not settings."""
     return any(
         isinstance(step, WaitStep) or (isinstance(step, MessageStep) and step.confirm) for step in steps
     ) or any(isinstance(step, SettingStep) and step.stops for step in steps)
 
 
-CHUNK = 32_768
+SAMPLES_AT_ONCE = 32_768
 """Samples that are worked out at once."""
 
 
 def chunks(rows: IntArray, when: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
     """Samples and their times, some thousands at once: what is worked out on the way needs much memory."""
-    for first in range(0, len(rows), CHUNK):
-        yield rows[first : first + CHUNK], when[first : first + CHUNK]
+    for first in range(0, len(rows), SAMPLES_AT_ONCE):
+        yield rows[first : first + SAMPLES_AT_ONCE], when[first : first + SAMPLES_AT_ONCE]
 
 
 def samples_on_way(row: Row, a: int, b: int, start: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -27,11 +27,12 @@ from planner.verify.programs.program_text import segment_of_name
 from planner.verify.programs.steps import Step
 from planner.verify.replay import arm_model, inverse_kinematics, moves
 from planner.verify.replay.motion import Fault, Motion, Poses
-from planner.verify.replay.moves import Row, between, holds, make_law, make_row, waits
+from planner.verify.replay.moves import Row, between, dwell_time, make_law, make_row, needs_standstill
 
-STEP = 0.004
-LONGEST = 4 * 3600.0
+SAMPLE_TIME = 0.004
 """Time between samples [s]."""
+LONGEST_MOTION = 4 * 3600.0
+"""A motion that takes longer [s] is refused."""
 
 
 def replay(
@@ -158,7 +159,7 @@ class _Player:
             own = 0.0
             for step in steps.get(task.name, []):
                 self.events.append((self.clock + own, number, task.name, step))
-                own += waits([step])
+                own += dwell_time([step])
             spent = max(spent, own)
         self.clock += spent
         return spent
@@ -179,9 +180,11 @@ class _Player:
                 self.events += [(self.clock, number, task.name, step) for step in stage.steps[task.name]]
         logic_steps = {task.name: between(stage.steps[task.name], count) for task in movers}
         pauses = np.array(
-            [max(waits(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
+            [max(dwell_time(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
         )
-        logic = np.array([any(holds(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)])
+        logic = np.array(
+            [any(needs_standstill(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
+        )
         fine = np.array([any(row.moves[i].zone.fine for row in rows) for i in range(count)])
         stop = np.concatenate([[True], fine | logic[1:]])
         stop[-1] = True
@@ -199,14 +202,14 @@ class _Player:
         law = make_law(rows, [self._start(row, q) for row, q in zip(rows, joints, strict=True)], joints, stop)
         duration = np.diff(law.times)
         total = float(law.times[-1])
-        if not self.clock + total <= LONGEST:
-            hours, most = (self.clock + total) / 3600.0, LONGEST / 3600.0
+        if not self.clock + total <= LONGEST_MOTION:
+            hours, most = (self.clock + total) / 3600.0, LONGEST_MOTION / 3600.0
             what = f"the programs take {hours:.3g} h or more, at most {most:.3g} h are proven; go faster, or "
             what += "split the job"
             if np.isfinite(hours):
                 what += f" into {np.ceil(hours / most):.0f} problems or more"
             raise TandemError(Issue("verify.duration", what, value=hours, limit=most, unit="h"))
-        samples = max(int(np.ceil(total / STEP)), 2)
+        samples = max(int(np.ceil(total / SAMPLE_TIME)), 2)
         at = np.linspace(0.0, total, samples + 1)
         node_at = _up_to(at, law.times[1:])
         move = np.clip(np.searchsorted(law.times, at, side="left") - 1, 0, count - 1)
@@ -236,7 +239,7 @@ class _Player:
             else:
                 self._play(played, law, at, self._carried(played, by_arm.get(played.carrier), before))
         self.nodes += count
-        self.clock = start + total + float(shift[-1]) + STEP
+        self.clock = start + total + float(shift[-1]) + SAMPLE_TIME
 
     @staticmethod
     def _rank(row: Row | None) -> bool:
@@ -271,7 +274,7 @@ class _Player:
                 own = 0.0
                 for step in steps:
                     self.events.append((float(at[i]) + own, number, task.name, step))
-                    own += waits([step])
+                    own += dwell_time([step])
 
     def _play(self, row: Row, law: moves.TimeLaw, at: FloatArray, carried: _Carried | None = None) -> None:
         name = row.task.arm.name

@@ -30,13 +30,19 @@ from planner.geometry.rigid import exp_twist, inverse, log_pose, log_rotation
 
 MOST_MISSED = 100
 """Poses that are missed before the search ends: each one is held against all of the path that is left."""
-_WINDOW = 16
-_BLOCK = 4096
-_ROUNDS = 8
+_FIRST_WINDOW = 16
+"""Targets that a pose is held against first; then ever more."""
+_MOST_POSES_AT_ONCE = 4096
+"""Poses that are held against targets in a row at once, at most."""
+_FREEDOM_ROUNDS = 8
+"""Rounds in which values of freedoms are found."""
 _START = 2.1  # rad: a third of a turn
-_FAR = 1e-3
-_AGAIN = 2
-_NEAR = 1e-6
+_START_AGAIN = 1e-3
+"""Poses that are off by more than this [m or rad] are begun from other turns."""
+_FINAL_PASSES = 2
+"""So often what is off by more than the next is worked out again."""
+_SETTLED = 1e-6
+"""Poses that are off by less than this [m or rad] are met."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +94,7 @@ def passing(
             run = size if usual.all() else int(np.argmin(usual))
             target[i : i + run], off[i : i + run] = start + 1 + pose[:run] - i, ahead[:run]
             met[i : i + run] = True
-        i, start, block = i + run, start + run, min(max(1, 2 * run), _BLOCK)
+        i, start, block = i + run, start + run, min(max(1, 2 * run), _MOST_POSES_AT_ONCE)
         if run == size > 0 or i == count:
             continue
         target[i], off[i], met[i] = search.next(start, i)
@@ -139,7 +145,7 @@ class _Search:
 
     def next(self, start: int, pose: int) -> tuple[int, FloatArray, bool]:
         """The first target from ``start`` on that meets a pose, else the nearest one; how far it is off."""
-        size, first, length = _WINDOW, start, len(self.tools[0].path)
+        size, first, length = _FIRST_WINDOW, start, len(self.tools[0].path)
         found: list[FloatArray] = []
         while first < length:
             rows = np.arange(first, min(first + size, length))
@@ -172,14 +178,14 @@ def values(relative: FloatArray, free: Sequence[FloatArray]) -> tuple[FloatArray
     best, left = _newton(relative, axes, _twist(relative) @ np.linalg.pinv(axes))
     turning = np.linalg.norm(axes[:, :3], axis=1) > 0.0
     for start in itertools.product(*((0.0, -_START, _START) if turns else (0.0,) for turns in turning)):
-        far = np.flatnonzero(np.linalg.norm(left, axis=1) > _FAR)
+        far = np.flatnonzero(np.linalg.norm(left, axis=1) > _START_AGAIN)
         if not len(far):
             break
         again, off = _newton(relative[far], axes, np.tile(start, (len(far), 1)))
         nearer = np.linalg.norm(off, axis=1) < np.linalg.norm(left[far], axis=1)
         best[far[nearer]], left[far[nearer]] = again[nearer], off[nearer]
-    for _ in range(_AGAIN):  # slow where two axes are nearly one
-        far = np.flatnonzero(np.linalg.norm(left, axis=1) > _NEAR)
+    for _ in range(_FINAL_PASSES):  # slow where two axes are nearly one
+        far = np.flatnonzero(np.linalg.norm(left, axis=1) > _SETTLED)
         if not len(far):
             break
         again, off = _newton(relative[far], axes, best[far])
@@ -190,7 +196,7 @@ def values(relative: FloatArray, free: Sequence[FloatArray]) -> tuple[FloatArray
 
 def _newton(relative: FloatArray, axes: FloatArray, start: FloatArray) -> tuple[FloatArray, FloatArray]:
     found = np.array(start, dtype=np.float64)
-    for _ in range(_ROUNDS):
+    for _ in range(_FREEDOM_ROUNDS):
         behind = np.broadcast_to(np.eye(4), relative.shape)
         columns: list[FloatArray] = []
         for j in range(len(axes) - 1, -1, -1):  # the twist of each axis, seen from behind the later ones
@@ -221,8 +227,10 @@ LEAST_FEED_SHARE: Final = 0.8
 """Share of the least feed that tools keep at every instant between ramps."""
 TIME_ROUNDING: Final = 1.001, 2e-5
 """Times are rounded: they may be longer by this factor, and by so many seconds besides."""
-INSTANTS: Final = np.linspace(0.0, 1.0, 21)
-SHOWN: Final = 20
+MOVE_INSTANTS: Final = np.linspace(0.0, 1.0, 21)
+"""Instants of a move at which a speed is looked at."""
+ISSUES_SHOWN: Final = 20
+"""Issues of one kind at most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -265,7 +273,7 @@ def slow_places(way: Way, run_up: float) -> list[Slow]:
         mean += _mean(way, first, last, _clock(along, run_up))
         halts += _halts(way, first, last)
         moment += _moment(way, first, last, run_up)
-    return [*halts[:SHOWN], *mean[:SHOWN], *moment[:SHOWN]]
+    return [*halts[:ISSUES_SHOWN], *mean[:ISSUES_SHOWN], *moment[:ISSUES_SHOWN]]
 
 
 def _stretches(way: Way) -> list[tuple[int, int]]:
@@ -349,10 +357,10 @@ def _moment(way: Way, first: int, last: int, run_up: float) -> list[Slow]:
     speed[0] = np.clip(speed[1], speed[0], 2.0 * speed[0])
     speed[-1] = np.clip(speed[-2], speed[-1], 2.0 * speed[-1])
     scale = (speed / np.maximum(size, 1e-12))[:, None]
-    fastest = np.zeros((len(INSTANTS), len(size) - 1))
+    fastest = np.zeros((len(MOVE_INSTANTS), len(size) - 1))
     for step in steps:
         rate = step * scale
-        mixed = (1.0 - INSTANTS)[:, None, None] * rate[:-1] + INSTANTS[:, None, None] * rate[1:]
+        mixed = (1.0 - MOVE_INSTANTS)[:, None, None] * rate[:-1] + MOVE_INSTANTS[:, None, None] * rate[1:]
         fastest = np.maximum(fastest, np.linalg.norm(mixed, axis=2))
     slowest = fastest.min(axis=0)
     limit = np.minimum(least[:-1], least[1:]) * ramp[1:-1]
@@ -367,11 +375,17 @@ def _slow_at(pose: int, speed: float, limit: float, where: str) -> Slow:
 
 
 PLACE_COLUMNS = ("x_mm", "y_mm", "z_mm")
+"""Columns of a position [mm]."""
 TURN_COLUMNS = ("qw", "qx", "qy", "qz")
+"""Columns of a unit quaternion."""
 FEED_COLUMN = "feed_mm_s"
+"""Column of the feed [mm/s]."""
 LEAST_FEED_COLUMN = "feed_min_mm_s"
+"""Column of the least feed [mm/s]."""
 STOP_COLUMN = "stop"
-_YES = ("1", "true", "yes")
+"""Column of stops."""
+_YES_WORDS = ("1", "true", "yes")
+"""What says yes there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -404,7 +418,7 @@ def read_pose_table(path: Path, arms: Sequence[str]) -> PoseTable:
     feed, least = (
         np.array([_number(row.get(key)) for row in rows]) for key in (FEED_COLUMN, LEAST_FEED_COLUMN)
     )
-    stop = np.array([str(row.get(STOP_COLUMN) or "").strip().lower() in _YES for row in rows])
+    stop = np.array([str(row.get(STOP_COLUMN) or "").strip().lower() in _YES_WORDS for row in rows])
     return PoseTable(poses, feed / 1000.0, least / 1000.0, stop)
 
 

@@ -20,11 +20,12 @@ from planner.tooling import Gripper
 from planner.units import GRAVITY
 from planner.verify.context import Context, Outcome, mm, rule
 
-SHAKES: Final = 3.0
+GRIP_FACTOR: Final = 3.0
 """A gripper holds so many times the weight of its block at least."""
 GRIPPER_TILT: Final = np.deg2rad(1.0)
+"""How far a block's bottom face may be turned off its gripper [rad]."""
 GRIPPER_GAP: Final = 0.5e-3
-"""How far a block's bottom face may be turned and moved off its gripper [rad, m]."""
+"""How far a block's bottom face may be off its gripper [m]."""
 GRIPPER_OVERHANG: Final = 1e-6
 """How far a gripper's face may stand out of the block's bottom face [m]."""
 TOP_HEIGHT_ERROR: Final = 1e-5
@@ -79,8 +80,8 @@ def _held(setup: Setup) -> Iterator[str]:
     if mass is None:
         yield "the block's weight is not known"
         return
-    if tool.holding < SHAKES * mass * GRAVITY:
-        yield f"{tool.name} holds with {tool.holding:.0f} N, not {SHAKES * mass * GRAVITY:.0f} N"
+    if tool.holding < GRIP_FACTOR * mass * GRAVITY:
+        yield f"{tool.name} holds with {tool.holding:.0f} N, not {GRIP_FACTOR * mass * GRAVITY:.0f} N"
     if tool.mass + mass > robot(arm.robot).payload:
         payload = robot(arm.robot).payload
         yield f"gripper and block weigh {tool.mass + mass:.2f} kg, the arm carries {payload:g} kg"

@@ -22,10 +22,10 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths
 from planner.issues import Issue, TandemError
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.replay.clearance_samples import (
-    LEAST,
+    DISTANCE_PRECISION,
+    LEAST_STRIDE,
     MOST_BROKEN,
-    PRECISE,
-    STRIDE,
+    SAMPLE_STRIDE,
     clearance_rows,
     least_distances,
     travel,
@@ -37,6 +37,8 @@ Models = Callable[[int], CellModel]
 BETWEEN_TARGETS = 1e-3
 """How much less than the wanted clearance is accepted between targets [m], a tenth of it at most."""
 MEASURED_REACH = 0.1
+"""Distances are measured up to this [m], or up to one and a half times the wanted clearance where that is
+more."""
 NEAR_CLAMP = 0.02
 """Length of wire next to a clamp that is not held against that clamp [m]."""
 
@@ -95,7 +97,7 @@ def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearan
     k = least.worst()
     where = " and ".join(least.pair[k]) if least.pair[k][0] else "nothing near"
     worst = float(everywhere[k])
-    if rest < worst - PRECISE:
+    if rest < worst - DISTANCE_PRECISION:
         worst, where = rest, "a bound; bodies may keep farther apart"
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where), rows, least
 
@@ -173,14 +175,18 @@ def wire_bodies(
     return Outcome(tuple(issues), mm(least), mm(limit), "mm", where), series
 
 
-CODE = "verify.step_apart"
-MARKS = 13
+STEP_APART = "verify.step_apart"
+"""Code of the rule about arms that are apart in time."""
+INTERVAL_INSTANTS = 13
 """Instants of each arm in an interval at which the distance of the tools is taken."""
-MOST = 50_000
+MOST_INSTANT_PAIRS = 50_000
 """Pairs of instants at most whose clearance is measured."""
-_CHUNK = 2000
-_BATCH = 250
-_SHOWN = 20
+_INTERVALS_AT_ONCE = 2000
+"""Intervals that are worked on at once."""
+_PAIRS_AT_ONCE = 250
+"""Pairs of instants whose distances are asked for at once."""
+_ISSUES_SHOWN = 20
+"""Issues of one kind at most, the worst first."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,20 +229,20 @@ def drift(context: Context, found: Intervals) -> FloatArray:
     together, for any instant of either arm in each interval.
 
     With a(s), b(t) the TCPs: the most of | |a(s) - b(t)| - |a(r) - b(r)| |, r = s and r = t, over
-    :data:`MARKS` instants each, evenly along the way, plus what both distances may change to half-way to the
-    next instants: with the line between the points to first order, across it to second.
+    :data:`INTERVAL_INSTANTS` instants each, evenly along the way, plus what both distances may change to
+    half-way to the next instants: with the line between the points to first order, across it to second.
     """
     a, b = (context.motion.tcp[task.arm.name].place for task in context.job.tasks)
     steps = [lengths(np.diff(p, axis=0)) for p in (a, b)]
     both = np.concatenate([[0.0], np.cumsum(steps[0] + steps[1])])
     out = np.zeros(len(found.first))
-    share = np.linspace(0.0, 1.0, MARKS)
-    for low in range(0, len(out), _CHUNK):
-        first, last = found.first[low : low + _CHUNK], found.last[low : low + _CHUNK]
+    share = np.linspace(0.0, 1.0, INTERVAL_INSTANTS)
+    for low in range(0, len(out), _INTERVALS_AT_ONCE):
+        first, last = found.first[low : low + _INTERVALS_AT_ONCE], found.last[low : low + _INTERVALS_AT_ONCE]
         wanted = both[first][:, None] + share * (both[last] - both[first])[:, None]
         rows = np.clip(np.searchsorted(both, wanted), first[:, None], last[:, None])
         rows[:, 0], rows[:, -1] = first, last
-        out[low : low + _CHUNK] = _change(a[rows], b[rows])
+        out[low : low + _INTERVALS_AT_ONCE] = _change(a[rows], b[rows])
     return out
 
 
@@ -294,14 +300,14 @@ def _drifts(context: Context, found: Intervals) -> tuple[list[Issue], float, flo
             rows = np.flatnonzero(here & (labels == claim.segment.key))
             limits += [claim.handshake] if len(rows) else []
             over = rows[change[rows] > claim.handshake]
-            for k in over[np.argsort(-change[over])][:_SHOWN].tolist():
+            for k in over[np.argsort(-change[over])][:_ISSUES_SHOWN].tolist():
                 what = (
                     f"one step apart the gap of the tools is off by up to {mm(change[k]):.4f} mm; allowed: "
                     f"{mm(claim.handshake):g} mm; let the arms meet at more targets, or shorten the moves"
                 )
                 measure = (mm(change[k]), mm(claim.handshake), "mm")
                 arm, at = claim.arms[0], int(found.last[k])
-                issues.append(at_sample(CODE, what, context.motion, arm, at, measure))
+                issues.append(at_sample(STEP_APART, what, context.motion, arm, at, measure))
     return issues, float(change.max()), min(limits, default=None)
 
 
@@ -321,7 +327,7 @@ def _clear(context: Context, model: CellModel, index: int, found: Intervals) -> 
         rows, measured, bound = _nearest(context, model, index, some, pairs)
         least = min(least, bound, float(measured.distance.min(initial=np.inf)))
         bad = np.flatnonzero(~(measured.distance >= accepted(wanted)))
-        for k in bad[np.argsort(measured.distance[bad])][:_SHOWN].tolist():
+        for k in bad[np.argsort(measured.distance[bad])][:_ISSUES_SHOWN].tolist():
             bodies = measured.pair[k]
             what = (
                 f"one step apart {bodies[0]} and {bodies[1]} come within {mm(measured.distance[k]):.2f} mm; "
@@ -329,7 +335,7 @@ def _clear(context: Context, model: CellModel, index: int, found: Intervals) -> 
             )
             measure = (mm(measured.distance[k]), mm(wanted), "mm")
             arm = context.job.tasks[0].arm.name
-            issues.append(at_sample(CODE, what, context.motion, arm, int(rows[k]), measure, bodies))
+            issues.append(at_sample(STEP_APART, what, context.motion, arm, int(rows[k]), measure, bodies))
     return issues, least
 
 
@@ -349,7 +355,7 @@ def _nearest(
     arms = [task.arm.name for task in context.job.tasks]
     joints = [context.motion.q[arm] for arm in arms]
     along = [np.concatenate([[0.0], np.cumsum(travel(context, index, arm))]) for arm in arms]
-    short = 0.5 * min(STRIDE, max(wanted, LEAST))
+    short = 0.5 * min(SAMPLE_STRIDE, max(wanted, LEAST_STRIDE))
     least = np.inf
     leaves: list[IntArray] = []
     open_ = np.stack([found.first, found.last, found.first, found.last])
@@ -367,18 +373,24 @@ def _nearest(
         leaves.append(np.stack(middle)[:, ~enough & small])
         measured = sum(part.shape[1] for part in leaves)
         split = ~enough & ~small
-        if measured + np.count_nonzero(split) > MOST:
+        if measured + np.count_nonzero(split) > MOST_INSTANT_PAIRS:
             what = (
-                f"clearance of arms one step apart is in doubt at over {MOST} pairs of instants, at most so"
+                f"clearance of arms one step apart is in doubt at over {MOST_INSTANT_PAIRS} pairs of "
+                "instants, at most so"
             )
             raise TandemError(
-                Issue("verify.duration", f"{what} many are measured; split the job", value=MOST, limit=MOST)
+                Issue(
+                    "verify.duration",
+                    f"{what} many are measured; split the job",
+                    value=MOST_INSTANT_PAIRS,
+                    limit=MOST_INSTANT_PAIRS,
+                )
             )
         open_ = _halved(open_[:, split], [rows[split] for rows in middle], (length[0] >= length[1])[split])
     rows = np.concatenate(leaves, axis=1)
     found_near: list[clearance.LeastClearance] = []
-    for begin in range(0, rows.shape[1], _BATCH):
-        some = rows[:, begin : begin + _BATCH]
+    for begin in range(0, rows.shape[1], _PAIRS_AT_ONCE):
+        some = rows[:, begin : begin + _PAIRS_AT_ONCE]
         there = {arm: q[own] for arm, q, own in zip(arms, joints, some, strict=True)}
         found_near.append(clearance.least(model, there, reach, ignore))
         if sum(int(np.count_nonzero(~(part.distance >= limit))) for part in found_near) > MOST_BROKEN:

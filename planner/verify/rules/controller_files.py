@@ -28,13 +28,17 @@ from planner.verify.programs.program_text import (
     strange,
 )
 from planner.verify.programs.steps import BASE_FRAME, SignalStep
-from planner.verify.rapid.reader import CHECK, masked
+from planner.verify.rapid.reader import CHECK_MODULE, masked
 from planner.verify.rapid.syntax_tree import Instruction, Literal, ProcCall
 
 CONTROLLER_FILES = "verify.controller_files"
-_HINT = "plan again, and copy all files as they are"
-_MODULE = "TandemPower"
-_SHELVES = {"stop": "off", "qstop": "off", "reset": "off", "start": "on", "restart": "on", "step": "on"}
+"""Code of the rule about files for the controllers."""
+_COPY_HINT = "plan again, and copy all files as they are"
+"""What to do about any of its faults."""
+_POWER_MODULE = "TandemPower"
+"""Name of the module that switches outputs off and on at stops."""
+_EVENTS = {"stop": "off", "qstop": "off", "reset": "off", "start": "on", "restart": "on", "step": "on"}
+"""What outputs have to do at each system event."""
 
 
 @rule("verify.controller_files")
@@ -64,7 +68,10 @@ def controller_files(context: Context) -> Outcome:
         faults += [f"{name}: {fault.message}" for name in files for fault in strange(name, files[name])]
         issues += [
             Issue(
-                CONTROLLER_FILES, f"{CONTROLLER}/{folder}: {fault}", file=f"{CONTROLLER}/{folder}", hint=_HINT
+                CONTROLLER_FILES,
+                f"{CONTROLLER}/{folder}: {fault}",
+                file=f"{CONTROLLER}/{folder}",
+                hint=_COPY_HINT,
             )
             for fault in faults
         ]
@@ -116,7 +123,7 @@ def _abb(
     files: Mapping[str, str],
     partner: Partner | None,
 ) -> list[str]:
-    module = f"{_MODULE}{'.sys' if controller.robotware == 6 else '.sysx'}"
+    module = f"{_POWER_MODULE}{'.sys' if controller.robotware == 6 else '.sysx'}"
     wanted = {"EIO": _signals(controller, signals, partner)} | (
         {"SYS": _hooks(tasks, module)} if signals else {}
     )
@@ -218,9 +225,9 @@ def _hooks(tasks: Sequence[str], module: str) -> dict[str, list[Row]]:
     for number, task in enumerate(tasks):
         routine = {"off": "tandem_off", "on": "tandem_wait" if number else "tandem_again"}
         hooks += [
-            _row(routine=routine[kind], shelf=shelf.upper(), task=task) for shelf, kind in _SHELVES.items()
+            _row(routine=routine[kind], shelf=shelf.upper(), task=task) for shelf, kind in _EVENTS.items()
         ]
-    loaded = _row(file=f"HOME:/{module}", modname=_MODULE, alltask="")
+    loaded = _row(file=f"HOME:/{module}", modname=_POWER_MODULE, alltask="")
     return {"CAB_TASK_MODULES": [loaded], "CAB_EXEC_HOOKS": hooks}
 
 
@@ -246,7 +253,7 @@ def _routines(controller: Controller, signals: Sequence[str], together: bool) ->
     wait = f"PROC tandem_wait() tandem_off; {waits} ENDPROC" if together else ""
     data = "".join(f"PERS bool {flag}:=FALSE;" for flag in kept)
     return (
-        f"MODULE {_MODULE}(SYSMODULE) {data} PROC tandem_off() {off} ENDPROC "
+        f"MODULE {_POWER_MODULE}(SYSMODULE) {data} PROC tandem_off() {off} ENDPROC "
         f"PROC tandem_again() VAR num answer; tandem_off; {ask} ENDPROC {wait} ENDMODULE"
     )
 
@@ -294,9 +301,11 @@ def _kuka(
 
 
 CELL_CHECK = "verify.cell_check"
-_BEFORE = frozenset({"ConfJ", "ConfL", "SingArea", "SetDO", "Reset"})
+"""Code of the rule about the comparison of the cell with the plan."""
+_BEFORE_CALL = frozenset({"ConfJ", "ConfL", "SingArea", "SetDO", "Reset"})
 """What may stand in main before the call."""
-_START = ["proc", "check_cell", "(", ")"]
+_CHECK_HEAD = ["proc", "check_cell", "(", ")"]
+"""Words that the procedure begins with."""
 _DISTANCE, _TURN = 0.1, 0.02
 """How far the controller's frames may be off the plan's [mm], [degrees]."""
 
@@ -316,7 +325,7 @@ def cell_check(context: Context) -> Outcome:
 
 
 def _faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
-    own = [path for path in task.files if CHECK.match(PurePosixPath(path).name)]
+    own = [path for path in task.files if CHECK_MODULE.match(PurePosixPath(path).name)]
     if len(own) != 1:
         return [(task.name, f"{len(own)} modules compare the cell with the plan; wanted: one, TandemCheck_n")]
     out = [] if _called(task) else [(task.name, "main does not call check_cell before anything else")]
@@ -327,7 +336,7 @@ def _faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
     if parts is None:
         return [*out, (file, "it is not of the form that check_cell has")]
     module, body, handler, rest = parts
-    if rapid_words(masked(task.files[file])) != [*module, *_START, *handler, "endmodule"]:
+    if rapid_words(masked(task.files[file])) != [*module, *_CHECK_HEAD, *handler, "endmodule"]:
         out.append((file, "its handler cannot be told from what compares"))
     head, calls = _wanted(context, task)
     if module[:1] != ["module"] or len(module) != 2 or rest != rapid_words(_helpers(together)):
@@ -352,7 +361,7 @@ def _called(task: TaskText) -> bool:
     for statement in mains[0].body if len(mains) == 1 else ():
         if isinstance(statement, ProcCall):
             return statement.name.lower() == "check_cell"
-        if not (isinstance(statement, Instruction) and statement.name in _BEFORE):
+        if not (isinstance(statement, Instruction) and statement.name in _BEFORE_CALL):
             return False
         if statement.name == "SetDO" and not (
             isinstance(statement.arguments[1], Literal) and statement.arguments[1].value == 0
@@ -365,7 +374,7 @@ def _parts(words: Sequence[str]) -> tuple[list[str], list[str], list[str], list[
     """Words before the procedure, its statements, words of its handler, which is judged as those of all
     procedures are, and words behind it."""
     text = list(words)
-    at = next((i for i in range(len(text)) if text[i : i + 4] == _START), None)
+    at = next((i for i in range(len(text)) if text[i : i + 4] == _CHECK_HEAD), None)
     if at is None or "error" not in text[at:] or "endproc" not in text[at:]:
         return None
     handler, end = text.index("error", at), text.index("endproc", at)
@@ -426,7 +435,7 @@ def _compared(name: str, kind: str, value: Sequence[str]) -> str:
 def _raw(task: TaskText, name: str) -> list[str]:
     """The components of a declaration, as its text has them."""
     for path, text in task.files.items():
-        if CHECK.match(PurePosixPath(path).name):
+        if CHECK_MODULE.match(PurePosixPath(path).name):
             continue
         plain = re.sub(r"(?m)^\s*!.*|;\s*!.*", ";", text)
         found = re.search(rf"(?i)\b{name}\s*:=\s*\[(.*?)\]\s*;", plain, re.DOTALL)

@@ -20,7 +20,7 @@ from planner.verify.result import CutFace
 from planner.verify.rules.wire import wire_issue
 from planner.verify.wire.cut_surface import Sweep, cut_face, deepest, part_obj, unreached
 from planner.verify.wire.slits import in_slit, slits
-from planner.verify.wire.walls import Walls, taken, taken_by_bent, walls
+from planner.verify.wire.walls import Walls, taken_by_bent, taken_depth, walls
 from planner.verify.wire.wire_motion import Wire, end_error, to_block
 
 
@@ -125,6 +125,7 @@ def _gouges(context: Context, rows: tuple[Sweep, ...]) -> list[Issue]:
 
 
 ERROR_STATIONS = 5
+"""Stations of a wire at which errors of its ends are worked out."""
 GOUGE_TOLERANCES = 3.0
 """A wire may run deeper than wanted by so many tolerances, in places."""
 BENT_FACE_ERROR = 3e-4
@@ -206,7 +207,7 @@ def _standing_out(points: FloatArray, inside: BoolArray) -> FloatArray:
     return out
 
 
-SIDE = 1e-6
+SIDE_DISTANCE = 1e-6
 """A surface all of whose vertices are so near to one side of the datum block [m] is that side, and bounds raw
 foam instead of a piece."""
 
@@ -302,7 +303,7 @@ def _beside(context: Context, wires: tuple[Wire, ...], part: tuple[CutsSurface, 
     for claim, sweep in zip(context.surfaces, sweeps(context, wires), strict=True):
         if len(sweep.points) < 2:
             continue
-        take = taken if claim.segment.key in straight else taken_by_bent
+        take = taken_depth if claim.segment.key in straight else taken_by_bent
         for other in part:
             found = None if other is claim else take(claim, sweep, other, part, context.datum.box)
             if found is None:
@@ -325,7 +326,7 @@ class _Bounds:
         closed = {
             claim.segment.key
             for claim in context.rulings
-            if np.abs(claim.start[0] - claim.start[-1]).max() < SIDE
+            if np.abs(claim.start[0] - claim.start[-1]).max() < SIDE_DISTANCE
         }
         self.groups: list[tuple[Walls, FloatArray]] = []
         for contour in (True, False):
@@ -347,4 +348,4 @@ class _Bounds:
 def _is_side(context: Context, claim: CutsSurface) -> bool:
     """Whether a surface is a side of the datum block."""
     box = context.datum.box
-    return bool((np.abs(claim.vertices[:, None] - box[None]).max(axis=0) < SIDE).any())
+    return bool((np.abs(claim.vertices[:, None] - box[None]).max(axis=0) < SIDE_DISTANCE).any())

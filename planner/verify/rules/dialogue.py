@@ -27,7 +27,7 @@ from planner.verify.programs.operator_dialogue import (
     fit,
     spoken_steps,
     tolerance,
-    wanted,
+    wanted_dialogue,
 )
 from planner.verify.programs.operator_dialogue import sentence_text as sentence_of
 from planner.verify.programs.steps import ChoiceStep, MessageStep, SettingStep, Step, WaitStep
@@ -35,12 +35,20 @@ from planner.verify.replay.motion import local
 from planner.verify.rules.straight_wire import guide_normals, off_guide
 from planner.verify.wire.wire_motion import Wire
 
-CODE = "verify.dialogue"
-FIGURES = "verify.dialogue_figures"
-OTHER = ("says something else", "comes in place of it", "waits for another time", "switches something else")
-WAIT = 0.0005
+DIALOGUE = "verify.dialogue"
+"""Code of the rule about what is told and asked."""
+DIALOGUE_FIGURES = "verify.dialogue_figures"
+"""Code of the rule about figures that follow from the motion."""
+DIFFERENCES = (
+    "says something else",
+    "comes in place of it",
+    "waits for another time",
+    "switches something else",
+)
+"""How a step may differ from what is wanted."""
+WAIT_ROUNDING = 0.0005
 """Times are written with three decimals [s]."""
-BOX = frozenset({"buttons", "icon", "wrap"})
+BOX_OPTIONS = frozenset({"buttons", "icon", "wrap"})
 """Options of a box that change nothing of what is asked."""
 MOST_LINES = 40
 """Lines of a sentence at most."""
@@ -65,11 +73,11 @@ class Heard:
 
 
 @rule("verify.dialogue", OneOf, OperatorDialogue)
-def told_and_asked(context: Context) -> Outcome:
+def messages_and_questions(context: Context) -> Outcome:
     """The operator is told and asked what follows from the problem, word for word and figure for figure, by
     the task and at the place where it belongs, confirmed by one button, with the signals and waits between
     and every arm at rest; nothing else is shown, also in handlers."""
-    found, said = wanted(context), spoken_steps(context.job)
+    found, said = wanted_dialogue(context), spoken_steps(context.job)
     issues: list[Issue] = list(context.untold)
     for task in context.job.tasks:
         _, faults = _compared(task, found[task.name], said[task.name], found)
@@ -80,10 +88,10 @@ def told_and_asked(context: Context) -> Outcome:
 
 
 @rule("verify.dialogue_figures", OperatorDialogue)
-def told_figures(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def message_figures(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     """Figures that the operator is told and that follow from the motion are those of the motion: how far the
     clamps of a bent wire are apart and how it leaves them, how thick spacers are."""
-    found, said = wanted(context), spoken_steps(context.job)
+    found, said = wanted_dialogue(context), spoken_steps(context.job)
     issues: list[Issue] = []
     worst = 0.0
     for task in context.job.tasks:
@@ -96,7 +104,7 @@ def told_figures(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 worst = max(worst, abs(shown - value) / slack)
                 if not abs(shown - value) <= slack:
                     what = f"{name} is told to be {shown:g}; by the motion it is {value:.2f}"
-                    issues.append(at_step(FIGURES, what, task, one.spoken.step, "plan again"))
+                    issues.append(at_step(DIALOGUE_FIGURES, what, task, one.spoken.step, "plan again"))
     limit = 1.0 if worst else None
     return Outcome(tuple(issues), worst or None, limit, "of rounding", "" if worst else "no such figures")
 
@@ -113,7 +121,7 @@ def _compared(
         rest.pop(0)  # power off at the very start: how many signals that are is not told to anybody
     heard: list[Heard] = []
     for part in parts:
-        steps = [step for step in part.steps if not (step.kind == "wait" and step.seconds < WAIT)]
+        steps = [step for step in part.steps if not (step.kind == "wait" and step.seconds < WAIT_ROUNDING)]
         again = True
         while again:
             if (part.optional or part.repeats) and not (rest and part.place.holds(rest[0])):
@@ -128,7 +136,7 @@ def _compared(
         what = f"{_shown(rest[0])} {_where(rest[0])}, which is no part of the dialogue"
         owner = next((name for name in every if name != task.name and _fits_any(rest[0], every[name])), "")
         what += f"; it is for task {owner} to do" if owner else ""
-        return heard, [at_step(CODE, what, task, rest[0].step, "take it out; programs are planned anew")]
+        return heard, [at_step(DIALOGUE, what, task, rest[0].step, "take it out; programs are planned anew")]
     return heard, []
 
 
@@ -146,15 +154,15 @@ def _taken(step: DialogueStep, place: Place, rest: list[Spoken]) -> Heard | str:
         results = [fit(step.sentence, step.figures, _texts(lines[: k + 1])) for k in range(len(lines))]
         best = next((k for k, own in enumerate(results) if own.whole or own.wrong), None)
         if best is None:
-            return OTHER[0]
+            return DIFFERENCES[0]
         result, taken = results[best], best + 1
         if result.wrong:
             return f"has other figures: {result.wrong}"
     elif step.kind == "wait":
-        if not isinstance(one.step, WaitStep) or abs(one.step.pause - step.seconds) > WAIT + 1e-9:
-            return OTHER[2]
+        if not isinstance(one.step, WaitStep) or abs(one.step.pause - step.seconds) > WAIT_ROUNDING + 1e-9:
+            return DIFFERENCES[2]
     elif getattr(one.step, "signal", "").lower() != step.signal.lower() or getattr(one.step, "delay", 0.0):
-        return OTHER[3]
+        return DIFFERENCES[3]
     for other in rest[:taken]:
         strange = _strange(other)
         if strange:
@@ -181,7 +189,7 @@ def _unfit(one: Spoken) -> str:
     step = one.step
     if isinstance(step, MessageStep) and step.confirm and not step.certain:
         return "is in a box that goes on without anybody pressing OK"
-    return OTHER[1]
+    return DIFFERENCES[1]
 
 
 def _strange(one: Spoken) -> str:
@@ -189,7 +197,7 @@ def _strange(one: Spoken) -> str:
     step = one.step
     if not isinstance(step, MessageStep):
         return ""
-    more = [name for name, _ in step.options if name not in (BOX if step.confirm else ())]
+    more = [name for name, _ in step.options if name not in (BOX_OPTIONS if step.confirm else ())]
     if more:
         return f"has \\{more[0]}, which shows or does more than is wanted"
     if step.kind == "UIMsgBox" and step.header not in ("", dialogue.HEADER):
@@ -209,9 +217,11 @@ def _fault(
     need = f"{_named(step)} {part.place}"
     hint = "programs are written whole: plan again"
     if not rest:
-        return Issue(CODE, f"{task.name}: {need} is missing", arm=task.arm.name, file=task.name, hint=hint)
+        return Issue(
+            DIALOGUE, f"{task.name}: {need} is missing", arm=task.arm.name, file=task.name, hint=hint
+        )
     got = rest[0]
-    if why in OTHER:
+    if why in DIFFERENCES:
         if any(_fits(other, step) for other in rest[1:8]):
             why = f"is not wanted before {need}"
         elif _fits_any(got, [Part(part.place, part.steps)]) or _fits_later(got, step, every[task.name]):
@@ -220,7 +230,7 @@ def _fault(
             why = f"is not what is wanted: {need}"
     else:
         why = f"{why}; wanted: {need}"
-    return at_step(CODE, f"{_shown(got)} {_where(got)} {why}", task, got.step, hint)
+    return at_step(DIALOGUE, f"{_shown(got)} {_where(got)} {why}", task, got.step, hint)
 
 
 def _fits(one: Spoken, step: DialogueStep) -> bool:
@@ -231,7 +241,7 @@ def _fits(one: Spoken, step: DialogueStep) -> bool:
         own = one.step
         return isinstance(own, MessageStep) and fit(step.sentence, step.figures, [own.text]).whole
     if step.kind == "wait":
-        return isinstance(one.step, WaitStep) and abs(one.step.pause - step.seconds) <= WAIT
+        return isinstance(one.step, WaitStep) and abs(one.step.pause - step.seconds) <= WAIT_ROUNDING
     return getattr(one.step, "signal", "").lower() == step.signal.lower()
 
 
@@ -287,15 +297,17 @@ def _aside(context: Context, task: TaskText) -> Iterator[Issue]:
     for block in task.undos.values():
         for step in block:
             if isinstance(step, MessageStep):
-                yield at_step(CODE, f"UNDO shows {step.text!r}; nobody is told anything there", task, step)
+                yield at_step(
+                    DIALOGUE, f"UNDO shows {step.text!r}; nobody is told anything there", task, step
+                )
     allowed = operator_dialogue.aside(context, task)
     for step, ends in _inside(task.steps):
         if isinstance(step, MessageStep) and not (ends and any(_says(step, *one) for one in allowed)):
             what = f"{step.kind} {step.text!r} is shown or not, as the program decides at run time"
-            yield at_step(CODE, what, task, step, "show it in any case, or take it out")
+            yield at_step(DIALOGUE, what, task, step, "show it in any case, or take it out")
         elif isinstance(step, WaitStep) and (step.signal or step.pause or step.seconds is None):
             what = "whether the program waits here is decided at run time"
-            yield at_step(CODE, what, task, step, "take it out")
+            yield at_step(DIALOGUE, what, task, step, "take it out")
 
 
 def _in_handler(
@@ -313,19 +325,19 @@ def _in_handler(
             step = shown[0] if shown else None
             file = f"{task.name}/{module}"
             yield (
-                at_step(CODE, what, task, step)
+                at_step(DIALOGUE, what, task, step)
                 if step is not None
-                else Issue(CODE, what, arm=task.arm.name, file=file)
+                else Issue(DIALOGUE, what, arm=task.arm.name, file=file)
             )
             return
         for step in shown[:count]:
             wrong = _handler_line(step, sentence)
             if wrong:
-                yield at_step(CODE, f"{step.kind} {step.text!r} in an error handler {wrong}", task, step)
+                yield at_step(DIALOGUE, f"{step.kind} {step.text!r} in an error handler {wrong}", task, step)
                 return
         del shown[:count]
     for step in shown[:1]:
-        yield at_step(CODE, f"an error handler shows {step.text!r} besides what is wanted", task, step)
+        yield at_step(DIALOGUE, f"an error handler shows {step.text!r} besides what is wanted", task, step)
 
 
 def _handler_line(step: MessageStep, sentence: Sentence) -> str:

@@ -32,42 +32,48 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm, rule
 from planner.verify.forming import accumulative
 from planner.verify.forming.face import CREASE_ANGLE
-from planner.verify.forming.shapes import NOISE, Feature, PartShapes, Shape, spread_over
+from planner.verify.forming.shapes import FLAT_NOISE, Feature, PartShapes, Shape, spread_over
 from planner.verify.forming.state import Forming
 
-CODE = "verify.forming_claims"
-NONE = "no part is to be formed"
-SAME = 1e-9
-TABLED = 1e-6
+FORMING_CLAIMS = "verify.forming_claims"
+"""Code of this rule."""
+NO_PART = "no part is to be formed"
+"""Why it has not run."""
+ROUNDING = 1e-9
+"""Lengths [m], angles [rad] and shares that differ by less are the same."""
+TABLE_ERROR = 1e-6
 """The same [m] for what follows from the response table, which is asked at angles that are so close."""
 GAP, LATER = 0.01, 0.02
 """Shares of the flat sheet's thickness by which a wanted gap may be off what follows from the walls, and
 where shapes came before, whose walls are faceted in another way."""
 GAP_SHARE, GAP_MOST = 0.15, 0.15
 """Share of the walls where it may be more, along creases of such shapes, and by how much of the thickness."""
-BAND = 6e-4
+EDGE_BAND = 6e-4
 """Where a shape is as deep as a later pass within this [m] its own wall may begin or end: shapes are known by
 contours, which walls leave tangentially."""
-BORDER = 3e-4
+BORDER_ERROR = 3e-4
 """How far [m] the way of a support may be off the border, offset by its radius: the outline is faceted."""
-OFF_BORDER = 5e-4
+MOST_OFF_BORDER = 5e-4
 """The most [m] that a claim may allow a support to be off its border."""
-ASIDE = 2e-3
+MOST_HEAT_ASIDE = 2e-3
 """The most [m] that a claim may allow a source of heat to be off its place."""
-TURN = np.deg2rad(4.0)
+MOST_LINE_TURN = np.deg2rad(4.0)
 """The most [rad] that a claim may allow the line of two tools to be off its normal."""
-PULSE = 0.1
+LEAST_PULSE = 0.1
 """A pulse is on for so long [s] at least."""
 RIDGE, BENT = 1.1, 10.0
 """The ridges that a claim allows are higher by these factors at most than those between ways that are a
 step apart: on the flattest wall, and on the average over walls, for they bend within a step."""
-FLATTEST = np.deg2rad(2.0)
-NEAR = 5e-3
+FLATTEST_WALL = np.deg2rad(2.0)
+"""Walls flatter than this [rad] count as flat."""
+STATE_SPACING = 5e-3
 """Places of the sheet have one of which tools are told within this [m]."""
-REACH = 0.09
-RIM = 0.03
+TOOL_REACH = 0.09
+"""Places farther [m] from a feature in plan are out of any tool's reach."""
+RIM_WIDTH = 0.03
 """How far [m] about a feature tools are told of what is formed already, and of the flat sheet."""
-_PLACES = 8_000
+_PART_PLACES = 8_000
+"""Places of the part that are asked for the sheet's state."""
 
 
 @rule("verify.forming_claims", FormsPart)
@@ -83,7 +89,7 @@ def forming_claims(context: Context, forming: Forming) -> Outcome:
         nowhere = [feature for feature in made.features if not len(feature.final.rim)]
         if nowhere:  # nothing can be said of what is about it
             segment = nowhere[0].final.claim.segment
-            issues.append(Issue(CODE, f"{segment} begins nowhere on the sheet", field=str(segment)))
+            issues.append(Issue(FORMING_CLAIMS, f"{segment} begins nowhere on the sheet", field=str(segment)))
             continue
         for claim in group:
             if isinstance(claim, ToolGap):
@@ -94,13 +100,13 @@ def forming_claims(context: Context, forming: Forming) -> Outcome:
         issues += _all_there(made.part, made, group)
         issues += _states(made, group)
     if not forming.parts:
-        return Outcome(tuple(issues), where=NONE)
+        return Outcome(tuple(issues), where=NO_PART)
     if not np.isfinite(worst):
         return Outcome(tuple(issues))
     return Outcome(tuple(issues), 100.0 * worst, 100.0 * GAP, "% of the thickness", where)
 
 
-_OF_PASSES = (
+_PASS_CLAIMS = (
     FormsSheet,
     FormsByTable,
     ToolGap,
@@ -110,6 +116,7 @@ _OF_PASSES = (
     SupportsBorder,
     FollowsOpposite,
 )
+"""Kinds of claims of passes."""
 
 
 def _numbers(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
@@ -117,7 +124,7 @@ def _numbers(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
     radius = dict(zip(part.arms, part.radii, strict=True))
     ridge = _ridge(part)
     for claim in group:
-        if not isinstance(claim, _OF_PASSES):
+        if not isinstance(claim, _PASS_CLAIMS):
             continue
         wrong: list[str] = []
         if isinstance(claim, FormsSheet):
@@ -129,21 +136,21 @@ def _numbers(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
         elif isinstance(claim, ToolGap):
             radii = tuple(radius.get(arm) for arm in claim.arms)
             wrong = _differ(claim, radii=radii, tolerance=part.gap, handshake=part.handshake)
-            wrong += ["turn"] if claim.turn > TURN + SAME else []
+            wrong += ["turn"] if claim.turn > MOST_LINE_TURN + ROUNDING else []
         elif isinstance(claim, FormingFeed):
             wrong = _differ(claim, upper=part.feed, arms=part.arms)
         elif isinstance(claim, SheetState):
             allowed = part.gouge + part.pressed
-            wrong = ["tolerance"] if claim.tolerance > allowed + SAME else []
+            wrong = ["tolerance"] if claim.tolerance > allowed + ROUNDING else []
             allowed = part.gouge + max(part.pressed, _pressed_by_table(claim, group))
-            wrong += ["other"] if claim.other > allowed + TABLED else []
+            wrong += ["other"] if claim.other > allowed + TABLE_ERROR else []
         elif isinstance(claim, SinksHolder):
             signal, step = part.sinking or ("", 0.0)
             wrong = _differ(claim, signal=signal, step=step, radius=radius.get(claim.arm))
-            wrong += ["pulse"] if claim.pulse < PULSE - SAME else []
+            wrong += ["pulse"] if claim.pulse < LEAST_PULSE - ROUNDING else []
         for name in wrong:
             what = f"{claim.segment}: {name} of {type(claim).__name__} is not what the problem states"
-            yield Issue(CODE, what, field=str(claim.segment))
+            yield Issue(FORMING_CLAIMS, what, field=str(claim.segment))
 
 
 def _pressed_by_table(state: SheetState, group: Sequence[Claim]) -> float:
@@ -153,7 +160,7 @@ def _pressed_by_table(state: SheetState, group: Sequence[Claim]) -> float:
     deep = 0.0
     for claim in group:
         if isinstance(claim, FormsByTable) and claim.segment == state.segment:
-            table = accumulative.wanted(claim.table, claim.prefer)
+            table = accumulative.wanted_conditions(claim.table, claim.prefer)
             down = table.apart(claim.thickness, sum(claim.radii), claim.give)[:, 1]
             deep = max(deep, claim.thickness - claim.projection + sum(claim.radii) - float(down.min()))
     return deep
@@ -165,7 +172,7 @@ def _differ(claim: Any, **wanted: Any) -> list[str]:
     for name, value in wanted.items():
         got = getattr(claim, name)
         if isinstance(value, float) or (isinstance(value, tuple) and isinstance(value[0], float)):
-            if not np.allclose(np.asarray(got, dtype=np.float64), value, rtol=0.0, atol=SAME):
+            if not np.allclose(np.asarray(got, dtype=np.float64), value, rtol=0.0, atol=ROUNDING):
                 out.append(name)
         elif got != value:
             out.append(name)
@@ -191,18 +198,18 @@ def _ridges(part: FormsPart, claim: FormsSheet, ridge: Callable[[FloatArray, flo
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(cross, axis=1)
     angle = np.arccos(np.clip(cross[:, 2] / np.maximum(size, 1e-300), -1.0, 1.0))
-    walls = np.flatnonzero((angle > FLATTEST) & (size > 1e-16))
+    walls = np.flatnonzero((angle > FLATTEST_WALL) & (size > 1e-16))
     if not len(walls):
         return False
     angle, size = angle[walls], size[walls]
     order = np.argsort(angle)
     passed = np.cumsum(size[order]) / size.sum()
     least = float(angle[order[int(np.searchsorted(passed, 0.5 * (1.0 - part.share)))]])
-    high = ridge(np.maximum(angle, max(least, FLATTEST)), claim.radius)
+    high = ridge(np.maximum(angle, max(least, FLATTEST_WALL)), claim.radius)
     allowed = claim.scallop[walls] - part.gouge
-    most = ridge(np.array([max(least, FLATTEST)]), claim.radius)[0]
-    average = (allowed * size).sum() <= BENT * (high * size).sum() + SAME * size.sum()
-    return bool(average and allowed.max() <= RIDGE * most + SAME)
+    most = ridge(np.array([max(least, FLATTEST_WALL)]), claim.radius)[0]
+    average = (allowed * size).sum() <= BENT * (high * size).sum() + ROUNDING * size.sum()
+    return bool(average and allowed.max() <= RIDGE * most + ROUNDING)
 
 
 def _gap(made: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
@@ -212,19 +219,19 @@ def _gap(made: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
     shapes, mine = _shapes_to(made, claim.segment)
     if mine is None:
         what = f"the gap of {claim.segment} is that of no pass"
-        return np.inf, [Issue(CODE, what, field=str(claim.segment))]
+        return np.inf, [Issue(FORMING_CLAIMS, what, field=str(claim.segment))]
     corners = claim.vertices[claim.faces]
-    same = np.abs(corners - mine.corners).max() < SAME if len(corners) == len(mine.corners) else False
+    same = np.abs(corners - mine.corners).max() < ROUNDING if len(corners) == len(mine.corners) else False
     if not same:
         what = f"the gap of {claim.segment} is that of another face"
-        return np.inf, [Issue(CODE, what, field=str(claim.segment))]
+        return np.inf, [Issue(FORMING_CLAIMS, what, field=str(claim.segment))]
     smooth = _up(mine)
     low = high = smooth
     plan = corners.reshape(-1, 3)[:, :2]
     for shape in shapes[:-1]:  # a sheet that was thinned stays so
         least, top = _up_at(shape, plan)
-        near = np.abs(mine.shift(plan) - shape.shift(plan)) < BAND
-        least = np.where(near, np.minimum(least, np.cos(shape.steepest(0.995)) - SAME), least)
+        near = np.abs(mine.shift(plan) - shape.shift(plan)) < EDGE_BAND
+        least = np.where(near, np.minimum(least, np.cos(shape.steepest(0.995)) - ROUNDING), least)
         top = np.where(near, 1.0, top)
         low = np.minimum(low, least.reshape(-1, 3))
         high = np.minimum(high, top.reshape(-1, 3))
@@ -232,7 +239,7 @@ def _gap(made: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
     got = claim.gap[claim.faces]
     off = np.maximum(np.maximum(low * full - got, got - high * full), 0.0).max(axis=1) / part.thickness
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    floor = (np.abs(corners[:, :, 2] - mine.far) < FLAT).all(axis=1)  # which is not formed
+    floor = (np.abs(corners[:, :, 2] - mine.far) < LEVEL_ERROR).all(axis=1)  # which is not formed
     area = np.where(mine.moved & ~floor, np.linalg.norm(cross, axis=1), 0.0)
     order = np.argsort(-off)
     passed = np.cumsum(area[order])
@@ -247,7 +254,9 @@ def _gap(made: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
         f"the gap of {claim.segment} is {100 * worst:.2f} % of the sheet's thickness off squeeze * t0 cos(a)"
     )
     limit = 100 * allowed
-    return worst, [Issue(CODE, what, field=str(claim.segment), value=100 * worst, limit=limit, unit="%")]
+    return worst, [
+        Issue(FORMING_CLAIMS, what, field=str(claim.segment), value=100 * worst, limit=limit, unit="%")
+    ]
 
 
 def _shapes_to(made: PartShapes, segment: Segment) -> tuple[tuple[Shape, ...], Shape | None]:
@@ -269,7 +278,7 @@ def _up(shape: Shape) -> FloatArray:
 def _up_at(shape: Shape, places: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Least and largest cosine (N,) of the wall's angle at places in plan (N, 2); 1 off what it moves."""
     corner = _up(shape)[shape.moved]
-    row, triangle, share = shape.over.at(places, _BESIDE)
+    row, triangle, share = shape.over.at(places, _PLAN_ERROR)
     value = (share * corner[triangle]).sum(axis=1)
     least, most = np.ones(len(places)), np.zeros(len(places))
     np.minimum.at(least, row, value)
@@ -278,7 +287,8 @@ def _up_at(shape: Shape, places: FloatArray) -> tuple[FloatArray, FloatArray]:
     return least, most
 
 
-_BESIDE = 1e-4
+_PLAN_ERROR = 1e-4
+"""Places this near [m] to a shape in plan are on it."""
 
 
 def _all_there(part: FormsPart, made: PartShapes, group: Sequence[Claim]) -> Iterator[Issue]:
@@ -297,11 +307,11 @@ def _all_there(part: FormsPart, made: PartShapes, group: Sequence[Claim]) -> Ite
         for shape in feature.shapes:
             for one in shape.claims:
                 for kind, needed in wanted.items():
-                    own = (c for c in group if isinstance(c, _OF_PASSES) and c.segment == one.segment)
+                    own = (c for c in group if isinstance(c, _PASS_CLAIMS) and c.segment == one.segment)
                     found = [c for c in own if type(c) is kind]
                     if len(found) != int(needed):
                         what = f"{one.segment} has {len(found)} claims {kind.__name__}; wanted: {int(needed)}"
-                        yield Issue(CODE, what, field=str(one.segment))
+                        yield Issue(FORMING_CLAIMS, what, field=str(one.segment))
         for claim in group:
             if isinstance(claim, SupportsBorder) and _is_of(feature, claim.segment):
                 yield from _border(part, feature, claim)
@@ -311,12 +321,12 @@ def _all_there(part: FormsPart, made: PartShapes, group: Sequence[Claim]) -> Ite
                 one = feature.shapes[0].claim
                 if _differ(claim, start=one.start, end=one.end, side=one.side):
                     yield Issue(
-                        CODE,
+                        FORMING_CLAIMS,
                         f"{claim.segment}: the clamp sinks between other levels",
                         field=str(claim.segment),
                     )
     if part.sinking is not None and not any(isinstance(c, SinksHolder) for c in group):
-        yield Issue(CODE, "nothing says how the clamp sinks", field="die")
+        yield Issue(FORMING_CLAIMS, "nothing says how the clamp sinks", field="die")
 
 
 def _is_of(feature: Feature, segment: Segment) -> bool:
@@ -337,19 +347,24 @@ def _border(part: FormsPart, feature: Feature, claim: SupportsBorder) -> Iterato
     # from outside the wall's foot is as far everywhere; chords of the outline and the border come on top
     back = np.asarray(cKDTree(claim.border[:, :2]).query(final.rim)[0])
     wrong = []
-    if off.max() > BORDER:
+    if off.max() > BORDER_ERROR:
         wrong.append(f"{mm(float(off.max())):.3f} mm off the border and its radius")
-    if np.abs(claim.border[:, 2] - level).max() > FLAT:
+    if np.abs(claim.border[:, 2] - level).max() > LEVEL_ERROR:
         wrong.append(f"{mm(float(np.abs(claim.border[:, 2] - level).max())):.3f} mm off the flat sheet")
     if not around.all() or not len(back):
         wrong.append("not around all of the feature")
-    if claim.arm != part.arms[arm] or claim.tolerance > OFF_BORDER + SAME:
+    if claim.arm != part.arms[arm] or claim.tolerance > MOST_OFF_BORDER + ROUNDING:
         wrong.append("of another tool or tolerance")
     for what in wrong:
-        yield Issue(CODE, f"the way of the support about {claim.segment} is {what}", field=str(claim.segment))
+        yield Issue(
+            FORMING_CLAIMS,
+            f"the way of the support about {claim.segment} is {what}",
+            field=str(claim.segment),
+        )
 
 
-FLAT = 1e-5
+LEVEL_ERROR = 1e-5
+"""Heights [m] that differ by less are one level."""
 
 
 def _away(corners: FloatArray, ring: FloatArray) -> FloatArray:
@@ -368,10 +383,15 @@ def _opposite(part: FormsPart, feature: Feature, claim: FollowsOpposite) -> Iter
     same = len(claim.faces) == len(own[0].claim.faces) and np.array_equal(
         claim.vertices[claim.faces], own[0].corners
     )
-    good = thin - SAME <= claim.distance <= thick + SAME and claim.tolerance <= ASIDE + SAME
+    good = (
+        thin - ROUNDING <= claim.distance <= thick + ROUNDING
+        and claim.tolerance <= MOST_HEAT_ASIDE + ROUNDING
+    )
     if not (good and same and claim.side == own[0].claim.side):
         yield Issue(
-            CODE, f"the source of heat for {claim.segment} is not at the sheet", field=str(claim.segment)
+            FORMING_CLAIMS,
+            f"the source of heat for {claim.segment} is not at the sheet",
+            field=str(claim.segment),
         )
 
 
@@ -379,18 +399,18 @@ def _states(made: PartShapes, group: Sequence[Claim]) -> Iterator[Issue]:
     """Whether tools are told of all that is formed already and of the flat sheet around."""
     part = made.part
     told = {claim.segment: claim for claim in group if isinstance(claim, SheetState)}
-    points = spread_over(part.vertices[part.faces], _PLACES)[0]
+    points = spread_over(part.vertices[part.faces], _PART_PLACES)[0]
     points = np.concatenate([points[:, :2], *(f.final.spread(2_000)[:, :2] for f in made.features)])
     moved = np.array([feature.final.shift(points) for feature in made.features])
     for k, feature in enumerate(made.features):
         if part.male:
             continue  # the flat that sinks is all that there is besides the one feature
-        low, high = feature.final.rim.min(axis=0) - REACH, feature.final.rim.max(axis=0) + REACH
+        low, high = feature.final.rim.min(axis=0) - TOOL_REACH, feature.final.rim.max(axis=0) + TOOL_REACH
         near = ((points >= low) & (points <= high)).all(axis=1)
         by = near & (np.abs(moved[:k]) > 1e-4)
         formed, carried = by.any(axis=0), by[made.inside[:k, k]].any(axis=0)
         height = made.level + moved[:k].sum(axis=0)
-        within = np.abs(moved[k]) > NOISE
+        within = np.abs(moved[k]) > FLAT_NOISE
         for number, shape in enumerate(feature.shapes):
             sunk = 0.0 if number == 0 else feature.shapes[number - 1].far - shape.base
             for claim in shape.claims:
@@ -408,16 +428,16 @@ def _flat_about(made: PartShapes, k: int, feature: Feature) -> FloatArray:
     if made.inside[k, :k].any():
         return np.zeros((0, 3))
     rim = feature.final.rim
-    low, high = rim.min(axis=0) - RIM, rim.max(axis=0) + RIM
+    low, high = rim.min(axis=0) - RIM_WIDTH, rim.max(axis=0) + RIM_WIDTH
     count = 40
     x, y = np.meshgrid(*(np.linspace(a, b, count) for a, b in zip(low, high, strict=True)))
     grid = np.column_stack([x.ravel(), y.ravel()])
     away = np.asarray(cKDTree(rim).query(grid)[0])
-    lying = np.abs(feature.final.shift(grid)) <= NOISE
+    lying = np.abs(feature.final.shift(grid)) <= FLAT_NOISE
     for other in made.features[:k]:
-        lying &= np.abs(other.final.shift(grid)) <= NOISE
-        lying &= np.asarray(cKDTree(other.final.rim).query(grid)[0]) > NEAR
-    grid = grid[lying & (away < RIM - NEAR) & (away > NEAR)]
+        lying &= np.abs(other.final.shift(grid)) <= FLAT_NOISE
+        lying &= np.asarray(cKDTree(other.final.rim).query(grid)[0]) > STATE_SPACING
+    grid = grid[lying & (away < RIM_WIDTH - STATE_SPACING) & (away > STATE_SPACING)]
     return np.column_stack([grid, np.full(len(grid), made.level)])
 
 
@@ -448,7 +468,7 @@ def _told(
             continue
         far = np.full(len(both), np.inf) if not len(got) else np.asarray(cKDTree(got).query(both)[0])
         k = int(np.argmax(far))
-        if far[k] > NEAR:
+        if far[k] > STATE_SPACING:
             at = ", ".join(f"{mm(x):.1f}" for x in both[k])
             what = f"in {state.segment} nothing tells tools of the sheet at ({at}) mm, which {kind}"
-            yield Issue(CODE, what, field=str(state.segment))
+            yield Issue(FORMING_CLAIMS, what, field=str(state.segment))

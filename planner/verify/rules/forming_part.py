@@ -17,38 +17,41 @@ from planner.verify.files.sheets import SLOPE_STEP, scatter, together, tolerance
 from planner.verify.forming.shapes import Feature, PartShapes, Shape, in_order
 from planner.verify.forming.state import Forming
 
-CODE = "verify.forming_part"
-FACE = 6e-5
+FORMING_PART = "verify.forming_part"
+"""Code of this rule."""
+FACE_ERROR = 6e-5
 """What all passes make together is off the part by no more [m]: floors may be levelled within the noise of
 their mesh."""
-USUAL = 0.99
+WITHIN_SHARE = 0.99
 """Share of a noisy mesh's vertices that are within its tolerance of what is formed."""
-MOST = 2.5
+FARTHEST_TOLERANCES = 2.5
 """How far the farthest may be, in tolerances: noise and rounded folds."""
 BESIDE, GROUP = 3e-5, 6
 """By so much [m] more than the tolerance at most so many vertices beside one another are off to one side."""
-MEAN = 0.35
+MEAN_TOLERANCES = 0.35
 """How far the mean of a place may be off, in tolerances, besides its noise."""
-LUCK = 1.4
+MEAN_NOISE_FACTOR = 1.4
 """Over the root of the number of vertices: how far noise takes their mean, in tolerances: four of its
 standard deviations, of which the tolerance is three."""
-WIDER = 1.5
+TOLERANCE_FACTOR = 1.5
 """How much wider than by the proof's own estimate a mesh's tolerance may be found."""
-SAME = 1e-9
-LEVEL = 1.2e-4
+ROUNDING = 1e-9
+"""Tolerances [m] and shares that differ by less are the same."""
+RIM_HEIGHT = 1.2e-4
 """How far [m] a feature may begin off the sheet around it: twice that noise."""
 RIM_SHARE = 0.9
 """Share of the places around a feature that count: in a noisy mesh others lie on what is beside it."""
-NONE = "no part is to be formed"
-STEEPEST = 0.995
+NO_PART = "no part is to be formed"
+"""Why this rule has not run."""
+WALL_SHARE = 0.995
 """Share of the walls that counts as the angle of a shape: slivers are left out."""
-ANGLE = np.deg2rad(1.0)
+ANGLE_ERROR = np.deg2rad(1.0)
 """How far [rad] angles of shapes may be off: of facets, and of walls that bend."""
-HELD = np.deg2rad(3.0)
+FLATTENED_ANGLE = np.deg2rad(3.0)
 """How much flatter [rad] a shape may be where it is not as deep as the part."""
 HELD_SHARE = 0.05
 """Share of a shape's area that may be: creases, tips, and the last step to its floor."""
-ALIKE = 0.02
+SAME_AREA_SHARE = 0.02
 """Share by which areas of features differ that may change places in the numbering."""
 
 
@@ -58,21 +61,21 @@ def forming_part(context: Context, forming: Forming) -> Outcome:
     its side, from the level at which the sheet is then, in the wanted order, through shapes in between that
     are as steep as wanted and never beyond the part."""
     issues: list[Issue] = []
-    worst, limit, where = -np.inf, FACE, ""
+    worst, limit, where = -np.inf, FACE_ERROR, ""
     for made, group in forming.parts:
         if made is None:
             for claim in in_order(group):
                 what = f"nothing says of what part {claim.segment} is a face"
-                issues.append(Issue(CODE, what, field=str(claim.segment)))
+                issues.append(Issue(FORMING_PART, what, field=str(claim.segment)))
             continue
         if not made.features:
-            issues.append(Issue(CODE, "the part is never formed", field="part"))
+            issues.append(Issue(FORMING_PART, "the part is never formed", field="part"))
             continue
         issues += _tolerance(context, made)
         off, found = _whole(made) if made.part.mesh_tolerance == 0.0 else _whole_of_noisy(made)
         if off > worst:
             worst, where = off, str(made.features[0].final.claim.segment)
-            limit = FACE + made.part.mesh_tolerance
+            limit = FACE_ERROR + made.part.mesh_tolerance
         issues += found
         for k, feature in enumerate(made.features):
             issues += _side(made, k, feature)
@@ -80,7 +83,7 @@ def forming_part(context: Context, forming: Forming) -> Outcome:
             issues += _between(made.part, feature)
         issues += _order(made)
     if not np.isfinite(worst):
-        return Outcome(tuple(issues), where=NONE)
+        return Outcome(tuple(issues), where=NO_PART)
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
 
 
@@ -90,11 +93,11 @@ def _tolerance(context: Context, made: PartShapes) -> Iterator[Issue]:
     part = made.part
     stated = stated_tolerance(context)
     if stated is not None:
-        good, limit = abs(part.mesh_tolerance - stated) <= SAME, stated
+        good, limit = abs(part.mesh_tolerance - stated) <= ROUNDING, stated
     elif part.mesh_tolerance == 0.0:
         return
     else:
-        limit = WIDER * tolerance_of(part.vertices, part.faces)
+        limit = TOLERANCE_FACTOR * tolerance_of(part.vertices, part.faces)
         good = part.mesh_tolerance <= limit
     if not good:
         what = f"the mesh of the part is taken to hold within {mm(part.mesh_tolerance):.3f} mm; "
@@ -129,17 +132,22 @@ def _whole_of_noisy(made: PartShapes) -> tuple[float, list[Issue]]:
     found = scatter(vertices, height, steep)
     wide = part.mesh_tolerance
     off = np.abs(found.off)
-    usual = float(np.quantile(off, USUAL))
+    usual = float(np.quantile(off, WITHIN_SHARE))
     order = np.argsort(off)
     for value, k, limit, how in (
-        (usual, int(order[min(int(USUAL * len(off)), len(off) - 1)]), FACE + wide, "1 % of its vertices by"),
-        (float(off.max()), int(order[-1]), FACE + MOST * wide, "a vertex by"),
+        (
+            usual,
+            int(order[min(int(WITHIN_SHARE * len(off)), len(off) - 1)]),
+            FACE_ERROR + wide,
+            "1 % of its vertices by",
+        ),
+        (float(off.max()), int(order[-1]), FACE_ERROR + FARTHEST_TOLERANCES * wide, "a vertex by"),
     ):
         if value > limit:
             at = ", ".join(f"{mm(x):.1f}" for x in vertices[k])
             what = f"all passes together leave the sheet off the part, at ({at}) mm, {how} {mm(value):.3f} mm"
             issues.append(_issue(what, made.features[0], mm(value), mm(limit), "mm"))
-    allowed = FACE + wide * (MEAN + LUCK / np.sqrt(found.number))
+    allowed = FACE_ERROR + wide * (MEAN_TOLERANCES + MEAN_NOISE_FACTOR / np.sqrt(found.number))
     if len(found.mean) and (np.abs(found.mean) > allowed).any():
         k = int(np.argmax(np.abs(found.mean) - allowed))
         at = ", ".join(f"{mm(x):.1f}" for x in found.middle[k])
@@ -156,9 +164,9 @@ def _whole_of_noisy(made: PartShapes) -> tuple[float, list[Issue]]:
         )
         what += f"to {mm(float(off[group].max())):.3f} mm to one side, which noise does not do"
         issues.append(_issue(what, made.features[0], mm(float(off[group].max())), mm(limit), "mm"))
-    if abs(made.level) > FACE + wide:
+    if abs(made.level) > FACE_ERROR + wide:
         what = f"the part's edge is {mm(abs(made.level)):.3f} mm off the flat sheet"
-        issues.append(_issue(what, made.features[0], mm(abs(made.level)), mm(FACE + wide), "mm"))
+        issues.append(_issue(what, made.features[0], mm(abs(made.level)), mm(FACE_ERROR + wide), "mm"))
     return usual, issues
 
 
@@ -167,13 +175,13 @@ def _whole(made: PartShapes) -> tuple[float, list[Issue]]:
     off = np.abs(made.moved.sum(axis=0) - made.wanted) * made.steep
     k = int(np.argmax(off))
     issues = []
-    if off[k] > FACE:
+    if off[k] > FACE_ERROR:
         at = ", ".join(f"{mm(x):.1f}" for x in made.places[k])
         what = f"at ({at}) mm all passes together leave the sheet {mm(off[k]):.3f} mm off the part"
-        issues.append(_issue(what, made.features[0], mm(off[k]), mm(FACE), "mm"))
-    if abs(made.level) > FACE:
+        issues.append(_issue(what, made.features[0], mm(off[k]), mm(FACE_ERROR), "mm"))
+    if abs(made.level) > FACE_ERROR:
         what = f"the part's edge is {mm(abs(made.level)):.3f} mm off the flat sheet"
-        issues.append(_issue(what, made.features[0], mm(abs(made.level)), mm(FACE), "mm"))
+        issues.append(_issue(what, made.features[0], mm(abs(made.level)), mm(FACE_ERROR), "mm"))
     return float(off[k]), issues
 
 
@@ -189,10 +197,10 @@ def _side(made: PartShapes, k: int, feature: Feature) -> Iterator[Issue]:
                 )
         sign = float(shape.claim.side if part.male else -shape.claim.side)
         heights = sign * (shape.corners[:, :, 2] - shape.base)
-        if heights.min() < -FACE:
+        if heights.min() < -FACE_ERROR:
             what = f"{shape.claim.segment} goes {mm(-heights.min()):.3f} mm toward the tool that forms it"
-            yield _issue(what, feature, mm(-float(heights.min())), mm(FACE), "mm")
-        if abs(float(heights.max()) - sign * (shape.far - shape.base)) > FACE:
+            yield _issue(what, feature, mm(-float(heights.min())), mm(FACE_ERROR), "mm")
+        if abs(float(heights.max()) - sign * (shape.far - shape.base)) > FACE_ERROR:
             yield _issue(f"{shape.claim.segment} does not end at the level that is claimed", feature)
         back = shape.turns_back(sign)
         if back is not None:
@@ -210,9 +218,9 @@ def _level(made: PartShapes, k: int, feature: Feature) -> Iterator[Issue]:
     for shape in feature.shapes:
         base = shape.base - (made.part.thickness if shape.claim.side > 0 else 0.0)
         off = float(np.quantile(np.abs(lower - base), RIM_SHARE))
-        if off > LEVEL:
+        if off > RIM_HEIGHT:
             what = f"{shape.claim.segment} begins {mm(off):.3f} mm off the sheet as it is then"
-            yield _issue(what, feature, mm(off), mm(LEVEL), "mm")
+            yield _issue(what, feature, mm(off), mm(RIM_HEIGHT), "mm")
 
 
 def _order(made: PartShapes) -> Iterator[Issue]:
@@ -258,14 +266,14 @@ def _numbering(made: PartShapes) -> Iterator[Issue]:
 
 
 def _near(one: float, other: float) -> bool:
-    return abs(one - other) <= ALIKE * max(one, other)
+    return abs(one - other) <= SAME_AREA_SHARE * max(one, other)
 
 
 def _between(part: FormsPart, feature: Feature) -> Iterator[Issue]:
     """Whether the shapes before the final one are as many and as steep as wanted, and only move the sheet
     onward."""
     final = feature.final
-    angles = [shape.steepest(STEEPEST) for shape in feature.shapes]
+    angles = [shape.steepest(WALL_SHARE) for shape in feature.shapes]
     for shape in feature.shapes:
         if len(shape.claims) != part.repeats:
             what = f"{shape.claim.segment} is run {len(shape.claims)} times; wanted: {part.repeats}"
@@ -277,9 +285,9 @@ def _between(part: FormsPart, feature: Feature) -> Iterator[Issue]:
     for shape in feature.shapes:
         depth = sign * shape.shift(places)
         back = float((before - depth).max()) * upright
-        if back > FACE * 2:
+        if back > FACE_ERROR * 2:
             what = f"{shape.claim.segment} is {mm(back):.3f} mm behind what is formed before"
-            yield _issue(what, feature, mm(back), mm(2 * FACE), "mm")
+            yield _issue(what, feature, mm(back), mm(2 * FACE_ERROR), "mm")
         before = np.maximum(before, depth)
     for shape, angle in zip(feature.shapes[:-1], angles, strict=False):
         share = _flat_share(shape, final, angle, sign)
@@ -299,11 +307,11 @@ def _angles(part: FormsPart, feature: Feature, angles: list[float]) -> Iterator[
             )
         return
     if part.passes is not None:
-        wanted = [angle for angle in part.passes if angle < angles[-1] - ANGLE]
-        most = [angle for angle in part.passes if angle < angles[-1] + ANGLE]
+        wanted = [angle for angle in part.passes if angle < angles[-1] - ANGLE_ERROR]
+        most = [angle for angle in part.passes if angle < angles[-1] + ANGLE_ERROR]
         good = len(wanted) <= len(angles) - 1 <= len(most)
         good = good and all(
-            abs(a - b) <= ANGLE for a, b in zip(angles, part.passes, strict=False) if b in wanted
+            abs(a - b) <= ANGLE_ERROR for a, b in zip(angles, part.passes, strict=False) if b in wanted
         )
         if not good:
             got = ", ".join(f"{np.rad2deg(a):.1f}" for a in angles)
@@ -314,7 +322,7 @@ def _angles(part: FormsPart, feature: Feature, angles: list[float]) -> Iterator[
     before = part.limit - part.angle_step
     for shape, angle in zip(feature.shapes, angles, strict=True):
         # of the part's last degree no more can be known than how its walls bend
-        if angle > max(before + part.angle_step, part.limit) + ANGLE:
+        if angle > max(before + part.angle_step, part.limit) + ANGLE_ERROR:
             what = f"{shape.claim.segment} has a wall of {np.rad2deg(angle):.1f} deg at once"
             allowed = float(np.rad2deg(max(before + part.angle_step, part.limit)))
             yield _issue(what, feature, float(np.rad2deg(angle)), allowed, "deg")
@@ -327,7 +335,7 @@ def _flat_share(shape: Shape, final: Shape, angle: float, sign: float) -> float:
     lean, area = shape.lean
     middle = corners.mean(axis=1)
     behind = sign * (final.shift(middle[:, :2]) - (middle[:, 2] - shape.base))
-    flat = (lean < angle - HELD) & (behind > 2e-4)
+    flat = (lean < angle - FLATTENED_ANGLE) & (behind > 2e-4)
     return float(area[flat].sum() / max(float(area.sum()), 1e-30))
 
 
@@ -338,4 +346,6 @@ def _issue(
     limit: float | None = None,
     unit: str | None = None,
 ) -> Issue:
-    return Issue(CODE, what, field=str(feature.final.claim.segment), value=value, limit=limit, unit=unit)
+    return Issue(
+        FORMING_PART, what, field=str(feature.final.claim.segment), value=value, limit=limit, unit=unit
+    )

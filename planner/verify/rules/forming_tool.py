@@ -24,10 +24,11 @@ from planner.verify.programs.steps import SignalStep
 from planner.verify.result import CutFace
 from planner.verify.wire.cut_surface import divided
 
-NONE = "nothing is formed"
-SHOWN = 50
+NOTHING_FORMED = "nothing is formed"
+"""Why rules about forming have not run."""
+ISSUES_SHOWN = 50
 """Issues of one rule and segment at most."""
-LIFTED = 0.1
+LIFTED_SHARE = 0.1
 """Share of the way within a forming segment on which the ball may be off the face: steps between loops."""
 UNREACHED, UNREACHED_SLACK = 1.03, 2e-5
 """How far off balls stay is known within this share, and [m], of places that are looked at."""
@@ -63,7 +64,7 @@ def gouge(context: Context, forming: Forming) -> Outcome:
             row = int(one.track.rows[one.pieces.last[i]])
             issues.append(at_sample("verify.gouge", what, context.motion, claim.arm, row, measure))
     if limit is None:
-        return Outcome(tuple(issues), where=NONE)
+        return Outcome(tuple(issues), where=NOTHING_FORMED)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
@@ -94,14 +95,14 @@ def formed(context: Context, forming: Forming) -> tuple[Outcome, tuple[CutFace, 
             )
             issues.append(_of_face("verify.formed", what, claim.segment, face.share, claim.share))
         lifted = _lifted(one)
-        if lifted > LIFTED:
+        if lifted > LIFTED_SHARE:
             what = (
                 f"the ball is off the face for {100 * lifted:.1f} % of its way in {claim.segment}; "
-                f"allowed: {100 * LIFTED:g} %"
+                f"allowed: {100 * LIFTED_SHARE:g} %"
             )
-            issues.append(_of_face("verify.formed", what, claim.segment, lifted, LIFTED))
+            issues.append(_of_face("verify.formed", what, claim.segment, lifted, LIFTED_SHARE))
     if not faces:
-        return Outcome(tuple(issues), where=NONE), ()
+        return Outcome(tuple(issues), where=NOTHING_FORMED), ()
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     share, wanted = 100 * worst.share, 100 * worst.wanted_share
     return Outcome(tuple(issues), share, wanted, "% within the scallop", worst.title), tuple(faces)
@@ -163,7 +164,7 @@ def feature_order(context: Context, forming: Forming) -> Outcome:
                 for name in full[len(there) :]
                 if name in wanted
             ]
-    return Outcome(tuple(issues), where="" if claims else NONE)
+    return Outcome(tuple(issues), where="" if claims else NOTHING_FORMED)
 
 
 @rule("verify.forming_feed", FormingFeed)
@@ -198,7 +199,7 @@ def feed(context: Context, forming: Forming) -> Outcome:
         if one.claim.segment.key not in fed
     ]
     if not claims:
-        return Outcome(tuple(issues), where=NONE)
+        return Outcome(tuple(issues), where=NOTHING_FORMED)
     return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
 
 
@@ -226,7 +227,7 @@ def lean(context: Context, forming: Forming) -> Outcome:
                 row = int(way.rows[rows[i]])
                 issues.append(at_sample("verify.lean", what, context.motion, arm, row, (got, most, "deg")))
     if not np.isfinite(worst):
-        return Outcome(tuple(issues), where=NONE)
+        return Outcome(tuple(issues), where=NOTHING_FORMED)
     return Outcome(tuple(issues), float(np.rad2deg(worst + limit)), float(np.rad2deg(limit)), "deg", where)
 
 
@@ -234,17 +235,19 @@ def spread(bad: BoolArray) -> IntArray:
     """The first of each run of rows that are bad, and no more than are worth telling."""
     rows = np.flatnonzero(bad)
     first = rows[np.diff(rows, prepend=-2) > 1]
-    return first[:SHOWN]
+    return first[:ISSUES_SHOWN]
 
 
 def _of_face(code: str, what: str, segment: Segment, value: float, limit: float) -> Issue:
     return Issue(code, what, field=str(segment), value=100 * value, limit=100 * limit, unit="%")
 
 
-GRAIN = 0.002
+PLACE_SPACING = 0.002
 """Faces are asked at places so near to each other [m]."""
 BESIDE_BORDER = 1e-12
-_PLACES = 60_000
+"""Distance from a face and height over it differ by more than this [m] only beside its border."""
+_FACE_PLACES = 60_000
+"""Places of a face, about, at most."""
 
 
 @rule("verify.sheet", SheetState)
@@ -288,7 +291,7 @@ def sheet(context: Context, forming: Forming) -> Outcome:
                     sample = int(way.rows[row[i]])
                     issues.append(at_sample("verify.sheet", what, context.motion, arm, sample, measure))
     if limit is None:
-        return Outcome(tuple(issues), where=NONE if not forming.formed else "nothing near")
+        return Outcome(tuple(issues), where=NOTHING_FORMED if not forming.formed else "nothing near")
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
@@ -313,7 +316,7 @@ def _all(
     face = Head.of(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
     level = None if former or not held else levels(one)
     there = None if level is None else (state.side, _at_rows(one, level)[still.rows])
-    out.append(face.into(_places(one.face if former else one.left), still, state.tolerance, there))
+    out.append(face.into(_places(one.face if former else one.remaining_face), still, state.tolerance, there))
     if not former:
         out += _own_side(one, centre, max(-float(profile[0, 0]), 0.0), state, level)
     return out
@@ -334,7 +337,7 @@ def _own_side(
     first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
     begin, end = np.searchsorted(one.knots, first), np.searchsorted(one.knots, last)
     step = np.linalg.norm(centre[last] - centre[first], axis=1)
-    face = one.left  # corners that the forming ball does not reach are not there
+    face = one.remaining_face  # corners that the forming ball does not reach are not there
     near = face.nearest(centre[one.knots])
     room = -state.side * near.signed
     doubt = np.flatnonzero(0.5 * (room[begin] + room[end] - step) - off < ball - state.tolerance)
@@ -367,14 +370,16 @@ def _places(face: Face) -> FloatArray:
     """Places (P, 3) all over a face."""
     corners = face.corners
     area = float(face.area.sum())
-    parts, _ = divided(corners, max(GRAIN, 2.0 * float(np.sqrt(area / _PLACES))))
+    parts, _ = divided(corners, max(PLACE_SPACING, 2.0 * float(np.sqrt(area / _FACE_PLACES))))
     return np.concatenate([face.vertices[np.unique(face.faces)], parts.mean(axis=1)])
 
 
-SLACK = 2e-5
+REPLAY_ERROR = 2e-5
 """What the written targets and the replay may add [m]."""
-SOON = 1e-6
+PULSE_ROUNDING = 1e-6
+"""Times [s] that differ by less are one."""
 SHOWN_PULSES = 20
+"""Issues about pulses at most."""
 
 
 @rule("verify.holder", SinksHolder)
@@ -426,7 +431,7 @@ def _pulses(claim: SinksHolder, edges: list[_Edge]) -> list[Issue]:
     issues = []
     before: _Edge | None = None
     for edge in edges:
-        if before is not None and edge.time - before.time < claim.pulse - SOON:
+        if before is not None and edge.time - before.time < claim.pulse - PULSE_ROUNDING:
             state = "on" if before.value else "off"
             what = (
                 f"{claim.signal} is {state} for {edge.time - before.time:.3f} s at {before.time:.2f} s; "
@@ -459,7 +464,7 @@ def _outside(context: Context, claim: SinksHolder, way: Track, edges: list[_Edge
             time=edge.time,
         )
         for edge in edges
-        if not first - SOON <= edge.time <= last + SOON
+        if not first - PULSE_ROUNDING <= edge.time <= last + PULSE_ROUNDING
     ][:SHOWN_PULSES]
 
 
@@ -472,10 +477,10 @@ def _off(context: Context, claim: SinksHolder, way: Track, pulses: list[float]) 
     now = motion.time[way.rows[rows]]
     at = np.array(pulses)
     # at the very instant of a pulse the clamp is on its way: both levels count
-    before = claim.step * np.searchsorted(at, now - SOON, side="left")
-    after = claim.step * np.searchsorted(at, now + SOON, side="right")
+    before = claim.step * np.searchsorted(at, now - PULSE_ROUNDING, side="left")
+    after = claim.step * np.searchsorted(at, now + PULSE_ROUNDING, side="right")
     off = np.maximum(np.abs(sunk - before), np.abs(sunk - after))
-    bad = np.flatnonzero(off > claim.step + SLACK)
+    bad = np.flatnonzero(off > claim.step + REPLAY_ERROR)
     bad = bad[np.diff(bad, prepend=-2) > 1][:SHOWN_PULSES]
     issues = []
     for k in bad:

@@ -15,12 +15,20 @@ from planner.claims.forming import FollowsOpposite, FormsByTable, SupportsBorder
 from planner.geometry.arrays import FloatArray, IntArray, dots
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
-from planner.verify.forming.accumulative import Wanted, Way, wanted
+from planner.verify.forming.accumulative import Wanted, Way, wanted_conditions
 from planner.verify.forming.face import Face, Nearest
-from planner.verify.forming.state import TIED, TRACK_CHORD_SHARE, Forming, Opened, Track, pieces, track
-from planner.verify.rules.forming_tool import NONE, SHOWN, spread
+from planner.verify.forming.state import (
+    TOUCHED_WITHIN,
+    TRACK_CHORD_SHARE,
+    Forming,
+    Opened,
+    Track,
+    pieces,
+    track,
+)
+from planner.verify.rules.forming_tool import ISSUES_SHOWN, NOTHING_FORMED, spread
 
-LOOK = np.deg2rad(0.5)
+LOOK_TURN = np.deg2rad(0.5)
 """How far [rad] a tool turns at most between two looks at it."""
 BORDER_CUT_IN = 1e-4
 """Straight moves between targets may cut a bent border by so much [m]."""
@@ -59,7 +67,7 @@ def gap(context: Context, forming: Forming) -> Outcome:
         issues += _facing(context, one)
         issues += _a_step_apart(context, one)
     if limit is None:
-        return Outcome(tuple(issues), where="no gap is claimed" if forming.formed else NONE)
+        return Outcome(tuple(issues), where="no gap is claimed" if forming.formed else NOTHING_FORMED)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
@@ -150,10 +158,10 @@ def _off_between(line: FloatArray, a: FloatArray, b: FloatArray, up: float) -> F
 
 
 def _turning(way: Track, knots: IntArray) -> IntArray:
-    """The knots and, where the other tool turns in between, rows after each ``LOOK`` of turning."""
+    """The knots and, where the other tool turns in between, rows after each ``LOOK_TURN`` of turning."""
     axis = way.axis(1)
     step = np.linalg.norm(np.diff(axis, axis=0), axis=1)
-    turned = np.diff(np.floor(np.concatenate([[0.0], np.cumsum(step)]) / LOOK), prepend=0.0) > 0.0
+    turned = np.diff(np.floor(np.concatenate([[0.0], np.cumsum(step)]) / LOOK_TURN), prepend=0.0) > 0.0
     return np.unique(np.concatenate([knots, np.flatnonzero(turned & way.own)]))
 
 
@@ -184,7 +192,7 @@ def _a_step_apart(context: Context, one: Opened) -> list[Issue]:
         apart = np.linalg.norm(former[:, None] - other[None], axis=2) - both
         error = np.maximum(apart - high[rows, None], low[rows, None] - apart).max(axis=1)
         k = int(np.argmax(error))
-        if error[k] > claim.handshake and len(issues) < SHOWN:
+        if error[k] > claim.handshake and len(issues) < ISSUES_SHOWN:
             what = (
                 f"with one arm ahead in {claim.segment} the gap is {mm(error[k]):.3f} mm off; "
                 f"allowed between meetings: {mm(claim.handshake):g} mm"
@@ -249,14 +257,16 @@ def border(context: Context, forming: Forming) -> Outcome:
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
-STEP = 0.002
-_MARKS = 4
+EDGE_STEP = 0.002
+"""Longest piece [m] that an edge is divided into."""
+_NEAREST_MARKS = 4
+"""Nearest pieces of edges among which the nearest edge is looked for."""
 
 
 def _dense(points: FloatArray) -> tuple[FloatArray, IntArray]:
     """Points of the chain (N, 3) no more than 2 mm apart, and where each of the chain's own is among them."""
     way = np.diff(points, axis=0)
-    count = np.maximum(np.ceil(np.linalg.norm(way, axis=1) / STEP).astype(np.int64), 1)
+    count = np.maximum(np.ceil(np.linalg.norm(way, axis=1) / EDGE_STEP).astype(np.int64), 1)
     first = np.concatenate([[0], np.cumsum(count)])
     which = np.repeat(np.arange(len(way)), count)
     share = (np.arange(len(which)) - first[which]) / count[which]
@@ -272,7 +282,9 @@ def _off_border(points: FloatArray, border: FloatArray) -> tuple[FloatArray, np.
     along = b - a
     square = np.maximum(dots(along, along), 1e-30)
     marks, owner = _marks(a, b)
-    near = np.asarray(cKDTree(marks).query(points, k=min(_MARKS, len(marks)))[1]).reshape(len(points), -1)
+    near = np.asarray(cKDTree(marks).query(points, k=min(_NEAREST_MARKS, len(marks)))[1]).reshape(
+        len(points), -1
+    )
     off[:] = np.inf
     for column in owner[near].T:
         rest = points - a[column]
@@ -288,9 +300,9 @@ def _off_border(points: FloatArray, border: FloatArray) -> tuple[FloatArray, np.
 
 
 def _marks(a: FloatArray, b: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Middles (M, 3) of pieces of straight edges from ``a`` to ``b`` (K, 3), at most ``STEP`` long, and the
-    edge (M,) of each. The nearest of a few of them tells a distance that is never too small."""
-    count = np.maximum(np.ceil(np.linalg.norm(b - a, axis=1) / STEP).astype(np.int64), 1)
+    """Middles (M, 3) of pieces of straight edges from ``a`` to ``b`` (K, 3), at most ``EDGE_STEP`` long, and
+    the edge (M,) of each. The nearest of a few of them tells a distance that is never too small."""
+    count = np.maximum(np.ceil(np.linalg.norm(b - a, axis=1) / EDGE_STEP).astype(np.int64), 1)
     owner = np.repeat(np.arange(len(a)), count)
     share = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[owner]
     return a[owner] + share[:, None] * (b - a)[owner], owner
@@ -325,7 +337,7 @@ def opposite(context: Context, forming: Forming) -> Outcome:
             issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
         knots = np.unique(np.concatenate([first, last]))
         face = Face(claim.vertices, claim.faces, 0.01)
-        found = face.nearest(way.centre[knots, 0], TIED)
+        found = face.nearest(way.centre[knots, 0], TOUCHED_WITHIN)
         turned = _turned(way, knots, face, found, claim.side, upright=False)
         for i in spread(turned > claim.turn):
             what = f"{claim.arms[1]} is {np.rad2deg(turned[i]):.2f} deg off the normal in {claim.segment}"
@@ -333,7 +345,7 @@ def opposite(context: Context, forming: Forming) -> Outcome:
             row = int(way.rows[knots[i]])
             issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
         rows = _turning(way, knots)
-        found = face.nearest(way.centre[rows, 0], TIED)
+        found = face.nearest(way.centre[rows, 0], TOUCHED_WITHIN)
         aside = _off_directions(way.axis(1)[rows], way, rows, face, found, claim.side, upright=True)
         for i in spread(aside > claim.aim):
             what = (
@@ -380,7 +392,7 @@ def by_table(context: Context, forming: Forming) -> Outcome:
             what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
             issues.append(Issue("verify.adsif", what, field=str(claim.segment)))
             continue
-        table = wanted(claim.table, claim.prefer)
+        table = wanted_conditions(claim.table, claim.prefer)
         issues += _conditions(claim, table)
         off, aside, place = way.fitting(table)
         level = way.start - claim.projection + claim.radii[0]

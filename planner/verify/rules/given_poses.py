@@ -18,6 +18,7 @@ from planner.verify.replay.pose_passing import Passing, PoseTable, Way, passing,
 FEED_ROUNDING: Final = 1.002
 """Moves may be faster than the feed by this factor: their times are rounded."""
 FULL_TURN: Final = 2.0 * np.pi
+"""One turn [rad]."""
 OWN_TARGET: Final = (1e-5, float(np.deg2rad(0.01)))
 """How near [m, rad] a pose's own target is to it, as a rule."""
 

@@ -16,7 +16,7 @@ from planner.verify.programs.handshake_automata import Reading, Wiring
 from planner.verify.programs.handshake_model import Action, Event, Finding, RunningWire, check
 from planner.verify.programs.steps import MoveStep, SignalStep, Step
 
-SHOWN = 6
+EVENTS_SHOWN = 6
 """Events that are told of the way to a fault."""
 
 
@@ -39,7 +39,7 @@ class Words:
         """The fault and the shortest way to it."""
         heads = {"deadlock": self._deadlock, "lost_edge": self._lost, "apart": self._apart}
         head = heads.get(finding.kind, self._unwatched)
-        events = "; ".join(self.event(event) for event in finding.trace[-SHOWN:])
+        events = "; ".join(self.event(event) for event in finding.trace[-EVENTS_SHOWN:])
         way = f" The shortest way there, its last events of {finding.steps}: {events}" if events else ""
         return f"{head(finding)}.{way}"
 
@@ -142,19 +142,21 @@ class Words:
         )
 
 
-CODE = "verify.handshake"
-MOST = 20
+HANDSHAKE = "verify.handshake"
+"""Code of this rule."""
+MOST_FAULTS = 20
 """Faults of one program that are told."""
-_WORK: Final = ("works", "works")
-_CASES: Final[tuple[tuple[bool, tuple[RunningWire, RunningWire] | None], ...]] = (
+_BOTH_WORK: Final = ("works", "works")
+"""How the running wires of both arms are, as they should be."""
+_MODEL_CASES: Final[tuple[tuple[bool, tuple[RunningWire, RunningWire] | None], ...]] = (
     (True, None),
     (False, None),
     (False, ("low", "works")),
     (False, ("high", "works")),
     (False, ("works", "low")),
     (False, ("works", "high")),
-    (True, _WORK),
-    (False, _WORK),
+    (True, _BOTH_WORK),
+    (False, _BOTH_WORK),
 )
 """Whether the operator does as told, and how the running wires are, in each check of the model: those that
 find most at least cost come first, those with stops at any instant last."""
@@ -172,12 +174,14 @@ def handshake(context: Context) -> Outcome:
     issues = _unfit(context)
     issues += _wired_wrong(context, wiring)
     for task in context.job.tasks:
-        issues += [at_step(CODE, what, task, step) for what, step in readings[task.name].faults[:MOST]]
+        issues += [
+            at_step(HANDSHAKE, what, task, step) for what, step in readings[task.name].faults[:MOST_FAULTS]
+        ]
     if len(context.job.tasks) != 2:
         for task in context.job.tasks:
             lone = [a for a in readings[task.name].actions if a.kind in ("set", "wait")]
             what = "there is no other program to answer this"
-            issues += [at_step(CODE, what, task, task.steps[action.line]) for action in lone[:1]]
+            issues += [at_step(HANDSHAKE, what, task, task.steps[action.line]) for action in lone[:1]]
         return Outcome(tuple(issues), where="one program")
     found, states = _model(context, wiring, bool(issues))
     issues += found
@@ -195,15 +199,15 @@ def _model(context: Context, wiring: Wiring, faulty: bool) -> tuple[list[Issue],
     words = Words(arms, readings, {task.name: task.steps for task in tasks}, wiring.wires)
     programs = [readings[arm].actions for arm in arms]
     states = 0
-    for gates, running in _CASES[:2] if faulty else _CASES:
+    for gates, running in _MODEL_CASES[:2] if faulty else _MODEL_CASES:
         verdict = check(programs, len(wiring.wires), gates, running=running)
         states += verdict.states
         issues = []
         for finding in verdict.findings:
             program, step = words.step(finding)
-            early = not gates and running in (None, _WORK)
+            early = not gates and running in (None, _BOTH_WORK)
             hint = "this is so when the operator starts or confirms too early" if early else None
-            issues.append(at_step(CODE, words.message(finding), tasks[program], step, hint))
+            issues.append(at_step(HANDSHAKE, words.message(finding), tasks[program], step, hint))
         if issues:
             return issues, states
     return [], states
@@ -215,23 +219,23 @@ def _numbers(context: Context) -> list[Issue]:
     if len(set(counts.values())) < 2:
         return []
     what = ", ".join(f"{name} meets {count} times" for name, count in counts.items())
-    return [Issue(CODE, f"the programs do not count the same meetings: {what}")]
+    return [Issue(HANDSHAKE, f"the programs do not count the same meetings: {what}")]
 
 
 def _wired_wrong(context: Context, wiring: Wiring) -> list[Issue]:
     """Faults of the cell's wires, and signals that the controllers would share by name."""
-    issues = [Issue(CODE, f"{name} has two wires; each end takes one") for name in wiring.doubled]
+    issues = [Issue(HANDSHAKE, f"{name} has two wires; each end takes one") for name in wiring.doubled]
     arms = {arm.name for arm in context.problem.cell.arms}
     runs = {(wire.source, wire.sink) for wire in wiring.running}
     for task in context.job.tasks:
         for other in context.job.tasks:
             if task is not other and (task.name, other.name) not in runs:
                 what = f"no wire tells the controller of {other.name} that the program of {task.name} runs"
-                issues.append(Issue(CODE, f"{what}; a stop of {task.name} would go unnoticed"))
+                issues.append(Issue(HANDSHAKE, f"{what}; a stop of {task.name} would go unnoticed"))
     for wire in (*wiring.wires, *wiring.running):
         if not {wire.source, wire.sink} <= arms or wire.source == wire.sink:
             what = f"the wire from {wire.output} of {wire.source} to {wire.input} of {wire.sink}"
-            issues.append(Issue(CODE, f"{what} does not join the controllers of two arms"))
+            issues.append(Issue(HANDSHAKE, f"{what} does not join the controllers of two arms"))
     power: dict[str, str] = {}
     for task in context.job.tasks:
         own = wiring.drives[task.name]
@@ -240,7 +244,7 @@ def _wired_wrong(context: Context, wiring: Wiring) -> list[Issue]:
                 first = power.setdefault(step.signal.lower(), task.name)
                 if first != task.name:
                     what = f"{step.signal} is switched on the controllers of both arms; which wire is meant?"
-                    issues.append(at_step(CODE, what, task, step))
+                    issues.append(at_step(HANDSHAKE, what, task, step))
                     break
     return issues
 
@@ -256,7 +260,7 @@ def _unfit(context: Context) -> list[Issue]:
                 f"setup {number}: a wire joins {' and '.join(claim.arms)}; arms that may be one step apart "
                 "bend it out of its shape"
             )
-            issues.append(Issue(CODE, what, hint=hint))
+            issues.append(Issue(HANDSHAKE, what, hint=hint))
         holder = context.stock(index).held_by
         if holder is not None and holder not in {task.name for task in context.job.tasks}:
             holder = None
@@ -265,12 +269,12 @@ def _unfit(context: Context) -> list[Issue]:
                 continue
             task = next(task for task in context.job.tasks if task.name == holder)
             what = f"setup {number}: {holder} moves the block it holds while the other arm may be a step off"
-            issues.append(at_step(CODE, what, task, stage.moves(holder)[0], hint))
+            issues.append(at_step(HANDSHAKE, what, task, stage.moves(holder)[0], hint))
             break
     for task in context.job.tasks:
         for step in task.steps:
             if isinstance(step, MoveStep) and not step.wobj.fixed:
                 what = f"{step.wobj_name} is moved by {step.wobj.unit}, which another controller moves"
-                issues.append(at_step(CODE, what, task, step, hint))
+                issues.append(at_step(HANDSHAKE, what, task, step, hint))
                 break
     return issues

@@ -25,17 +25,18 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import TaskText
 from planner.verify.krl import spline_curve
-from planner.verify.krl.spline_curve import LEVER, Bounds
+from planner.verify.krl.spline_curve import TURN_LEVER, Bounds
 from planner.verify.krl.syntax_tree import SPLINE_MOVE
 from planner.verify.programs.steps import JointTarget, MoveStep, poses
 from planner.verify.replay import arm_model
 from planner.verify.replay.moves import ACCURACY, ACCURACY_TURN
 from planner.verify.rules.robot_motion import TCP_SLACK
 
-CODE: Final = "verify.spline"
-MOST: Final = 0.1e-3
+SPLINE: Final = "verify.spline"
+"""Code of this rule."""
+MOST_OFF_STRAIGHT: Final = 0.1e-3
 """How far [m] a curve may be off its straight ways: no tolerance of a part is to go into that alone."""
-FASTER: Final = 1.15
+FASTER_FACTOR: Final = 1.15
 """Between two points a tool may be faster by this factor than on the fastest way of the segment near them."""
 JOINT_RATE_FACTOR: Final = 1.25
 """Joints per way are less than so many times what they are at ends and middle of a segment."""
@@ -43,15 +44,17 @@ JOINT_RATE_SPREAD: Final = 1.5
 """They may differ so much between these."""
 ARM_REACH: Final = 0.4
 """Bodies of an arm reach no farther [m] from the line through its joints and its tool's tip."""
-NOT_SEEN: Final = "not seen on a controller"
+NOT_SEEN_TEXT: Final = "not seen on a controller"
+"""What proofs say of how controllers plan blocks."""
 
-_NOTHING: Final[tuple[str, ...]] = ()
-_TOLERANCES: Final[Mapping[type, tuple[str, ...]]] = {
-    ContactOnlyIn: _NOTHING,
-    dialogue.OperatorDialogue: _NOTHING,
-    FollowsPoses: _NOTHING,
-    FollowsTable: _NOTHING,
-    FeedWindow: _NOTHING,
+_NO_TOLERANCE: Final[tuple[str, ...]] = ()
+"""Of claims in which no length has a tolerance."""
+_CLAIM_TOLERANCES: Final[Mapping[type, tuple[str, ...]]] = {
+    ContactOnlyIn: _NO_TOLERANCE,
+    dialogue.OperatorDialogue: _NO_TOLERANCE,
+    FollowsPoses: _NO_TOLERANCE,
+    FollowsTable: _NO_TOLERANCE,
+    FeedWindow: _NO_TOLERANCE,
     milling.MillsSurface: ("tolerance",),
     milling.MillsAlong: ("tolerance",),
     milling.MillsFlank: ("tolerance",),
@@ -60,7 +63,8 @@ _TOLERANCES: Final[Mapping[type, tuple[str, ...]]] = {
 }
 """Claims that are proven with spline blocks, and their tolerances [m]; those on poses ask for the points
 themselves, through which every curve goes, and for the times between them."""
-_FEEDS: Final = ("upper", "feed")
+_FEED_FIELDS: Final = ("upper", "feed")
+"""Names of the fields of claims that bound feeds."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,8 +148,8 @@ def spline(context: Context) -> tuple[Outcome, Context]:
     )
     issues += _left(context, found[0], most) if not issues else []
     points = sum(len(block.moves) for block in found)
-    where = f"{len(found)} blocks of {points} points, how they are planned {NOT_SEEN}"
-    outcome = Outcome(tuple(issues), mm(worst), mm(MOST), "mm off the straight ways", where)
+    where = f"{len(found)} blocks of {points} points, how they are planned {NOT_SEEN_TEXT}"
+    outcome = Outcome(tuple(issues), mm(worst), mm(MOST_OFF_STRAIGHT), "mm off the straight ways", where)
     return outcome, context if issues else tightened(context, most)
 
 
@@ -155,41 +159,42 @@ def _refused(context: Context, found: list[Block]) -> list[Issue]:
     controller, first = context.problem.cell.controller, found[0]
     if controller.path != "spline":
         what = "a spline block; the cell's controller asks for path: slin; write SLIN, or set path: spline"
-        issues.append(at_step(CODE, what, first.task, first.moves[0]))
+        issues.append(at_step(SPLINE, what, first.task, first.moves[0]))
     if len(context.job.tasks) > 1:
         what = "a spline block where two arms share the work; allowed: one arm alone; write SLIN"
-        issues.append(at_step(CODE, what, first.task, first.moves[0]))
+        issues.append(at_step(SPLINE, what, first.task, first.moves[0]))
     for block in found:
         if arm_model.machine_of(block.task.arm.robot).data.coupling is not None:
             what = "a spline block of an arm with parallel rods, whose joints are not bounded; write SLIN"
-            issues.append(at_step(CODE, what, block.task, block.moves[0]))
+            issues.append(at_step(SPLINE, what, block.task, block.moves[0]))
     for kind in dict.fromkeys(type(claim) for claim in context.claims):
-        if kind not in _TOLERANCES:
+        if kind not in _CLAIM_TOLERANCES:
             what = (
                 f"a spline block in a job that claims {kind.__name__}, which is proven on straight ways alone"
             )
-            issues.append(at_step(CODE, f"{what}; write SLIN", first.task, first.moves[0]))
+            issues.append(at_step(SPLINE, f"{what}; write SLIN", first.task, first.moves[0]))
     for claim in context.feeds:
         if claim.lower > 0.0:
             what = f"a spline block where {claim.segment} has a least feed, and a curve no least speed"
-            issues.append(at_step(CODE, f"{what}; write SLIN", first.task, first.moves[0]))
+            issues.append(at_step(SPLINE, f"{what}; write SLIN", first.task, first.moves[0]))
     if (
         not issues
         and context.motion.node_segment
         and len(context.motion.node_segment) < 1 + max(int(block.nodes[-1]) for block in found)
     ):
-        issues.append(at_step(CODE, "the motion lacks moves of a block", first.task, first.moves[0]))
+        issues.append(at_step(SPLINE, "the motion lacks moves of a block", first.task, first.moves[0]))
     return issues
 
 
 def _near(block: Block, bounds: Bounds) -> list[Issue]:
     """Segments on which curves may be too far off."""
-    far = np.flatnonzero(~(bounds.off <= MOST))
+    far = np.flatnonzero(~(bounds.off <= MOST_OFF_STRAIGHT))
     return [
         at_step(
-            CODE,
+            SPLINE,
             f"between the point before and this one a curve may be {mm(bounds.off[i]):.4f} mm off "
-            f"the straight way (turns by {LEVER:g} m/rad); allowed: {mm(MOST):g}; a kink: stop there, or put "
+            f"the straight way (turns by {TURN_LEVER:g} m/rad); allowed: {mm(MOST_OFF_STRAIGHT):g}; a "
+            "kink: stop there, or put "
             "points nearer to each other",
             block.task,
             block.moves[i],
@@ -204,29 +209,32 @@ def _paced(context: Context, block: Block, bounds: Bounds) -> list[Issue]:
     limit = TCP_SLACK * context.problem.settings.tcp_speed
     step = spline_curve.steps(block.pose)[:, 2]
     mean = np.linalg.norm(step[:, :3], axis=1) / block.duration
-    turning = np.linalg.norm(step[:, 3:], axis=1) / LEVER / block.duration
+    turning = np.linalg.norm(step[:, 3:], axis=1) / TURN_LEVER / block.duration
     near = _nearby(context, block, mean)
     for i, move in enumerate(block.moves):
         if not bounds.speed[i] <= limit:
             what = f"the tool may move at {mm(bounds.speed[i]):.2f} mm/s; allowed: {mm(limit):g}"
-            issues.append(at_step(CODE, what, task, move))
-        elif context.feeds and bounds.speed[i] > FASTER * near[i] + 1e-9:
+            issues.append(at_step(SPLINE, what, task, move))
+        elif context.feeds and bounds.speed[i] > FASTER_FACTOR * near[i] + 1e-9:
             what = f"before this point a curve may move the tool at {mm(bounds.speed[i]):.2f} mm/s; allowed: "
-            what += f"{mm(FASTER * near[i]):.2f}, {FASTER:g} times as fast as on its segment's ways nearby"
-            issues.append(at_step(CODE, what, task, move))
+            what += (
+                f"{mm(FASTER_FACTOR * near[i]):.2f}, {FASTER_FACTOR:g} times as fast as on its segment's "
+                "ways nearby"
+            )
+            issues.append(at_step(SPLINE, what, task, move))
         if move.speed.tcp > limit:
             what = f"$VEL.CP is {mm(move.speed.tcp):g} mm/s; allowed: {mm(limit):g}"
-            issues.append(at_step(CODE, what, task, move))
+            issues.append(at_step(SPLINE, what, task, move))
         if turning[i] > move.speed.turn:
             what = f"the tool turns at {np.rad2deg(turning[i]):.2f} deg/s, faster than $VEL.ORI lets it"
-            issues.append(at_step(CODE, what, task, move))
+            issues.append(at_step(SPLINE, what, task, move))
     labels = {context.motion.node_label[node] for node in block.nodes}
     for claim in context.claims:
         if not isinstance(claim, milling.MillsAlong) or len(claim.feed) < 3:
             continue
         if claim.segment.key in labels and np.ptp(claim.feed[1:]) > 0.0:
             what = f"a spline block in {claim.segment}, whose feed changes on the way; write SLIN"
-            issues.append(at_step(CODE, what, task, block.moves[0]))
+            issues.append(at_step(SPLINE, what, task, block.moves[0]))
     return issues[:20]
 
 
@@ -250,7 +258,7 @@ def _joints(context: Context, block: Block, bounds: Bounds) -> tuple[Allowance, 
     before = np.concatenate([[motion.node_sample[block.nodes[0] - 1]], at[:-1]])
     way, turn = _rounded(block)
     way, turn = bounds.way + way, bounds.turn + turn
-    off = np.hypot(way, LEVER * turn)
+    off = np.hypot(way, TURN_LEVER * turn)
     base = context.bases[task.arm.name]
     world = (block.work @ block.pose)[:, :3, :3]
     step = spline_curve.steps(block.pose)[:, 2] / block.duration[:, None]
@@ -278,20 +286,20 @@ def _joints(context: Context, block: Block, bounds: Bounds) -> tuple[Allowance, 
                 "the joints change so much before this point that a curve is not bounded by what they are; "
             )
             what += "put points nearer to each other, or keep farther off singular postures"
-            issues.append(at_step(CODE, what, task, move))
+            issues.append(at_step(SPLINE, what, task, move))
         some = q[before[i] : at[i] + 1]
         room = np.minimum(some.min(axis=0) - data.lower, data.upper - some.max(axis=0)) - shift[i]
         axis = int(np.argmin(room))
         if not room[axis] >= 0.0:
             what = f"a curve may take axis {axis + 1} {np.rad2deg(-room[axis]):.3f} deg beyond its limit"
-            issues.append(at_step(CODE, what, task, move))
+            issues.append(at_step(SPLINE, what, task, move))
         share = rate[i] / data.velocity
         axis = int(np.argmax(share))
         if not share[axis] <= 1.0:
             what = (
                 f"a curve may need {100 * share[axis]:.0f} % of the speed of axis {axis + 1}; allowed: 100 %"
             )
-            issues.append(at_step(CODE, what, task, move))
+            issues.append(at_step(SPLINE, what, task, move))
     body = _bodies(machine, q[at], block.tool, shift, way, turn)
     return Allowance(way, turn, float(shift.max()), body), issues[:20]
 
@@ -310,7 +318,7 @@ def _rounded(block: Block) -> tuple[FloatArray, FloatArray]:
     ramps[:1] = ramps[-1:] = True
     change = np.where(ramps[:, None], change, straight)
     out = []
-    for some, scale, most in ((slice(0, 3), 1.0, ACCURACY), (slice(3, 6), LEVER, ACCURACY_TURN)):
+    for some, scale, most in ((slice(0, 3), 1.0, ACCURACY), (slice(3, 6), TURN_LEVER, ACCURACY_TURN)):
         corner = np.minimum(np.linalg.norm(change[:, some], axis=1) / scale, most)
         out.append(np.maximum(np.append(corner, 0.0), np.append(0.0, corner)))
     return out[0], out[1]
@@ -334,7 +342,7 @@ def _jacobian(machine: arm_model.Machine, q: FloatArray, tool: FloatArray, base:
         two = [base @ machine.flange(q + sign * shift) @ tool for sign in (-1.0, 1.0)]
         out[:, :3, joint] = (two[1][:, :3, 3] - two[0][:, :3, 3]) / (2 * size)
         turn = two[1][:, :3, :3] @ np.swapaxes(two[0][:, :3, :3], 1, 2)
-        out[:, 3:, joint] = LEVER * log_rotation(turn) / (2 * size)
+        out[:, 3:, joint] = TURN_LEVER * log_rotation(turn) / (2 * size)
     return out
 
 
@@ -377,14 +385,14 @@ def _left(context: Context, first: Block, most: Allowance) -> list[Issue]:
     """Claims of which a curve leaves nothing."""
     issues = []
     for claim in context.claims:
-        for name in _TOLERANCES[type(claim)]:
+        for name in _CLAIM_TOLERANCES[type(claim)]:
             shift, allowed = most.at(_lever(claim)), getattr(claim, name)
             if shift >= allowed or float(most.turn.max()) >= getattr(claim, "turn", np.inf):
                 what = (
                     f"curves may be {mm(shift):.4f} mm off, which leaves nothing of the {mm(allowed):g} mm "
                 )
                 what += f"that {type(claim).__name__} allows; put points nearer to each other, or write SLIN"
-                issues.append(at_step(CODE, what, first.task, first.moves[0]))
+                issues.append(at_step(SPLINE, what, first.task, first.moves[0]))
     return issues[:5]
 
 
@@ -412,15 +420,17 @@ def _less(claim: Claim, most: Allowance) -> Claim:
     spindle behind that keep off the whole block by the clearance, which has its own share.
     """
     shift = most.at(_lever(claim))
-    fields: dict[str, Any] = {name: getattr(claim, name) - shift for name in _TOLERANCES[type(claim)]}
+    fields: dict[str, Any] = {name: getattr(claim, name) - shift for name in _CLAIM_TOLERANCES[type(claim)]}
     if hasattr(claim, "turn"):
         fields["turn"] = claim.turn - float(most.turn.max())
-    for name in _FEEDS:
+    for name in _FEED_FIELDS:
         if hasattr(claim, name) and not isinstance(claim, FollowsTable):
-            fields[name] = getattr(claim, name) / FASTER
+            fields[name] = getattr(claim, name) / FASTER_FACTOR
     safe = getattr(claim, "safe", None)
     if isinstance(safe, SafeWays):
-        fields["safe"] = dataclasses.replace(safe, plunge=safe.plunge / FASTER, rapid=safe.rapid / FASTER)
+        fields["safe"] = dataclasses.replace(
+            safe, plunge=safe.plunge / FASTER_FACTOR, rapid=safe.rapid / FASTER_FACTOR
+        )
     if isinstance(claim, milling.MillsAlong) and claim.back is not None:
         fields["back"] = _less(claim.back, most)
     return dataclasses.replace(claim, **fields) if fields else claim

@@ -33,8 +33,8 @@ from planner.verify.milling import surface_passes
 from planner.verify.milling.following import Followed, allowed, rows_to_check
 from planner.verify.milling.surface_passes import OverFace, Way, within
 from planner.verify.milling.tool_motion import (
-    MOST,
-    SIGHT,
+    MOST_FACE_POINTS,
+    SIGHT_DISTANCE,
     Milling,
     Solid,
     Track,
@@ -53,8 +53,10 @@ from planner.verify.programs.steps import SignalStep
 from planner.verify.result import CutFace
 from planner.verify.wire.cut_surface import divided
 
-CODE = "verify.mill_path"
-SHOWN = 50
+MILL_PATH = "verify.mill_path"
+"""Code of the rule about ways of cutters."""
+ISSUES_SHOWN = 50
+"""Issues of one segment at most."""
 
 
 def flanks(context: Context, milling: Milling) -> tuple[list[Issue], float, str]:
@@ -65,19 +67,19 @@ def flanks(context: Context, milling: Milling) -> tuple[list[Issue], float, str]
         for number, segment in enumerate(claim.segments):
             track = milling.track(index, claim.arm, (segment.key,))
             if len(track.rows) < 2:
-                issues.append(Issue(CODE, f"{segment} is not milled", field=str(segment)))
+                issues.append(Issue(MILL_PATH, f"{segment} is not milled", field=str(segment)))
                 continue
             some = rows_to_check(track.tip, track.axis, claim.tolerance)
             found = surface_passes.passed(claim, number, track.tip[some], track.axis[some])
             if found.off.max() > worst:
                 worst, where = float(found.off.max()), str(segment)
-            issues += [Issue(CODE, f"{segment}: {fault}", field=str(segment)) for fault in found.faults]
+            issues += [Issue(MILL_PATH, f"{segment}: {fault}", field=str(segment)) for fault in found.faults]
             bad = np.flatnonzero(found.off > 1.0)
-            for i in bad[:: max(1, len(bad) // SHOWN)]:
+            for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
                 what = f"in {segment} the cutter is {found.worst[i]}, {found.off[i]:.2f} times as far as "
                 what += f"allowed, {mm(claim.tolerance):g} mm"
                 row = int(track.rows[some[i]])
-                issues.append(at_sample(CODE, what, context.motion, claim.arm, row))
+                issues.append(at_sample(MILL_PATH, what, context.motion, claim.arm, row))
             for phase, _ in _fast(claim):
                 issues += _way(context, milling, index, claim, number, phase)
     return issues, worst, where
@@ -90,15 +92,15 @@ def _way(
     segment = claim.segments[number].at(phase)
     known = _known(milling, index, claim, number, phase)
     if known is None:
-        yield Issue(CODE, f"{segment} is not there", field=str(segment))
+        yield Issue(MILL_PATH, f"{segment} is not there", field=str(segment))
         return
     track, rows, found = known
-    yield from (Issue(CODE, f"{segment}: {fault}", field=str(segment)) for fault in found.faults)
+    yield from (Issue(MILL_PATH, f"{segment}: {fault}", field=str(segment)) for fault in found.faults)
     bad = np.flatnonzero(found.off > 1.0)
-    for i in bad[:: max(1, len(bad) // SHOWN)]:
+    for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
         what = f"in {segment} the tip is neither on the straight going on of its pass nor on its way up "
         what += f"along the axis: {found.off[i]:.2f} times as far off as allowed"
-        yield at_sample(CODE, what, context.motion, claim.arm, int(track.rows[rows[i]]))
+        yield at_sample(MILL_PATH, what, context.motion, claim.arm, int(track.rows[rows[i]]))
     if claim.lead is None:
         own = context.stock(index)
         inside = in_block(track, claim.cutter.overhang, claim.cutter.radius, own)[rows]
@@ -106,7 +108,7 @@ def _way(
             what = (
                 f"in {segment} the cutter comes into the block along its axis; it is to come from beside it"
             )
-            yield at_sample(CODE, what, context.motion, claim.arm, int(track.rows[rows[i]]))
+            yield at_sample(MILL_PATH, what, context.motion, claim.arm, int(track.rows[rows[i]]))
 
 
 def _known(
@@ -121,7 +123,10 @@ def _known(
     back = slice(None, None, -1)
     order = slice(None) if phase == "in" else back
     tip, axis = main.tip[order], main.axis[order]
-    on = int(np.argmax(np.append(np.linalg.norm(tip[1:] - tip[0], axis=1) > surface_passes.CHORD, True))) + 1
+    on = (
+        int(np.argmax(np.append(np.linalg.norm(tip[1:] - tip[0], axis=1) > surface_passes.END_LENGTH, True)))
+        + 1
+    )
     pair = [0, min(on, len(tip) - 1)]
     rows = np.arange(len(track.rows))[back if phase == "in" else slice(None)]
     return (
@@ -155,7 +160,7 @@ def _fast(claim: MillsFlank) -> tuple[tuple[Phase, float], ...]:
     return (("in", claim.safe.plunge), ("out", claim.safe.rapid))
 
 
-STEP = 1e-3
+FACE_STEP = 1e-3
 """Way between places [m] at which a cutter is held against its face."""
 
 
@@ -168,26 +173,29 @@ def over(context: Context, milling: Milling) -> tuple[list[Issue], float, str]:
         for segment in claim.segments:
             labels = (segment.key,)
             if not len(milling.track(index, claim.arm, labels).rows):
-                issues.append(Issue(CODE, f"{segment} is not milled", field=str(segment)))
+                issues.append(Issue(MILL_PATH, f"{segment} is not milled", field=str(segment)))
                 continue
-            tip, axis, rows = milling.spaced(index, claim.arm, labels, STEP)
+            tip, axis, rows = milling.spaced(index, claim.arm, labels, FACE_STEP)
             for asked, off in face.off(tip, axis).items():
                 if off.max() > worst:
                     worst, where = float(off.max()), str(segment)
                 bad = np.flatnonzero(off > 1.0)
-                for i in bad[:: max(1, len(bad) // SHOWN)]:
+                for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
                     what = f"in {segment} the cutter is {asked}, {off[i]:.2f} times as far as allowed, "
                     what += f"{mm(claim.tolerance):g} mm"
-                    issues.append(at_sample(CODE, what, context.motion, claim.arm, int(rows[i])))
+                    issues.append(at_sample(MILL_PATH, what, context.motion, claim.arm, int(rows[i])))
     return issues, worst, where
 
 
-NONE = "nothing is milled"
-FACETS = 5e-5
+NOTHING_MILLED = "nothing is milled"
+"""Why rules about milling have not run."""
+FACET_ERROR = 5e-5
 """What facets, and places between which nothing is looked at, may hide [m]."""
-_PLACES = 30_000
-_FINEST = 0.4e-3
-_GOUGE = 1.6
+_FACE_PLACES = 30_000
+"""Places of a face, about, at most."""
+_FINEST_SPACING = 0.4e-3
+"""Places of a face are no nearer to one another than this [m]."""
+_GOUGE_SPACING = 1.6
 """Gouges are looked for at places so much farther apart, of which a quarter of the tolerance is hidden."""
 
 
@@ -210,7 +218,7 @@ def milled(context: Context, milling: Milling) -> tuple[Outcome, tuple[CutFace, 
             measure = {"value": 100 * face.share, "limit": 100 * claim.share, "unit": "%"}
             issues.append(Issue("verify.milled", what, field=face.title, **measure))  # type: ignore[arg-type]
     if not faces:
-        return Outcome(tuple(issues), where=NONE), ()
+        return Outcome(tuple(issues), where=NOTHING_MILLED), ()
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     share, wanted = 100 * worst.share, 100 * worst.wanted_share
     return Outcome(tuple(issues), share, wanted, "% within tolerance", worst.title), tuple(faces)
@@ -223,7 +231,7 @@ def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
     area = 0.5 * np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    size = max(float(np.sqrt(area.sum() / _PLACES)) * 2.0, _FINEST)
+    size = max(float(np.sqrt(area.sum() / _FACE_PLACES)) * 2.0, _FINEST_SPACING)
     pieces, _ = divided(corners, size)
     area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     points = pieces.mean(axis=1)
@@ -235,7 +243,7 @@ def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
     solid = solids(claim.cutter)[0]
     tip, axis, _ = track.spaced(_step(solid, claim.tolerance))
     off, _ = sweep(points, tip, axis, solid)
-    known = off < SIGHT
+    known = off < SIGHT_DISTANCE
     share = float(area[known & (np.abs(off) <= claim.tolerance)].sum() / max(float(area.sum()), 1e-30))
     weight = max(float(area[known].sum()), 1e-30)
     rms = float(np.sqrt((area[known] * off[known] ** 2).sum() / weight))
@@ -266,17 +274,17 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
             continue
         pieces, corners = solids(claim.cutter), claim.vertices[claim.faces]
         for solid, sharp in [*((one, False) for one in pieces), *((one, True) for one in edges(pieces))]:
-            allowed = claim.tolerance + FACETS + (claim.depth if solid.name == "cutter" else 0.0)
+            allowed = claim.tolerance + FACET_ERROR + (claim.depth if solid.name == "cutter" else 0.0)
             near = comes_near(claim.vertices, track.tip, track.axis, solid)
             if sharp and not near:
                 continue
-            step = rim_step(claim.tolerance) if sharp else _GOUGE * _step(solid, claim.tolerance)
+            step = rim_step(claim.tolerance) if sharp else _GOUGE_SPACING * _step(solid, claim.tolerance)
             tip, axis, rows = milling.spaced(index, claim.arm, labels, step)
             points = claim.vertices[:1]
             if near:
                 size = rim_size if sharp else functools.partial(round_size, solid.radius)
                 found, count = near_places(corners, solid, tip, axis, size(claim.tolerance))
-                if count > MOST:
+                if count > MOST_FACE_POINTS:
                     issues.append(_too_many(claim, solid, count, size(claim.tolerance)))
                     worst, limit, where = max(worst, 0.0), mm(allowed), str(claim.segments[0])
                     continue
@@ -288,7 +296,7 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
                 where = f"{solid.name} in {context.motion.node_segment[context.motion.node[rows[place[k]]]]}"
             deep = np.flatnonzero(off < -allowed)
             first = np.unique(place[deep], return_index=True)[1]
-            for i in deep[first][:: max(1, len(first) // SHOWN)]:
+            for i in deep[first][:: max(1, len(first) // ISSUES_SHOWN)]:
                 at = ", ".join(f"{mm(v):.1f}" for v in points[i])
                 what = f"the {solid.name} is {mm(-off[i]):.3f} mm in the part at {at} mm; allowed: "
                 what += f"{mm(allowed):.3f} mm"
@@ -296,7 +304,7 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
                 row = int(rows[place[i]])
                 issues.append(at_sample("verify.mill_gouge", what, context.motion, claim.arm, row, measure))
     if limit is None:
-        return Outcome(tuple(issues), where=NONE)
+        return Outcome(tuple(issues), where=NOTHING_MILLED)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
@@ -305,9 +313,9 @@ def _too_many(claim: SparesPart, solid: Solid, count: int, size: float) -> Issue
     what = (
         f"beside the {solid.name} the face would have to be looked at in {count} places, {mm(size):.2f} mm "
     )
-    what += f"apart; allowed: {MOST}: split the cut, or take a larger tolerance"
+    what += f"apart; allowed: {MOST_FACE_POINTS}: split the cut, or take a larger tolerance"
     name = str(claim.segments[0])
-    return Issue("verify.mill_gouge", what, field=name, value=float(count), limit=float(MOST))
+    return Issue("verify.mill_gouge", what, field=name, value=float(count), limit=float(MOST_FACE_POINTS))
 
 
 @rule("verify.mill_path", MillsAlong, MillsProgram, Engraves, MillsFlank, MillsOver)
@@ -337,7 +345,7 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
         if share > worst:
             worst, limit, where = share, 1.0, str(claim.segment)
         bad = np.flatnonzero((off > claim.tolerance) | (turn > claim.turn))
-        for i in bad[:: max(1, len(bad) // SHOWN)]:
+        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
             what = (
                 f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve{_line(claim, found, i)} "
                 f"and the axis {np.rad2deg(turn[i]):.2f} deg; allowed: {mm(claim.tolerance):g} mm, "
@@ -349,7 +357,7 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
         if found.missed:
             word = f"{found.missed} of {len(claim.tip)} places are never passed, or not in order"
             issues.append(Issue("verify.mill_path", f"{claim.segment}: {word}", field=str(claim.segment)))
-    return Outcome(tuple(issues), worst, limit, "of what is allowed", where or NONE)
+    return Outcome(tuple(issues), worst, limit, "of what is allowed", where or NOTHING_MILLED)
 
 
 def _small(claim: MillsAlong) -> bool:
@@ -423,7 +431,7 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
         if share.max() > worst:
             worst, where = float(share.max()), str(claim.segment)
         bad = np.flatnonzero(share > FEED_SLACK)
-        for k in bad[:: max(1, len(bad) // SHOWN)]:
+        for k in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
             what = f"the tip moves at {mm(speed[k]):.2f} mm/s in {claim.segment}; "
             what += f"allowed there: {mm(limit[k]):g}"
             measure = (mm(float(speed[k])), mm(float(limit[k])), "mm/s")
@@ -431,7 +439,9 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
     fed = {claim.segment.key for claim in claims}
     lacks = sorted(label for label in _labels(context) if label not in fed)
     issues += [Issue("verify.mill_feed", f"{label} has no feed", field=label) for label in lacks]
-    return Outcome(tuple(issues), worst or None, FEED_SLACK if worst else None, "of the feed", where or NONE)
+    return Outcome(
+        tuple(issues), worst or None, FEED_SLACK if worst else None, "of the feed", where or NOTHING_MILLED
+    )
 
 
 def _there(milling: Milling, index: int, segment: Segment, count: int) -> FloatArray:
@@ -482,7 +492,7 @@ def spindle(context: Context, milling: Milling) -> Outcome:
                     measure = (float(max(on[i], 0.0)), claim.heat_up, "s")
                     row = int(track.rows[inside[i]])
                     issues.append(at_sample("verify.spindle", what, motion, arm.name, row, measure))
-    return Outcome(tuple(issues), where="" if seen else NONE)
+    return Outcome(tuple(issues), where="" if seen else NOTHING_MILLED)
 
 
 def _on_for(context: Context, signal: str, time: FloatArray) -> FloatArray:

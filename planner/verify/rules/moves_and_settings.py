@@ -34,6 +34,7 @@ from planner.verify.rules import synchronisation
 from planner.verify.rules.synchronisation import straight_way
 
 UNKNOWN_START = "verify.unknown_start"
+"""Code of the rule about moves from a place that is not known."""
 BLIND_SPEED = 0.25
 """Highest speed of the tool [m/s] from a place that is not known: what arms may do beside people."""
 BLIND_TURN_RATE = np.deg2rad(45.0)
@@ -43,6 +44,7 @@ BLIND_SPEED_SHARE = 0.10
 LINEAR, ROTARY = 5.0, np.deg2rad(1000.0)
 """Highest speeds of external axes that a move may state [m/s, rad/s]; no arm here has any."""
 SPEED_ROUNDING = 1.0 + 1e-6
+"""Speeds may be higher by this factor: they are rounded."""
 
 
 @rule("verify.unknown_start")
@@ -111,7 +113,8 @@ def _words(move: MoveStep) -> str:
     return f"{mm(speed):g} mm/s, {np.rad2deg(move.speed.turn):g} deg/s"
 
 
-UNDO = "verify.undo"
+UNDO_RULE = "verify.undo"
+"""Code of the rule about UNDO handlers."""
 
 
 @rule("verify.undo")
@@ -130,7 +133,7 @@ def undo(context: Context) -> Outcome:
                 faults = _faults(steps, signals, blocks)
                 issues += [
                     Issue(
-                        UNDO,
+                        UNDO_RULE,
                         f"UNDO of {procedure.name}: {fault}",
                         arm=task.arm.name,
                         file=f"{task.name}/{module.name}",
@@ -176,20 +179,22 @@ def _faults(steps: tuple[Step, ...] | None, signals: list[str], blocks: bool) ->
 _ZERO_WAY, _ZERO_TURN = 1e-8, 1e-9
 _ZONE_SLACK = 1e-6
 """[m] moves are as long as their rounded coordinates say; controllers shorten a corner that is larger."""
-_REFUSED = {
+_REFUSED_OPTIONS = {
     "conc": "\\Conc lets logic run ahead of the motion",
     "z": "\\Z gives the corner another zone than the one that the move names",
     "tload": "\\TLoad counts with another load than the tool's",
     "corr": "\\Corr lets sensors change the path",
 }
-_ATTRIBUTES = {
+"""Options of moves that are refused, and why."""
+_REFUSED_ATTRIBUTES = {
     "sysmodule": "it stays in the controller when the program is taken out, beside the next one",
     "noview": "nobody can read it at the controller",
     "nostepin": "stepping through the program passes over it, moves and all",
     "viewonly": "nobody can correct it at the controller",
     "readonly": "nobody can correct it at the controller",
 }
-_MAIN_WAY = (
+"""Attributes of modules that are refused, and why."""
+_PATH_INSTRUCTIONS = (
     "StopMove",
     "StartMove",
     "ClearPath",
@@ -200,6 +205,7 @@ _MAIN_WAY = (
     "RETRY",
     "TRYNEXT",
 )
+"""Instructions that stop, keep or clear the path."""
 
 
 @rule("verify.move_kinds")
@@ -224,8 +230,8 @@ def move_kinds(context: Context) -> Outcome:
                     at_step("verify.move_kinds", "the path of MoveJ is not known; use MoveL", task, step)
                 )
             for switch in step.switches:
-                if switch in _REFUSED:
-                    issues += [at_step("verify.move_kinds", _REFUSED[switch], task, step)]
+                if switch in _REFUSED_OPTIONS:
+                    issues += [at_step("verify.move_kinds", _REFUSED_OPTIONS[switch], task, step)]
             used = np.abs(step.target.external - UNUSED_AXIS) > 1e3  # in single precision 9E9 is off by 512
             if isinstance(step.target, RobTarget | JointTarget) and used.any():
                 issues.append(at_step("verify.move_kinds", "the target moves an external axis", task, step))
@@ -370,7 +376,7 @@ def motion_settings(context: Context) -> Outcome:
             if step.kind == "SingArea" and step.switches != ("off",):
                 what = "SingArea lets the tool leave its path near singular postures"
                 issues.append(at_step("verify.motion_settings", what, task, step, "SingArea\\Off"))
-            if step.kind in _MAIN_WAY and (moved or step.kind != "Stop" or step.switches):
+            if step.kind in _PATH_INSTRUCTIONS and (moved or step.kind != "Stop" or step.switches):
                 what = f"{step.kind} on the way: the moves are no longer those of the text"
                 issues.append(at_step("verify.motion_settings", what, task, step))
     return Outcome(tuple(issues))
@@ -392,7 +398,7 @@ def hidden(context: Context) -> Outcome:
             issues += [
                 Issue(
                     "verify.hidden",
-                    f"module {module.name} is {word.upper()}: {_ATTRIBUTES[word]}",
+                    f"module {module.name} is {word.upper()}: {_REFUSED_ATTRIBUTES[word]}",
                     arm=task.arm.name,
                     file=module.file,
                     hint="take the attribute out",

@@ -30,7 +30,8 @@ from planner.verify.forming.state import Forming
 from planner.verify.milling.tool_motion import Milling
 from planner.verify.wire.cut_surface import Sweep
 
-CODE: Final = "verify.part_file"
+PART_FILE: Final = "verify.part_file"
+"""Code of this rule."""
 FEWEST_PLACES: Final = 500
 """Places of a file that are looked at, at least."""
 FEWEST_PLACES_OF_STRIP: Final = 100
@@ -40,9 +41,10 @@ SHARE_NOISE: Final = 0.03
 standard deviations at 95 %)."""
 READING_ERROR: Final = 2e-5
 """Two readings follow curves within 0.01 mm each [m]."""
-STANDS_OUT: Final = 1e-4
+MOST_STANDING_OUT: Final = 1e-4
 """A part that is laid by hand here may stand out of the block by so much [m]."""
-_TARGET: Final = 20_000
+_TARGET_PLACES: Final = 20_000
+"""Places of the claimed surfaces that a file is compared with."""
 
 
 @dataclasses.dataclass
@@ -55,7 +57,7 @@ class _Found:
     share: float = 1.0
     limit: float = 1.0
 
-    def held(self, file: str, places: int, share: float, limit: float) -> None:
+    def record(self, file: str, places: int, share: float, limit: float) -> None:
         """Count places of a file, with the share of them that is good and the one that is wanted."""
         self.looked[file] = self.looked.get(file, 0) + places
         if share - limit < self.room:
@@ -83,22 +85,22 @@ def part_file(context: Context, sweeps: Sequence[Sweep], forming: Forming, milli
         elif context.problem.part is not None and context.problem.source:  # else a part of values in Python
             found.issues.append(
                 Issue(
-                    CODE,
+                    PART_FILE,
                     "the problem has a part that its file does not state; state it there, or take the file "
                     "away (source={}) for a problem of values alone",
                     field="part",
                 )
             )
     except UnreadError as error:
-        found.issues.append(Issue(CODE, f"{error}; export it anew, or convert it", field="part"))
+        found.issues.append(Issue(PART_FILE, f"{error}; export it anew, or convert it", field="part"))
     return found.outcome()
 
 
 def _surfaces(context: Context, part: Any, sweeps: Sequence[Sweep], milling: Milling, found: _Found) -> None:
     """Surfaces that wires and cutters make."""
     block = np.asarray(context.problem.stock.size)
-    whole = {name for name, *_ in comparison.wanted(context)}
-    surfaces = stated(part, float(block[2]), not whole.isdisjoint((comparison.ALL, "edges")))
+    whole = {name for name, *_ in comparison.wanted_surfaces(context)}
+    surfaces = stated(part, float(block[2]), not whole.isdisjoint((comparison.ALL_RULED, "edges")))
     at = _stated_place(part, surfaces, block)
     pairs = _paired(surfaces, _made(context, surfaces, sweeps, milling, found), at, found)
     if not pairs:
@@ -124,9 +126,9 @@ def _made(
     faces = ("front", "back") if part.get("front") else ()  # ruled surfaces may have these names too
     ruled = [surface.name for surface in surfaces if surface.name not in faces]
     known = {claim.segment.key: k for k, claim in enumerate(context.surfaces)}
-    for name, kind, tolerance, share, margin in comparison.wanted(context):
+    for name, kind, tolerance, share, margin in comparison.wanted_surfaces(context):
         every = [name]
-        if name == comparison.ALL:
+        if name == comparison.ALL_RULED:
             every = ruled
             if part.get("plate"):
                 # outlines have no names in the problem: as many as it states have to be cut
@@ -136,7 +138,7 @@ def _made(
                 if len(every) != len(ruled):
                     what = f"{len(every)} outlines are cut; the part, read once more, has {len(ruled)}"
                     count = {"value": len(every), "limit": len(ruled)}
-                    found.issues.append(Issue(CODE, what, field="part.plate", **count))  # type: ignore[arg-type]
+                    found.issues.append(Issue(PART_FILE, what, field="part.plate", **count))  # type: ignore[arg-type]
         for own in every:
             wanted = Segment(kind, own).folded
             segment = str(wanted)
@@ -155,7 +157,7 @@ def _made(
                 ]
             else:
                 what = f"the problem wants {own} made, and nothing is claimed of {segment}"
-                found.issues.append(Issue(CODE, what, field=segment))
+                found.issues.append(Issue(PART_FILE, what, field=segment))
     return out
 
 
@@ -185,7 +187,7 @@ def _paired(
             out.append((left.pop(fits[0]), one))
             continue
         what = f"{one.segment} makes {one.name}, which the part, read once more, does not have"
-        found.issues.append(Issue(CODE, what, field=one.segment))
+        found.issues.append(Issue(PART_FILE, what, field=one.segment))
     return out
 
 
@@ -219,15 +221,15 @@ def _place(
         surface, one = pairs[0]
         return comparison.found_piece(
             comparison.of_claim(one, FEWEST_PLACES),
-            on_triangles(surface.facets, np.arange(len(surface.facets)) + 1, _TARGET),
+            on_triangles(surface.facets, np.arange(len(surface.facets)) + 1, _TARGET_PLACES),
         )
-    target = [comparison.of_claim(one, _TARGET // len(pairs)) for _, one in pairs]
+    target = [comparison.of_claim(one, _TARGET_PLACES // len(pairs)) for _, one in pairs]
     bound, middle = np.concatenate([s.bound for s in surfaces]), np.array([0.0, 0.0, 0.5 * block[2]])
     tried = []
     ways = range(max(len(surface.samples) for surface, _ in pairs))
     for all_around, k in itertools.product((False, True), ways):
         source = [surface.samples[min(k, len(surface.samples) - 1)] for surface, _ in pairs]
-        at = comparison.found(source, target, bound, middle, all_around)
+        at = comparison.aligned_pose(source, target, bound, middle, all_around)
         share = [
             _Tried(surface, one, own.moved(at), at, milling).share
             for (surface, one), own in zip(pairs, source, strict=True)
@@ -242,15 +244,17 @@ def _lies_well(surfaces: Sequence[Surface], at: FloatArray, block: FloatArray, f
     """A part whose place is open fits into the block, and a front looks up."""
     front = next((surface for surface in surfaces if surface.name == "front"), None)
     if front is not None and float((front.samples[0].normals @ at[2, :3]).mean()) <= 0.0:
-        found.issues.append(Issue(CODE, "the front, read once more, does not look up", field="part.in_stock"))
+        found.issues.append(
+            Issue(PART_FILE, "the front, read once more, does not look up", field="part.in_stock")
+        )
     if any(surface.part_of for surface in surfaces):
         return
     low, high = _box(np.concatenate([surface.bound for surface in surfaces]) @ at[:3, :3].T + at[:3, 3])
     out = float((high - low - block).max())
-    if out > STANDS_OUT:
+    if out > MOST_STANDING_OUT:
         text = f"the part as it is made, read once more, is {mm(out):.2f} mm larger than the block"
-        measure = {"value": mm(out), "limit": mm(STANDS_OUT), "unit": "mm"}
-        found.issues.append(Issue(CODE, text, field="part.in_stock", **measure))  # type: ignore[arg-type]
+        measure = {"value": mm(out), "limit": mm(MOST_STANDING_OUT), "unit": "mm"}
+        found.issues.append(Issue(PART_FILE, text, field="part.in_stock", **measure))  # type: ignore[arg-type]
 
 
 class _Tried:
@@ -273,11 +277,11 @@ class _Tried:
     def judge(self, found: _Found) -> None:
         """Tell what is found."""
         surface, one, seen = self.surface, self.one, int(self.counts.sum())
-        found.held(surface.file, seen, self.share, self.wanted)
+        found.record(surface.file, seen, self.share, self.wanted)
         fewest = FEWEST_PLACES_OF_STRIP if one.margin > 0.0 else min(FEWEST_PLACES, len(self.good))
         if seen < fewest:
             what = f"{seen} places of {surface.name} of {surface.file} were looked at, wanted: {fewest}"
-            found.issues.append(Issue(CODE, what, field=one.segment, value=seen, limit=fewest))
+            found.issues.append(Issue(PART_FILE, what, field=one.segment, value=seen, limit=fewest))
         if self.share < self.wanted:
             off = np.where(self.counts, self.off, 0.0)
             told = _Told(surface.file, one.segment, self.share, self.wanted, self.limit)
@@ -308,7 +312,7 @@ class _Told:
         if missed:
             what += f"; nothing comes near {missed} of them"
         measure = {"value": 100 * self.share, "limit": 100 * self.wanted, "unit": "%"}
-        return Issue(CODE, what, field=self.segment, **measure)  # type: ignore[arg-type]
+        return Issue(PART_FILE, what, field=self.segment, **measure)  # type: ignore[arg-type]
 
 
 def _lies_on(surface: Surface, one: Made, at: FloatArray, found: _Found) -> None:
@@ -324,7 +328,7 @@ def _lies_on(surface: Surface, one: Made, at: FloatArray, found: _Found) -> None
     apart[known] = comparison.off_facets(points[known], facets)
     limit, wanted = one.tolerance + surface.spare + READING_ERROR, one.share - SHARE_NOISE
     share = float((apart <= limit).mean())
-    found.held(surface.file, len(points), share, wanted)
+    found.record(surface.file, len(points), share, wanted)
     if share < wanted:
         found.issues.append(_Told(surface.file, one.segment, share, wanted, limit).issue(places, apart))
 
@@ -353,7 +357,7 @@ def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None
     spare = READING_ERROR + sheet.tolerance
     good = (off <= allowed + spare) & (off >= -tolerance - spare)
     share = float(good.mean())
-    found.held(sheet.file, len(off), share, shares)
+    found.record(sheet.file, len(off), share, shares)
     if share < shares:
         limit = float(allowed.max())
         found.issues.append(_Told(sheet.file, segment, share, shares, limit).issue(sheet.walls, off))

@@ -23,15 +23,14 @@ from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.rules.setups_and_frames import at_home
 
 JOINT_JUMP = np.deg2rad(8.0)
-"""A joint that turns farther than this from one sample to the next (4 ms) has changed its solution, not
-moved."""
+"""A joint that turns farther than this [rad] from one sample to the next (4 ms) has changed its solution,
+not moved."""
 TCP_SLACK = 1.10
 """The replay's ramps may exceed the planned speed between targets by this factor."""
 UNTIMED_TURN_RATE = np.deg2rad(90.0)
-"""Fastest turning that may be stated for moves that have no time: what a tool has far from its TCP moves
-with it."""
-_DRAKE_SAMPLES = 200
-_CHUNK = 65_536
+"""Fastest turning [rad/s] that may be stated for moves that have no time: what a tool has far from its TCP
+moves with it."""
+_SAMPLES_AT_ONCE = 65_536
 """Samples that are worked out at once where much is needed on the way."""
 
 
@@ -243,7 +242,7 @@ def singularity(context: Context) -> Outcome:
         rows = np.flatnonzero(_straight(context, arm)[context.motion.node])
         if not len(rows):
             continue
-        parts = np.array_split(rows, len(rows) // _CHUNK + 1)
+        parts = np.array_split(rows, len(rows) // _SAMPLES_AT_ONCE + 1)
         machine, q = arm_model.machine_of(task.arm.robot), context.motion.q[arm]
         distance = np.concatenate([singularity_distance(machine, q[part]) for part in parts])
         k = int(np.argmin(distance))
@@ -338,11 +337,11 @@ def _straight(context: Context, arm: str) -> BoolArray:
 
 Models = Callable[[int], CellModel]
 
-SAMPLES: Final = 1000
+DRAKE_SAMPLES: Final = 1000
 """Samples of a motion at which every link is held against Drake; each setup has a tenth of them at least."""
-LINKS: Final = 1e-9
+LINK_ERROR: Final = 1e-9
 """How far two ways to work out where a link is may differ [m, and in each entry of the rotation]."""
-KINEMATICS: Final = 1e-6
+TCP_ERROR: Final = 1e-6
 """How far a tool may be from where the replay has it [m]: the text's figures of the tool are rounded."""
 
 
@@ -377,12 +376,12 @@ def kinematics(context: Context, models: Models) -> Outcome:
         rows = np.flatnonzero(context.sample_setup == index)
         if not len(rows):
             continue
-        wanted = max(SAMPLES * len(rows) // total, SAMPLES // 10)
+        wanted = max(DRAKE_SAMPLES * len(rows) // total, DRAKE_SAMPLES // 10)
         some = rows[np.unique(np.linspace(0, len(rows) - 1, wanted).astype(np.int64))]
         found, off = _setup(context, models(index), index, some)
         issues += found
         worst, count = max(worst, off), count + len(some)
-    return Outcome(tuple(issues), mm(worst), mm(KINEMATICS), "mm", f"every link at {count} samples")
+    return Outcome(tuple(issues), mm(worst), mm(TCP_ERROR), "mm", f"every link at {count} samples")
 
 
 def _setup(context: Context, model: CellModel, index: int, rows: IntArray) -> tuple[list[Issue], float]:
@@ -400,9 +399,9 @@ def _setup(context: Context, model: CellModel, index: int, rows: IntArray) -> tu
     places = {name: drake[name] @ tool for name, tool in tools.items()}
     issues, worst = [], 0.0
     for words, ours, theirs, limit in (
-        ("by the chain of its URDF, and by Drake", _chains(model, q), drake, LINKS),
-        ("by what bounds the clearance, and by Drake", model.poses(q), drake, LINKS),
-        ("by the replay, and by Drake", replayed, places, KINEMATICS),
+        ("by the chain of its URDF, and by Drake", _chains(model, q), drake, LINK_ERROR),
+        ("by what bounds the clearance, and by Drake", model.poses(q), drake, LINK_ERROR),
+        ("by the replay, and by Drake", replayed, places, TCP_ERROR),
     ):
         for name in sorted(ours.keys() & theirs.keys()):
             off = np.abs(ours[name] - theirs[name]).reshape(len(rows), -1).max(axis=1)
@@ -418,7 +417,7 @@ def _setup(context: Context, model: CellModel, index: int, rows: IntArray) -> tu
 
 def _drake(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Poses (K, 4, 4) in the world of all links and tools, and of a held block, by Drake's plant."""
-    names = [f"{arm}/{link}" for arm in model.arms for link in _LINKS]
+    names = [f"{arm}/{link}" for arm in model.arms for link in _LINK_CHAIN]
     names += ["stock"] if model.stock.held_by is not None else []
     some = [model.body(name) for name in names]
     rows = model.stack(q)
@@ -431,7 +430,8 @@ def _drake(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArra
     return dict(zip(names, out, strict=True))
 
 
-_LINKS: Final = ("base_link", *(f"link_{i}" for i in range(1, 7)), "tool")
+_LINK_CHAIN: Final = ("base_link", *(f"link_{i}" for i in range(1, 7)), "tool")
+"""Bodies of an arm from its base to its tool."""
 
 
 def _chains(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:

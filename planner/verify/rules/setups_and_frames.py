@@ -32,11 +32,14 @@ from planner.verify.programs.steps import (
 FRAME_POSITION = 1e-6
 """How far a written frame may be off the problem's [m]: its last decimal."""
 FRAME_ANGLE = 1e-6
-MASS = 1e-3
-CENTRE = 1e-5
-INERTIA = 5e-6
+"""The same of its turn [rad]."""
+MASS_ERROR = 1e-3
+"""How far a mass may be off [kg]: its last decimal."""
+CENTRE_ERROR = 1e-5
+"""How far a centre of gravity may be off [m], in each coordinate."""
+INERTIA_ERROR = 5e-6
 """How far moments of inertia may be off [kg m^2]: their last decimals; those of a block by 1 % too."""
-NO_LOAD = 0.001
+LEAST_LOAD = 0.001
 """Mass [kg] of load0."""
 
 
@@ -72,11 +75,11 @@ def _tool_faults(tool: Tool, wanted: WantedTool) -> tuple[float, list[str]]:
         faults.append(what)
     if not tool.held:
         faults.append("it is not held by the robot")
-    if abs(tool.load.mass - wanted.mass) > MASS:
+    if abs(tool.load.mass - wanted.mass) > MASS_ERROR:
         faults.append(f"its mass is {tool.load.mass:g} kg, not {wanted.mass:g} kg")
-    if np.abs(tool.load.centre - wanted.cog).max() > CENTRE:
+    if np.abs(tool.load.centre - wanted.cog).max() > CENTRE_ERROR:
         faults.append("its centre of gravity is not the tool's")
-    if np.abs(tool.load.inertia).max() > INERTIA:
+    if np.abs(tool.load.inertia).max() > INERTIA_ERROR:
         faults.append("it has moments of inertia, of which the problem says nothing")
     return shift, faults
 
@@ -216,22 +219,22 @@ def load(context: Context) -> Outcome:
                         issues.append(at_step("verify.load", what, task, step, "GripLoad load0 first"))
                         known = None
     return Outcome(
-        tuple(issues), where="" if any(s.holds for s in context.setup_claims) else "nothing is held"
+        tuple(issues), where="" if any(s.stock_holders for s in context.setup_claims) else "nothing is held"
     )
 
 
 def _carried(step: CarryStep, wanted: HoldsStock | None, stock: Stock, index: int) -> tuple[str, int | None]:
     """What is wrong with a load, and the setup whose block it is, None for no load."""
     if wanted is None:
-        none = abs(step.load.mass) <= NO_LOAD + 1e-9
+        none = abs(step.load.mass) <= LEAST_LOAD + 1e-9
         return ("" if none else f"a load of {step.load.mass:g} kg, but no block is held"), None
-    if abs(step.load.mass - wanted.mass) > MASS:
+    if abs(step.load.mass - wanted.mass) > MASS_ERROR:
         return f"the load is {step.load.mass:g} kg; the block is {wanted.mass:.4f} kg", index
-    if np.abs(step.load.centre - wanted.cog).max() > CENTRE:
+    if np.abs(step.load.centre - wanted.cog).max() > CENTRE_ERROR:
         return "the load's centre of gravity is not the block's", index
     turn, grip = rotation(step.load.axes), wanted.grip[:3, :3]
     said, true = (turn * step.load.inertia) @ turn.T, (grip * _moments(stock, wanted.mass)) @ grip.T
-    if np.abs(said - true).max() > INERTIA + 0.01 * np.abs(true).max():
+    if np.abs(said - true).max() > INERTIA_ERROR + 0.01 * np.abs(true).max():
         return "the load's moments of inertia are not the block's", index
     return "", index
 
@@ -270,7 +273,7 @@ def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
     return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(np.linalg.norm(log_rotation(relative[:3, :3])))
 
 
-HOME = 1e-4
+HOME_ERROR = 1e-4
 """How far a joint may be off home [rad] to be there."""
 
 
@@ -347,7 +350,7 @@ def at_home(move: MoveStep, machine: RobotData, home: FloatArray) -> bool:
     if not isinstance(move.target, JointTarget):
         return False
     q = machine.from_controller(move.target.joints)
-    return bool(np.abs(q - home).max() <= HOME and move.zone.fine)
+    return bool(np.abs(q - home).max() <= HOME_ERROR and move.zone.fine)
 
 
 def _lookalikes(context: Context) -> list[Issue]:

@@ -32,9 +32,10 @@ BOW_DIFFERENCE = 1e-6
 """How far a claimed wire may be off the bow's own [m]."""
 GUIDE_STEP = 0.002
 """Distance of the places of a guide line that must be passed [m]."""
-FINE = 0.001
+RULING_STEP = 0.001
 """Way of the wire's ends between looks at its rulings [m]."""
-_CHUNK = 400_000
+_PAIRS_AT_ONCE = 400_000
+"""Pairs of a point and a piece of a guide that are worked on at once."""
 
 
 @rule("verify.bow", StraightWire)
@@ -176,13 +177,13 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 
 def between(points: FloatArray, speed: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Wires (N, P, 3) and their speeds (N, P) at stations ``rows`` and every ``FINE`` on the way to each from
-    the station before, which is straight; the station (N,) that each leads to."""
+    """Wires (N, P, 3) and their speeds (N, P) at stations ``rows`` and every ``RULING_STEP`` on the way to
+    each from the station before, which is straight; the station (N,) that each leads to."""
     before = np.maximum(rows - 1, 0)
     way = np.linalg.norm(points[rows][:, [0, -1]] - points[before][:, [0, -1]], axis=2).max(axis=1)
     # the way to the first station of a visit belongs to what was before
     way[np.concatenate([[True], np.diff(rows) > 1])] = 0.0
-    count = np.maximum(np.ceil(way / FINE).astype(np.int64), 1)
+    count = np.maximum(np.ceil(way / RULING_STEP).astype(np.int64), 1)
     at = np.repeat(np.arange(len(rows)), count)
     step = np.arange(len(at)) - np.repeat(np.cumsum(count) - count, count)
     share = ((step + 1) / count[at])[:, None]
@@ -231,7 +232,7 @@ def off_guide(
     length = np.linalg.norm(way, axis=1)
     along = way / length[:, None]
     off, half = np.zeros(len(points)), np.zeros(len(points))
-    step = max(1, _CHUNK // max(len(guide), 1))
+    step = max(1, _PAIRS_AT_ONCE // max(len(guide), 1))
     for low in range(0, len(points), step):
         part = slice(low, low + step)
         relative = guide[None] - start[part, None]
@@ -302,7 +303,7 @@ def _passed(points: FloatArray, joined: BoolArray, places: FloatArray) -> FloatA
     start, end = points[:, 0], points[:, -1]
     way = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
     far = np.empty(len(places))
-    chunk = max(1, _CHUNK // len(points))
+    chunk = max(1, _PAIRS_AT_ONCE // len(points))
     for low in range(0, len(places), chunk):
         relative = places[low : low + chunk, None] - start[None]
         off = relative - np.einsum("nti,ti->nt", relative, way)[..., None] * way[None]

@@ -34,15 +34,18 @@ from planner.verify.replay.moves import flange_at, solutions
 
 _SAME_PLACE = 1e-5
 """A move whose TCP goes no farther [m] turns only."""
-_SMALLEST = 1.001e-6
-_SMALLEST_TURN = 1.001 * np.deg2rad(0.001)
-"""Roundings so small [m, rad] need no room: the controller itself never takes more than half of a move."""
-_CREEP = 0.11e-3
-_CREEP_TURN = np.deg2rad(0.15)
-"""Moves slower than this [m/s, rad/s] are as fast as KRL lets them be; no feed or limit is so low."""
+_SMALLEST_ZONE = 1.001e-6
+"""Roundings so small [m] need no room: the controller itself never takes more than half of a move."""
+_SMALLEST_ZONE_TURN = 1.001 * np.deg2rad(0.001)
+"""The same of turns [rad]."""
+_CREEP_SPEED = 0.11e-3
+"""Moves slower than this [m/s], and than the next, are as fast as KRL lets them be; no feed or limit is so
+low."""
+_CREEP_TURN_RATE = np.deg2rad(0.15)
+"""The same of turns [rad/s]."""
 PAIR_TIME_SHARE = 0.01
 """How much the times of two moves that run together may differ: speeds have few digits."""
-_ANOTHER = np.deg2rad(0.01)
+_OTHER_SOLUTION = np.deg2rad(0.01)
 """Joints that differ by more [rad] are another solution."""
 
 
@@ -89,12 +92,12 @@ def corners(task: TaskText, moves: tuple[MoveStep, ...]) -> tuple[list[Issue], f
             continue
         way, turn = min(step[0] for step in beside), min(step[1] for step in beside)
         if way > _SAME_PLACE:
-            over = move.zone.tcp - max(0.5 * way, _SMALLEST)
+            over = move.zone.tcp - max(0.5 * way, _SMALLEST_ZONE)
             worst = max(worst, mm(over))
             size, half = mm(move.zone.tcp), mm(0.5 * way)
             what = f"the corner takes {size:g} mm; half of the shorter move is {half:.4f} mm"
         else:
-            over = move.zone.turn_angle - max(0.5 * turn, _SMALLEST_TURN)
+            over = move.zone.turn_angle - max(0.5 * turn, _SMALLEST_ZONE_TURN)
             angles = np.rad2deg([move.zone.turn_angle, 0.5 * turn])
             what = f"the corner takes {angles[0]:g} deg; half of the shorter turn is {angles[1]:.5f} deg"
         if over > 1e-9:
@@ -124,7 +127,7 @@ def pair_times(a_task: TaskText, a: MoveStep, b_task: TaskText, b: MoveStep) -> 
 
 def _creeps(move: MoveStep) -> bool:
     """Whether a move is as slow as KRL can state it."""
-    return move.speed.tcp <= _CREEP and move.speed.turn <= np.sqrt(2.0) * _CREEP_TURN
+    return move.speed.tcp <= _CREEP_SPEED and move.speed.turn <= np.sqrt(2.0) * _CREEP_TURN_RATE
 
 
 @rule("verify.status")
@@ -160,15 +163,16 @@ def _chosen(
         other = select_by_status(
             machine, flange_at(move, base), target.status, target.turn ^ (1 << (axis - 1))
         )
-        if any(np.abs(q - found.q[0]).max() > _ANOTHER for q in other.q):
+        if any(np.abs(q - found.q[0]).max() > _OTHER_SOLUTION for q in other.q):
             wrong.append(f"{bits}: axis {axis} is near zero, and without its turn another solution fits")
     return wrong, found.near_zero
 
 
 _TIME_TOLERANCE = 1e-9
+"""Times [s] of moves that run together differ by no more."""
 LARGEST_ID = 2**23
 """Whole numbers beyond are not exact in single precision."""
-SHORTEST = 0.005
+LEAST_MOVE_TIME = 0.005
 """Least time of a move [s]; a controller that cannot plan so fast stops instead, in the foam too."""
 SPEED_SLACK = 1.01
 """A time may be shorter than the stated speed makes it by this factor: both are rounded."""
@@ -325,7 +329,7 @@ def move_time(context: Context) -> Outcome:
         at_step("verify.move_time", _too_short(move.time), task, move)
         for _, _, task, moves in context.moves()
         for move in moves
-        if move.time is not None and move.time < SHORTEST
+        if move.time is not None and move.time < LEAST_MOVE_TIME
     ]
     for a_task, a, b_task, b in _pairs(context):
         if a_task.krl is not None or b_task.krl is not None:
@@ -339,9 +343,8 @@ def move_time(context: Context) -> Outcome:
 
 
 def _too_short(time: float) -> str:
-    return (
-        f"the move takes {mm(time):.3g} ms, and no controller plans a move in less than {mm(SHORTEST):g} ms"
-    )
+    least = mm(LEAST_MOVE_TIME)
+    return f"the move takes {mm(time):.3g} ms, and no controller plans a move in less than {least:g} ms"
 
 
 @rule("verify.speed_data")

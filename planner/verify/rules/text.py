@@ -26,9 +26,13 @@ from planner.verify.programs.steps import DIGEST, Fault, MoveStep
 from planner.verify.rapid.syntax_tree import QUATERNION_TOLERANCE, Literal
 from planner.verify.rules import synchronisation
 
-_RAPID = re.compile(r"\[\s*\[([^\[\]]*)\]\s*,\s*\[([^\[\]]*)\]\s*,\s*\[[^\[\]]*\]\s*,\s*\[[^\[\]]*\]\s*\]")
-_KRL = re.compile(r"\{X ([^,}]*),Y ([^,}]*),Z ([^,}]*),A ([^,}]*),B ([^,}]*),C ([^,}]*)")
-_INLINE = re.compile(
+_RAPID_TARGET = re.compile(
+    r"\[\s*\[([^\[\]]*)\]\s*,\s*\[([^\[\]]*)\]\s*,\s*\[[^\[\]]*\]\s*,\s*\[[^\[\]]*\]\s*\]"
+)
+"""A target in RAPID: its position and its turn."""
+_KRL_TARGET = re.compile(r"\{X ([^,}]*),Y ([^,}]*),Z ([^,}]*),A ([^,}]*),B ([^,}]*),C ([^,}]*)")
+"""A target in KRL: its position and its turn."""
+_INLINE_FORM = re.compile(
     r"[PFL]DAT_ACT|\$BWDSTART|#(?:PTP|CP)_(?:PARAMS|DAT)|\b(?:S?PTP|S?LIN)\s+X\w+"
     r"|DECL\s+(?:FDAT|[PL]DAT)\b",
     re.IGNORECASE,
@@ -36,9 +40,9 @@ _INLINE = re.compile(
 """What KUKA's inline forms leave in programs and data lists."""
 _MM, _DIGITS = 2, 6
 _KRL_MM, _KRL_DEG = 4, 5
-_MOST = 0.5
+_REWRITTEN_SHARE = 0.5
 """Where more of a task's targets than this share look changed, all were written like that."""
-_NAMED = 3
+_TARGETS_NAMED = 3
 """So many changed targets are named at most where a rule does not say where it failed."""
 
 
@@ -69,7 +73,7 @@ def marks(job: JobText) -> Marks:
         rows = {file: _rows(file, text) for file, text in task.files.items()}
         count = sum(len(found) for found in rows.values())
         total += count
-        few = sum(sum(found.values()) for found in rows.values()) <= _MOST * count
+        few = sum(sum(found.values()) for found in rows.values()) <= _REWRITTEN_SHARE * count
         places = moves.setdefault(task.arm.name, {})
         found: list[Changed] = []
         steps = [step for step in task.steps if isinstance(step, MoveStep)]
@@ -95,7 +99,7 @@ def with_pendant_cause(found: Marks, issue: Issue) -> Issue:
     causes = _causes(found, issue)
     if not causes:
         return issue
-    names = ", ".join(f"{c.name} ({c.file}, line {c.line})" for c in causes[:_NAMED])
+    names = ", ".join(f"{c.name} ({c.file}, line {c.line})" for c in causes[:_TARGETS_NAMED])
     what = "was" if len(causes) == 1 else "were"
     hint = f"likely cause: {names} {what} changed on the pendant, as the digits tell; plan again"
     return dataclasses.replace(issue, hint=f"{hint}; {issue.hint}" if issue.hint else hint)
@@ -103,7 +107,7 @@ def with_pendant_cause(found: Marks, issue: Issue) -> Issue:
 
 def with_form_cause(issue: Issue) -> Issue:
     """The issue about a line that an inline form has written with that as its likely cause."""
-    if _INLINE.search(issue.message) is None:
+    if _INLINE_FORM.search(issue.message) is None:
         return issue
     hint = "likely cause: changed on the pendant by an inline form; plan again"
     return dataclasses.replace(issue, hint=hint)
@@ -134,7 +138,7 @@ def _rows(file: str, text: str) -> dict[int, bool]:
     out: dict[int, bool] = {}
     krl = file.lower().endswith((".src", ".dat"))
     line, seen = 1, 0
-    for found in (_KRL if krl else _RAPID).finditer(text):
+    for found in (_KRL_TARGET if krl else _RAPID_TARGET).finditer(text):
         line, seen = line + text.count("\n", seen, found.start()), found.start()
         before = text[text.rfind("\n", 0, seen) + 1 : seen]
         if krl and re.match(r"\s*DECL\s+(?!E6POS)", before, re.IGNORECASE):

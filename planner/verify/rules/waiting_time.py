@@ -30,19 +30,22 @@ from planner.verify.programs.steps import (
     Step,
     WaitStep,
 )
-from planner.verify.replay.moves import between, waits
+from planner.verify.replay.moves import between, dwell_time
 
-IDLE = "verify.power_idle"
-MEETING = "verify.meeting_time"
-MORE = 1.1
+POWER_IDLE = "verify.power_idle"
+"""Code of the rule about power before anything moves."""
+MEETING_TIME = "verify.meeting_time"
+"""Code of the rule about waits at meetings."""
+IDLE_FACTOR = 1.1
 """Power may be on this many times as long as the problem says before anything moves..."""
-LATE = 0.5
+IDLE_SPARE = 0.5
 """...and so much longer [s]: statements take time, too."""
-CREEP = 2.0
+SLOW_FACTOR = 2.0
 """With a hot wire a move may take this many times as long as at the lowest feed..."""
-RAMPS = 5.0
+RAMP_TIME = 5.0
 """...and so much longer [s]: moves that are short or turn a tool take what their ramps take."""
-SHOWN = 50
+ISSUES_SHOWN = 50
+"""Issues of one task at most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +82,7 @@ def power_idle(context: Context) -> Outcome:
         walk = _Walk(context, signal, dwells)
         for slot in slots:
             walk.take(slot)
-        issues += [*walk.issues[:SHOWN], *_creeping(context, signal)]
+        issues += [*walk.issues[:ISSUES_SHOWN], *_creeping(context, signal)]
         worst = max(worst, walk.worst)
     issues += _unclaimed(context)
     if not context.contacts:
@@ -94,7 +97,7 @@ def _unclaimed(context: Context) -> list[Issue]:
         return []
     what = f"{signal} goes on, and no operation of the problem has anything that it heats or drives"
     return [
-        at_step(IDLE, what, task, step)
+        at_step(POWER_IDLE, what, task, step)
         for task in context.job.tasks
         for step in task.steps
         if isinstance(step, SignalStep) and step.signal.lower() == signal.lower() and step.value
@@ -150,12 +153,12 @@ class _Walk:
                 power.on = bool(step.value)
             elif power.on:
                 self._endless(slot, switches, step)
-            now += waits([step])
+            now += dwell_time([step])
         if power.on:
             for name, steps in slot.steps.items():
                 for step in steps if name != switches else ():
                     self._endless(slot, name, step)
-            power.spent += max(waits(list(steps)) for steps in slot.steps.values()) - since
+            power.spent += max(dwell_time(list(steps)) for steps in slot.steps.values()) - since
             self._judge(slot)
         if slot.moved:
             power.by, power.spent = "", 0.0
@@ -170,14 +173,14 @@ class _Walk:
         heat = (claim.heat_up for claim in contacts if claim.signal.lower() == self.key)
         stated = max(heat, default=0.0) if self.power.by else 0.0
         stated += self.dwells.get((setup, slot.segment), 0.0)
-        allowed = MORE * stated + LATE
+        allowed = IDLE_FACTOR * stated + IDLE_SPARE
         self.worst = max(self.worst, self.power.spent / allowed)
         if self.power.spent <= allowed:
             return
         name, step = _longest(slot)
         what = f"{self.signal} is on for {self.power.spent:g} s while nothing moves; allowed: {allowed:g} s"
         hint = "switch it off before, or wait as long as the problem says"
-        issue = at_step(IDLE, what, self.tasks[name], step, hint)
+        issue = at_step(POWER_IDLE, what, self.tasks[name], step, hint)
         self.issues.append(dataclasses.replace(issue, value=self.power.spent, limit=allowed, unit="s"))
         self.power.spent = 0.0
 
@@ -198,7 +201,7 @@ class _Walk:
 
     def _fault(self, name: str, step: Step, what: str) -> None:
         what = f"{name} {what} while {self.signal} is on"
-        self.issues.append(at_step(IDLE, what, self.tasks[name], step, "switch it off before"))
+        self.issues.append(at_step(POWER_IDLE, what, self.tasks[name], step, "switch it off before"))
 
 
 def _waits(step: Step) -> bool:
@@ -255,12 +258,12 @@ def _creeping(context: Context, signal: str) -> list[Issue]:
         if least <= 0.0 or lever <= 0.0 or not len(here):
             continue
         way = np.max([_ways(context, arm, lever)[here] for arm in motion.tcp], axis=0)
-        most = CREEP * way / least + RAMPS
-        for k in np.flatnonzero(motion.node_duration[here] > most)[:SHOWN]:
+        most = SLOW_FACTOR * way / least + RAMP_TIME
+        for k in np.flatnonzero(motion.node_duration[here] > most)[:ISSUES_SHOWN]:
             took = float(motion.node_duration[here[k]])
             what = f"{signal} is on while a move of {mm(way[k]):.2f} mm takes {took:g} s; at the lowest feed "
             what += f"it takes {way[k] / least:.2f} s"
-            issue = at_node(IDLE, what, motion, next(iter(motion.tcp)), int(here[k]))
+            issue = at_node(POWER_IDLE, what, motion, next(iter(motion.tcp)), int(here[k]))
             issues.append(dataclasses.replace(issue, value=took, limit=float(most[k]), unit="s"))
     return issues
 
@@ -315,7 +318,7 @@ def meeting_time(context: Context) -> Outcome:
                 what = (
                     f"{point.kind} {point.ident} ends the run when the other task comes later than its time"
                 )
-                issues.append(at_step(MEETING, what, task, point, "leave \\TimeOut out"))
+                issues.append(at_step(MEETING_TIME, what, task, point, "leave \\TimeOut out"))
     if context.job.readings is not None and len(context.job.tasks) == 2:
         issues += _answers(context)
     return Outcome(tuple(issues))
@@ -336,11 +339,11 @@ def _answers(context: Context) -> Iterator[Issue]:
             least = handshake.patience if interval in asks else min(handshake.timeout, handshake.patience)
             if step.seconds is None:
                 what = f"{task.name} may wait for {step.signal} for ever; state a limit"
-                yield at_step(MEETING, what, task, step)
+                yield at_step(MEETING_TIME, what, task, step)
             elif not least <= step.seconds <= most:
                 what = f"{task.name} waits for {step.signal} for {step.seconds:g} s; "
                 what += f"wanted: {least:g} to {most:.0f} s"
-                yield at_step(MEETING, what, task, step, "as the handshake's timeout and patience say")
+                yield at_step(MEETING_TIME, what, task, step, "as the handshake's timeout and patience say")
 
 
 def _intervals(task: TaskText, reading: Reading, chosen: Callable[[Step], bool]) -> set[int]:
@@ -388,4 +391,4 @@ def _moves(step: Step) -> bool:
 def _busy(task: TaskText) -> float:
     """How long [s] a task moves and waits by what it states."""
     moves = sum(step.time or 0.0 for step in task.steps if isinstance(step, MoveStep))
-    return moves + waits([step for step in task.steps if isinstance(step, WaitStep)])
+    return moves + dwell_time([step for step in task.steps if isinstance(step, WaitStep)])

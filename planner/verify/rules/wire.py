@@ -18,11 +18,12 @@ from planner.verify.context import FEED_SLACK, Context, Outcome, Phase, at_sampl
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
 from planner.verify.replay.motion import steps_across
-from planner.verify.wire.wire_motion import Wire, held_lengths
+from planner.verify.wire.wire_motion import Wire, end_distances
 
-SNAP = 1e-3
-RESIDUAL = 1e-6
-TAUT = 0.9999
+MOST_RESIDUAL = 1e-6
+"""A wire's shape is in balance where no residual of its equations is larger than this."""
+TAUT_SHARE = 0.9999
+"""Ends that are farther apart than this share of the wire's length leave it no bow."""
 MELTING_DISTANCE = 1e-3
 """A wire that stands nearer to foam than this melts it [m]."""
 
@@ -38,9 +39,9 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             continue
         if wire.path is None or wire.phase is None or not isinstance(claim, WireJoins):
             continue
-        share = held_lengths(context, wire.phase) / claim.length
+        share = end_distances(context, wire.phase) / claim.length
         worst = max(worst, float(share.max()))
-        if share.max() >= TAUT:
+        if share.max() >= TAUT_SHARE:
             message = (
                 f"the ends are {mm(share.max() * claim.length):.3f} mm apart; the wire is "
                 f"{mm(claim.length):.3f} mm long"
@@ -56,7 +57,7 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                     unit="mm",
                 )
             )
-        if wire.path.residual.max() > RESIDUAL:
+        if wire.path.residual.max() > MOST_RESIDUAL:
             issues.append(
                 wire_issue(
                     context,
@@ -73,7 +74,7 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
         issues.append(Issue("verify.wire_length", what))
     if not context.phases:
         return Outcome(tuple(issues), where="no bent wire")
-    return Outcome(tuple(issues), 100.0 * worst, 100.0 * TAUT, "% of its length", where)
+    return Outcome(tuple(issues), 100.0 * worst, 100.0 * TAUT_SHARE, "% of its length", where)
 
 
 @rule("verify.wire_stability", WireJoins)
@@ -278,6 +279,7 @@ def wire_issue(
     limit: float = 0.0,
     unit: str = "",
 ) -> Issue:
+    """An issue of a wire at its station ``k``, with what was got and allowed where ``value`` is given."""
     measure = None if value is None else (value, limit, unit)
     return at_sample(code, message, context.motion, wire.arms[0], int(wire.sample[k]), measure)
 

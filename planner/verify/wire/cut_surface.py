@@ -33,20 +33,23 @@ SAMPLE_EDGE = 0.005
 """Largest edge of the triangles that the wanted face is sampled with [m]."""
 SAMPLE_SHARE = 1.0 / 3000.0
 """No sample stands for a larger share of its face."""
-MOST = 4_000_000
+MOST_PIECES = 4_000_000
 """Pieces of a face at most, where it has to be looked at all over."""
 MOST_SAMPLES = 60_000
-SHOWN = 0.010
+"""Samples of the wanted face at most."""
+RULING_SPACING = 0.010
 """Way along a ruling between points of the simulated part [m],"""
-MOST_SHOWN = 60_000
+MOST_TRIANGLES = 60_000
 """unless that makes more triangles than this."""
-_FINER = 2
-_TURN = 0.003
+_FINER_STEPS = 2
+"""Steps between two stations of a wire, the place between them by a cubic."""
+_NORMAL_WEIGHT = 0.003
 """Weight [m] of a turn of the normal against distance, where the nearest place of a sheet is looked for."""
-_LEAN = 0.2
+_LEAN_SINE = 0.2
 """A sheet may lean by so much (sine) over the wanted face's normal and still face its way."""
-_EDGE = 1e-9
-CREASE = float(np.cos(np.deg2rad(20.0)))
+_EDGE_SHARE = 1e-9
+"""A barycentric coordinate below this is that of a place on the edge."""
+CREASE_COSINE = float(np.cos(np.deg2rad(20.0)))
 """Facets that lean away from the mean normal of a vertex by more than 20 degrees meet at an edge there."""
 _SIDE_SAMPLES = 1000
 """So many samples of a face tell on which side of a sheet it lies."""
@@ -105,7 +108,7 @@ def sample_face(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, Floa
     )
     # at an edge of the part the mean of both sides is the normal of neither
     flat = np.broadcast_to(_flat(corners)[:, None], smooth.shape)
-    smooth = np.where((dots(smooth, flat) < CREASE)[..., None], flat, smooth)
+    smooth = np.where((dots(smooth, flat) < CREASE_COSINE)[..., None], flat, smooth)
     for _ in range(12):
         edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         large = edge > SAMPLE_EDGE
@@ -147,8 +150,8 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> 
     _, near = cKDTree(flat).query(points[some], k=1)
     if float(dots(turned[near], normals[some]).sum()) < 0.0:
         side = -1.0
-    tree = cKDTree(np.concatenate([flat, _TURN * side * turned], axis=1))
-    _, nearest = tree.query(np.concatenate([points, _TURN * normals], axis=1), k=1)
+    tree = cKDTree(np.concatenate([flat, _NORMAL_WEIGHT * side * turned], axis=1))
+    _, nearest = tree.query(np.concatenate([points, _NORMAL_WEIGHT * normals], axis=1), k=1)
     best = np.full(len(points), np.inf)
     foot, speed = np.zeros((len(points), 3)), np.zeros(len(points))
     border = np.zeros(len(points), dtype=bool)
@@ -177,7 +180,9 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> 
                 place, weights = closest(points[maybe], *ends)
                 distance = np.linalg.norm(points[maybe] - place, axis=1)
                 outward = np.cross(ends[2] - ends[0], ends[1] - ends[0])  # way x wire, as the facings
-                right_way = side * dots(outward, normals[maybe]) >= -_LEAN * np.linalg.norm(outward, axis=1)
+                right_way = side * dots(outward, normals[maybe]) >= -_LEAN_SINE * np.linalg.norm(
+                    outward, axis=1
+                )
                 good = (distance < best[maybe] - 1e-12) & right_way
                 better = maybe[good]
                 best[better] = distance[good]
@@ -188,8 +193,8 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> 
                 )
                 first, second = (np.broadcast_to(edge, len(points))[better] for edge in edges)
                 # edges on the sweep's border: 0-1 and 1-2 of the one triangle, 2-3 and 3-0 of the other
-                on_first = share[:, 2] < _EDGE if triangle == (0, 1, 2) else share[:, 0] < _EDGE
-                on_second = share[:, 0] < _EDGE if triangle == (0, 1, 2) else share[:, 1] < _EDGE
+                on_first = share[:, 2] < _EDGE_SHARE if triangle == (0, 1, 2) else share[:, 0] < _EDGE_SHARE
+                on_second = share[:, 0] < _EDGE_SHARE if triangle == (0, 1, 2) else share[:, 1] < _EDGE_SHARE
                 border[better] = (first & on_first) | (second & on_second)
     along = dots(foot - points, normals)
     signed = np.where(along < 0.0, -best, best)
@@ -210,11 +215,11 @@ def deepest(claim: CutsSurface, sweep: Sweep, inside: BoolArray) -> tuple[float,
     flat = sweep.points.reshape(-1, 3)
     _, near = cKDTree(flat).query(points, k=1)
     side = -1.0 if float(dots(facing[near], normals).sum()) < 0.0 else 1.0
-    tree = cKDTree(np.concatenate([points, _TURN * normals], axis=1))
+    tree = cKDTree(np.concatenate([points, _NORMAL_WEIGHT * normals], axis=1))
     rows = np.flatnonzero(inside)
     if not len(rows):
         return 0.0, 0
-    _, found = tree.query(np.concatenate([flat[rows], _TURN * side * facing[rows]], axis=1), k=1)
+    _, found = tree.query(np.concatenate([flat[rows], _NORMAL_WEIGHT * side * facing[rows]], axis=1), k=1)
     off = flat[rows] - points[found]
     height = dots(off, normals[found])
     beside = np.linalg.norm(off - height[:, None] * normals[found], axis=1) > SAMPLE_EDGE
@@ -281,11 +286,11 @@ def part_obj(
 
 
 def _grid(claim: FollowsRulings) -> tuple[FloatArray, IntArray]:
-    """Vertices and triangles of a ruled face with points every ``SHOWN`` along its rulings, wound as the
-    claimed face is; fewer where there are very many rulings."""
+    """Vertices and triangles of a ruled face with points every ``RULING_SPACING`` along its rulings, wound
+    as the claimed face is; fewer where there are very many rulings."""
     length = float(np.linalg.norm(claim.end - claim.start, axis=1).max())
     count = len(claim.start)
-    columns = 1 + int(np.clip(np.ceil(length / SHOWN), 1, max(MOST_SHOWN // (2 * count), 4)))
+    columns = 1 + int(np.clip(np.ceil(length / RULING_SPACING), 1, max(MOST_TRIANGLES // (2 * count), 4)))
     share = np.linspace(0.0, 1.0, columns)[None, :, None]
     vertices = (1.0 - share) * claim.start[:, None] + share * claim.end[:, None]
     at = np.arange(count * columns).reshape(count, columns)
@@ -303,7 +308,7 @@ def _refined(sweep: Sweep) -> Sweep:
     rows, speed = sweep.points[moving], sweep.speed[moving]
     wide = np.concatenate([2 * rows[:, :1] - rows[:, 1:2], rows, 2 * rows[:, -1:] - rows[:, -2:-1]], axis=1)
     middle = (-wide[:, :-3] + 9.0 * wide[:, 1:-2] + 9.0 * wide[:, 2:-1] - wide[:, 3:]) / 16.0
-    out = np.empty((rows.shape[0], _FINER * rows.shape[1] - 1, 3))
+    out = np.empty((rows.shape[0], _FINER_STEPS * rows.shape[1] - 1, 3))
     out[:, ::2], out[:, 1::2] = rows, middle
     fast = np.empty(out.shape[:2])
     fast[:, ::2], fast[:, 1::2] = speed, 0.5 * (speed[:, :-1] + speed[:, 1:])
@@ -347,12 +352,14 @@ def divided(corners: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
     """Triangles (T, 3, 3) in pieces (P, 3, 3) none of which has an edge longer than ``size`` [m], and the
     triangle (P,) of each. Raises ``TandemError`` where that is more than can be looked at: nothing is proven
     of a face that is looked at here and there."""
-    parts, owner = small_pieces(corners, size, MOST)
+    parts, owner = small_pieces(corners, size, MOST_PIECES)
     longest = float(np.linalg.norm(parts - np.roll(parts, 1, axis=1), axis=2).max(initial=0.0))
     if longest > size * (1.0 + 1e-9):
-        what = f"a face has so many long, thin facets that pieces of {size / MM:.2f} mm are over {MOST}; "
+        what = (
+            f"a face has so many long, thin facets that pieces of {size / MM:.2f} mm are over {MOST_PIECES}; "
+        )
         what += "export it with facets of even shape"
-        raise TandemError(Issue("verify.duration", what, value=float(len(parts)), limit=float(MOST)))
+        raise TandemError(Issue("verify.duration", what, value=float(len(parts)), limit=float(MOST_PIECES)))
     return parts, owner
 
 

@@ -163,12 +163,13 @@ def apart(a: State, b: State) -> float:
 
 
 def apart_many(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Largest angles (T,) [rad] between the segments of rods of quaternions (4, N, T)."""
     dot = np.clip(np.abs((a * b).sum(axis=0)), 0.0, 1.0)
     found: FloatArray = 2.0 * np.arccos(dot.min(axis=0))
     return found
 
 
-_TURN = 0.4  # most a segment may turn in one accepted step [rad]
+_STEP_TURN = 0.4  # most a segment may turn in one accepted step [rad]
 
 
 def mount(
@@ -226,7 +227,7 @@ def _brought(rod: Rod, state: State, goal: Ends) -> Outcome:
         part = min(1.0, done + step)
         ends = Ends(first + part * (goal.place - first), goal.turn, part * goal.weight)
         trial = newton(rod.stiffness, outcome.state, ends)
-        if trial.good[0] and apart(outcome.state, trial.state) < _TURN:
+        if trial.good[0] and apart(outcome.state, trial.state) < _STEP_TURN:
             outcome, done, step = trial, part, min(2.0 * step, 0.25)
         elif step > 0.02:
             step *= 0.5
@@ -262,8 +263,8 @@ def _bow(turning: float, distance: float, middle: FloatArray, side: float) -> fl
     return sizes[int(np.argmin(np.abs(misses)))]
 
 
-_BATCH = 512  # instants at once, for bounded memory
-_SAME = 0.2  # most by which the coarser rod's shape may differ from the finer one's [rad]
+_INSTANTS_AT_ONCE = 512  # instants at once, for bounded memory
+_COARSE_DIFFERENCE = 0.2  # most by which the coarser rod's shape may differ from the finer one's [rad]
 
 
 class _Measures(NamedTuple):
@@ -282,8 +283,8 @@ def measured(
     """The path of the shapes `state` at all instants of `drive`."""
     ends, length, count = drive.ends, rod.length, state.q.shape[2]
     parts, least, errors = [], [], []
-    for at in range(0, count, _BATCH):
-        some = slice(at, at + _BATCH)
+    for at in range(0, count, _INSTANTS_AT_ONCE):
+        some = slice(at, at + _INSTANTS_AT_ONCE)
         here, place = State(state.q[..., some], state.force[:, some]), ends.at(some)
         least.append(weakest_many(rod.stiffness, here, place))
         part, error = _refined(rod.stiffness, here, place)
@@ -318,7 +319,7 @@ def _refined(stiffness: FloatArray, state: State, ends: Ends) -> tuple[_Measures
     half = left + np.where((left * right).sum(axis=0) < 0.0, -right, right)
     half /= np.sqrt((half * half).sum(axis=0))
     outcome = newton_many(stiffness, State(half, state.force), ends)
-    same = outcome.good & outcome.steady & (apart_many(half, outcome.state.q) < _SAME)
+    same = outcome.good & outcome.steady & (apart_many(half, outcome.state.q) < _COARSE_DIFFERENCE)
     coarse = _measures(outcome.state, ends)
     n = state.q.shape[1]
     even, every = np.linspace(0.0, 1.0, n // 2 + 1), np.linspace(0.0, 1.0, n + 1)
@@ -356,8 +357,8 @@ def _measures(state: State, ends: Ends) -> _Measures:
 
 
 _STRIDE = 8  # instants between those that are followed one after the other
-_GUESS = 0.15  # most a shape may differ from the one between its neighbours [rad]
-_FINEST = 1.0 / 64.0  # of the way from one instant to the next
+_GUESS_DIFFERENCE = 0.15  # most a shape may differ from the one between its neighbours [rad]
+_LEAST_STEP = 1.0 / 64.0  # of the way from one instant to the next
 
 
 @dataclass
@@ -439,7 +440,7 @@ def _walk(rod: Rod, drive: Drive, found: _Found, a: int, b: int) -> None:
             outcome = newton(rod.stiffness, state, drive.at(goal))
             if _continues(state, outcome):
                 state, time, step, good = outcome.state, goal, 2.0 * step, True
-            elif step > _FINEST:
+            elif step > _LEAST_STEP:
                 step *= 0.5
             elif _too_far(drive.at(goal)):  # the ends pull the wire out of its clamps: no shape exists
                 time, good = goal, False
@@ -453,7 +454,7 @@ def _walk(rod: Rod, drive: Drive, found: _Found, a: int, b: int) -> None:
 
 def _continues(state: State, outcome: Outcome) -> bool:
     """Whether the outcome is stable and the same shape carried on."""
-    return bool(outcome.good[0] and outcome.steady[0]) and apart(state, outcome.state) < _TURN
+    return bool(outcome.good[0] and outcome.steady[0]) and apart(state, outcome.state) < _STEP_TURN
 
 
 def _too_far(ends: Ends) -> bool:
@@ -462,7 +463,7 @@ def _too_far(ends: Ends) -> bool:
 
 def _last(state: State, outcome: Outcome) -> State:
     """Where to fall from: an equilibrium near by that has become unstable, else the last stable shape."""
-    near = outcome.converged[0] and apart(state, outcome.state) < _TURN
+    near = outcome.converged[0] and apart(state, outcome.state) < _STEP_TURN
     return outcome.state if near else state
 
 
@@ -496,7 +497,9 @@ def _between(rod: Rod, drive: Drive, found: _Found, spans: list[tuple[int, int]]
             rod.stiffness, State(guess.q[..., some], guess.force[:, some]), drive.ends.at(which[some])
         )
         good[some] = (
-            outcome.good & outcome.steady & (apart_many(guess.q[..., some], outcome.state.q) < _GUESS)
+            outcome.good
+            & outcome.steady
+            & (apart_many(guess.q[..., some], outcome.state.q) < _GUESS_DIFFERENCE)
         )
         found.q[..., which[some]], found.force[:, which[some]] = outcome.state.q, outcome.state.force
     found.good[which] = good

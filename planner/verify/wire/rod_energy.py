@@ -22,9 +22,10 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, IndexArray
 
-_LEVI = np.zeros((3, 3, 3))
+_LEVI_CIVITA = np.zeros((3, 3, 3))
+"""(3, 3, 3) signs of permutations: the cross product."""
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-    _LEVI[_i, _j, _k], _LEVI[_i, _k, _j] = 1.0, -1.0
+    _LEVI_CIVITA[_i, _j, _k], _LEVI_CIVITA[_i, _k, _j] = 1.0, -1.0
 
 
 def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -160,12 +161,6 @@ def energy(stiffness: FloatArray, q: FloatArray, ends: Ends) -> FloatArray:
     return found
 
 
-def gap(q: FloatArray, ends: Ends) -> FloatArray:
-    """Error (3, T) of the end's place."""
-    found: FloatArray = matrix(q)[:, 0].sum(axis=1) / q.shape[1] - ends.place
-    return found
-
-
 def derivatives(stiffness: FloatArray, q: FloatArray, force: FloatArray, ends: Ends) -> Derivatives:
     """Derivatives with respect to rotation vectors (3, N, T) in each segment's own frame, q -> q
     exp(rotation).
@@ -182,11 +177,11 @@ def derivatives(stiffness: FloatArray, q: FloatArray, force: FloatArray, ends: E
     dwv = -4.0 / 3.0 * moment
     dvv = k * scale * scale
 
-    cross = np.einsum("ijk,j...,k...->i...", _LEVI, v, dv)
+    cross = np.einsum("ijk,j...,k...->i...", _LEVI_CIVITA, v, dv)
     along = w * dv - v * dw
     left, right = -0.5 * (along + cross), 0.5 * (along - cross)  # on the joint's first and second neighbour
 
-    skew = np.einsum("ijk,k...->ij...", -_LEVI, v)  # v x
+    skew = np.einsum("ijk,k...->ij...", -_LEVI_CIVITA, v)  # v x
     eye = np.eye(3)[:, :, None, None]
     second = w * eye + skew  # vector part of p e
     first = w * eye - skew  # vector part of e p
@@ -236,9 +231,9 @@ def _bracket(w: FloatArray, v: FloatArray, dw: FloatArray, dv: FloatArray) -> Fl
     # v) x e_j)
     # and (e_i x v) x e_j = v d_ij - e_i v_j
     eye = np.eye(3)[:, :, None, None]
-    turned = np.einsum("jik,k...->ij...", _LEVI, v)  # (e_i x v)_j = eps_{j i k} v_k
+    turned = np.einsum("jik,k...->ij...", _LEVI_CIVITA, v)  # (e_i x v)_j = eps_{j i k} v_k
     scalar = -w * eye - turned
-    axial = np.einsum("ijk,k...->ij...", _LEVI, dv)  # (e_i x e_j) . dv
+    axial = np.einsum("ijk,k...->ij...", _LEVI_CIVITA, dv)  # (e_i x e_j) . dv
     vector = -v[:, None] * dv[None] + w * axial + eye * (v * dv).sum(axis=0) - dv[:, None] * v[None]
     found: FloatArray = dw * scalar + vector
     return found

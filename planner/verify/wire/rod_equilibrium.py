@@ -27,10 +27,10 @@ from planner.verify.wire.rod_energy import (
 
 CONVERGED = 1e-9  # rotation [rad] of the last Newton step; the error left is of its square
 # raises all eigenvalues a little: neutral shapes count as stable, and Newton does not drift along them
-LIFT = 1e-6 * 4.0 * np.pi**2
-_STEP = 0.5  # longest rotation [rad] of a segment in one Newton step
-_SHRINK = 0.3  # most that the second Newton step may be of the first, ...
-_SMALL = 2e-3  # ... or this rotation [rad]
+EIGENVALUE_LIFT = 1e-6 * 4.0 * np.pi**2
+_LONGEST_ROTATION = 0.5  # longest rotation [rad] of a segment in one Newton step
+_SECOND_STEP_SHARE = 0.3  # most that the second Newton step may be of the first, ...
+_SMALL_ROTATION = 2e-3  # ... or this rotation [rad]
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def newton(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 12) ->
     first, steady = 0.0, True
     for count in range(rounds):
         parts = derivatives(stiffness, state.q, state.force, ends)
-        ldu, pivots, negatives = factor(saddle(parts, LIFT))
+        ldu, pivots, negatives = factor(saddle(parts, EIGENVALUE_LIFT))
         right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.gap[:, 0]])
         step, fault = lapack.dsytrs(ldu, pivots, right, lower=1)
         if fault or not np.isfinite(step).all():
@@ -112,8 +112,8 @@ def newton(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 12) ->
         rotation = step[: 3 * n].reshape(n, 3).T[..., None]
         largest = float(np.abs(rotation).max())
         first = largest if count == 0 else first
-        steady = steady and (count != 1 or largest <= max(_SHRINK * first, _SMALL))
-        short = min(1.0, _STEP / max(largest, 1e-300))
+        steady = steady and (count != 1 or largest <= max(_SECOND_STEP_SHARE * first, _SMALL_ROTATION))
+        short = min(1.0, _LONGEST_ROTATION / max(largest, 1e-300))
         state = moved(state, short * rotation, short * step[3 * n :, None])
         if largest < CONVERGED:
             return Outcome(state, np.array([True]), np.array([negatives - 3]), np.array([steady]))
@@ -152,10 +152,10 @@ def settle(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 200) -
     lift, before = 0.0, float(energy(stiffness, state.q, ends)[0])
     parts = derivatives(stiffness, state.q, state.force, ends)
     for _ in range(rounds):
-        ldu, pivots, negatives = factor(saddle(parts, LIFT + lift * n))
+        ldu, pivots, negatives = factor(saddle(parts, EIGENVALUE_LIFT + lift * n))
         while negatives != 3 and lift < 1e6:
             lift = max(4.0 * lift, 0.1 / n)
-            ldu, pivots, negatives = factor(saddle(parts, LIFT + lift * n))
+            ldu, pivots, negatives = factor(saddle(parts, EIGENVALUE_LIFT + lift * n))
         right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.gap[:, 0]])
         step, _ = lapack.dsytrs(ldu, pivots, right, lower=1)
         rotation, force = step[: 3 * n].reshape(n, 3).T[..., None], step[3 * n :, None]
@@ -195,7 +195,7 @@ def _restored(state: State, ends: Ends) -> State:
 class Elimination:
     """Block elimination of the saddle-point matrices of T instants, for any number of right-hand sides."""
 
-    def __init__(self, parts: Derivatives, lift: float = LIFT) -> None:
+    def __init__(self, parts: Derivatives, lift: float = EIGENVALUE_LIFT) -> None:
         self.n = n = parts.gradient.shape[1]
         raised = parts.diagonal + (lift / n) * np.eye(3)[:, :, None, None]
         self.slope = parts.slope
@@ -261,8 +261,8 @@ def newton_many(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 8
         if count == 0:
             first[left] = largest
         if count == 1:
-            steady[left] = largest <= np.maximum(_SHRINK * first[left], _SMALL)
-        short = np.minimum(1.0, _STEP / np.maximum(largest, 1e-300))
+            steady[left] = largest <= np.maximum(_SECOND_STEP_SHARE * first[left], _SMALL_ROTATION)
+        short = np.minimum(1.0, _LONGEST_ROTATION / np.maximum(largest, 1e-300))
         part = moved(part, short * rotation, short * force)
         q[:, :, left], total[:, left] = part.q, part.force
         done = sound & (largest < CONVERGED)
@@ -285,7 +285,7 @@ def weakest_many(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 
         after, _ = work.solve(mode / n, np.zeros((3, instants)))
         value = 1.0 / ((mode * after).sum(axis=(0, 1)) / n)
         mode = after
-    return value - LIFT
+    return value - EIGENVALUE_LIFT
 
 
 def _mul(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -32,7 +32,8 @@ CROSSING_WAY: Final = 8.0
 more."""
 OWN_CONTOUR_DISTANCE: Final = 1e-6
 """[m] what a slit passes nearer to where it ends is the contour itself."""
-_CHUNK: Final = 2_000_000
+_PAIRS_AT_ONCE: Final = 2_000_000
+"""Pairs of a place and an edge that are worked on at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +114,7 @@ class Section:
         long at most, is in the part."""
         length = np.minimum(length, self._out(base, way))
         out = np.zeros(len(base))
-        step = max(1, _CHUNK // max(len(self.a), 1))
+        step = max(1, _PAIRS_AT_ONCE // max(len(self.a), 1))
         for low in range(0, len(base), step):
             part = slice(low, low + step)
             out[part] = self._through(base[part], way[part], length[part])

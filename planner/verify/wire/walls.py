@@ -20,11 +20,14 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.verify.wire.cut_surface import SAMPLE_EDGE, Sweep, closest, sample_face
 
 WALL_EDGE = 0.004
-"""Longest edge of the triangles that walls are divided into [m], within ``MOST``."""
-MOST = 40_000
-_PAIRS = 400_000
-_SAME = 1e-7
-_MET = 1e-9
+"""Longest edge of the triangles that walls are divided into [m], within ``MOST_TRIANGLES``."""
+MOST_TRIANGLES = 40_000
+"""Triangles of a wall at most."""
+_PAIRS_AT_ONCE = 400_000
+"""Pairs of triangles that are worked on at once."""
+_LEAST_SIZE = 1e-7
+"""Triangles count as no smaller than this [m] in searches."""
+_MEETING_DISTANCE = 1e-9
 """Triangles meet in places that are no farther apart [m]."""
 
 
@@ -55,7 +58,7 @@ class Walls:
         near = [np.concatenate(one) for one in zip(*lists, strict=True)]
         off, owner = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         counts = np.array([len(one) for one in near], dtype=np.int64)
-        parts = np.cumsum(counts) // _PAIRS
+        parts = np.cumsum(counts) // _PAIRS_AT_ONCE
         for number in np.unique(parts):
             rows = np.flatnonzero(parts == number)
             row = np.repeat(np.arange(len(rows)), counts[rows])
@@ -69,9 +72,9 @@ class Walls:
         from these at most."""
         middle = self.corners.mean(axis=1)
         far = np.linalg.norm(self.corners - middle[:, None], axis=2).max(axis=1)
-        size = np.ceil(np.log2(np.maximum(far, _SAME)) / 2.0).astype(np.int64)
+        size = np.ceil(np.log2(np.maximum(far, _LEAST_SIZE)) / 2.0).astype(np.int64)
         groups = [np.flatnonzero(size == one) for one in np.unique(size)]
-        return [(own, cKDTree(middle[own]), float(far[own].max()) + _SAME) for own in groups]
+        return [(own, cKDTree(middle[own]), float(far[own].max()) + _LEAST_SIZE) for own in groups]
 
     def _nearest(self, points: FloatArray, row: IntArray, tri: IntArray) -> tuple[FloatArray, IntArray]:
         """As :meth:`off`, where triangles ``tri`` (K,) may be nearest to points ``row`` (K,), in ascending
@@ -81,13 +84,13 @@ class Walls:
         found = np.linalg.norm(way, axis=1)
         begin = np.searchsorted(row, np.arange(len(points)))
         best = np.minimum.reduceat(found, begin)
-        same = found <= best[row] + _SAME
+        same = found <= best[row] + _LEAST_SIZE
         # an edge is met where the corner across it has no weight; at a corner of the border triangles meet
         # that have no edge on it, and all that are as near count
         edge = same & (np.roll(share < 1e-9, -2, axis=1) & self.border[tri]).any(axis=1)
         order = np.lexsort((tri, found, row))[begin]
         # at an edge as sharp as a wing's what is nearly as near lies on the other side of it: the same place
-        met = np.linalg.norm(place - place[order][row], axis=1) <= _MET
+        met = np.linalg.norm(place - place[order][row], axis=1) <= _MEETING_DISTANCE
         weight = np.where(met, self._angle(share, tri), 0.0)
         normal = np.add.reduceat(weight[:, None] * self.normal[tri], begin)
         outward = dots(way[order], normal) >= 0.0
@@ -149,7 +152,7 @@ def _divided_to_edge(corners: FloatArray, border: BoolArray) -> tuple[FloatArray
     for _ in range(40):
         edge = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
         long = edge.max(axis=1) > WALL_EDGE
-        if not long.any() or len(corners) + int(long.sum()) > MOST:
+        if not long.any() or len(corners) + int(long.sum()) > MOST_TRIANGLES:
             break
         turn = (np.argmax(edge[long], axis=1)[:, None] + np.arange(3)) % 3
         row = np.arange(len(turn))[:, None]
@@ -168,7 +171,7 @@ def _divided_to_edge(corners: FloatArray, border: BoolArray) -> tuple[FloatArray
 
 SMALL_PIECE: Final = 5e-4
 """[m] pieces of a surface whose middle is no farther from their corners are looked at there alone."""
-BATCH: Final = 20_000
+PIECES_AT_ONCE: Final = 20_000
 """So many pieces are looked at together."""
 WIRE_POINT_STEP: Final = 0.003
 """[m] points of the wires by which near ones are found are no farther apart along the wire."""
@@ -181,7 +184,8 @@ MEETING_ROUNDING: Final = 1e-7
 """[m] of rounding, where surfaces meet."""
 CROSSING_SAMPLES: Final = 600
 """So many places of a surface tell whether it crosses another."""
-_CHUNK: Final = 500
+_POINTS_AT_ONCE: Final = 500
+"""Points that are held against wires at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,7 +199,7 @@ class Taken:
     half: float
 
 
-def taken(
+def taken_depth(
     claim: CutsSurface, sweep: Sweep, other: CutsSurface, part: tuple[CutsSurface, ...], block: FloatArray
 ) -> Taken | None:
     """What the slot of a cut takes from another surface of the part inside the block (2, 3), beyond that
@@ -211,9 +215,9 @@ def taken(
     left = [corners]
     while left:
         corners = left.pop()
-        if len(corners) > BATCH:
-            left.append(corners[BATCH:])
-            corners = corners[:BATCH]
+        if len(corners) > PIECES_AT_ONCE:
+            left.append(corners[PIECES_AT_ONCE:])
+            corners = corners[:PIECES_AT_ONCE]
         middle = corners.mean(axis=1)
         size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
         near = sheet.maybe(middle, size)
@@ -248,8 +252,8 @@ def taken(
 def taken_by_bent(
     claim: CutsSurface, sweep: Sweep, other: CutsSurface, part: tuple[CutsSurface, ...], block: FloatArray
 ) -> Taken | None:
-    """As :func:`taken`, by a bent wire: where its points come nearer to the other surface than half their
-    slot, or pass through it from one look to the next.
+    """As :func:`taken_depth`, by a bent wire: where its points come nearer to the other surface than half
+    their slot, or pass through it from one look to the next.
 
     Where a point is outside of the surface that it cuts, what the slot reaches is outside of the part, or on
     this side of that surface; so what counts is beyond the rim of that surface, or deep below it.
@@ -322,8 +326,8 @@ class _Sheet:
         if self.tree is None:
             return distance, foot, half, row
         order = np.argsort(self.row[self.tree.query(points)[1]], kind="stable")
-        for begin in range(0, len(points), _CHUNK):
-            some = order[begin : begin + _CHUNK]
+        for begin in range(0, len(points), _POINTS_AT_ONCE):
+            some = order[begin : begin + _POINTS_AT_ONCE]
             low, high = points[some].min(axis=0), points[some].max(axis=0)
             reach = self.most + 4.0 * self.gap
             close = ((self.points > low - reach) & (self.points < high + reach)).all(axis=1)

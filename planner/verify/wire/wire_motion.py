@@ -18,11 +18,15 @@ from planner.verify.context import Context, Phase
 from planner.verify.wire.rod import Rod, RodError, RodPath, follow, mount
 
 ROD_SEGMENTS = 64
+"""Segments of the rod that stands for a wire."""
 STATION_SPACING = 0.004
 """Way of a wire end between stations [m]."""
-_ARM = 0.25
-_GRAVITY = np.array([0.0, 0.0, -1.0])
-_FINER = 4
+_TURN_LEVER = 0.25
+"""What a turn of a clamp counts as way of the wire [m/rad]."""
+_DOWN = np.array([0.0, 0.0, -1.0])
+"""Direction of gravity in the world."""
+_FINER_STEPS = 4
+"""Steps between two points of a wire, for its distances."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +89,7 @@ def stations(
         pose = context.motion.tcp[arm][rows]
         step = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1)
         turn = np.linalg.norm(log_rotation(np.swapaxes(pose[:-1, :3, :3], 1, 2) @ pose[1:, :3, :3]), axis=1)
-        way[1:] = np.maximum(way[1:], step + _ARM * turn)
+        way[1:] = np.maximum(way[1:], step + _TURN_LEVER * turn)
     return _chosen(context, rows, way, spacing)
 
 
@@ -111,7 +115,7 @@ def follow_wire(context: Context, phase: Phase) -> Wire:
     if not len(rows) or missing:
         fault = f"no program for arm {missing[0]}" if missing else "the wire is never moved"
         return _lost(context, phase, rows[:0], fault)
-    farthest = float(held_lengths(context, phase).max())
+    farthest = float(end_distances(context, phase).max())
     if farthest >= claim.length:
         fault = f"its ends are {farthest * 1e3:.3f} mm apart; it is {claim.length * 1e3:.3f} mm long"
         return _lost(context, phase, rows[:0], fault)
@@ -119,8 +123,8 @@ def follow_wire(context: Context, phase: Phase) -> Wire:
     start, end = (motion.tcp[arm][at] for arm in claim.arms)
     rod = make_rod(claim)
     try:
-        first = mount(rod, start[0], end[0], _GRAVITY)
-        path = follow(rod, start, end, _GRAVITY, first)
+        first = mount(rod, start[0], end[0], _DOWN)
+        path = follow(rod, start, end, _DOWN, first)
     except (RodError, np.linalg.LinAlgError, ValueError) as wrong:
         return _lost(context, phase, at, str(wrong))
     radius = 0.5 * claim.thickness
@@ -199,7 +203,7 @@ def depth_in(points: FloatArray, stock: Stock, radius: float) -> tuple[FloatArra
     """Depth (T,) of curves (T, P, 3) in the block (negative: distance to it) and which points (T, P) are
     inside."""
     count = points.shape[1]
-    fine = np.linspace(0.0, count - 1.0, _FINER * (count - 1) + 1)
+    fine = np.linspace(0.0, count - 1.0, _FINER_STEPS * (count - 1) + 1)
     low = np.minimum(fine.astype(np.int64), count - 2)
     part = (fine - low)[None, :, None]
     dense = points[:, low] * (1.0 - part) + points[:, low + 1] * part
@@ -214,7 +218,7 @@ def to_block(points: FloatArray, stock: Stock) -> FloatArray:
     return np.asarray(np.where(outside > 0.0, outside, over.max(axis=-1)))
 
 
-def held_lengths(context: Context, phase: Phase) -> FloatArray:
+def end_distances(context: Context, phase: Phase) -> FloatArray:
     """Distance (S,) [m] of the two ends at every sample of a phase."""
     a, b = (context.motion.tcp[arm].place[samples(context, phase)] for arm in phase.claim.arms)
     return np.asarray(np.linalg.norm(a - b, axis=1))
@@ -243,7 +247,7 @@ def end_error(context: Context, wire: Wire, chosen: IntArray) -> FloatArray:
         off = [np.repeat(pose, 4, axis=0) for pose in ends]
         for row, (end, axis) in enumerate(itertools.product((0, 1), (0, 1))):
             off[end][row, :3, 3] += claim.end_error * ends[end][0, :3, axis]
-        moved = follow(rod, off[0], off[1], _GRAVITY, wire.path.shapes[int(k)]).points - wire.path.points[k]
+        moved = follow(rod, off[0], off[1], _DOWN, wire.path.shapes[int(k)]).points - wire.path.points[k]
         across = moved - np.einsum("tpi,pi->tp", moved, tangent)[..., None] * tangent
         squares = (across[:, inside] ** 2).sum(axis=(0, 2))
         out[n] = np.sqrt(squares.max())

@@ -36,7 +36,7 @@ def test_a_gentle_panel_is_found_where_it_lies(sag: tuple[float, float]) -> None
     read = transform(away, box).reshape(made.shape)
     rows = np.arange(len(made)) + 1
     source = on_triangles(read, rows, 600)
-    at = comparison.found([source], [on_triangles(made, rows, 20_000)], read.reshape(-1, 3), middle)
+    at = comparison.aligned_pose([source], [on_triangles(made, rows, 20_000)], read.reshape(-1, 3), middle)
     x, y, z = source.moved(at).points.T
     off = np.abs(z - panel(np.clip(x, -0.14, 0.14), y, sag))
     assert np.percentile(off, 99) < 2e-5
@@ -59,5 +59,5 @@ def test_the_back_of_a_panel_that_is_alike_on_both_sides_is_no_place_for_its_fro
         away = from_rpy([0.1, 0.0, 0.0], [0.0, turn, 0.0])
         read = [transform(away, face.reshape(-1, 3)).reshape(face.shape) for face in corners]
         source = [on_triangles(face, rows, 600) for face in read]
-        at = comparison.found(source, made, np.concatenate(read).reshape(-1, 3), np.zeros(3))
+        at = comparison.aligned_pose(source, made, np.concatenate(read).reshape(-1, 3), np.zeros(3))
         assert np.abs(at @ away - np.eye(4)).max() < 5e-3
