@@ -19,9 +19,9 @@ from planner.verify.programs.steps import MoveStep
 from planner.verify.prove import Prover
 from tests.verify import krl_job, small_job, straight_job
 from tests.verify.garbled import garble
+from tests.verify.krl.test_reader import texts as krl_texts
 from tests.verify.mutants import name
-from tests.verify.rapid_texts import FULL
-from tests.verify.test_krl_reader import texts as krl_texts
+from tests.verify.rapid.rapid_texts import FULL
 
 COUNT = 4
 JOBS = {"small": small_job, "straight": straight_job, "krl": krl_job}

@@ -11,7 +11,7 @@ from planner.verify.files import comparison
 from planner.verify.files.sheets import sheet_face
 from planner.verify.files.surfaces import stated
 from planner.verify.files.values import UnreadError, pose
-from tests.geometry.part_specs import WING, circle, guides, make, outline
+from tests.reading.part_specs import WING, circle, guides, make, outline
 
 SIZE = np.array([1.6, 1.6, 0.9])
 HERE = {"xyz_mm": [10, -20, 300], "rpy_deg": [5, -10, 30]}
