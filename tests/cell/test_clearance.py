@@ -11,7 +11,7 @@ from planner.catalogue import robots
 from planner.cell import clearance, plant
 from planner.geometry.rigid import Shape, from_rpy
 from planner.problem import Obstacle
-from tests.cell.cells import BLOCK, UP, WIDE, alone, facing
+from tests.cell.cells import BLOCK, UP, alone, facing, random_joints
 
 RADIUS = 0.03
 
@@ -19,16 +19,6 @@ RADIUS = 0.03
 @pytest.fixture(scope="module")
 def single() -> plant.CellModel:
     return plant.build(alone("irb140"), BLOCK, from_rpy((50.0, 0.0, 0.0), UP))
-
-
-@pytest.fixture(scope="module")
-def pair() -> plant.CellModel:
-    return plant.build(facing(), BLOCK, from_rpy((0.0, 0.0, 0.5), UP))
-
-
-def _random(seed: int, count: int) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    return {arm: rng.uniform(-WIDE, WIDE, (count, 6)) for arm in ("left", "right")}
 
 
 @pytest.mark.parametrize("gap", [0.080, 0.011, 0.009, 0.001, -0.001, -0.02])
@@ -92,7 +82,7 @@ _LINKS = ("link_4", "link_5", "link_6", "tool")
 
 def test_small_and_large_batches_agree_with_drake_alone(pair: plant.CellModel) -> None:
     """Bounds settle most rows of a large batch; rows asked one by one go to Drake."""
-    q = _random(3, 400)
+    q = random_joints(3, 400)
     for padding in (0.0, 0.005, 0.01):
         batch = clearance.free(pair, q, padding)
         single = [
@@ -119,7 +109,7 @@ def test_rows_that_are_not_finite_are_never_free(pair: plant.CellModel) -> None:
 
 
 def test_gradients_are_derivatives_of_the_distances(pair: plant.CellModel) -> None:
-    q = _random(4, 200)
+    q = random_joints(4, 200)
     found = clearance.least(pair, q, 0.05)
     rows = pair.stack(q)[(found.distance > 0.005) & (found.distance < 0.045)][:6]
     assert len(rows) == 6

@@ -9,12 +9,7 @@ from planner.cell import clearance, plant
 from planner.cell.bodies import Solid, signed_distance
 from planner.geometry.rigid import Shape, from_rpy
 from planner.problem import Obstacle
-from tests.cell.cells import BLOCK, UP, alone, facing
-
-
-@pytest.fixture(scope="module")
-def pair() -> plant.CellModel:
-    return plant.build(facing(), BLOCK, from_rpy((0.0, 0.0, 0.5), UP))
+from tests.cell.cells import BLOCK, UP, alone
 
 
 def _home(model: plant.CellModel, rows: int = 1) -> dict[str, np.ndarray]:

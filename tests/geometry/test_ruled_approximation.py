@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +14,18 @@ from planner.geometry.mesh_queries import Nearness
 from planner.geometry.ruled_approximation import Patch, cut_strips, of_mesh
 from planner.geometry.rulings import outward, points
 from planner.issues import Issue, TandemError
-from planner.problem import Part, Stock
-from planner.reading.part import PartFile, build
+from planner.problem import Part
+from tests.reading import part_specs
 
 BLOCK = np.array([0.5, 0.5, 0.3])
 
 
 def make(spec: dict[str, Any], folder: Path = Path()) -> Part:
-    return build(
-        PartFile.model_validate_json(json.dumps(spec), strict=True), folder, Stock(BLOCK, None, np.eye(3))
-    )
+    return part_specs.make(spec, folder, BLOCK)
 
 
 def refused(spec: dict[str, Any], folder: Path = Path()) -> Issue:
-    with pytest.raises(TandemError) as caught:
-        make(spec, folder)
-    return caught.value.issues[0]
+    return part_specs.refused(spec, folder, BLOCK)[0]
 
 
 def grid_mesh(height: Any, cells: int = 40, width: float = 0.2, depth: float = 0.15) -> TriangleMesh:

@@ -13,7 +13,7 @@ from planner.milling import face as milling_face
 from planner.milling.process_plan import work
 from planner.problem import Mesh
 from tests.milling.small_mill import BALL, PANEL, problem
-from tests.verify.rules.test_milling_cutter import Job
+from tests.verify.milling_job import Job
 
 RADIUS = 0.05
 

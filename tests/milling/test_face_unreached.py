@@ -16,9 +16,9 @@ from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, Severity
 from planner.milling import face
 from planner.problem import Mesh
+from tests.remedies.advice import Said
 from tests.remedies.remedy_rows import lay
 from tests.remedies.remedy_rows_milling import arc, walls
-from tests.remedies.test_remedies import Said
 
 
 def faults(data: dict[str, Any], folder: Path) -> list[Issue]:

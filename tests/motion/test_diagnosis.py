@@ -22,8 +22,7 @@ from planner.motion.search.reach import Grid, Rungs, reach, sample
 from planner.motion.solve import solve
 from planner.problem import Obstacle, Problem, Settings
 from planner.targets import Targets
-from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, two_arms
-from tests.motion.test_solve import problem
+from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, problem, two_arms
 
 STEP = np.deg2rad(30.0)
 SEEDS = [s if s < 12 else pytest.param(s, marks=pytest.mark.long) for s in range(64)]

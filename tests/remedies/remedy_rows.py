@@ -22,7 +22,7 @@ from tests.reading import test_grip_choice as test_gripping
 from tests.reading.part_specs import SQUARE, WING, outline
 from tests.reading.test_setups import CELL as BOW_AND_GRIPPER
 from tests.refusals import POSES, change
-from tests.remedies.test_remedies import Said, Word
+from tests.remedies.advice import Said, Word
 
 GONE: Final = object()
 """In a remedy: the field is taken out."""

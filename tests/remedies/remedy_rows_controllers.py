@@ -22,8 +22,8 @@ from planner.problem import Controller
 from planner.targets import Action
 from tests.post import krl_job, synthetic, test_layout
 from tests.refusals import change
+from tests.remedies.advice import Said, Word
 from tests.remedies.remedy_rows import BOTH, HELD, ON_TABLE, STRAIGHT, Row, Yaml, found, lay, load
-from tests.remedies.test_remedies import Said, Word
 
 ARM_COLUMNS: Final = [
     f"{arm}.{one}" for arm in ("left", "right") for one in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")

@@ -22,8 +22,8 @@ from tests import small_forming
 from tests.forming import shapes
 from tests.forming.paths.path_faces import bowl
 from tests.refusals import change
+from tests.remedies.advice import Said, Word
 from tests.remedies.remedy_rows import DISH, SPIF, Row, Yaml, exported, found, lay
-from tests.remedies.test_remedies import Said, Word
 
 
 @dataclasses.dataclass(frozen=True)

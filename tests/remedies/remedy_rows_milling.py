@@ -11,9 +11,9 @@ import numpy as np
 
 from tests.milling.small_mill import BALL, MILL, PANEL, WALL
 from tests.refusals import change
+from tests.remedies.advice import Said, Word, Words
 from tests.remedies.remedy_rows import Row, Yaml, lay
 from tests.remedies.remedy_rows_parts import ply
-from tests.remedies.test_remedies import Said, Word, Words
 
 CUT: Final = "operations.0.cuts.0."
 TOOL: Final = "cell.arms.0.tool."

@@ -21,11 +21,10 @@ from planner.motion.trajectory import thinning
 from planner.problem import Settings
 from planner.units import MM
 from tests import small_problem
-from tests.motion.scenes import HIGH, arc_wire, box, pair, s_curve, two_arms
-from tests.motion.test_solve import problem
+from tests.motion.scenes import HIGH, arc_wire, box, pair, problem, s_curve, two_arms
 from tests.refusals import POSES, change
+from tests.remedies.advice import Said
 from tests.remedies.remedy_rows import Row, Yaml, check, found, write
-from tests.remedies.test_remedies import Said
 
 
 def table(poses: Sequence[tuple[float, float, float]], turns: Sequence[float], feed: float = 20.0) -> str:

@@ -14,8 +14,8 @@ from planner.geometry.wing import naca
 from tests.geometry.test_ruled_approximation import grid_mesh
 from tests.reading.part_specs import SQUARE, WING, circle, guides, outline
 from tests.refusals import HYPAR, POSES, change
+from tests.remedies.advice import Said, Word
 from tests.remedies.remedy_rows import GONE, Row, load
-from tests.remedies.test_remedies import Said, Word
 
 SHEET: Final = "v 0 0 0\nv 100 0 0\nv 0 100 0\nv 100 100 0\nf 1 2 3\nf 2 4 3\n"
 AIRFOIL: Final = [f"{x:.6f} {y:.6f}" for x, y in naca("2412")]

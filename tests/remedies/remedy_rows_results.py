@@ -25,8 +25,8 @@ from planner.verify.replay import playback
 from tests import small_problem
 from tests.reading.test_setups import CELL as BOW_AND_GRIPPER
 from tests.refusals import POSES, change
+from tests.remedies.advice import Said, Word, Words
 from tests.remedies.remedy_rows import GONE, Row, found, write
-from tests.remedies.test_remedies import Said, Word, Words
 from tests.verify import small_job
 
 WORLD: Final = np.array(

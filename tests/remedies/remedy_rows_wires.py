@@ -11,9 +11,9 @@ from planner.hotwire.elastic.job import ElasticJob
 from planner.hotwire.straight.job import StraightJob
 from planner.issues import Issue
 from tests.hotwire import foam_blocks, panels
-from tests.hotwire.straight.test_check import twisted
+from tests.hotwire.foam_blocks import twisted
+from tests.remedies.advice import Said, Word
 from tests.remedies.remedy_rows import CUT, Row, found, heat, lay
-from tests.remedies.test_remedies import Said, Word
 
 
 def bend(folder: Path, data: Any) -> list[Issue]:

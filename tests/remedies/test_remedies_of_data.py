@@ -27,9 +27,10 @@ from tests.remedies import (
     remedy_rows_wires,
 )
 from tests.remedies import remedy_tables as tables
+from tests.remedies.advice import Said, Word
 from tests.remedies.remedy_rows import GONE, Row
 from tests.remedies.remedy_rows_parts import block
-from tests.remedies.test_remedies import REMEDIES, Said, Word
+from tests.remedies.test_remedies import REMEDIES
 from tests.test_infeasible import EXPECT
 
 SUBJECTS = (

@@ -15,8 +15,8 @@ import pytest
 from planner.claims.segments import Segment
 from planner.verify.prove import Prover
 from tests.verify import held_job, small_job, straight_job
-from tests.verify.bow_mutants import moves, put, rows_of
-from tests.verify.mutants import edit, name
+from tests.verify.bow_edits import moves, put, rows_of
+from tests.verify.rapid_edits import edit, name
 
 COUNT = 12
 JOBS = {"straight": straight_job, "held": held_job, "small": small_job}

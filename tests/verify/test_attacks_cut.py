@@ -17,8 +17,8 @@ from planner.verify.prove import Prover
 from planner.verify.rules.straight_wire import between, guide_normals, off_guide
 from planner.verify.wire.walls import walls
 from tests.verify import small_job, straight_job
-from tests.verify.bow_mutants import moves, put, rows_of
-from tests.verify.mutants import edit, name
+from tests.verify.bow_edits import moves, put, rows_of
+from tests.verify.rapid_edits import edit, name
 
 COUNT = 12
 KERF = KerfCurve.constant(0.001)

@@ -20,7 +20,7 @@ from planner.verify.rules import moves_and_settings, waiting_time
 from tests import line_ends
 from tests.verify import handshake_job, krl_job, small_job, straight_job
 from tests.verify.leaving_mutants import KRL, SHAKEN, SMALL, STRAIGHT
-from tests.verify.mutants import edit, lines, put
+from tests.verify.rapid_edits import edit, lines, put
 
 SAMPLE = 1
 FULL = 12

@@ -16,6 +16,7 @@ from planner.hotwire.straight import job
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Part, Ruled, Setup, Stock
 from tests.hotwire import foam_blocks as blocks
+from tests.hotwire.foam_blocks import twisted
 
 SQUARE = blocks.prism("sq", [(-0.02, 0.03), (-0.02, 0.07), (0.02, 0.07), (0.02, 0.03)], closed=True)
 XPS = foams()["xps_30"]
@@ -241,16 +242,6 @@ def test_a_block_that_drops_by_a_slot_before_it_is_cut_on_is_told(
         assert found["straight.drop"].severity is Severity.WARNING
         assert found["straight.drop"].value == pytest.approx(1.5)
         assert "trim_left" in found["straight.drop"].message
-
-
-def twisted() -> Part:
-    """A strip whose rulings turn by 25 degrees within 6 mm, about their middles."""
-    x = np.concatenate([np.linspace(-0.1, -0.003, 30), np.linspace(0.003, 0.1, 30)])
-    turn = np.deg2rad(12.5) * np.clip(x / 0.003, -1.0, 1.0)
-    half = np.stack([0.1 * np.sin(turn), -0.1 * np.cos(turn), 0.0 * x], axis=1)
-    middle = np.stack([x + 0.04 * np.sign(x), 0.0 * x, np.full_like(x, 0.06)], axis=1)
-    middle[:, 0] = np.clip(x, -0.1, 0.1)
-    return blocks.part(Ruled("fan", middle + half, middle - half, np.zeros(len(x), dtype=np.bool_)))
 
 
 def test_a_wire_that_turns_faster_than_its_slot_can_follow_is_refused() -> None:

@@ -15,7 +15,7 @@ from planner.post.krl.program import ptp_percent
 from planner.post.steps import build
 from planner.post.write import notes as told
 from tests.post import krl_job, synthetic
-from tests.post.krl.test_program import turning_job
+from tests.post.krl_job import turning_job
 
 
 def test_an_axis_near_zero_at_a_first_target_is_a_warning():

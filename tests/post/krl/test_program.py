@@ -17,7 +17,7 @@ from planner.issues import TandemError
 from planner.post.krl import linear_moves
 from planner.targets import Action
 from tests.post import krl_job, synthetic
-from tests.post.krl_job import body, data, flat, moves
+from tests.post.krl_job import body, data, flat, moves, turning_job
 from tests.post.reading import programs
 
 GOLDEN = Path(__file__).with_name("golden")
@@ -156,20 +156,6 @@ def test_moves_take_as_long_as_planned_and_never_less(made, request):
     seconds, _, _, _, turning = times(files, start_of(files))
     assert (seconds >= 0.5).all() and (seconds < 0.5 * (1 + 1e-5)).all()
     assert (turning == 200.0).all()
-
-
-def turning_job(dialect="krc4", step=0.5):
-    """The arm's wrist turns about the TCP for three moves, then it moves on."""
-    plan, problem = krl_job.alone(
-        q=synthetic.sweep(9, start=krl_job.START), dialect=dialect, actions=(), step=step
-    )
-    work = plan.operations[0]
-    poses = work.targets.pose["left"].copy()
-    for i in range(2, 6):
-        spin = Rotation.from_rotvec([0.0, 0.02 * (i - 1), 0.03 * (i - 1)]).as_matrix()
-        poses[i, :3, :3], poses[i, :3, 3] = poses[1, :3, :3] @ spin, poses[1, :3, 3]
-    targets = dataclasses.replace(work.targets, pose={"left": poses})
-    return dataclasses.replace(plan, operations=(dataclasses.replace(work, targets=targets),)), problem
 
 
 def test_a_turn_about_the_tcp_is_never_faster_than_planned_however_it_is_split():

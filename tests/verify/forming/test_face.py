@@ -12,8 +12,7 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
 from planner.verify.forming import face as forming_face
 from planner.verify.forming.face import Face, least_gap, left_by
-from tests.forming.shapes import cone, pit, revolved
-from tests.forming.test_passes import made
+from tests.forming.shapes import cone, made, pit, revolved
 
 BALL = 0.005
 

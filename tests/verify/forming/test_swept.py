@@ -13,7 +13,7 @@ from planner.verify.forming import swept
 from planner.verify.forming.face import Face
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
-from tests.verify.mutants import segment, shifted
+from tests.verify.rapid_edits import segment, shifted
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -148,3 +148,24 @@ def off(curve, steps, i, count=200):
         np.linalg.norm(rate - own, axis=1).max(),
         np.linalg.norm(rate[:, :3], axis=1).max(),
     )
+
+
+def block(rng, count, kind):
+    """Poses (N + 1, 4, 4) and times (N,) of a block: smooth, with a kink, or anyhow."""
+    pose = np.tile(np.eye(4), (count + 1, 1, 1))
+    if kind == "anyhow":
+        place = np.cumsum(rng.normal(0.0, 2e-3, (count + 1, 3)), axis=0)
+        turn = np.cumsum(rng.normal(0.0, 0.02, (count + 1, 3)), axis=0)
+    else:
+        step = 2e-3 * (1.0 + 0.5 * rng.random(count + 1))
+        along = np.cumsum(step)
+        radius = 0.05 if kind == "arc" else 1e3
+        place = radius * np.stack([np.sin(along / radius), 1.0 - np.cos(along / radius), 0 * along], axis=1)
+        turn = np.outer(along, rng.normal(0.0, 3.0, 3))
+        if kind == "kink":
+            half = count // 2
+            place[half + 1 :, 1] += along[half + 1 :] - along[half]
+    pose[:, :3, 3] = place
+    pose[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    times = np.linalg.norm(np.diff(place, axis=0), axis=1) / 0.03 * rng.uniform(0.8, 1.5, count)
+    return pose, times

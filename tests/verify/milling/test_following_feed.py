@@ -12,7 +12,7 @@ from planner.claims.segments import Segment
 from planner.milling.tool_path import parted
 from planner.verify.milling.following import FEED_TOLERANCES, allowed, follow, highest, rows_to_check
 from tests.milling.small_mill import BALL, PANEL
-from tests.verify.rules.test_milling_cutter import Job, in_procedure
+from tests.verify.milling_job import Job, in_procedure
 
 TOLERANCE = 0.2e-3
 FILE = """G21 G90 G17 G94

@@ -20,7 +20,7 @@ from planner.verify.rules.forming_tool import _places
 from planner.verify.wire import cut_surface
 from planner.verify.wire.cut_surface import divided, sample_face
 from tests.milling.small_mill import WALL, problem
-from tests.remedies.test_remedies import Said
+from tests.remedies.advice import Said
 
 BALL = Solid("cutter", 0.0, 0.03, 0.003, 0.003)
 FLAT = Solid("cutter", 0.0, 0.005, 0.006)

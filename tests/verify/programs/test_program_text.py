@@ -16,7 +16,7 @@ from planner.verify.programs import program_text
 from planner.verify.programs.steps import MoveStep
 from planner.verify.prove import Prover
 from tests.verify import krl_job, small_job, straight_job
-from tests.verify.mutants import name
+from tests.verify.rapid_edits import name
 
 COUNT = 6
 MAIN, CUTS, DATA = (name(kind, 1) for kind in ("Main", "Cut1", "Data"))

@@ -1,9 +1,7 @@
-"""What programs tell and ask is refused where it is not word for word what follows from the problem; other
-ways to write the same are not."""
+"""What programs tell and ask is refused where it is not word for word what follows from the problem."""
 
 from __future__ import annotations
 
-import functools
 import re
 
 import numpy as np
@@ -16,46 +14,18 @@ from planner.claims import dialogue
 from planner.claims.claim import OneOf
 from planner.motion import solve
 from planner.post import write
-from planner.post.krl import syntax as krl_syntax
-from planner.post.rapid import syntax
 from planner.verify.context import Context
-from planner.verify.programs.operator_dialogue import fit, on_panel, told_choice
+from planner.verify.programs.operator_dialogue import told_choice
 from planner.verify.prove import Prover
 from tests import line_ends
 from tests.milling import small_mill
-from tests.verify import dialogue_job, handshake_job, planner_jobs, small_job, straight_job
+from tests.verify import dialogue_job, planner_jobs, small_job
 from tests.verify.dialogue_mutants import KRL, LIES, RAPID, main_of
-from tests.verify.krl.test_reader import MAIN as MAIN_KRL
-from tests.verify.krl.test_reader import WAIT, read
+from tests.verify.dialogue_proofs import CODE, JOBS, faults, prover
+from tests.verify.krl.wall_program import MAIN as MAIN_KRL
+from tests.verify.krl.wall_program import WAIT, read
 
-CODE = "verify.dialogue"
 SAMPLE, FULL = 2, 12
-JOBS = {
-    "bent": (small_job.problem, dialogue_job.bent_claims, dialogue_job.bent_programs),
-    "choice": (small_job.problem, dialogue_job.choice_claims, dialogue_job.choice_programs),
-    "bow": (straight_job.problem, dialogue_job.bow_claims, dialogue_job.bow_programs),
-    "krl": (
-        lambda: dialogue_job.bow_problem("kr10_r1100", "krc2"),
-        dialogue_job.bow_claims,
-        lambda: dialogue_job.bow_programs("kr10_r1100", "krc2"),
-    ),
-    "dialogs": (
-        lambda: dialogue_job.bow_problem("kr10_r1100"),
-        dialogue_job.bow_claims,
-        lambda: dialogue_job.bow_programs("kr10_r1100"),
-    ),
-    "handshake": (handshake_job.problem, handshake_job.claims, handshake_job.programs),
-}
-
-
-@functools.cache
-def prover(job):
-    return Prover(JOBS[job][0](), JOBS[job][1]())
-
-
-def faults(job, programs):
-    """Issues of the rules up to the one on the dialogue."""
-    return prover(job).prove(programs, last=CODE).issues
 
 
 def missed(job, kinds, each, seed):
@@ -405,106 +375,6 @@ def test_spacers_are_as_thick_as_the_slot(tmp_path, heat):
             r"spacers of ([\d.]+)", lambda m, k=change: f"spacers of {k * float(m[1]):.1f}", programs[file]
         )
         assert held.prove({**programs, file: wrong}, last="verify.dialogue_figures").issues
-
-
-# ---- the same, written in other ways ----
-
-
-IN_TWO_LINES = 'TPWrite "Mount wire: 493.2";\n    TPWrite "mm cold between clamps";'
-TWO_BOXES = 'slide free,"\\Buttons:=btnOK;\n    UIMsgBox\\Header:="Tandem","block fixed,'
-
-
-def _wrapped(text):
-    """Lines of the panel parted at other places, boxes with other lines."""
-    text = text.replace('TPWrite "Mount wire: 493.2 mm cold between clamps";', IN_TWO_LINES)
-    return text.replace('nobody in"\n        \\MsgLine2:="the cell?"', 'nobody in the cell?"')
-
-
-def _in_two_boxes(text):
-    return text.replace("slide free, block fixed,", TWO_BOXES)
-
-
-def _spaces(text):
-    return text.replace("cold between", "cold  between").replace("taut, block", "taut,  block")
-
-
-REWRITES = {
-    "wrapped": _wrapped,
-    "two boxes": _in_two_boxes,
-    "comments": lambda text: re.sub(r"(?m)^(\s*)(TPWrite|UIMsgBox)", r"\1! now\n\n\1\2", text),
-    "white space": lambda text: text.replace('TPWrite "', 'TPWrite   "').replace("WaitTime ", "WaitTime  "),
-    "Set and Reset": lambda text: re.sub(
-        r"SetDO (\w+),([01]);", lambda m: f"{'Set' if m[2] == '1' else 'Reset'} {m[1]};", text
-    ),
-    "no icon": lambda text: text.replace("\\Icon:=iconInfo", ""),
-    "decimals": lambda text: re.sub(r"WaitTime (\d+);", r"WaitTime \1.000;", text),
-    "spaces in words": _spaces,
-    "lines by their numbers": lambda text: re.sub(
-        r"(\\MsgLine2:=[^\n]*)\n *(\\MsgLine3:=[^\n]*)", r"\2\n        \1", text
-    ),
-    "a wait of nothing": lambda text: text.replace("    WaitTime", "    WaitTime\\InPos,0;\n    WaitTime"),
-}
-
-
-@pytest.mark.parametrize("name", REWRITES)
-def test_harmless_rewrites_are_proven(name):
-    changed = 0
-    for job in ("bent", "bow"):
-        programs = JOBS[job][2]()
-        own = {file: REWRITES[name](text) if "Main" in file else text for file, text in programs.items()}
-        changed += own != programs
-        assert faults(job, own) == ()
-    assert changed
-
-
-KRL_REWRITES = {
-    "wrapped": lambda text: text.replace(
-        ";* Turn the block by a quarter ", ";* Turn the block\r\n;* by a quarter "
-    ),
-    "comments": lambda text: text.replace("HALT", "; the program goes on with Start\r\n\r\nHALT"),
-    "white space": lambda text: text.replace(";? ", ";?   ").replace("WAIT SEC 5", "WAIT  SEC 5.0"),
-}
-
-
-@pytest.mark.parametrize("name", KRL_REWRITES)
-def test_harmless_rewrites_of_krl_are_proven(name):
-    programs = JOBS["krl"][2]()
-    file = next(file for file in programs if file.endswith("straight.src"))
-    own = {**programs, file: KRL_REWRITES[name](programs[file])}
-    assert own != programs and faults("krl", own) == ()
-
-
-# ---- sentences ----
-
-
-def test_figures_are_held_with_their_rounding():
-    mount = {"cold_mm": 493.2499}
-    assert fit(dialogue.MOUNT, mount, [dialogue.MOUNT.say(cold_mm=493.2)]).whole
-    assert fit(dialogue.MOUNT, {"cold_mm": 493.25}, [dialogue.MOUNT.say(cold_mm=493.2)]).whole
-    assert fit(dialogue.MOUNT, {"cold_mm": 493.25}, [dialogue.MOUNT.say(cold_mm=493.3)]).whole
-    assert not fit(dialogue.MOUNT, mount, [dialogue.MOUNT.say(cold_mm=493.3)]).whole
-    assert not fit(dialogue.MOUNT, mount, ["Mount wire: 493.20 mm cold between clamps"]).whole
-    assert not fit(dialogue.MOUNT, mount, ["Mount wire: 49", "3.2 mm cold between clamps"]).whole
-    wire = {"diameter_mm": 0.4, "material": "", "power_w": 1234567.0}
-    assert fit(dialogue.BOW_POWER, wire, [dialogue.BOW_POWER.say(**wire)]).whole
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["Schleife die Kante äußerst über", "a bow-like thing with well-known ends", "50 % of {this} and that",
-     "x" * 90 + " 12 " + "y" * 50, "Mount the tool bow_400 -- the long one -- on arm left."],
-)  # fmt: skip
-def test_a_users_own_sentence_fits_as_both_languages_write_it(text):
-    lines = [re.findall(r'"(.*)"', row)[0] for row in syntax.write_lines(text)]
-    assert fit(dialogue.PLAIN, {"text": text}, lines).whole
-    assert fit(
-        dialogue.PLAIN, {"text": text}, [row[3:] for row in krl_syntax.message_lines(text, "krc2")]
-    ).whole
-    assert not fit(dialogue.PLAIN, {"text": text}, [*lines, "and more"]).whole
-
-
-def test_panels_have_no_accents():
-    assert on_panel("  Größe\tund  so ") == "Grosse und so"
 
 
 # ---- on ways that are decided at run time ----

@@ -12,7 +12,7 @@ from planner.claims.forming import FollowsOpposite, SupportsBorder, ToolsLean
 from planner.claims.segments import Segment
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
-from tests.verify.mutants import moves, name, segment, shifted, tilted, timed
+from tests.verify.rapid_edits import moves, name, segment, shifted, tilted, timed
 
 TASKS = (1, 2)
 ROW = 6

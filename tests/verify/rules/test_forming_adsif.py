@@ -18,7 +18,7 @@ from planner.verify.forming import accumulative
 from planner.verify.prove import Prover
 from tests import line_ends, small_forming
 from tests.forming import shapes
-from tests.verify.mutants import change, field, moves, segment, tilted
+from tests.verify.rapid_edits import change, field, moves, segment, tilted
 
 TASKS = (1, 2)
 RADIUS, WALL = 14.0, 25.0

@@ -18,7 +18,7 @@ from planner.verify.krl import spline_curve
 from planner.verify.rules import krl_spline
 from planner.verify.rules.krl_spline import Allowance
 from tests.verify import spline_job
-from tests.verify.krl.test_spline_curve import block
+from tests.verify.krl.spline_members import block
 
 
 @pytest.mark.parametrize("kind", ["arc", "kink", "anyhow"])

@@ -9,15 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.claims.segments import Segment
-from planner.motion import solve
-from planner.post import write
 from planner.tooling import Cutter
 from planner.verify.milling.tool_motion import signed, solids, sweep
-from planner.verify.prove import Prover
-from planner.verify.result import Proof
-from tests.milling.small_mill import BALL, PANEL, WALL, problem
+from tests.milling.small_mill import BALL, PANEL, WALL
+from tests.verify.milling_job import Job, Programs, in_procedure
 
 RULES = ("verify.milled", "verify.mill_gouge", "verify.mill_path", "verify.mill_feed", "verify.spindle")
 ENGRAVE = {"engrave": [{"bspline_mm": [[-30, -15, 0], [0, 15, 0], [30, -15, 0]]}], "depth_mm": 0.5}
@@ -29,24 +25,6 @@ OUTLINE = [
 ]
 ROUND = {"ruled": [{"name": "wall", "start": OUTLINE[0], "end": OUTLINE[1], "closed": True}], "in_stock": {}}
 MOVE = re.compile(r"(MoveL \[\[)([-\d.]+),([-\d.]+),([-\d.]+)(\],\[)")
-
-Programs = dict[str, str]
-
-
-class Job:
-    """A planned job, its programs and a prover that keeps its models."""
-
-    def __init__(self, folder: Path, base: dict, tool: dict | None = None, **fields: object) -> None:  # type: ignore[type-arg]
-        self.problem = problem(folder, base, tool, **fields)
-        targets = [processes.job(self.problem, 0).targets()]
-        self.programs: Programs = dict(write.programs(solve.solve(self.problem, targets), self.problem))
-        self.prover = Prover(self.problem, processes.claims(self.problem))
-
-    def prove(self, programs: Programs, last: str | None = "verify.spindle") -> Proof:
-        return self.prover.prove(programs, last=last)
-
-    def broken(self, programs: Programs) -> set[str]:
-        return {issue.code for issue in self.prove(programs).issues}
 
 
 @pytest.fixture(scope="module")
@@ -62,20 +40,6 @@ def pattern(tmp_path_factory: pytest.TempPathFactory) -> Job:
 @pytest.fixture(scope="module")
 def face(tmp_path_factory: pytest.TempPathFactory) -> Job:
     return Job(tmp_path_factory.mktemp("face"), PANEL, BALL, cuts=[LINES])
-
-
-def in_procedure(programs: Programs, name: str, change: Callable[[str], str]) -> Programs:
-    """The programs with one procedure's text changed."""
-    out, found = {}, 0
-    for file, text in programs.items():
-        at = text.find(f"PROC {name}()")
-        if at >= 0:
-            end = text.index("ENDPROC", at)
-            text = text[:at] + change(text[at:end]) + text[end:]
-            found += 1
-        out[file] = text
-    assert found == 1, name
-    return out
 
 
 def moved(text: str, numbers: slice, by: tuple[float, float, float]) -> str:

@@ -25,7 +25,7 @@ from planner.verify.rules import part_file
 from planner.verify.wire.cut_surface import Sweep
 from tests.reading.part_specs import make
 from tests.verify import forming_job
-from tests.verify.files.test_surfaces import absolute, grid_obj, hills
+from tests.verify.files.part_files import HIGH, LOW, absolute, grid_obj, hills
 
 KERF, TOLERANCE = 0.002, 0.3
 SIZE = np.array([0.5, 0.7, 0.2])
@@ -283,8 +283,6 @@ def test_a_wing_that_is_read_otherwise_is_not_proven(airfoils, wrong) -> None:
 
 # ---- guides and drawings ----
 
-LOW = [[0, 0, 0], [60, 30, 0], [100, 30, 10], [180, -20, 0]]
-HIGH = [[0, 10, 120], [70, 60, 130], [110, 45, 120], [190, -60, 125]]
 RULED = {
     "ruled": [
         {"name": "wall", "start": {"dxf": {"file": "low.dxf", "unit": "mm"}}, "end": {"polyline_mm": HIGH}}

@@ -9,7 +9,7 @@ from planner.verify import job
 from planner.verify.prove import Prover
 from planner.verify.rules import text as text_rules
 from tests.verify import krl_job, small_job
-from tests.verify.mutants import MOVE, name
+from tests.verify.rapid_edits import MOVE, name
 
 COUNT = 6
 CUTS = name("Cut1", 1)
