@@ -25,6 +25,7 @@ from planner.problem import Problem
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
 from tests import line_ends
+from tests.verify.provers import broken
 
 HERE = Path(pipeline.__file__).resolve().parents[1] / "problems" / "dome_tpif"
 MAIN = "T_ROB1/TandemMain_1.mod"
@@ -66,10 +67,6 @@ def prover() -> Prover:
 
 def proven(texts: dict[str, str], last: str | None = "verify.holder") -> Proof:
     return prover().prove(texts, last=last)
-
-
-def broken(proof: Proof) -> set[str]:
-    return {rule.code for rule in proof.rules if rule.ran and not rule.passed}
 
 
 def test_a_dome_over_a_die_is_planned_and_proven() -> None:

@@ -18,7 +18,7 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import moves_and_settings, waiting_time
 from tests import line_ends
-from tests.verify import handshake_job, krl_job, small_job, straight_job
+from tests.verify import handshake_job, krl_job, provers, small_job, straight_job
 from tests.verify.leaving_mutants import KRL, SHAKEN, SMALL, STRAIGHT
 from tests.verify.rapid_edits import edit, lines, put
 
@@ -48,7 +48,7 @@ def prover(job):
 def broken(job, texts, last=None):
     """Codes of the rules that refuse programs, of those up to ``last``."""
     proof = prover(job).prove(texts, last=last)
-    return {rule.code for rule in proof.rules if rule.ran and not rule.passed}
+    return provers.broken(proof)
 
 
 @pytest.mark.parametrize(("job", "kind"), KINDS)

@@ -88,12 +88,6 @@ def test_texts_with_the_longest_names_fit(arm):
     assert all(len(line) <= 200 for line in krl_syntax.robroot_check(arm, "krc4"))
 
 
-@pytest.mark.parametrize("text", ["set_krldlg", "TM_MSG", "tm answer", "KrlMsg_T"])
-def test_names_of_our_variables_and_of_the_controller_name_nothing_else(text):
-    with pytest.raises(TandemError, match="cannot name"):
-        name(text)
-
-
 def values(line, angles):
     """What a row of the look at the foot makes of a frame, in Python's words."""
     code = line.partition("=")[2].replace("$ROBROOT.", "f.").replace("SQRT", "sqrt").replace("ABS", "abs")

@@ -56,8 +56,11 @@ def test_a_name_is_one_of_krl_or_refused(text):
         assert made not in RESERVED
 
 
-@pytest.mark.parametrize("text", ["1st", "LIN", "home", "!!!", ""])
+@pytest.mark.parametrize(
+    "text", ["1st", "LIN", "home", "!!!", "", "set_krldlg", "TM_MSG", "tm answer", "KrlMsg_T"]
+)
 def test_what_names_nothing(text):
+    """Words of the language, of the controller and of our own variables among them."""
     with pytest.raises(TandemError, match="cannot name"):
         name(text)
 

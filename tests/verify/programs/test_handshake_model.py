@@ -9,40 +9,26 @@ import numpy as np
 import pytest
 
 from planner.verify.programs.handshake_model import Action, check
-
-LEAD, FOLLOW = 0, 1
-WIRES = 2
-
-
-def put(wire, value, resets=()):
-    return Action("set", wire, value, resets)
-
-
-def look(wire, value, resets=()):
-    return Action("wait", wire, value, resets)
-
-
-def work(interval):
-    return [Action("go", value=interval), Action("done", value=interval)]
+from tests.verify.programs.automata import FOLLOW, LEAD, WIRES, put, wait, with_, work
 
 
 def meeting(lead, phase, four):
     """One meeting; wire 0 leads from the lead to the other one, wire 1 back."""
     mine, other = (0, 1) if lead else (1, 0)
     if four:
-        ask = [put(mine, 1), look(other, 1), put(mine, 0), look(other, 0)]
-        answer = [look(other, 1), put(mine, 1), look(other, 0), put(mine, 0)]
+        ask = [put(mine, 1), wait(other, 1), put(mine, 0), wait(other, 0)]
+        answer = [wait(other, 1), put(mine, 1), wait(other, 0), put(mine, 0)]
     else:
-        ask = [put(mine, phase), look(other, phase)]
-        answer = [look(other, phase), put(mine, phase)]
+        ask = [put(mine, phase), wait(other, phase)]
+        answer = [wait(other, phase), put(mine, phase)]
     return ask if lead else answer
 
 
 def start(lead):
     """Both lines are reset and read, and the lead asks the operator whether the other one is ready."""
     if lead:
-        return [*work(0), put(0, 0), Action("gate", value=4), look(1, 0)]
-    return [*work(0), put(1, 0), look(0, 0)]
+        return [*work(0), put(0, 0), Action("gate", value=4), wait(1, 0)]
+    return [*work(0), put(1, 0), wait(0, 0)]
 
 
 def program(lead, meetings=3, four=True, works=lambda k: True):
@@ -79,11 +65,11 @@ def test_both_setting_first_and_then_waiting_loses_an_edge(four):
     programs = [[], []]
     for mine, other in ((0, 1), (1, 0)):
         row = programs[mine]
-        row += [put(mine, 0), Action("gate", value=1), look(other, 0), Action("gate", value=3)]
+        row += [put(mine, 0), Action("gate", value=1), wait(other, 0), Action("gate", value=3)]
         for k in range(1, 4):
             steps = [(mine, 1), (mine, 0)] if four else [(mine, k % 2)]
             for wire, value in steps:
-                row += [put(wire, value), look(other, value)]
+                row += [put(wire, value), wait(other, value)]
             row += work(k)
     assert kinds(programs) & {"lost_edge", "deadlock"}
 
@@ -209,9 +195,6 @@ def plain_search(programs, gates):
     def finished(who, place):
         ahead = [a.value for a in programs[who][place:] if a.kind in ("go", "done")]
         return ahead[0] - 1 if ahead else 10**9
-
-    def with_(row, i, value):
-        return tuple(value if k == i else x for k, x in enumerate(row))
 
     while here:
         todo, whole = list(here), set(here)

@@ -11,27 +11,14 @@ import pytest
 
 from planner.verify.programs.handshake_model import Action, check
 from planner.verify.rules.handshake import _CASES
+from tests.verify.programs.automata import FOLLOW, LEAD, WIRES, put, wait, with_, work
 
-LEAD, FOLLOW = 0, 1
-WIRES = 2
 WORK = ("works", "works")
 STUCK = [("low", "works"), ("high", "works"), ("works", "low"), ("works", "high")]
 
 
-def put(wire, value):
-    return Action("set", wire, value)
-
-
-def wait(wire, value):
-    return Action("wait", wire, value)
-
-
 def look(value):
     return Action("look", value=value)
-
-
-def work(interval):
-    return [Action("go", value=interval), Action("done", value=interval)]
 
 
 def start(lead):
@@ -116,10 +103,6 @@ def test_a_look_behind_the_last_meeting_waits_for_ever():
     programs = both()
     programs[LEAD] = [*programs[LEAD], look(1)]
     assert "deadlock" in kinds(programs)
-
-
-def with_(row, i, value):
-    return tuple(value if k == i else x for k, x in enumerate(row))
 
 
 class Cell(NamedTuple):

@@ -3,7 +3,6 @@ in which a controller writes a program again."""
 
 from __future__ import annotations
 
-import functools
 import re
 
 import numpy as np
@@ -14,19 +13,13 @@ from planner.issues import Severity
 from planner.verify import job
 from planner.verify.programs import program_text
 from planner.verify.programs.steps import MoveStep
-from planner.verify.prove import Prover
 from tests.verify import krl_job, small_job, straight_job
+from tests.verify.provers import prover
 from tests.verify.rapid_edits import name
 
 COUNT = 6
 MAIN, CUTS, DATA = (name(kind, 1) for kind in ("Main", "Cut1", "Data"))
 EVIL = "MoveAbsJ [[0,0,0,0,90,0],[9E9,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs,v1000,fine,tool0;"
-
-
-@functools.cache
-def prover(krl=False):
-    jobs = krl_job if krl else straight_job
-    return Prover(jobs.problem(), jobs.claims())
 
 
 def programs():
@@ -35,7 +28,7 @@ def programs():
 
 def refused(texts, krl=False):
     """Whether a rule of the text refuses programs, with a line."""
-    proof = prover(krl).prove(texts, last="verify.decimals")
+    proof = prover("krl" if krl else "straight").prove(texts, last="verify.decimals")
     found = [issue for issue in proof.issues if issue.severity is Severity.ERROR]
     return bool(found) and all(issue.line or not issue.file for issue in found)
 
@@ -97,7 +90,7 @@ def sampled(kinds, few):
 def test_what_is_rewritten_without_harm_is_proven(kind):
     texts = HARMLESS[kind]()
     assert texts != programs()
-    proof = prover().prove(texts)
+    proof = prover("straight").prove(texts)
     assert [str(i) for i in proof.issues if i.severity is Severity.ERROR] == []
     assert proof.ok
     told = {i.message for i in proof.issues}
@@ -207,7 +200,7 @@ KRL_HARMLESS = {
 def test_what_a_kuka_controller_rewrites_is_proven(kind):
     texts = {file: KRL_HARMLESS[kind](text) for file, text in krl_job.programs().items()}
     assert texts != krl_job.programs()
-    proof = prover(krl=True).prove(texts)
+    proof = prover("krl").prove(texts)
     assert [str(issue) for issue in proof.issues] == []
     assert proof.ok
 
@@ -236,4 +229,4 @@ def test_files_are_read_in_their_own_coding(tmp_path, coding):
 def test_axes_that_are_not_there_are_9e9(number):
     """Any other number is a place of an axis, however large."""
     texts = rewritten(r"\[9E9,9E9(?=[^;]*T:=)", f"[9E9,{number}")
-    assert not prover().prove(texts, last="verify.move_kinds").rule("verify.move_kinds").passed
+    assert not prover("straight").prove(texts, last="verify.move_kinds").rule("verify.move_kinds").passed

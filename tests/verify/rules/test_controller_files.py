@@ -11,7 +11,7 @@ import pytest
 from planner.post import write
 from planner.problem import Interlock, PowerOutput
 from planner.verify.prove import Prover
-from tests.verify import krl_job, small_job, straight_job
+from tests.verify import krl_job, provers, small_job, straight_job
 from tests.verify.controller_mutants import ABB, HOME, KUKA, LEFT, swap
 
 COUNT = 12
@@ -41,7 +41,7 @@ def kuka():
 
 def broken(job, files):
     proof = job[0].prove(files, last=RULE)
-    return {rule.code for rule in proof.rules if rule.ran and not rule.passed}
+    return provers.broken(proof)
 
 
 @pytest.mark.parametrize("robotware", [6, 7])

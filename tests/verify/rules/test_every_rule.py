@@ -10,28 +10,24 @@ import numpy as np
 import pytest
 
 from planner.catalogue.issue_codes import CODES
-from planner.verify.prove import RULES, Prover, prove
+from planner.verify.prove import RULES, prove
 from tests.verify import small_job
 from tests.verify.mutants import MUTATORS
+from tests.verify.provers import broken, prover
 
 COUNT = 12
 
 
 @functools.cache
-def prover():
-    return Prover(small_job.problem(), small_job.claims())
-
-
-@functools.cache
 def clean():
-    return prover().prove(small_job.programs(COUNT))
+    return prover("small").prove(small_job.programs(COUNT))
 
 
 def failing(programs, last=None):
     """Codes of the rules that ran, up to ``last``, and are broken."""
-    proof = prover().prove(programs, last=last)
+    proof = prover("small").prove(programs, last=last)
     assert not proof.ok
-    return {rule.code for rule in proof.rules if rule.ran and not rule.passed}
+    return broken(proof)
 
 
 def test_there_are_rules_enough_and_each_has_a_code():
@@ -79,14 +75,14 @@ def test_the_named_rule_catches_the_fault(name):
 
 
 def test_no_programs_at_all_is_no_proof():
-    proof = prover().prove({})
+    proof = prover("small").prove({})
     assert not proof.ok
     assert "verify.files" in {issue.code for issue in proof.issues}
 
 
 def test_issues_say_where():
     programs = MUTATORS["too_fast"][1](np.random.default_rng(1), small_job.programs(COUNT))
-    found = [issue for issue in prover().prove(programs).issues if issue.code == "verify.feed"]
+    found = [issue for issue in prover("small").prove(programs).issues if issue.code == "verify.feed"]
     assert found[0].value > found[0].limit
     assert found[0].unit == "mm/s"
     assert found[0].target.startswith("ID ")

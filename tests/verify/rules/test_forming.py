@@ -12,6 +12,7 @@ from planner.claims.forming import FollowsOpposite, SupportsBorder, ToolsLean
 from planner.claims.segments import Segment
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
+from tests.verify.provers import broken
 from tests.verify.rapid_edits import moves, name, segment, shifted, tilted, timed
 
 TASKS = (1, 2)
@@ -27,10 +28,6 @@ def prover():
 @functools.cache
 def clean():
     return prover().prove(job.programs())
-
-
-def broken(proof):
-    return {rule.code for rule in proof.rules if rule.ran and not rule.passed}
 
 
 def mutant(code):

@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-import functools
 import re
 
 from planner.verify import job
-from planner.verify.prove import Prover
 from planner.verify.rules import text as text_rules
 from tests.verify import krl_job, small_job
+from tests.verify.provers import prover
 from tests.verify.rapid_edits import MOVE, name
 
 COUNT = 6
 CUTS = name("Cut1", 1)
-
-
-@functools.cache
-def prover():
-    return Prover(small_job.problem(), small_job.claims())
-
-
-@functools.cache
-def krl_prover():
-    return Prover(krl_job.problem(), krl_job.claims())
 
 
 def touched(shift=0.0, number=10):
@@ -49,7 +38,7 @@ def test_nothing_looks_changed_as_written():
 def test_a_target_that_was_touched_up_is_told():
     """Even where all rules hold: 0.005 mm may do no harm."""
     texts, _, _ = touched()
-    proof = prover().prove(texts, last="verify.decimals")
+    proof = prover("small").prove(texts, last="verify.decimals")
     assert proof.rule("verify.decimals").passed
     count = proof.rule("verify.decimals").where
     assert re.fullmatch(r"1 of \d+ targets rounded since they were written", count), count
@@ -57,7 +46,7 @@ def test_a_target_that_was_touched_up_is_told():
 
 def test_a_rule_that_fails_there_names_it_as_the_likely_cause():
     texts, line, ident = touched(4.0)
-    proof = prover().prove(texts)
+    proof = prover("small").prove(texts)
     assert not proof.ok
     hints = [issue.hint or "" for issue in proof.issues]
     where = f"likely cause: ID {ident} (T_ROB1/TandemCut1_1.mod, line {line}) was changed on the pendant"
@@ -70,7 +59,7 @@ def test_a_rule_that_fails_elsewhere_does_not():
     rows = texts[CUTS].split("\n")
     at = [i for i, row in enumerate(rows) if MOVE.search(row)][14]
     rows[at] = re.sub(r"\\T:=[\d.]+", r"\\T:=0.01000", rows[at])
-    proof = prover().prove({**texts, CUTS: "\n".join(rows)})
+    proof = prover("small").prove({**texts, CUTS: "\n".join(rows)})
     named = [issue for issue in proof.issues if issue.line == at + 1]
     assert named and not any("pendant" in (issue.hint or "") for issue in named)
 
@@ -89,7 +78,7 @@ def test_a_taught_pose_of_krl_is_named():
     rows = texts[file].split("\r\n")
     at = next(i for i, row in enumerate(rows) if "E6POS p_1_start" in row)
     rows[at] = re.sub(r"\{X ([-\d.]+),", "{X -130.312345,", rows[at])
-    proof = krl_prover().prove({**texts, file: "\r\n".join(rows)})
+    proof = prover("krl").prove({**texts, file: "\r\n".join(rows)})
     assert not proof.ok
     where = f"likely cause: p_1_start ({file}, line {at + 1}) was changed on the pendant"
     assert any((issue.hint or "").startswith(where) for issue in proof.issues), proof.issues
@@ -111,6 +100,6 @@ def test_what_an_inline_form_leaves_is_named():
     rows = texts[file].split("\r\n")
     at = rows.index("straight_1()")
     rows[at:at] = FORM.splitlines()
-    proof = krl_prover().prove({**texts, file: "\r\n".join(rows)}, last="verify.syntax")
+    proof = prover("krl").prove({**texts, file: "\r\n".join(rows)}, last="verify.syntax")
     found = [issue for issue in proof.issues if issue.file == file]
     assert found and all("changed on the pendant" in (issue.hint or "") for issue in found)
