@@ -392,13 +392,11 @@ class Problem(Section, model=problem_file.ProblemFile, tandem=1):
         """The problem as a file would say it, for the reader of problem files. Raises ``TandemError``:
         ``problem.not_yaml`` and ``problem.too_large`` for what no file can say."""
         text = strict_yaml.dump(self._words).encode("utf-8", "surrogatepass")
-        if len(text) > strict_yaml.MAX_YAML_BYTES:
-            what = (
-                f"Problem: {len(text) / 1e6:.1f} MB as a file, {strict_yaml.MAX_YAML_BYTES / 1e6:.0f} MB are read"
-            )
-            raise TandemError(
-                Issue("problem.too_large", f"{what}; give points as a mesh or a file of their own")
-            )
+        most = strict_yaml.MAX_YAML_BYTES
+        if len(text) > most:
+            what = f"Problem: {len(text) / 1e6:.1f} MB as a file, {most / 1e6:.0f} MB are read"
+            hint = "give points as a mesh or a file of their own"
+            raise TandemError(Issue("problem.too_large", f"{what}; {hint}"))
         data, _ = strict_yaml.parse(text, "Problem")
         if data != self._words:
             raise TandemError(

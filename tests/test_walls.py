@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -30,11 +31,16 @@ def module(path: Path) -> str:
 FILES = {module(path): path for path in PLANNER.rglob("*.py")}
 
 
+@functools.cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
 def imported(path: Path, inside: bool = True) -> set[str]:
     """Modules of the house that a file imports, ``inside`` of functions too."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     found = set()
-    for node in ast.walk(tree) if inside else tree.body:
+    for node in ast.walk(tree(path)) if inside else tree(path).body:
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "planner":
             package = str(node.module).removeprefix("planner").removeprefix(".")
             for alias in node.names:
@@ -134,8 +140,7 @@ def test_the_top_of_the_house_is_small_and_every_folder_says_what_it_holds() -> 
     assert len(list(PLANNER.glob("*.py"))) <= TOP
     folders = {path.parent for path in PLANNER.rglob("*.py")}
     for folder in folders:
-        text = (folder / "__init__.py").read_text(encoding="utf-8")
-        assert ast.get_docstring(ast.parse(text)), folder
+        assert ast.get_docstring(tree(folder / "__init__.py")), folder
     listed = set(re.findall(r"`(\w+)/`", PAGE.split("## Folders")[1].split("\n## ")[0]))
     assert {path.name for path in folders if path.parent == PLANNER} <= listed
 

@@ -28,19 +28,10 @@ from planner.cli.batch import Batch
 from planner.cli.batch import run as command
 from planner.issues import Issue, Severity, TandemError
 from tests import small_problem
-from tests.batch.test_workers import FAULTY, alive
+from tests.batch.jobs import FAULTY, alive, content, items
 
 PLAIN = Settings()
 BAD = small_problem.PROBLEM.replace("irb140", "irb9000")
-
-
-def items(folder: Path, names: Sequence[str]) -> list[Item]:
-    """Items that all read one small problem, so that a faulty worker does as their names say."""
-    path = folder / "problem.yaml"
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        small_problem.write(folder)
-    return [Item(name, str(path), lambda: pipeline.load(path)) for name in names]
 
 
 def plan(
@@ -49,10 +40,6 @@ def plan(
     heard: list[Event] = []
     with batch.claimed_folder(out), Workers(count, module=FAULTY) as workers:
         return batch.run(found, out, workers, settings, heard.append), heard
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
 def test_results_are_those_of_planning_one_by_one(tmp_path: Path) -> None:

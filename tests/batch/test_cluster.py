@@ -23,8 +23,7 @@ from planner.batch.workers import Workers
 from planner.cli import command_line
 from planner.issues import TandemError
 from tests import small_problem
-from tests.batch.test_batch import content, items
-from tests.batch.test_workers import FAULTY, ROOT, alive, job
+from tests.batch.jobs import FAULTY, ROOT, alive, content, items, job
 
 ENVIRONMENT = {
     **os.environ,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -16,13 +15,7 @@ import pytest
 from planner.batch.job import Done, Finished, Found, Job, Progress, Record
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError
-
-FAULTY = "tests.batch.faulty_worker"
-ROOT = Path(__file__).parents[2]
-
-
-def job(name: str, timeout_s: float | None = None, memory_mb: float | None = None) -> Job:
-    return Job(name, {"problem.yaml": b"tandem: 1\n"}, timeout_s, memory_mb)
+from tests.batch.jobs import FAULTY, ROOT, alive, job
 
 
 def run(workers: Workers, count: int, patience_s: float = 60.0) -> dict[str, Done]:
@@ -200,15 +193,6 @@ with Workers(2, module={FAULTY!r}) as workers:
         time.sleep(0.02)
     assert not any(alive(pid) for pid in pids)
     assert all(p.name.startswith(".tandem-") for p in tmp_path.iterdir())
-
-
-def alive(pid: int) -> bool:
-    """Whether a process runs; one that has ended and that nobody has asked after does not."""
-    try:
-        os.kill(pid, 0)
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.mark.parametrize("name", ["", "..", ".hidden", "a/b", "a b", "a\0", "é", "x" * 101])

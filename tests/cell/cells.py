@@ -38,3 +38,9 @@ def alone(robot: str, tool: Tool | None = None, obstacles: tuple[Obstacle, ...] 
     return Cell(
         "alone", (Arm("arm", robot, np.eye(4), tool or ball(), np.deg2rad(home)),), obstacles, Controller()
     )
+
+
+def random_joints(seed: int, count: int) -> dict[str, np.ndarray]:
+    """``count`` rows of joints of both arms, wide of home."""
+    rng = np.random.default_rng(seed)
+    return {arm: rng.uniform(-WIDE, WIDE, (count, 6)) for arm in ("left", "right")}

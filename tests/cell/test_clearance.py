@@ -11,7 +11,7 @@ from planner.catalogue import robots
 from planner.cell import clearance, plant
 from planner.geometry.rigid import Shape, from_rpy
 from planner.problem import Obstacle
-from tests.cell.cells import BLOCK, UP, WIDE, alone, facing
+from tests.cell.cells import BLOCK, UP, alone, facing, random_joints
 
 RADIUS = 0.03
 
@@ -19,16 +19,6 @@ RADIUS = 0.03
 @pytest.fixture(scope="module")
 def single() -> plant.CellModel:
     return plant.build(alone("irb140"), BLOCK, from_rpy((50.0, 0.0, 0.0), UP))
-
-
-@pytest.fixture(scope="module")
-def pair() -> plant.CellModel:
-    return plant.build(facing(), BLOCK, from_rpy((0.0, 0.0, 0.5), UP))
-
-
-def random_joints(seed: int, count: int) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    return {arm: rng.uniform(-WIDE, WIDE, (count, 6)) for arm in ("left", "right")}
 
 
 @pytest.mark.parametrize("gap", [0.080, 0.011, 0.009, 0.001, -0.001, -0.02])

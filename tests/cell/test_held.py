@@ -12,7 +12,7 @@ from planner.cell.bodies import own_shapes
 from planner.geometry.rigid import Shape, from_rpy, inverse
 from planner.problem import Arm, Cell, Controller, Stock
 from planner.tooling import bow, gripper_plate
-from tests.cell.cells import BLOCK, UP, WIDE, alone
+from tests.cell.cells import BLOCK, UP, alone, random_joints
 
 GRIP = from_rpy((0.01, -0.02, 0.0), (0.0, 0.0, 0.3))
 SIZE = np.array([0.30, 0.24, 0.20])
@@ -36,11 +36,6 @@ def held() -> plant.CellModel:
     return _held()
 
 
-def _random(seed: int, count: int) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    return {arm: rng.uniform(-WIDE, WIDE, (count, 6)) for arm in ("left", "right")}
-
-
 @pytest.mark.parametrize("gap", [0.025, 0.012, 0.008, -0.010])
 def test_the_wire_of_a_bow_has_the_distance_of_plane_geometry(gap: float) -> None:
     place = from_rpy((AHEAD + WIRE + gap + 0.08, 0.0, 0.712 - 0.05), UP)
@@ -62,7 +57,7 @@ def test_the_wire_of_a_bow_has_the_distance_of_plane_geometry(gap: float) -> Non
 
 
 def test_a_held_block_moves_with_the_hand(held: plant.CellModel) -> None:
-    q = _random(2, 4)
+    q = random_joints(2, 4)
     poses, rows = held.poses(q), held.stack(q)
     np.testing.assert_allclose(poses["stock"], held.tcp(q)["right"] @ GRIP, atol=1e-12)
     for i, row in enumerate(rows):
@@ -74,7 +69,7 @@ def test_a_held_block_moves_with_the_hand(held: plant.CellModel) -> None:
 
 def test_another_stock_pose_changes_nothing_of_a_held_block(held: plant.CellModel) -> None:
     moved = held.with_stock(from_rpy((3.0, 0.0, 0.0), UP)).with_bases({})
-    q = _random(3, 100)
+    q = random_joints(3, 100)
     np.testing.assert_array_equal(clearance.free(held, q, 0.01), clearance.free(moved, q, 0.01))
     np.testing.assert_array_equal(held.poses(q)["stock"], moved.poses(q)["stock"])
     assert clearance.overlaps(moved) == ()
@@ -97,7 +92,7 @@ def test_pairs_of_edge_and_held_block_are_filtered_with_reasons(held: plant.Cell
 
 def test_bounds_and_drake_agree_on_a_held_block(held: plant.CellModel) -> None:
     """Both hands are brought together, so that bow and block meet in many postures."""
-    q = _random(5, 300)
+    q = random_joints(5, 300)
     model = held.with_bases({"left": from_rpy((-0.45, 0.0, 0.0), UP)})
     batch = clearance.free(model, q, 0.01)
     each = [clearance.free(model, {a: v[i : i + 1] for a, v in q.items()}, 0.01)[0] for i in range(300)]

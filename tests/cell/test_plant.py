@@ -12,7 +12,7 @@ from planner.cell import clearance, plant
 from planner.geometry.rigid import Shape, from_rpy
 from planner.issues import TandemError
 from planner.problem import Obstacle
-from tests.cell.cells import BLOCK, TABLE, UP, WIDE, alone, facing
+from tests.cell.cells import BLOCK, TABLE, UP, alone, facing, random_joints
 
 PLACE = from_rpy((0.0, 0.0, 0.5), UP)
 
@@ -20,11 +20,6 @@ PLACE = from_rpy((0.0, 0.0, 0.5), UP)
 @pytest.fixture(scope="module")
 def model() -> plant.CellModel:
     return plant.build(facing(), BLOCK, PLACE)
-
-
-def _random(seed: int, count: int, robot: str = "irb140") -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    return {arm: rng.uniform(-WIDE, WIDE, (count, 6)) for arm in ("left", "right")}
 
 
 def test_q_is_stacked_in_the_order_of_the_arms_and_others_stay_at_home(model: plant.CellModel) -> None:
@@ -43,7 +38,7 @@ def test_poses_of_all_bodies_are_drakes(model: plant.CellModel) -> None:
     moved = model.with_stock(from_rpy((0.1, 0.2, 0.55), (0.1, 0.2, 0.3))).with_bases(
         {"left": from_rpy((-0.75, 0.1, 0.05), (0.02, 0.0, 0.1))}
     )
-    q = _random(0, 5)
+    q = random_joints(0, 5)
     poses, rows = moved.poses(q), moved.stack(q)
     for i, row in enumerate(rows):
         context = moved.checker.UpdatePositions(row)
@@ -68,7 +63,7 @@ def test_tcps_meet_where_the_bases_and_tools_say(model: plant.CellModel) -> None
 
 def test_a_moved_stock_or_base_gives_what_a_new_model_gives(model: plant.CellModel) -> None:
     pose, base = from_rpy((0.05, 0.0, 0.62), (0.0, 0.0, 0.4)), from_rpy((-0.7, 0.1, 0.05), (0.0, 0.0, 0.2))
-    q = _random(1, 300)
+    q = random_joints(1, 300)
     moved = model.with_stock(pose).with_bases({"left": base})
     fresh = plant.build(facing(), BLOCK, pose, {"left": base})
     before = clearance.free(model, q, 0.0)

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import shapely
 
+from planner.catalogue.materials import sheet_metal
 from planner.forming.contact import ContactPath, Pass
 from planner.forming.features.pass_shape import joined, polygons, triangulated
 from planner.forming.features.tree import FeatureTree, OrderStep, build, in_place
 from planner.forming.operation import Forming
+from planner.forming.passes import passes
 from planner.geometry.arrays import Mesh
 from planner.tooling import FormingHead
 
@@ -104,3 +106,11 @@ def cone_path(
     loop = np.repeat(np.arange(len(depth)), len(turn))
     working = np.arange(len(phi)) > 0
     return ContactPath(point, side * toward, point + ball * toward, np.full(len(phi), a), loop, working)
+
+
+METAL = sheet_metal("aluminium")
+
+
+def made(mesh: Mesh, mode: str = "dsif", **more: object) -> tuple[Pass, ...]:
+    tree, order = tree_of(mesh)
+    return passes(tree, order, mesh, T0, operation(mode, **more), METAL)

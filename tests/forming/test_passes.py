@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import shapely
 
-from planner.catalogue.materials import sheet_metal
 from planner.forming.contact import Pass
 from planner.forming.features.pass_shape import with_ring
 from planner.forming.features.tree import on_virgin_sheet
@@ -16,14 +15,19 @@ from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.mesh import TriangleMesh, check_surface, face_areas, face_normals
 from planner.issues import Severity, TandemError
 from tests.forming import nests
-from tests.forming.shapes import T0, bowl, cone, operation, pit, revolved, star, tree_of, upside_down
-
-METAL = sheet_metal("aluminium")
-
-
-def made(mesh: Mesh, mode: str = "dsif", **more: object) -> tuple[Pass, ...]:
-    tree, order = tree_of(mesh)
-    return passes(tree, order, mesh, T0, operation(mode, **more), METAL)
+from tests.forming.shapes import (
+    METAL,
+    T0,
+    bowl,
+    cone,
+    made,
+    operation,
+    pit,
+    revolved,
+    star,
+    tree_of,
+    upside_down,
+)
 
 
 def sound(one: Pass) -> None:

@@ -11,6 +11,7 @@ from planner.geometry.arrays import Ruled
 from planner.hotwire.operation import Straight
 from planner.problem import Arm, Cell, Controller, Part, Setup, Stock
 from planner.tooling import bow, gripper_plate, wire_holder
+from tests.hotwire import foam_blocks as blocks
 
 SIZE = (0.30, 0.20, 0.10)
 
@@ -52,3 +53,13 @@ def prism(
 def part(*ruled: Ruled) -> Part:
     """A part of ruled surfaces alone."""
     return Part(ruled=ruled)
+
+
+def twisted() -> Part:
+    """A strip whose rulings turn by 25 degrees within 6 mm, about their middles."""
+    x = np.concatenate([np.linspace(-0.1, -0.003, 30), np.linspace(0.003, 0.1, 30)])
+    turn = np.deg2rad(12.5) * np.clip(x / 0.003, -1.0, 1.0)
+    half = np.stack([0.1 * np.sin(turn), -0.1 * np.cos(turn), 0.0 * x], axis=1)
+    middle = np.stack([x + 0.04 * np.sign(x), 0.0 * x, np.full_like(x, 0.06)], axis=1)
+    middle[:, 0] = np.clip(x, -0.1, 0.1)
+    return blocks.part(Ruled("fan", middle + half, middle - half, np.zeros(len(x), dtype=np.bool_)))

@@ -17,7 +17,7 @@ from planner.verify.milling import tool_motion
 from planner.verify.milling.tool_motion import edges, near_places, rim_size, rim_step
 from tests.milling.small_mill import BALL, PANEL, WALL
 from tests.milling.swept_solids import heights, shell, signed, swept
-from tests.verify.test_rules_milling import Job
+from tests.verify.milling_job import Job
 
 BEHIND = np.array([[0.04, 0.02], [0.1, 0.02]])
 CUTTERS = [

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -12,13 +14,25 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.rigid import Shape, from_parts
 from planner.motion.scene import Scene
 from planner.motion.search.subsampling import subset
-from planner.problem import Obstacle, Settings
+from planner.problem import Obstacle, Problem, Settings
 from planner.targets import Targets
 
 HIGH = from_parts(np.eye(3), np.array([0.0, 0.0, 0.5]))
 SIZE = (0.16, 0.7, 0.1)
 
-__all__ = ["HIGH", "HOME", "SIZE", "arc_wire", "block", "box", "one_arm", "pair", "s_curve", "two_arms"]
+__all__ = [
+    "HIGH",
+    "HOME",
+    "SIZE",
+    "arc_wire",
+    "block",
+    "box",
+    "one_arm",
+    "pair",
+    "problem",
+    "s_curve",
+    "two_arms",
+]
 
 
 def box(name: str, size: tuple[float, float, float], centre: tuple[float, float, float]) -> Obstacle:
@@ -44,3 +58,10 @@ def one_arm(count: int = 40, settings: Settings | None = None) -> tuple[Scene, T
     travel = np.append(0.0, np.linalg.norm(np.diff(place, axis=0), axis=1))
     few = dataclasses.replace(few, travel=travel)
     return Scene.of(cell, few.arms, np.eye(4), settings or Settings()), few
+
+
+def problem(cell, targets: Targets, place: np.ndarray | None, settings: Settings | None = None) -> Problem:  # type: ignore[no-untyped-def]
+    operation = SimpleNamespace(name="faces", process="elastic_wire", arms=targets.arms, leaves=lambda b: b)
+    return Problem(
+        "job", cell, block(SIZE, place), None, (operation,), settings or Settings(), Path("job.yaml"), "0"
+    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,18 +19,11 @@ from planner.motion.search.reach import sample
 from planner.motion.solve import _require_home, check, setup_groups, solve
 from planner.motion.trajectory import timing
 from planner.motion.trajectory.joint_path import dense
-from planner.problem import Change, Problem, Settings
+from planner.problem import Change, Settings
 from planner.reading.stock import PEDESTAL
 from planner.targets import Targets
 from planner.tooling import wire_holder
-from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, one_arm, pair, s_curve, two_arms
-
-
-def problem(cell, targets: Targets, place: np.ndarray | None, settings: Settings | None = None) -> Problem:  # type: ignore[no-untyped-def]
-    operation = SimpleNamespace(name="faces", process="elastic_wire", arms=targets.arms, leaves=lambda b: b)
-    return Problem(
-        "job", cell, block(SIZE, place), None, (operation,), settings or Settings(), Path("job.yaml"), "0"
-    )
+from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, one_arm, pair, problem, s_curve, two_arms
 
 
 @pytest.fixture(scope="module")

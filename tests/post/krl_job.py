@@ -6,10 +6,11 @@ import dataclasses
 import re
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from planner.claims.dialogue import Handshake
 from planner.targets import Action
-from tests.post import synthetic
+from tests.post import krl_job, synthetic
 
 HOME = np.deg2rad([0.0, -90.0, 90.0, 0.0, 30.0, 0.0])
 START = np.deg2rad([5.0, -70.0, 80.0, 15.0, 45.0, -25.0])
@@ -148,3 +149,17 @@ def moves(statements):
             word, *pose, end = found.groups()
             out.append((word, np.array([float(v) for v in pose]), (end or "").strip(), dict(now)))
     return out
+
+
+def turning_job(dialect="krc4", step=0.5):
+    """The arm's wrist turns about the TCP for three moves, then it moves on."""
+    plan, problem = krl_job.alone(
+        q=synthetic.sweep(9, start=krl_job.START), dialect=dialect, actions=(), step=step
+    )
+    work = plan.operations[0]
+    poses = work.targets.pose["left"].copy()
+    for i in range(2, 6):
+        spin = Rotation.from_rotvec([0.0, 0.02 * (i - 1), 0.03 * (i - 1)]).as_matrix()
+        poses[i, :3, :3], poses[i, :3, 3] = poses[1, :3, :3] @ spin, poses[1, :3, 3]
+    targets = dataclasses.replace(work.targets, pose={"left": poses})
+    return dataclasses.replace(plan, operations=(dataclasses.replace(work, targets=targets),)), problem

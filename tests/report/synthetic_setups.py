@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import synthetic_job as job
 
 from planner.catalogue.materials import foam
 from planner.catalogue.robots import robot
@@ -19,6 +18,7 @@ from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Change, Part, Problem, Setup, Stock
 from planner.targets import Action, Targets
 from planner.tooling import bow, gripper_plate
+from tests.report import synthetic_job as job
 
 FIRST = from_rpy([0.22, 0.0, 0.24], [0.0, 0.0, 0.0])
 KERF = KerfCurve(

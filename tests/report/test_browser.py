@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import synthetic_job as job
 from PIL import Image
 
 from planner.report import output
+from tests.report import synthetic_job as job
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = (

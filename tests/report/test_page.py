@@ -9,7 +9,6 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-import synthetic_job as job
 
 from planner.catalogue import robots
 from planner.cell import kinematics
@@ -20,6 +19,7 @@ from planner.report import markup, motion_charts, output, replay, setup_sheet
 from planner.report.output import Extra
 from planner.verify.result import Proof
 from tests.post import krl_job
+from tests.report import synthetic_job as job
 
 VOID = {"meta", "img", "br", "link", "input"}
 

@@ -7,7 +7,6 @@ import re
 
 import numpy as np
 import pytest
-import synthetic_job as job
 import trimesh
 
 from planner.catalogue import robots
@@ -18,6 +17,7 @@ from planner.problem import Problem
 from planner.report import raster, replay, scene
 from planner.report.scene import Scene
 from planner.report.timeline import track
+from tests.report import synthetic_job as job
 
 
 @pytest.fixture(scope="module")

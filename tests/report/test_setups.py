@@ -7,8 +7,6 @@ import re
 
 import numpy as np
 import pytest
-import synthetic_job as job
-import synthetic_setups as made
 
 from planner.catalogue import robots
 from planner.cell import kinematics, plant
@@ -20,6 +18,8 @@ from planner.problem import Problem
 from planner.report import cell_picture, motion_charts, output, raster, replay, scene
 from planner.report.timeline import SETUP_SEGMENT, track
 from planner.verify.result import CutFace, Proof, RuleResult
+from tests.report import synthetic_job as job
+from tests.report import synthetic_setups as made
 
 
 @pytest.fixture(scope="module")

@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 
 import numpy as np
 
-Texts = dict[str, str]
-Mutator = Callable[[np.random.Generator, Texts], Texts]
+from tests.verify.registry import Mutator, Texts
+from tests.verify.registry import named as mutator
+
 ABB: dict[str, Mutator] = {}
 KUKA: dict[str, Mutator] = {}
 HOME = "controller/T_ROB1/"
 LEFT = "controller/left/"
-
-
-def mutator(table: dict[str, Mutator]) -> Callable[[Mutator], Mutator]:
-    """Registers a mutator under its name."""
-
-    def register(function: Mutator) -> Mutator:
-        table[function.__name__] = function
-        return function
-
-    return register
 
 
 def swap(texts: Texts, file: str, old: str, new: str, rng: np.random.Generator) -> Texts:

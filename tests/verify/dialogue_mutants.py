@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable
 
-import numpy as np
+from tests.verify.registry import Mutator, Texts, named, pick
 
-Texts = dict[str, str]
-Mutator = Callable[[np.random.Generator, Texts], Texts]
 RAPID: dict[str, Mutator] = {}
 KRL: dict[str, Mutator] = {}
+rapid, krl = named(RAPID), named(KRL)
 
 LIES = (
     "Take the block out by hand",
@@ -20,20 +18,6 @@ LIES = (
     "The wire is cold",
 )
 STATEMENT = re.compile(r"\s*(UIMsgBox|TPWrite|SetDO|WaitTime)\b")
-
-
-def rapid(function: Mutator) -> Mutator:
-    RAPID[function.__name__] = function
-    return function
-
-
-def krl(function: Mutator) -> Mutator:
-    KRL[function.__name__] = function
-    return function
-
-
-def pick(rng: np.random.Generator, options):
-    return options[int(rng.integers(len(options)))]
 
 
 def main_of(texts: Texts) -> str:

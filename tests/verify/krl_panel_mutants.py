@@ -5,21 +5,14 @@ from __future__ import annotations
 
 import re
 
-from tests.verify.krl_mutants import MAIN, MOVES, Mutator, edit, mutator, pick, put, rows_of, where
+from tests.verify.krl_edits import MAIN, MOVES, edit, put, rows_of, where
+from tests.verify.krl_mutants import mutator
+from tests.verify.registry import Table, into, pick
 
 ROWS = 11
 """Rows of a dialog."""
-OLDER: dict[str, tuple[str, Mutator]] = {}
-
-
-def older(code):
-    """Registers a mutator of the older dialect with the rule that is named for its fault."""
-
-    def register(function):
-        OLDER[function.__name__] = (code, function)
-        return function
-
-    return register
+OLDER: Table = {}
+older = into(OLDER)
 
 
 def dialogs(rows, key="Yes|Read|Next"):

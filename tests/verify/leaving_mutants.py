@@ -5,33 +5,18 @@ with a limit of time, leaving a program by the side. RAPID on a bent wire (``sma
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-
-import numpy as np
 
 from planner.post.krl import syntax
-from tests.verify import krl_mutants
-from tests.verify.mutants import Texts, edit, lines, name, one, pick, put, segment, timed
+from tests.verify import krl_edits
+from tests.verify.rapid_edits import edit, lines, name, one, put, segment, timed
+from tests.verify.registry import Table, mutator, pick
 
-Mutator = Callable[[np.random.Generator, Texts], Texts]
-Table = dict[str, tuple[str, Mutator]]
 SMALL: Table = {}
 STRAIGHT: Table = {}
 SHAKEN: Table = {}
 KRL: Table = {}
 ATTRIBUTES = ("SYSMODULE", "NOVIEW", "NOSTEPIN", "VIEWONLY", "READONLY")
 SIGNAL = "doWirePower"
-
-
-def mutator(code: str, *tables: Table) -> Callable[[Mutator], Mutator]:
-    """Registers a mutator with the rule that is named for its fault."""
-
-    def register(function: Mutator) -> Mutator:
-        for table in tables:
-            table[function.__name__] = (code, function)
-        return function
-
-    return register
 
 
 def task_of(rng, texts):
@@ -400,19 +385,19 @@ def stop_by_another_name(rng, texts):
 @mutator("verify.unknown_start", KRL)
 def first_ptp_faster(rng, texts):
     """One axis, or all."""
-    rows = krl_mutants.rows_of(texts, krl_mutants.MAIN)
-    first = krl_mutants.where(rows, r"^\$VEL_AXIS")[:6]
+    rows = krl_edits.rows_of(texts, krl_edits.MAIN)
+    first = krl_edits.where(rows, r"^\$VEL_AXIS")[:6]
     share = int(rng.integers(11, 101))
     for i in first if rng.random() < 0.5 else [pick(rng, first)]:
         rows[i] = re.sub(r"=\d+", f"={share}", rows[i])
-    return krl_mutants.put(texts, krl_mutants.MAIN, rows)
+    return krl_edits.put(texts, krl_edits.MAIN, rows)
 
 
 def _behind_on(rng, texts, new):
-    rows = krl_mutants.rows_of(texts, krl_mutants.MAIN)
-    i = pick(rng, krl_mutants.where(rows, r"^\$OUT.*TRUE"))
+    rows = krl_edits.rows_of(texts, krl_edits.MAIN)
+    i = pick(rng, krl_edits.where(rows, r"^\$OUT.*TRUE"))
     rows[i + 1 : i + 2] = new(rows[i + 1])
-    return krl_mutants.put(texts, krl_mutants.MAIN, rows)
+    return krl_edits.put(texts, krl_edits.MAIN, rows)
 
 
 @mutator("verify.power_idle", KRL)
@@ -432,7 +417,7 @@ def krl_asks_with_power(rng, texts):
 
 @mutator("verify.power_idle", KRL)
 def krl_stays_on_at_the_end(rng, texts):
-    rows = krl_mutants.rows_of(texts, krl_mutants.MAIN)
-    i = pick(rng, krl_mutants.where(rows, r"^straight_\d"))
+    rows = krl_edits.rows_of(texts, krl_edits.MAIN)
+    i = pick(rng, krl_edits.where(rows, r"^straight_\d"))
     rows.insert(i + 1, f"WAIT SEC {rng.uniform(2.0, 900.0):.1f}")
-    return krl_mutants.put(texts, krl_mutants.MAIN, rows)
+    return krl_edits.put(texts, krl_edits.MAIN, rows)

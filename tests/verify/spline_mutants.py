@@ -6,11 +6,13 @@ import re
 
 import numpy as np
 
-from tests.verify.krl_mutants import moved, pick, place_of, turned, where, with_place
+from tests.verify.krl_edits import moved, place_of, turned, where, with_place
+from tests.verify.registry import named, pick
 from tests.verify.spline_job import MOVES
 
 MUTATORS = {}
 REWRITES = {}
+fault, rewrite = named(MUTATORS), named(REWRITES)
 TOLERANCE = 0.1
 """Of the poses that are followed, in mm and degrees."""
 
@@ -21,16 +23,6 @@ def lines(texts):
 
 def put(texts, rows):
     return {**texts, MOVES: "\r\n".join(rows)}
-
-
-def fault(function):
-    MUTATORS[function.__name__] = function
-    return function
-
-
-def rewrite(function):
-    REWRITES[function.__name__] = function
-    return function
 
 
 def points(rows):

@@ -17,8 +17,8 @@ from planner.verify.prove import Prover
 from planner.verify.rules.straight_wire import between, guide_normals, off_guide
 from planner.verify.wire.walls import walls
 from tests.verify import small_job, straight_job
-from tests.verify.bow_mutants import moves, put, rows_of
-from tests.verify.mutants import edit, name
+from tests.verify.bow_edits import moves, put, rows_of
+from tests.verify.rapid_edits import edit, name
 
 COUNT = 12
 KERF = KerfCurve.constant(0.001)
@@ -114,7 +114,7 @@ OF_ANOTHER = (("cut/top", 0.04, False), ("cut/other", 0.01, True))
 @pytest.mark.parametrize("by", [18.0, 12.0, 0.0])
 def test_a_slit_is_one_plane_on_the_outer_side_of_its_contour(contours, by):
     """Leave to come through the part is none to go elsewhere, nor on beyond the contour in the slit's own
-    plane. (Slits that are as they have to be: tests/verify/test_slits.py.)"""
+    plane. (Slits that are as they have to be: tests/verify/rules/test_straight_wire_slits.py.)"""
     assert "verify.part" in codes(straight_job, through_the_part(by), "verify.part", contours)
 
 

@@ -4,28 +4,21 @@ numbers which nobody looks at: each is refused, and by which rule."""
 from __future__ import annotations
 
 import dataclasses
-import functools
 import re
 
 import numpy as np
 import pytest
 
 from planner.verify.context import Context
-from planner.verify.prove import Prover
 from planner.verify.rules.wire import stop_in_foam
 from planner.verify.wire.wire_motion import wires
-from tests.verify import held_job, small_job, straight_job
-from tests.verify.bow_mutants import moves, put, rows_of
-from tests.verify.mutants import edit, name
+from tests.verify import held_job, provers, straight_job
+from tests.verify.bow_edits import moves, put, rows_of
+from tests.verify.provers import JOBS, prover
+from tests.verify.rapid_edits import edit, name
 
 COUNT = 12
-JOBS = {"straight": straight_job, "held": held_job, "small": small_job}
 EVIL = "MoveAbsJ [[0,0,0,0,90,0],[9E9,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs,v1000,fine,tool0;"
-
-
-@functools.cache
-def prover(job):
-    return Prover(JOBS[job].problem(), JOBS[job].claims())
 
 
 def broken(job, texts, last=None):
@@ -33,7 +26,7 @@ def broken(job, texts, last=None):
     assert texts != JOBS[job].programs(COUNT)
     proof = prover(job).prove(texts, last=last)
     assert not proof.ok
-    return {rule.code for rule in proof.rules if rule.ran and not rule.passed}
+    return provers.broken(proof)
 
 
 def attacked(job, kind, old, new, task=1):

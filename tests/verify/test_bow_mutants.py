@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planner.verify.prove import RULE_CODES, Prover
-from tests.verify import held_job, straight_job
+from tests.verify import held_job, provers, straight_job
 from tests.verify.bow_mutants import HELD, STRAIGHT
 
 COUNT = 12
@@ -55,7 +55,7 @@ def test_the_named_rule_catches_the_fault(job, kind):
     assert mutant != programs
     proof = prover(job).prove(mutant, last=code)
     assert not proof.ok
-    broken = {rule.code for rule in proof.rules if rule.ran and not rule.passed}
+    broken = provers.broken(proof)
     assert code in broken, [str(issue) for issue in proof.issues]
 
 

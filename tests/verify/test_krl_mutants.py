@@ -10,21 +10,17 @@ import numpy as np
 import pytest
 
 from planner.verify.prove import Prover
-from tests.verify import krl_job
+from tests.verify import krl_job, provers
 from tests.verify.krl_mutants import MUTATORS
 from tests.verify.krl_panel_mutants import OLDER
+from tests.verify.provers import prover
 
 SAMPLE = 1
 FULL = 12
 
 
-@functools.cache
-def prover():
-    return Prover(krl_job.problem(), krl_job.claims())
-
-
 def test_clean_programs_are_proven():
-    proof = prover().prove(krl_job.programs())
+    proof = prover("krl").prove(krl_job.programs())
     assert [str(issue) for issue in proof.issues] == []
     assert all(rule.ran for rule in proof.rules)
     assert proof.ok
@@ -48,9 +44,9 @@ def test_the_named_rule_catches_the_fault(kind):
     programs = krl_job.older_programs() if kind in OLDER else krl_job.programs()
     mutant = mutate(np.random.default_rng(len(kind)), programs)
     assert mutant != programs
-    proof = (older_prover() if kind in OLDER else prover()).prove(mutant, last=code)
+    proof = (older_prover() if kind in OLDER else prover("krl")).prove(mutant, last=code)
     assert not proof.ok
-    broken = {rule.code for rule in proof.rules if rule.ran and not rule.passed}
+    broken = provers.broken(proof)
     assert code in broken, [str(issue) for issue in proof.issues]
 
 
@@ -76,7 +72,7 @@ def rewritten(dialect, names):
     changed = programs
     for name in names:
         changed = {file: REWRITES[name](text) for file, text in changed.items()}
-    return None if changed == programs else (older_prover() if older else prover()).prove(changed)
+    return None if changed == programs else (older_prover() if older else prover("krl")).prove(changed)
 
 
 @pytest.mark.parametrize("dialect", ["krc4", "krc2"])
@@ -102,7 +98,7 @@ def test_harmless_rewrites_are_proven(name, dialect):
 def missed(each, seed):
     """Kinds and numbers of mutants that were proven, and how many were tried."""
     jobs = (
-        (MUTATORS, prover(), krl_job.programs()),
+        (MUTATORS, prover("krl"), krl_job.programs()),
         (OLDER, older_prover(), krl_job.older_programs()),
     )
     out, tried = [], 0

@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 import pytest
 
-from planner.verify.prove import Prover
 from tests.verify import small_job
 from tests.verify.mutants import MUTATORS
+from tests.verify.provers import prover
 
 COUNT = 12
 SAMPLE = 2
 FULL = 16
 
 
-@functools.cache
-def prover():
-    return Prover(small_job.problem(), small_job.claims())
-
-
 def missed(each, seed):
     """Names and numbers of mutants that were proven, and how many were tried."""
     programs = small_job.programs(COUNT)
-    assert prover().prove(programs).ok
+    assert prover("small").prove(programs).ok
     out, tried = [], 0
     for n, (name, (_, mutate)) in enumerate(MUTATORS.items()):
         for k in range(each):
             mutant = mutate(np.random.default_rng([seed, n, k]), programs)
             assert mutant != programs, (name, k)
             tried += 1
-            if prover().prove(mutant, first_error=True).ok:
+            if prover("small").prove(mutant, first_error=True).ok:
                 out.append((name, k))
     return out, tried
 

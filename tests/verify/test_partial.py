@@ -14,8 +14,8 @@ from planner.cli import command_line
 from planner.issues import TandemError
 from planner.verify.partial import read_partly
 from tests.verify import krl_job, straight_job
-from tests.verify.bow_mutants import name
 from tests.verify.garbled import garble
+from tests.verify.rapid_edits import name
 
 COUNT = 5
 MAIN, CUTS, DATA = (name(kind, 1) for kind in ("Main", "Cut1", "Data"))

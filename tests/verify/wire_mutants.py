@@ -7,22 +7,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.verify.controller_mutants import Texts, swap, without
+from tests.verify.controller_mutants import swap, without
+from tests.verify.registry import Texts
+from tests.verify.registry import named as mutator
 
 Mutator = Callable[[np.random.Generator, Texts, str], Texts]
 ABB: dict[str, Mutator] = {}
 KUKA: dict[str, Mutator] = {}
 CYCLE, MOTORS = "soCycleOn", "soMotorsOn"
-
-
-def mutator(table: dict[str, Mutator]) -> Callable[[Mutator], Mutator]:
-    """Registers a mutator under its name."""
-
-    def register(function: Mutator) -> Mutator:
-        table[function.__name__] = function
-        return function
-
-    return register
 
 
 def either(rng, *options):

@@ -11,7 +11,8 @@ from planner.verify.files import comparison
 from planner.verify.files.sheets import sheet_face
 from planner.verify.files.surfaces import stated
 from planner.verify.files.values import UnreadError, pose
-from tests.geometry.part_specs import WING, circle, guides, make, outline
+from tests.reading.part_specs import WING, circle, guides, make, outline
+from tests.verify.files.part_files import HIGH, LOW, absolute, grid_obj, hills
 
 SIZE = np.array([1.6, 1.6, 0.9])
 HERE = {"xyz_mm": [10, -20, 300], "rpy_deg": [5, -10, 30]}
@@ -19,13 +20,6 @@ NEAR = 6e-5
 """Planner and proof follow curves within 0.01 mm each, and facets are within 0.02 mm of surfaces."""
 TWISTED = 2.5e-4
 """Far twisted patches have no more than 64 rows of facets: their twist over 256, here 0.17 mm, off."""
-
-
-def absolute(said, folder):
-    """The problem's source, where file names are absolute."""
-    if isinstance(said, dict):
-        return {k: str(folder / v) if k == "file" else absolute(v, folder) for k, v in said.items()}
-    return [absolute(v, folder) for v in said] if isinstance(said, list) else said
 
 
 def meshes(part):
@@ -58,23 +52,6 @@ def held(said, folder, here=HERE, near=NEAR):
         which = trimesh.proximity.closest_point(solids[name], seen.points)[2]
         assert (np.einsum("ij,ij->i", solids[name].face_normals[which], seen.normals) > 0.0).mean() > 0.95
     return found
-
-
-def grid_obj(path, height, cells=12, scale=1.0):
-    """A mesh over a rectangle of 120 x 80, quads, in ``scale`` units of a millimetre."""
-    x, y = np.meshgrid(np.linspace(0, 120, cells + 1), np.linspace(0, 80, cells + 1), indexing="ij")
-    places = np.column_stack([x.ravel(), y.ravel(), height(x, y).ravel()]) * scale
-    lines = ["v " + " ".join(f"{v:.9g}" for v in place) for place in places]
-    for i in range(cells):
-        for j in range(cells):
-            a = i * (cells + 1) + j + 1
-            lines.append(f"f {a} {a + cells + 1} {a + cells + 2} {a + 1}")
-    path.write_text("\n".join(lines) + "\n")
-
-
-def hills(x, y):
-    """A face that is like no other one turned or mirrored."""
-    return 40.0 + 6.0 * np.sin(x / 30.0) + 0.002 * x * y + 4.0 * np.cos(y / 20.0)
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1.0), ("in", 1 / 25.4), ("m", 1e-3)])
@@ -118,10 +95,6 @@ def line_dxf(path, points, closed=False, unit_scale=1.0):
     document = ezdxf.new()
     document.modelspace().add_polyline3d([tuple(unit_scale * v for v in p) for p in points], close=closed)
     document.saveas(path)
-
-
-LOW = [[0, 0, 0], [60, 30, 0], [100, 30, 10], [180, -20, 0]]
-HIGH = [[0, 10, 120], [70, 60, 130], [110, 45, 120], [190, -60, 125]]
 
 
 @pytest.mark.parametrize("match", ["arc_length", "parameter"])

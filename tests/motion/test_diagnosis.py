@@ -1,0 +1,199 @@
+"""Jobs without a path: the verdict against brute force over all states, and remedies that are followed."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from planner.cell import clearance, plant
+from planner.geometry.rigid import Shape, from_parts
+from planner.issues import Issue, Remedy, TandemError
+from planner.motion import diagnosis, remedies
+from planner.motion.arm_kinematics import Chain
+from planner.motion.scene import Scene
+from planner.motion.search.ladder import LARGEST_STEP
+from planner.motion.search.ladder_search import Blocked, Found, search
+from planner.motion.search.reach import Grid, Rungs, reach, sample
+from planner.motion.solve import solve
+from planner.problem import Obstacle, Problem, Settings
+from planner.targets import Targets
+from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, problem, two_arms
+
+STEP = np.deg2rad(30.0)
+SEEDS = [s if s < 12 else pytest.param(s, marks=pytest.mark.long) for s in range(64)]
+
+
+def reached(grid: Grid, chains: list[Chain], rungs: list[Rungs], free: np.ndarray) -> np.ndarray:
+    """(N, S) samples that a wave over all samples and turns of both arms gets to from the first target."""
+    left, right = rungs
+    wave = np.einsum("st,su->stu", left.ok[0] & free[0, :, None], right.ok[0]).astype(int)
+    out = [wave.any(axis=(1, 2))]
+    for i in range(1, len(free)):
+        new = np.zeros_like(wave)
+        for before in grid.before:
+            steps = []
+            for chain, r in zip(chains, rungs, strict=True):
+                now = r.q[i][:, None, None] + r.turns[:, None]
+                change = np.abs(now - r.q[i - 1, before][:, None, None] - r.turns)
+                jump = (change > LARGEST_STEP).any(axis=-1) | (change[..., chain.many_turns] > np.pi).any(
+                    axis=-1
+                )
+                steps.append((~jump & r.ok[i][:, :, None]).astype(int))
+            came = wave[before] * ((before >= 0) & free[i])[:, None, None]
+            new += np.einsum("suv,stu,swv->stw", came, *steps)
+        wave = (new > 0).astype(int)
+        out.append(wave.any(axis=(1, 2)))
+    return np.array(out)
+
+
+def too_near(scene: Scene, targets: Targets, q: dict[str, np.ndarray], index: int) -> set[frozenset[str]]:
+    """Arms, obstacles and stock that are too near each other at joints {arm: (6,)}: by Drake's distances."""
+    assert scene.model is not None
+    row = np.concatenate([q[arm] for arm in scene.model.arms])
+    wanted = scene.settings.clearance
+    pairs = [pair for d, _, pair in clearance.gradients(scene.model, row, wanted) if d < wanted]
+    one = {arm: v[None] for arm, v in q.items()}
+    wire, wire_pairs = scene.edge_clearance(targets, one, np.array([index]))
+    pairs += wire_pairs if wire[0] < wanted else []
+    return {frozenset(name.partition("/")[0] for name in pair) for pair in pairs}
+
+
+def brute(scene: Scene, targets: Targets, grid: Grid) -> tuple[bool, int, list[Counter[frozenset[str]]]]:
+    """Whether there is a path; else the first target that none of the branches passes that could do the whole
+    job, and how often things are too near each other there, for each choice that comes as far."""
+    table = reach(scene, targets, grid)
+    chains = [scene.chains[arm] for arm in targets.arms]
+    best = -1
+    counts: list[Counter[frozenset[str]]] = []
+    for branches in itertools.product(*(r.branches for r in table.values())):
+        rungs = [r.branches[b] for r, b in zip(table.values(), branches, strict=True)]
+        able = np.logical_and.reduce([r.ok.any(axis=-1) for r in rungs])
+        if not reached(grid, chains, rungs, able)[-1].any():
+            continue
+        at = np.argwhere(able)
+        q = {arm: r.q[at[:, 0], at[:, 1]] for arm, r in zip(targets.arms, rungs, strict=True)}
+        wire, _ = scene.edge_clearance(targets, q, at[:, 0])
+        least = np.minimum(scene.least(targets, q, at[:, 0], 0.05).distance, wire)
+        free = np.zeros(able.shape, dtype=bool)
+        free[at[:, 0], at[:, 1]] = least >= scene.settings.clearance
+        ways = reached(grid, chains, rungs, free).any(axis=1)
+        if ways.all():
+            return True, targets.count, []
+        end = int(np.argmin(ways))
+        counts = [] if end > best else counts
+        best = max(best, end)
+        if end == best:
+            there = np.flatnonzero((at[:, 0] == end) & ~free[at[:, 0], at[:, 1]])
+            sets = [too_near(scene, targets, {arm: v[k] for arm, v in q.items()}, end) for k in there]
+            counts.append(Counter(itertools.chain.from_iterable(sets)))
+    return False, best, counts
+
+
+def cell(seed: int) -> tuple[Scene, Targets]:
+    """A wire over a small block with boxes put at random where the arms are."""
+    rng = np.random.default_rng(seed)
+    boxes = []
+    for k in range(int(rng.integers(1, 4))):
+        size = tuple(rng.uniform(0.05, 0.3, 3).tolist())
+        side = rng.choice([-1.0, 1.0])
+        centre = (side * rng.uniform(0.25, 0.6), rng.uniform(-0.4, 0.4), rng.uniform(0.3, 0.9))
+        boxes.append(box(f"box_{k}", size, centre))  # type: ignore[arg-type]
+    high = HIGH.copy()
+    high[:3, 3] += rng.uniform(-0.08, 0.08, 3)
+    robots = two_arms(float(rng.uniform(1.5, 1.8)), obstacles=tuple(boxes))
+    targets = arc_wire(int(rng.integers(8, 16)))
+    model = plant.build(robots, block(SIZE, high), high)
+    return Scene.of(robots, targets.arms, high, Settings(), model), targets
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_verdict_is_that_of_brute_force(seed: int) -> None:
+    scene, targets = cell(seed)
+    grid = sample(targets, STEP)
+    found = search(scene, targets, grid)
+    path, end, counts = brute(scene, targets, grid)
+    assert isinstance(found, Found) == path
+    if not isinstance(found, Blocked):
+        return
+    if end < 0:
+        assert found.dead is None
+        return
+    assert found.dead is not None
+    assert found.dead.index == end
+    (issue,) = diagnosis.no_path(scene, targets, grid, found)
+    assert issue.index == end
+    if not found.dead.free.any():
+        named = frozenset(name.partition("/")[0] for name in issue.bodies)
+        assert any(count[named] == max(count.values()) for count in counts)
+
+
+def followed(job: Problem, change: Remedy) -> Problem:
+    """The problem with the stock, an obstacle or a base put elsewhere, by the figures of the issue alone."""
+    shift = 1e-3 * np.array(change.move_mm)
+    if change.what == "stock":
+        assert job.stock.place is not None
+        place = from_parts(job.stock.place[:3, :3], job.stock.place[:3, 3] + shift)
+        return dataclasses.replace(job, stock=dataclasses.replace(job.stock, place=place))
+    arms, obstacles = list(job.cell.arms), list(job.cell.obstacles)
+    for k, arm in enumerate(arms):
+        if change.what == "base" and arm.name == change.name:
+            there = from_parts(arm.base[:3, :3], arm.base[:3, 3] + shift)
+            arms[k] = dataclasses.replace(arm, base=there)
+    for k, one in enumerate(obstacles):
+        if change.what == "obstacle" and one.name == change.name:
+            (shape,) = one.shapes
+            there = from_parts(shape.pose[:3, :3], shape.pose[:3, 3] + shift)
+            obstacles[k] = Obstacle(one.name, (Shape(shape.kind, shape.size, there),))
+    return dataclasses.replace(
+        job, cell=dataclasses.replace(job.cell, arms=tuple(arms), obstacles=tuple(obstacles))
+    )
+
+
+def refused(job: Problem, targets: Targets) -> Issue:
+    with pytest.raises(TandemError) as caught:
+        solve(job, [targets])
+    return caught.value.issues[0]
+
+
+def walled() -> tuple[Problem, Targets]:
+    wall = box("wall", (0.3, 0.02, 0.8), (-0.35, 0.25, 0.5))
+    targets = arc_wire(12)
+    return problem(two_arms(obstacles=(wall,)), targets, HIGH), targets
+
+
+@pytest.mark.long
+def test_the_change_that_is_named_opens_the_way() -> None:
+    job, targets = walled()
+    issue = refused(job, targets)
+    assert issue.code == "motion.collision"
+    assert issue.remedy is not None
+    assert f"{max(issue.remedy.move_mm or (), key=abs):+.0f} mm" in str(issue.hint)
+    assert Issue.from_dict(json.loads(json.dumps(issue.to_dict()))) == issue
+    plan = solve(followed(job, issue.remedy), [targets])
+    assert plan.operations[0].metrics["clearance_mm"] >= 10.0
+
+
+def test_where_no_change_helps_what_was_tried_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(remedies, "MOVE_SIZES_M", (0.5,))
+    monkeypatch.setattr(remedies, "MOST_PLANS", 1)
+    job, targets = walled()
+    bodies = ("left/link_3", "wall")
+    issue = Issue("motion.collision", "nothing is free", index=4, bodies=bodies, hint="move it")
+    (told,) = remedies.advised(job, [targets], 0, [issue], lambda _: False)
+    assert told.remedy is None
+    assert str(told.hint) == "move it; tried without success: wall moved by up to 500 mm; no more was tried"
+
+
+def test_a_floor_and_what_bases_and_stock_stand_on_are_not_to_be_moved() -> None:
+    bench = box("bench", (0.3, 0.8, 0.5), (0.0, 0.0, 0.25))
+    floor = box("floor", (3.0, 2.0, 0.1), (0.0, 0.0, -0.05))
+    targets = arc_wire(8)
+    job = problem(
+        two_arms(obstacles=(bench, floor, box("post", (0.1, 0.1, 0.5), (0.6, 0.6, 0.25)))), targets, HIGH
+    )
+    assert [o.name for o in job.cell.obstacles if remedies.movable(job, o)] == ["post"]

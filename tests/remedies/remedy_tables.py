@@ -1,0 +1,94 @@
+"""Codes whose remedies are tried elsewhere, cannot be tried, or are still to be: see ``remedy_rows``."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from planner.catalogue.issue_codes import CODES
+
+ELSEWHERE: Final = {
+    "forming.force": ("test_acceptance", "test_an_error_says_how_it_is_accepted_and_following_that_works"),
+    "kerf.unsettled": (
+        "hotwire/straight/test_offset_heat",
+        "test_an_end_that_stands_still_has_no_slot_of_its_own",
+    ),
+    "motion.collision": ("motion/test_diagnosis", "test_the_change_that_is_named_opens_the_way"),
+    "milling.too_large": (
+        "verify/milling/test_tool_motion",
+        "test_what_is_too_large_is_refused_by_the_planner_first_and_not_proven",
+    ),
+    "problem.process_package": (
+        "test_processes",
+        "test_what_cannot_be_used_is_refused_where_a_problem_names_it",
+    ),
+    "part.mesh_noise": (
+        "reading/test_sheet",
+        "test_noise_beyond_the_stated_tolerance_is_told_and_its_remedy_works",
+    ),
+    **dict.fromkeys(
+        (
+            "service.request", "service.not_found", "service.unknown_job", "service.unknown_file",
+            "service.not_uploaded", "service.file_name", "service.archive", "service.too_large",
+        ),
+        ("service/test_request_remedies", "test_what_an_answer_advises_makes_a_good_one"),
+    ),
+}  # fmt: skip
+"""File and name of tests that follow the remedy of a code."""
+
+UNDO: Final = (
+    "programs are proven as they were written: who changed them undoes it or plans again; unchanged ones "
+    "that are not proven are a fault of Tandem, to be reported"
+)
+OURS: Final = "a fault of Tandem itself, to be reported"
+INSTALL: Final = "the remedy is to install something, which a test does not do"
+STATE: Final = "tells a state of machines or of other users; nothing in the user's files is wrong"
+FACT: Final = "a note of what was found or chosen; nothing is wrong"
+DAMAGED: Final = "what is damaged or another version's is not mended, but planned or installed again"
+
+FOLLOWED: Final = frozenset(
+    {"verify.no_programs", "verify.files", "verify.problem_differs", "verify.duration"}
+)
+"""Codes of proofs that a user can do something about but undo a change."""
+NONE: Final = {
+    **{code: UNDO for code in CODES if code.startswith("verify.") and code not in FOLLOWED},
+    **dict.fromkeys(("internal.error", "claims.unproven", "claims.none"), OURS),
+    **dict.fromkeys(("report.exhibit", "plan.not_saveable"), OURS),
+    **dict.fromkeys(("part.extra_missing", "sign.extra", "batch.install", "service.install"), INSTALL),
+    **dict.fromkeys(("catalogue.missing_data", "plan.missing_file", "plan.damaged", "plan.schema"), DAMAGED),
+    **dict.fromkeys(("part.ruled_deviation", "part.strips_found", "sign.good", "gcode.skipped"), FACT),
+    **dict.fromkeys(("wire.chosen", "straight.slit", "motion.path_kept"), FACT),
+    **dict.fromkeys(
+        (
+            "batch.crashed", "batch.timeout", "batch.memory", "batch.cancelled", "batch.worker",
+            "batch.cluster", "batch.versions", "batch.in_use", "service.database", "service.start",
+            "service.token", "service.foreign", "service.too_many", "service.stopping", "service.storage",
+            "service.check_stopped", "service.gave_up", "service.answer", "report.replay_failed",
+        ),
+        STATE,
+    ),
+    "sign.unproven": "what is not proven is planned again, then signed: see verify.*",
+    "sign.signature": "a text or signature that somebody changed cannot be mended, only signed again",
+    "sign.content": "a result that somebody changed is planned or fetched again",
+    "sign.missing": "who made the result signs it; the reader cannot",
+    "wire.no_equilibrium": "of the solver, for callers of the library; jobs are told wire.shape and its kin",
+    "wire.no_stable_shape": "of the solver, for callers of the library; jobs are told wire.unstable",
+    "verify.unread": "tells by line what of somebody else's programs is not read or proven; as nobody knows "
+    "where an arm starts, its first move is always among it",
+    "wire.touches": "ways in the air are laid clear of the block: a guard, which no job is known to meet; "
+    "its test moves the wire by hand",
+    "wire.between_targets": "targets are added until the driven wire is on the face: a guard, which no job "
+    "is known to meet, with steps of 50 mm and tolerances of 0.05 mm either; its test moves it by hand",
+    "forming.trial": "what it advises is a test piece of metal, and nothing of the user's files is wrong",
+    "motion.linear_move": "the search looks at moves too and tells motion.no_path or motion.collision: a "
+    "guard, which no job is known to meet; its test takes the joints away by hand",
+    "motion.timing": "a joint that jumps, which the search excludes: a guard, which no job is known to meet; "
+    "its test takes the clock away by hand",
+    "post.plan": "a saved plan that no program can carry out was changed: it is planned again",
+}  # fmt: skip
+"""Why no remedy of a code can be tried here."""
+
+_TO_DO: Final = """
+    wire.unstable forming.gap
+"""
+TO_DO: Final = frozenset(_TO_DO.split())
+"""Codes whose remedy nothing follows yet. It only shrinks: a code with a row must not stand here."""

@@ -1,0 +1,23 @@
+"""Provers of the jobs with known answers, kept for all tests of a process, and what they refuse."""
+
+from __future__ import annotations
+
+import functools
+
+from planner.verify.prove import Prover
+from planner.verify.result import Proof
+from tests.verify import held_job, krl_job, small_job, straight_job
+
+JOBS = {"straight": straight_job, "held": held_job, "small": small_job, "krl": krl_job}
+ABB = ("straight", "held", "small")
+
+
+@functools.cache
+def prover(job: str) -> Prover:
+    """The prover of one of these jobs; it keeps the models of its cell."""
+    return Prover(JOBS[job].problem(), JOBS[job].claims())
+
+
+def broken(proof: Proof) -> set[str]:
+    """Codes of the rules that ran and are broken."""
+    return {rule.code for rule in proof.rules if rule.ran and not rule.passed}
