@@ -13,8 +13,7 @@ import yaml
 from planner.catalogue import robots
 from planner.cell import clearance, plant
 from planner.cell.kinematics import forward
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import from_rpy
+from planner.geometry.arrays import FloatArray, from_rpy
 from planner.problem import Stock
 from planner.reading import cell as cell_file
 

@@ -24,8 +24,8 @@ from bench.motion_jobs import arc_wire, block, box, s_curve, spiral_pair, two_ar
 from planner.catalogue.robots import robot
 from planner.cell import plant
 from planner.cell.kinematics import forward
-from planner.geometry.rigid import from_parts
-from planner.motion import arm_kinematics
+from planner.geometry.arrays import from_parts
+from planner.motion import planning_scene
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Search
 from planner.motion.solve import solve
@@ -60,7 +60,7 @@ def inverse() -> dict[str, Any]:
     data = robot("irb140")
     q = np.random.default_rng(0).uniform(data.lower, data.upper, (10_000, 6))
     flange = forward(data, q)
-    ours, _ = timed(lambda: arm_kinematics.inverse_kinematics(data.opw, flange))
+    ours, _ = timed(lambda: planning_scene.inverse_kinematics(data.opw, flange))
     p = data.opw
     model = KinematicModel(p.a1, p.a2, p.b, p.c1, p.c2, p.c3, p.c4, tuple(p.offsets), (False,) * 6)
     peer = Robot(model, degrees=False)

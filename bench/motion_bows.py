@@ -12,9 +12,8 @@ import itertools
 import numpy as np
 
 from planner.catalogue.materials import foam
-from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import exp_rotation, from_parts, from_rpy, inverse
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import FloatArray, exp_rotation, from_parts, from_rpy, inverse
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
 from planner.targets import ScrewFreedom, Targets
 from planner.tooling import bow, gripper_plate

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import Shape, from_parts, from_rpy
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import FloatArray, Shape, from_parts, from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
 from planner.targets import Edge, ScrewFreedom, Targets
 from planner.tooling import PlainTool, wire_holder

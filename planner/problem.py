@@ -14,13 +14,12 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 
 from planner.catalogue.materials import Foam, SheetMetal
-from planner.claims.dialogue import Handshake
-from planner.geometry.arrays import FloatArray, Mesh, Ruled
-from planner.geometry.rigid import Shape
+from planner.claims.vocabulary import Handshake
+from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape
+from planner.geometry.units import DEG
 from planner.issues import Issue
 from planner.reading.materials import WireFile
 from planner.tooling import Gripper, Tool
-from planner.units import DEG
 
 KrlDialect = Literal["krc4", "krc2"]
 KrlPath = Literal["slin", "spline"]

@@ -29,7 +29,8 @@ from planner import processes
 from planner.catalogue.robots import bundled, data_dir
 from planner.files import is_file
 from planner.forming import operation as forming
-from planner.geometry.rigid import to_rpy
+from planner.geometry.arrays import to_rpy
+from planner.geometry.units import DEG, MM
 from planner.hotwire import operation as hotwire
 from planner.issues import Issue, TandemError
 from planner.milling import operation as milling
@@ -48,7 +49,6 @@ from planner.reading import (
 from planner.reading import poses as pose_table
 from planner.reading import problem as problem_file
 from planner.reading.strict_yaml import Document
-from planner.units import DEG, MM
 
 
 class Section(Mapping[str, Any]):

@@ -15,14 +15,13 @@ from typing import Any, Final, Generic, Literal, TypeVar
 import numpy as np
 
 from planner.claims.claim import Claim
-from planner.claims.segments import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, axis_ends, exp_twist, log_pose
 from planner.geometry.corner_rounding import CORNER_DEVIATION_MM, TURNING_LEVER_MM
-from planner.geometry.rigid import axis_ends, exp_twist, log_pose
+from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.problem import Part, Setup
 from planner.tooling import Tool, working_solid
-from planner.units import MM
 
 ActionKind = Literal["message", "confirm", "on", "off", "wait"]
 FEED_SHARE: Final = 0.97

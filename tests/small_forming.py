@@ -13,7 +13,7 @@ import yaml
 
 from planner.catalogue.robots import data_dir
 from planner.geometry.arrays import Mesh
-from planner.units import MM
+from planner.geometry.units import MM
 from tests.forming.shapes import revolved
 
 CELLS = data_dir("problems") / "cells"

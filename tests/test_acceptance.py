@@ -16,7 +16,7 @@ from planner.catalogue.issue_codes import CODES
 from planner.catalogue.robots import data_dir
 from planner.cli import command_line
 from planner.cli.batch import Batch
-from planner.cli.batch import run as batch
+from planner.cli.batch import run_batch as batch
 from planner.issues import Issue, Severity, TandemError, accepted, judged
 from tests import small_forming
 

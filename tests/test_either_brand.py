@@ -10,8 +10,8 @@ import yaml
 
 import planner
 from planner.catalogue.robots import robot
+from planner.geometry.units import DEG
 from planner.issues import TandemError
-from planner.units import DEG
 from tests import small_problem
 
 HOME = "      home_deg: [0, 0, 0, 0, 45, 0]\n"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.claims.segments import Segment
-from planner.geometry.rigid import exp_twist, from_parts
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import exp_twist, from_parts
 from planner.targets import ScrewFreedom, TableFreedom, Targets, lagrange
 
 

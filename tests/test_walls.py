@@ -16,7 +16,7 @@ PLANNER = ROOT / "planner"
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 ABOVE = {"pipeline", "batch", "service", "cli", "__main__", ""}
 """What may import anything; the package itself makes its imports when they are asked for."""
-EVERYWHERE = {"units", "issues", "files", ""}
+EVERYWHERE = {"issues", "files", ""}
 """What any room may import; "" is the package, which knows its version."""
 TOP = 10
 """Files at the top of the house at most."""
@@ -88,7 +88,7 @@ def test_every_row_is_needed() -> None:
         assert others - together - group == set(), f"{name}: listed, but not imported"
 
 
-WORDS_OF_PROGRAMS = {"claims.dialogue", "claims.segments"}
+WORDS_OF_PROGRAMS = {"claims.vocabulary"}
 """Modules of claims that motion and post may know: sentences, signals and names of moves."""
 CLAIMS_OF_NO_PROCESS = {"Claim", "HoldsStock", "on_straight_moves_alone"}
 """What they may know of ``claims.claim``: what a robot carries, and kinds of claims by name."""

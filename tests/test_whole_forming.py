@@ -15,10 +15,9 @@ import planner
 from planner import pipeline, plans
 from planner.catalogue.robots import data_dir, robot
 from planner.cell.kinematics import forward
-from planner.geometry.arrays import Mesh
-from planner.geometry.rigid import inverse
+from planner.geometry.arrays import Mesh, inverse
+from planner.geometry.units import MM
 from planner.pipeline import Outcome
-from planner.units import MM
 from tests import small_forming
 
 UPRIGHT = {"xyz_mm": [250, -1030, 900], "rpy_deg": [90, 0, -84.5]}

@@ -12,8 +12,8 @@ import planner
 from planner import pipeline, plans
 from planner.catalogue.robots import data_dir, robot
 from planner.cell.kinematics import forward
-from planner.claims.segments import Segment
-from planner.geometry.rigid import inverse, log_pose
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import inverse, log_pose
 from planner.pipeline import Outcome
 
 

@@ -12,7 +12,7 @@ from planner import plans
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.claims.claim import CutsSurface
-from planner.geometry.rigid import inverse, log_pose
+from planner.geometry.arrays import inverse, log_pose
 from planner.pipeline import Outcome
 
 

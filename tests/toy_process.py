@@ -8,14 +8,13 @@ import numpy as np
 from pydantic import Field
 
 from planner.claims.claim import Claim, FollowsPoses
-from planner.claims.dialogue import OperatorDialogue
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import OperatorDialogue, Segment
 from planner.geometry.arrays import FloatArray
+from planner.geometry.units import DEG, MM
 from planner.problem import Stock
 from planner.processes import Process
 from planner.reading.strict_yaml import Name, Strict
 from planner.targets import Job, ScrewFreedom, Targets
-from planner.units import DEG, MM
 
 SPIN = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.catalogue import robots
 from planner.cell.kinematics import link_frames
-from planner.geometry.rigid import from_rpy, to_rpy
+from planner.geometry.arrays import from_rpy, to_rpy
 
 COLOURS = {
     "ABB": {"paint": (0.93, 0.40, 0.10), "dark": (0.23, 0.24, 0.26), "metal": (0.62, 0.63, 0.65)},

@@ -20,14 +20,13 @@ import yaml
 
 from planner.catalogue.robots import robot
 from planner.files import is_file
-from planner.geometry.arrays import BoolArray, FloatArray
-from planner.geometry.rigid import to_rpy
+from planner.geometry.arrays import BoolArray, FloatArray, to_rpy
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell
 from planner.reading import strict_yaml
 from planner.reading.problem import read_cell
 from planner.reading.strict_yaml import Document
-from planner.units import DEG, MM
 
 MAX_BYTES: Final = 1_000_000
 """Bytes that a file of probed points may have."""

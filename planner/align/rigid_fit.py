@@ -14,10 +14,9 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import BoolArray, FloatArray
-from planner.geometry.rigid import from_parts
+from planner.geometry.arrays import BoolArray, FloatArray, from_parts
+from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, Severity, TandemError
-from planner.units import LENGTH_UNITS, MM
 
 LEAST_SPREAD: Final = 10.0 * MM
 """Points closer together than this are one place."""

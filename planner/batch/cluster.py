@@ -1,7 +1,12 @@
 """Jobs on a Dask cluster: the same jobs and results as on worker processes, on any number of machines.
 
-Files travel with a job and come back with its result, as bytes: workers need no disk that others see. What
-Dask sends is pickled by it, so a cluster must be one that its users trust; see docs/batch.md.
+Files travel with a job and come back with its result, as bytes: workers need no disk that others
+see. What Dask sends is pickled by it, so a cluster must be one that its users trust; see
+docs/batch.md.
+
+**A worker of the cluster** (`plan_here`, `cancel_here`) plans on a process of its own, as on one
+machine: a crash, a time-out or too much memory fails a job alone here too, and Dask hears of a
+worker's end only where the worker itself has gone. What plans is not imported into the Dask worker.
 """
 
 from __future__ import annotations
@@ -12,10 +17,12 @@ import importlib.util
 import json
 import logging
 import queue
+import tempfile
+import threading
 import time
 import uuid
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -32,7 +39,7 @@ from planner.batch.job import (
     all_versions,
     cancelled,
 )
-from planner.batch.workers import MODULE
+from planner.batch.workers import MODULE, Workers
 from planner.issues import Issue, TandemError
 
 CONNECT_S: Final = 20.0
@@ -141,7 +148,6 @@ class Cluster:
         """As of `planner.batch.workers.Workers`."""
         if job.name in self._sent:
             raise ValueError(f"a job {job.name!r} is under way; wait for its end or name this one otherwise")
-        from planner.batch import cluster_worker
 
         place = Place.claim(folder, record)
         token = f"tandem-{uuid.uuid4().hex}"
@@ -153,19 +159,17 @@ class Cluster:
             "module": self._module,
         }
         arguments = (token, self._topic, dict(job.files), more, self._versions)
-        future = self._client.submit(cluster_worker.plan, *arguments, key=token, pure=False)
+        future = self._client.submit(plan_here, *arguments, key=token, pure=False)
         self._sent[job.name] = _Sent(job, place, future, token, time.monotonic())
         future.add_done_callback(lambda _: self._messages.put(("ended", (job.name, token))))
 
     def cancel(self, name: str) -> bool:
         """As of `planner.batch.workers.Workers`."""
-        from planner.batch import cluster_worker
-
         sent = self._sent.pop(name, None)
         if sent is None:
             return False
         with contextlib.suppress(OSError, TimeoutError):  # where workers are gone, so is the job
-            self._client.run(cluster_worker.cancel, sent.token, on_error="ignore")
+            self._client.run(cancel_here, sent.token, on_error="ignore")
         sent.future.cancel(force=True)
         done = Done(name, "cancelled", (cancelled(name),), {}, time.monotonic() - sent.since)
         self._messages.put(("cancelled", Finished(name, done)))
@@ -232,7 +236,7 @@ class Cluster:
             return done
         try:
             if answer["files"]:
-                from planner.batch.solve import write_result
+                from planner.batch.run import write_result
 
                 write_result(sent.place.prepare({})[1], answer["files"])
         except TandemError as error:
@@ -262,3 +266,92 @@ class Cluster:
         )
         what = f"worker {answer['worker']} has {differing}; results would differ"
         return Issue("batch.versions", what, hint="install the same versions on all machines")
+
+
+PROGRESS_EVERY_S: Final = 0.5
+"""Progress within a stage is published so often."""
+NANNYS: Final = ("MALLOC_TRIM_THRESHOLD_",)
+"""Dask's nanny sets it for its workers, so that what they free is given back at once. A planner asks for the
+same memory again all the time, and would take 1.4 times as long."""
+_cancelled: set[str] = set()
+_mine = threading.local()
+
+
+def plan_here(
+    token: str, topic: str, files: Mapping[str, bytes], more: Mapping[str, Any], versions: Mapping[str, str]
+) -> dict[str, Any]:
+    """Plan one job; ``more`` are its other fields and the ``module`` of its worker, ``token`` names it in
+    this cluster, and what is heard of it goes to ``topic``.
+
+    Gives ``done`` (plain data) and ``files`` (the result folder's, by name), or ``versions`` where this
+    worker's are not those asked for.
+    """
+    from distributed import get_worker
+
+    own = all_versions()
+    if own != dict(versions):
+        return {"versions": own, "worker": get_worker().address}
+    job = Job(more["name"], files, more["timeout_s"], more["memory_mb"], more["origins"])
+    with tempfile.TemporaryDirectory(prefix="tandem-") as folder:
+        result = Path(folder) / "result"
+        done = _finished(token, topic, job, result, more["module"])
+        kept = {p.relative_to(result).as_posix(): p.read_bytes() for p in _all(result)}
+        return {"done": done.done.to_dict(), "files": kept}
+
+
+def cancel_here(token: str) -> None:
+    """End a job, if it is planned here."""
+    _cancelled.add(token)
+
+
+def _finished(token: str, topic: str, job: Job, result: Path, module: str) -> Finished:
+    team = _team(module)
+    team.start(job, result)
+    published: tuple[str, float] = ("", 0.0)
+    try:
+        while True:
+            for event in team.events(0.2):
+                if isinstance(event, Finished):
+                    return event
+                if isinstance(event, Progress):
+                    if event.stage == published[0] and time.monotonic() - published[1] < PROGRESS_EVERY_S:
+                        continue
+                    published = event.stage, time.monotonic()
+                _publish(topic, event)
+            if token in _cancelled:
+                team.cancel(job.name)
+    except BaseException:
+        _drop_team()  # what it still does belongs to no later job
+        raise
+    finally:
+        _cancelled.discard(token)
+
+
+def _team(module: str) -> Workers:
+    """The planning process of this thread, which keeps its Drake models from job to job."""
+    if getattr(_mine, "module", None) != module:
+        _drop_team()
+        _mine.team, _mine.module = Workers(1, module=module, reports=False, unset=NANNYS), module
+    team: Workers = _mine.team
+    return team
+
+
+def _drop_team() -> None:
+    if hasattr(_mine, "team"):
+        _mine.team.close()
+    _mine.__dict__.clear()
+
+
+def _publish(topic: str, event: Event) -> None:
+    """Send an event to who asked for the job, as JSON: Dask takes no more than the plainest data."""
+    from distributed import get_worker
+
+    if isinstance(event, Progress):
+        get_worker().log_event(topic, json.dumps({"progress": dataclasses.astuple(event)}))
+    elif isinstance(event, Found):
+        issues = [issue.to_dict() for issue in event.issues]
+        get_worker().log_event(topic, json.dumps({"found": [event.name, issues]}))
+
+
+def _all(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.rglob("*") if p.is_file())

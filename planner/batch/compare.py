@@ -23,13 +23,12 @@ from PIL import Image
 
 from planner import plans
 from planner.batch.job import Done, Record
-from planner.batch.run import RECORDS, Row
-from planner.batch.solve import figures
+from planner.batch.run import RECORDS, Row, figures
+from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate
 from planner.plans import OperationPlan, Plan
 from planner.report import markup, page_sections
 from planner.report.markup import CSS
-from planner.units import MM
 from planner.verify.result import RuleResult
 
 

@@ -229,7 +229,7 @@ class Place:
             hidden = self._hidden or self.prepare({})[1].parent
             result = hidden / "result"
             if not is_file(result / "report.html"):
-                from planner.batch.solve import write_failure
+                from planner.batch.run import write_failure
 
                 write_failure(result, done.issues)
             with unhurried():

@@ -65,7 +65,7 @@ def _answer(answers: TextIO, kind: str, content: object) -> None:
 
 def _planning() -> Solve:
     """All that planning needs; importing it takes longer than many a job."""
-    from planner.batch.solve import solve
+    from planner.batch.run import solve
     from planner.cell import plant
 
     models = plant.keep_models()

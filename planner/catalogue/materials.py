@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
-from planner.units import DEG, MM
 
 _MATERIALS_FILE: Final = Path(__file__).resolve().parents[1] / "data" / "materials.yaml"
 """Foams and wires that are built in."""

@@ -14,8 +14,8 @@ import yaml
 
 from planner.files import is_file
 from planner.geometry.arrays import FloatArray
+from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
-from planner.units import DEG
 
 DataKind = Literal["urdf", "problems"]
 

@@ -32,8 +32,7 @@ from scipy.spatial import ConvexHull
 
 from planner.catalogue.robots import RobotData
 from planner.cell.kinematics import link_frames
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import Shape, from_parts
+from planner.geometry.arrays import FloatArray, Shape, from_parts
 from planner.problem import Cell, Stock
 from planner.tooling import working_solid
 

@@ -16,8 +16,7 @@ import numpy as np
 from planner.cell.bodies import Solid, extent
 from planner.cell.bodies import fixed as is_fixed
 from planner.cell.distance import AGREED_M, Cores, cores, distances
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, lengths
-from planner.geometry.rigid import from_parts
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, from_parts, lengths
 
 AXIS_SAMPLES: Final = 5
 """Points on a capsule's axis whose distances to a box bound that of the whole axis."""

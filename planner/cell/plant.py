@@ -38,8 +38,7 @@ from planner.cell.bodies import (
 )
 from planner.cell.bounds import Bounds, prepare
 from planner.cell.kinematics import forward
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import Shape
+from planner.geometry.arrays import FloatArray, Shape
 from planner.issues import Issue, TandemError
 from planner.problem import Cell, Stock
 from planner.tooling import working_solid

@@ -11,11 +11,10 @@ from typing import Final
 import numpy as np
 import shapely
 
-from planner.geometry.arrays import FloatArray, IndexArray
-from planner.geometry.rigid import Shape, corners, transform
+from planner.geometry.arrays import FloatArray, IndexArray, Shape, corners, transform
+from planner.geometry.units import MM
 from planner.issues import Issue, Severity
 from planner.problem import Cell, Pedestal, Problem, Setup, Stock
-from planner.units import MM
 
 FOOT_HEIGHT: Final = 0.025
 """[m] what feet, shims and clamps may be between two bodies of which one stands on the other."""

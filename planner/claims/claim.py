@@ -3,7 +3,7 @@
 Claims follow from the problem alone, never from a plan, so that a proof can start from the problem
 and the program text. All geometry is in the stock frame, in metres. Here: hot wires, held blocks,
 stated poses, and the sum type `Claim` of all kinds; sheets are in ``claims.forming``, milling in
-``claims.milling``, what operators are told in ``claims.dialogue``.
+``claims.milling``, what operators are told in ``claims.vocabulary``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.claims.dialogue import OperatorDialogue
 from planner.claims.forming import (
     FollowsOpposite,
     FormingFeed,
@@ -36,7 +35,7 @@ from planner.claims.milling import (
     MillsSurface,
     SparesPart,
 )
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import OperatorDialogue, Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 
 

@@ -23,14 +23,14 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from planner.cli import align as align_commands
 from planner.cli import batch as batch_commands
-from planner.cli import compare as compare_commands
-from planner.cli import features as feature_commands
-from planner.cli import kerf as kerf_commands
+from planner.cli import batch as compare_commands
+from planner.cli import preparation as align_commands
+from planner.cli import preparation as feature_commands
+from planner.cli import preparation as kerf_commands
 from planner.cli import service as service_commands
 from planner.cli import statement
-from planner.cli.compare import Difference, differences
+from planner.cli.batch import Difference, differences
 from planner.files import unhurried
 from planner.issues import Issue, Severity, TandemError, accepted, given_wrong, has_errors
 
@@ -242,7 +242,7 @@ def materials() -> int:
 def kerf(action: kerf_commands.Action) -> int:
     """Fit a foam of your own from test cuts, or ask for a kerf, a speed or a power."""
     try:
-        kerf_commands.run(action)
+        kerf_commands.run_kerf(action)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE
@@ -252,7 +252,7 @@ def kerf(action: kerf_commands.Action) -> int:
 def align(request: tyro.conf.OmitArgPrefixes[align_commands.Align]) -> int:
     """Find the base of a cell's second robot from points that both robots probed."""
     try:
-        _print_issues(align_commands.run(request))
+        _print_issues(align_commands.run_align(request))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE
@@ -262,7 +262,7 @@ def align(request: tyro.conf.OmitArgPrefixes[align_commands.Align]) -> int:
 def features(request: tyro.conf.OmitArgPrefixes[feature_commands.Features]) -> int:
     """Show the features of a sheet part as a tree, in the order of forming, and draw them."""
     try:
-        _print_issues(feature_commands.run(request))
+        _print_issues(feature_commands.run_features(request))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE
@@ -273,7 +273,7 @@ def batch(request: tyro.conf.OmitArgPrefixes[batch_commands.Batch]) -> int:
     """Plan many problems, each into a folder of its own, with a summary; exit 0 only if all are verified."""
     _pipeline()
     try:
-        return batch_commands.run(request)
+        return batch_commands.run_batch(request)
     except TandemError as error:
         return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
 
@@ -283,7 +283,7 @@ def compare(request: tyro.conf.OmitArgPrefixes[compare_commands.Compare]) -> int
     """Show two plans, or two batches, side by side."""
     _pipeline()
     try:
-        compare_commands.run(request)
+        compare_commands.run_compare(request)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE

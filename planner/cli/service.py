@@ -178,7 +178,7 @@ def not_installed(error: ImportError) -> Issue:
 
 def _auth(asked: Add | List | Revoke) -> Auth:
     try:
-        from planner.service.database import Database, default_url
+        from planner.service.models import Database, default_url
         from planner.service.security import Auth
     except ImportError as error:
         raise TandemError(not_installed(error)) from error

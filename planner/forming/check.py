@@ -32,10 +32,10 @@ from planner.forming.support.modes import support_issues
 from planner.forming.two_point import die_issues
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh, small_pieces
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 from planner.problem import Setup
 from planner.tooling import profile
-from planner.units import DEG, MM
 
 
 def check(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:

@@ -10,16 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import dialogue as words
+from planner.claims import vocabulary as words
 from planner.claims.claim import Claim
-from planner.claims.dialogue import (
-    DialogueStop,
-    OperatorDialogue,
-    message_step,
-    power_off_steps,
-    power_on_steps,
-    question_step,
-)
 from planner.claims.forming import (
     FollowsOpposite,
     FormingFeed,
@@ -33,6 +25,14 @@ from planner.claims.forming import (
     ToolGap,
     ToolsLean,
 )
+from planner.claims.vocabulary import (
+    DialogueStop,
+    OperatorDialogue,
+    message_step,
+    power_off_steps,
+    power_on_steps,
+    question_step,
+)
 from planner.forming import two_point
 from planner.forming.contact import Pass
 from planner.forming.operation import GAP_MODES, Forming
@@ -44,10 +44,10 @@ from planner.forming.support.modes import border_curve
 from planner.forming.support.opposite import FACING_TURN
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup
 from planner.tooling import FormingTool, profile
-from planner.units import DEG, MM
 
 BORDER_TOLERANCE: Final = 0.5 * MM
 """How far a support may be off the border that it runs along [m]."""

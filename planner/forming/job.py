@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import dialogue
+from planner.claims import vocabulary
 from planner.claims.claim import Claim
 from planner.claims.forming import FormsSheet
 from planner.forming import claims as forming_claims
@@ -39,12 +39,11 @@ from planner.forming.process_plan import (
 )
 from planner.forming.sheet_mechanics import thickness_map, thinnest, wall_angle_map
 from planner.forming.support.opposite import DRIFT_SHARE
-from planner.geometry.arrays import BoolArray, FloatArray, read_only
-from planner.geometry.rigid import from_parts
+from planner.geometry.arrays import BoolArray, FloatArray, from_parts, read_only
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Setup
 from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
-from planner.units import DEG, MM
 
 ALIGNED_COSINE: Final = 0.95
 """Cosine beyond which the sheet's x axis is too near to a tool's axis to fix its spin by."""
@@ -363,13 +362,13 @@ def _actions(
     """What the operator is told and asked, and the signal of a blank holder that sinks."""
     size = setup.stock.size / MM
     metal = made.sheet.metal.name
-    sheet = dialogue.SHEET.filled(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
+    sheet = vocabulary.SHEET.filled(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
     out = [Action(0, "message", sheet)]
     one, path = paths[0]
     if two_point.holder_sinks(made):
         high = abs(one.start - one.end) / MM
-        out.append(Action(0, "confirm", dialogue.RIM.filled(high_mm=high)))
-    out.append(Action(0, "confirm", dialogue.SHEET_READY.filled()))
+        out.append(Action(0, "confirm", vocabulary.RIM.filled(high_mm=high)))
+    out.append(Action(0, "confirm", vocabulary.SHEET_READY.filled()))
     first = route.segment.index(segment(one).at("in"))
     out += two_point.holder_actions(made, one, path, first)
-    return (*out, Action(len(route.segment) - 1, "confirm", dialogue.FORMED.filled()))
+    return (*out, Action(len(route.segment) - 1, "confirm", vocabulary.FORMED.filled()))

@@ -22,12 +22,12 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
+from planner.geometry.arrays import Shape, from_rpy
 from planner.geometry.mesh import TriangleMesh, read_mesh
 from planner.geometry.mesh_queries import outer_hull
-from planner.geometry.rigid import Shape, from_rpy
+from planner.geometry.units import LENGTH_UNITS
 from planner.problem import Part, Stock
 from planner.reading.strict_yaml import Angle, Name, Strict, Unit
-from planner.units import LENGTH_UNITS
 
 if TYPE_CHECKING:
     pass

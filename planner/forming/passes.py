@@ -32,8 +32,8 @@ from planner.forming.features.tree import FeatureTree, OrderStep
 from planner.forming.operation import Forming
 from planner.forming.sheet_mechanics import steepest, thickness_map
 from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
-from planner.units import DEG, MM
 
 _TRIALS_FILE: Final = Path(__file__).resolve().parents[1] / "data" / "forming_trials.yaml"
 """Published trials of forming, each with its source."""

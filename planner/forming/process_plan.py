@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.forming.contact import ContactPath, Pass, ToolPath
 from planner.forming.features import tree as feature_tree
 from planner.forming.features.tree import FeatureTree, OrderStep
@@ -26,10 +26,10 @@ from planner.forming.sheet_mechanics import steepest
 from planner.forming.support.clearance import Clamp, clamp_of
 from planner.forming.support.modes import tool_path
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, dots
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Sheet
 from planner.tooling import FormingHead, FormingTool
-from planner.units import DEG, MM
 
 JOINED_SHARE: Final = 0.4
 """Share of what tools may cut in that straight moves between two places of the path may take: moves that are

@@ -20,8 +20,8 @@ from planner.catalogue.materials import SheetMetal
 from planner.forming.contact import CREASE_ANGLE, Pass
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh, corner_normals, face_areas, face_normals
+from planner.geometry.units import DEG, GRAVITY, MM
 from planner.issues import Issue, Severity, TandemError
-from planner.units import DEG, GRAVITY, MM
 
 STEEP_SHARE: Final = 0.005
 """Share of a wall's area that may be steeper than what counts as its angle: facets of noise and slivers."""

@@ -23,8 +23,8 @@ from planner.forming.contact import Pass, ToolPath
 from planner.forming.features.tree import FeatureTree
 from planner.geometry.arrays import FloatArray, IntArray, Mesh, dots
 from planner.geometry.mesh import small_pieces
+from planner.geometry.units import MM
 from planner.issues import Issue
-from planner.units import MM
 
 FORMED_SPACING: Final = 2e-3
 """Distance [m] of points on what is formed."""

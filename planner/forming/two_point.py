@@ -31,9 +31,9 @@ from planner.forming.process_plan import Work, segment
 from planner.geometry.arrays import FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh, face_normals, small_pieces
 from planner.geometry.mesh_queries import Nearness
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 from planner.targets import Action
-from planner.units import DEG, MM
 
 DIE_SPACING: Final = 3e-3
 """Distance [m] of the points of a face that are held against a die."""

@@ -26,8 +26,8 @@ from shapely.ops import nearest_points
 from shapely.validation import explain_validity
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.units import MM
 from planner.issues import Issue
-from planner.units import MM
 
 CurveKind = Literal["bezier", "bspline"]
 

@@ -13,12 +13,11 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 from shapely import LinearRing
 
-from planner.geometry.arrays import FloatArray, Ruled
+from planner.geometry.arrays import FloatArray, Ruled, exp_rotation, from_parts
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
-from planner.geometry.rigid import exp_rotation, from_parts
 from planner.geometry.rulings import points
+from planner.geometry.units import MM
 from planner.issues import Issue
-from planner.units import MM
 
 _FITS_OUTSIDE = 1e-7
 """[m] what stands out of a block by less than this fits."""

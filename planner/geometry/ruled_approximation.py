@@ -28,8 +28,8 @@ from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.geometry.mesh_queries import Nearness
 from planner.geometry.placing import backwards
 from planner.geometry.rulings import boundaries, outward, points, resample, tessellate
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.units import DEG, MM
 
 _SAME_PARAMETER = 1e-5
 """Parameters that differ by less are one place."""

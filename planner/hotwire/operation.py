@@ -15,13 +15,13 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from planner.catalogue.materials import Foam
 from planner.claims.claim import KerfCurve
-from planner.claims.segments import fold
+from planner.claims.vocabulary import fold
+from planner.geometry.units import MM
 from planner.hotwire.kerf import width
 from planner.issues import Issue, TandemError
 from planner.problem import Controller, Stock
 from planner.reading.materials import WireFile
 from planner.reading.strict_yaml import Angle, Far, Name, Strict
-from planner.units import MM
 
 AIR_FEED: Final = 0.1
 """Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""

@@ -8,9 +8,9 @@ import math
 from typing import Literal
 
 from planner.catalogue.materials import WireMaterial, wire_material
+from planner.geometry.units import GRAVITY, MM
 from planner.hotwire.elastica.clamped import Section, round_section, strip
 from planner.issues import Issue, TandemError
-from planner.units import GRAVITY, MM
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,13 +16,13 @@ from scipy.spatial import cKDTree
 from planner.geometry.arrays import FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, corner_normals
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
+from planner.geometry.units import MM
 from planner.issues import Issue
-from planner.milling.face import CREASE_ANGLE
+from planner.milling.cutter_contact import CREASE_ANGLE
 from planner.milling.operation import FlankCut
 from planner.milling.process_plan import Done, Face, Work
 from planner.milling.tool_path import Run
 from planner.tooling import Cutter
-from planner.units import MM
 
 PATH_SPACING: Final = 0.15
 """Distance of places along the path, over the radius of the section."""

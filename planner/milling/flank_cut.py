@@ -12,14 +12,14 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, Ruled, unit
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError, has_errors
-from planner.milling import flank
-from planner.milling.flank import Strip, strips
+from planner.milling import cutter_contact
+from planner.milling.cutter_contact import Strip, strips
 from planner.milling.operation import FlankCut, Milling
 from planner.milling.tool_path import Run, plain_path, thinned
 from planner.problem import Part
 from planner.tooling import Cutter
-from planner.units import DEG, MM
 
 CORNER_STEP: Final = np.deg2rad(5.0)
 """Turn [rad] of the cutter about a corner from target to target."""
@@ -198,9 +198,9 @@ def placed(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> Placed:
     off = 0.0
     last: Strip | None = None
     for strip in pieces:
-        low, high = flank.axes(strip, around)
+        low, high = cutter_contact.axes(strip, around)
         if around:
-            left = np.abs(flank.deviation(strip, around, low, high))
+            left = np.abs(cutter_contact.deviation(strip, around, low, high))
             off = max(off, float(left.max()))
         if last is not None and around:
             foot = strip.low[0], strip.high[0]

@@ -20,7 +20,8 @@ from pydantic import (
     model_validator,
 )
 
-from planner.claims.segments import fold
+from planner.claims.vocabulary import fold
+from planner.geometry.units import DEG, MM
 from planner.milling.gcode.state import (
     INCH,
     KINEMATICS,
@@ -35,7 +36,6 @@ from planner.problem import Stock
 from planner.reading.part import PlaceFile
 from planner.reading.part_ruled import GuideFile
 from planner.reading.strict_yaml import Angle, Name, Strict, Vector
-from planner.units import DEG, MM
 
 Offset = Literal["G54", "G55", "G56", "G57", "G58", "G59"]
 Code = Annotated[str, Field(pattern=r"^[GM](0|[1-9][0-9]{0,2})(\.[1-9])?$")]

@@ -15,13 +15,13 @@ import numpy as np
 import shapely
 
 from planner.geometry.arrays import FloatArray, dots, unit
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.milling.face import Over, Places, within
+from planner.milling.cutter_contact import Over, Places, within
 from planner.milling.operation import EngraveCut, LinesCut, Milling
 from planner.milling.tool_path import Run, plain_path, thinned
 from planner.reading.part_ruled import GuideFile, guide
 from planner.tooling import Cutter
-from planner.units import DEG, MM
 
 UPRIGHT_ANGLE: Final = 1e-3
 """A flat end that leans off the normal by less than this [rad] touches with its middle."""

@@ -16,11 +16,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.milling.operation import Milling, SafeSide
-from planner.units import DEG, MM
 
 CUT: Final = "cut"
 """A straight move at the feed."""

@@ -10,14 +10,14 @@ import numpy as np
 
 from planner.cell import clearance
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.motion.placement import reach_gap
-from planner.motion.scene import Scene, holders
+from planner.motion.planning_scene import Scene, holders
 from planner.motion.search.ladder_search import Blocked, Dead
 from planner.motion.search.reach import Grid, Reach, full_turn, slides_only
 from planner.motion.trajectory.joint_path import Dense, clear
 from planner.targets import Targets
-from planner.units import DEG, MM
 
 REPORTED_DISTANCE_M: Final = 0.2
 """Distances [m] up to this are reported."""

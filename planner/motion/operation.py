@@ -12,13 +12,14 @@ import numpy as np
 
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion import diagnosis, transit
-from planner.motion.scene import Scene
+from planner.motion.planning_scene import Scene
 from planner.motion.search import path_search
 from planner.motion.search.ladder_search import Found, speed_limits
 from planner.motion.search.path_search import find_path
-from planner.motion.trajectory import joint_path, least_feed, thinning, trajopt
+from planner.motion.trajectory import joint_path, move_limits, trajopt
 from planner.motion.trajectory.hinges import Avoid
 from planner.motion.trajectory.joint_path import Dense, clear, dense, tcp_ways
 from planner.motion.trajectory.timing import Clock, Limits, TimingError, least_times
@@ -26,7 +27,6 @@ from planner.motion.trajectory.trajopt import Improved, improve, path_cost
 from planner.plans import OperationPlan
 from planner.problem import Cell, Settings
 from planner.targets import Targets
-from planner.units import DEG, MM
 
 CLEARANCE_WEIGHT = 0.5
 """Weight of bodies that are nearer than wanted beside the rest of the cost."""
@@ -70,12 +70,12 @@ def plan_operation(
     wanted, timed = targets, _clock(scene, targets, samples)
     wanted, better, timed = _joined(scene, wanted, found, better, samples, timed)
     targets, ticks, deviation = timed
-    least_feed.require(scene, targets, samples, ticks.time)
+    move_limits.require(scene, targets, samples, ticks.time)
     slow = _slow(targets, ticks.time) if targets.run_up is None else []
     issues = [
         *slow,
-        *least_feed.stop_notes(wanted, targets),
-        *thinning.short_move_notes(targets, better.values, ticks.time),
+        *move_limits.stop_notes(wanted, targets),
+        *move_limits.short_move_notes(targets, better.values, ticks.time),
     ]
     if not kept:
         issues.append(_not_kept(scene))
@@ -199,17 +199,17 @@ def _joined(
     kept = np.arange(targets.count)
     some, path = targets, better
     for _ in range(JOINING_ROUNDS):
-        fewer = thinning.joined(targets, better.values, timed[1].time, kept)
+        fewer = move_limits.joined(targets, better.values, timed[1].time, kept)
         if len(fewer) == len(kept):
             break
-        new, way = thinning.picked(targets, fewer), better.at(fewer)
+        new, way = move_limits.picked(targets, fewer), better.at(fewer)
         looked = dense(scene, new, found.path.branch, way.q)
         if any(np.isnan(q).any() for q in looked.q.values()):
             break
         kept, some, path, samples = fewer, new, way, looked
         timed = _clock(scene, some, samples)
-    if thinning.short(some, path.values, timed[1].time).any():
-        timed = _clock(scene, some, samples, thinning.slowed)
+    if move_limits.short(some, path.values, timed[1].time).any():
+        timed = _clock(scene, some, samples, move_limits.slowed)
     return some, path, timed
 
 
@@ -229,7 +229,7 @@ def _clock(
     try:
         rounded = functools.partial(joint_path.corner_shares, scene, targets, samples)
         limits = Limits(speed, settings.acceleration_fraction * strength, least, rounded(least))
-        targets, path, ticks = least_feed.clocked_with_stops(scene, targets, samples, limits, rounded)
+        targets, path, ticks = move_limits.clocked_with_stops(scene, targets, samples, limits, rounded)
     except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"
         hint = "a joint may jump there: look at the branch and the margins, or move the stock"

@@ -18,14 +18,12 @@ import numpy as np
 
 from planner.cell import clearance, support
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import FloatArray, IndexArray
-from planner.geometry.rigid import exp_rotation, from_parts
-from planner.motion.arm_kinematics import Chain
-from planner.motion.scene import Scene
+from planner.geometry.arrays import FloatArray, IndexArray, exp_rotation, from_parts
+from planner.geometry.units import DEG
+from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.subsampling import Few, few_of, shifts
 from planner.problem import Cell, Settings, Stock
 from planner.targets import Targets
-from planner.units import DEG
 
 FIRST_CANDIDATES: Final = 384
 """Places that are drawn first, from a fixed seed."""

@@ -15,19 +15,18 @@ import numpy as np
 
 from planner.cell import clearance, plant, support
 from planner.cell.bodies import own_shapes
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import Shape, corners, transform
+from planner.geometry.arrays import FloatArray, Shape, corners, transform
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Remedy, TandemError
 from planner.motion import transit
 from planner.motion.placement import margin
-from planner.motion.scene import Scene
+from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.path_search import find_path, turning
 from planner.motion.search.reach import SPIN_STEP, Checker, reach, sample
 from planner.motion.search.subsampling import few_of, subset
 from planner.problem import Cell, Obstacle, Problem
 from planner.targets import Targets
-from planner.units import DEG, MM
 
 PATH_CODES: Final = frozenset({"no_reach", "joint_limit", "singular", "no_path", "collision", "linear_move"})
 """Words of codes (behind ``motion.``) that another path may mend."""

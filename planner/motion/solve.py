@@ -16,19 +16,18 @@ import numpy as np
 from planner.cell import clearance, plant, support
 from planner.cell.plant import CellModel
 from planner.files import versions
-from planner.geometry.arrays import BoolArray, FloatArray
-from planner.geometry.rigid import from_parts
+from planner.geometry.arrays import BoolArray, FloatArray, from_parts
+from planner.geometry.units import MM
 from planner.issues import Issue, Remedy, TandemError, aggregate
 from planner.motion import diagnosis, remedies, transit
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search, Trace
-from planner.motion.scene import Scene
+from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Blocked
 from planner.motion.search.path_search import find_path
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
 from planner.targets import Targets
-from planner.units import MM
 
 SPLINE_CLEARANCE_M: Final = 4e-3
 """Bodies keep so much farther [m] apart."""

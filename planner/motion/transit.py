@@ -15,17 +15,24 @@ from typing import Final
 import numpy as np
 
 from planner.cell import clearance
-from planner.claims.segments import Segment
-from planner.geometry.arrays import BoolArray, FloatArray
-from planner.geometry.rigid import exp_rotation, from_parts, interpolate, inverse, log_rotation
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    exp_rotation,
+    from_parts,
+    interpolate,
+    inverse,
+    log_rotation,
+)
+from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
+from planner.motion.planning_scene import TRANSIT_KIND, Scene
 from planner.motion.rrt import connect, way_free
-from planner.motion.scene import TRANSIT_KIND, Scene
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.subsampling import subset
 from planner.motion.trajectory.hinges import levers
 from planner.targets import Edge, Freedom, TableFreedom, Targets
-from planner.units import MM
 
 SAME_SHAPE: Final = 1e-6
 """Relative poses of the TCPs that differ by less [m, rad] count as the same."""

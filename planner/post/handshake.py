@@ -27,8 +27,8 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import dialogue
-from planner.claims.dialogue import Handshake, SignalWire
+from planner.claims import vocabulary
+from planner.claims.vocabulary import Handshake, SignalWire
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, Severity
 from planner.plans import Plan
@@ -420,15 +420,15 @@ class Partner:
 
         ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
         """
-        earlier = f"{dialogue.KRL_EARLIER.filled(other=self.other)} {ok}"
+        earlier = f"{vocabulary.KRL_EARLIER.filled(other=self.other)} {ok}"
         limit = self.handshake.timeout
         out: list[PartnerStep] = [Ask(earlier.strip()), SetLine(0), AwaitRunning(0, limit)]
         wait = limit if self.lead else self.handshake.patience
         if self.lead:
-            ready = dialogue.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
-            out += [Tell(dialogue.START_PARTNER.filled(other=self.other)), Halt(ready), AwaitLine(0, wait)]
+            ready = vocabulary.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
+            out += [Tell(vocabulary.START_PARTNER.filled(other=self.other)), Halt(ready), AwaitLine(0, wait)]
         else:
-            out += [AwaitLine(0, wait), Tell(dialogue.READY_TO_MEET.filled(other=self.other))]
+            out += [AwaitLine(0, wait), Tell(vocabulary.READY_TO_MEET.filled(other=self.other))]
         return [*out, Note("First meeting: both programs run."), *self.meeting(1, wait)]
 
     def end(self) -> list[PartnerStep]:
@@ -440,7 +440,7 @@ class Partner:
     @property
     def unanswered(self) -> str:
         """What is said of a wait that was over its time."""
-        return dialogue.UNANSWERED.filled(other=self.other)
+        return vocabulary.UNANSWERED.filled(other=self.other)
 
     def not_as_wanted(self, value: int) -> str:
         """What is said when the other one's running wire did not come to this level in time."""

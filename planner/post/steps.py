@@ -13,11 +13,9 @@ import numpy as np
 
 from planner.catalogue.robots import robot
 from planner.claims.claim import HoldsStock
-from planner.claims.dialogue import Handshake
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Handshake, Segment
 from planner.geometry import corner_rounding
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.geometry.rigid import to_quaternion
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.post import handshake as handshake_drift

@@ -15,7 +15,7 @@ from typing import Final
 
 from planner.catalogue.robots import robot
 from planner.claims.claim import Claim
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post import handshake

@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import Field
 
 from planner.catalogue.robots import RobotData, robot
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Shape, from_rpy
 from planner.geometry.mesh import read_mesh
-from planner.geometry.rigid import Shape, from_rpy
+from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Obstacle
 from planner.reading.controller import ControllerFile, controllers
@@ -40,7 +40,6 @@ from planner.tooling import (
     vacuum_cup,
     wire_holder,
 )
-from planner.units import DEG, LENGTH_UNITS, MM
 
 
 class PoseFile(Strict):

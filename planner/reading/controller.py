@@ -13,7 +13,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from planner.catalogue.robots import robot
-from planner.claims.dialogue import Handshake, HandshakeKind, PartnerSignals, SignalWire
+from planner.claims.vocabulary import Handshake, HandshakeKind, PartnerSignals, SignalWire
 from planner.issues import Issue, TandemError
 from planner.problem import (
     Cell,

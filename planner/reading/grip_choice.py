@@ -19,13 +19,12 @@ from shapely.geometry import Polygon, box
 from shapely.geometry.base import BaseGeometry
 
 from planner.catalogue.robots import robot
-from planner.geometry.arrays import FloatArray, Ruled
-from planner.geometry.rigid import corners, from_rpy, inverse, transform
+from planner.geometry.arrays import FloatArray, Ruled, corners, from_rpy, inverse, transform
+from planner.geometry.units import DEG, GRAVITY, MM
 from planner.issues import Issue, Severity
 from planner.problem import Part, Problem, Setup, Stock
 from planner.reading.stock import GRIP_FORCE_FACTOR
 from planner.tooling import Gripper, gripper_plate
-from planner.units import DEG, GRAVITY, MM
 
 GRIP_POINT_STEP: Final = 5.0 * MM
 """Grip points are multiples of this [m], where one of them is free."""

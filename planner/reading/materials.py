@@ -17,10 +17,10 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from planner.catalogue.materials import Foam, KerfFit, KerfTests, wire_material
 from planner.files import write_whole
+from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Name, Positive, Strict
-from planner.units import MM
 
 DISTINCT_LENGTH_MM = 1.0
 """Lengths nearer to each other than this are one wire to an operator [mm]."""

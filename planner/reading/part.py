@@ -16,9 +16,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from planner.claims.segments import fold
+from planner.claims.vocabulary import fold
 from planner.geometry import curves as outlines
-from planner.geometry.arrays import FloatArray, Mesh, Ruled
+from planner.geometry.arrays import FloatArray, Mesh, Ruled, from_parts, from_rpy, transform
 from planner.geometry.curves import Guide, polyline, spline
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.placing import (
@@ -30,8 +30,8 @@ from planner.geometry.placing import (
     overhang,
     standing_out,
 )
-from planner.geometry.rigid import from_parts, from_rpy, transform
 from planner.geometry.rulings import resample
+from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, Remedy, Severity, TandemError, has_errors
 from planner.problem import Part, Stock
 from planner.reading import part_ruled, part_surfaces, sheet
@@ -39,7 +39,6 @@ from planner.reading.part_ruled import SPLINE_CHORD, RuledFile, WingFile, read_d
 from planner.reading.part_surfaces import BackFile, Faces, FrontFile, RuledMeshFile, StripsFile
 from planner.reading.sheet import SheetMeshFile
 from planner.reading.strict_yaml import Far, FileName, Positive, Strict, Unit, Vector
-from planner.units import DEG, LENGTH_UNITS, MM
 
 Flat = tuple[Far, Far]
 _MOST_OUTLINES = 26 * 27

@@ -19,10 +19,10 @@ from planner.geometry.curves import Guide, polyline, spline, with_corners
 from planner.geometry.matching import aligned, join
 from planner.geometry.placing import backwards, outwards
 from planner.geometry.rulings import resample
+from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.geometry.wing import Panel, naca, read_airfoil, wing_surface
 from planner.issues import Issue, Severity, TandemError
 from planner.reading.strict_yaml import Far, FileName, Name, Strict, Unit, Vector
-from planner.units import DEG, LENGTH_UNITS, MM
 
 Chord = Annotated[float, Field(ge=5, le=20_000)]
 

@@ -28,9 +28,9 @@ from planner.geometry.mesh import (
 )
 from planner.geometry.ruled_approximation import Patch, find_rulings, of_loft, of_mesh
 from planner.geometry.rulings import edge_surface, resample
+from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.reading.strict_yaml import Angle, Far, FileName, Fraction, Positive, Scale, Strict, Unit, Vector
-from planner.units import DEG, LENGTH_UNITS, MM
 
 _MOST_CELLS = 1_000_000
 """Most cells of a tessellated loft; a face of 1 m in cells of 1 mm has as many."""

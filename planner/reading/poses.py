@@ -16,16 +16,14 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from planner.claims import claim as claimed
 from planner.claims.claim import Claim
-from planner.claims.dialogue import OperatorDialogue
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import OperatorDialogue, Segment
 from planner.files import is_file
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import from_parts, from_quaternion
+from planner.geometry.arrays import FloatArray, from_parts, from_quaternion
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Stock
 from planner.reading.strict_yaml import Name, Strict
 from planner.targets import Job, ScrewFreedom, Targets
-from planner.units import DEG, MM
 
 MAX_TABLE_BYTES = 100_000_000
 """Tables of poses larger than this [bytes] are refused unread."""

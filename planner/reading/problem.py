@@ -19,6 +19,7 @@ from pydantic import AfterValidator, BaseModel, Field, Tag, ValidationError, mod
 
 from planner.catalogue.issue_codes import CODES
 from planner.files import is_file
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Cell, Change, Fixed, Operation, Problem, Settings
 from planner.reading import cell as cell_file
@@ -31,7 +32,6 @@ from planner.reading.part import PartFile
 from planner.reading.sheet import SheetFile
 from planner.reading.stock import Choice, SetupFile, StockFile
 from planner.reading.strict_yaml import Document, Name, Strict
-from planner.units import DEG, MM
 
 
 def bundle(problem: Problem) -> dict[str, bytes]:

@@ -15,7 +15,7 @@ import shapely
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from planner.catalogue.materials import sheet_metal
-from planner.geometry.arrays import FloatArray, IntArray, Mesh, dots
+from planner.geometry.arrays import FloatArray, IntArray, Mesh, Shape, dots, from_parts, from_rpy, transform
 from planner.geometry.mesh import TriangleMesh, check_surface, read_mesh, vertex_normals
 from planner.geometry.mesh_queries import outer_hull
 from planner.geometry.mesh_repair import (
@@ -29,12 +29,11 @@ from planner.geometry.mesh_repair import (
     sewn,
     vertex_noise,
 )
-from planner.geometry.rigid import Shape, from_parts, from_rpy, transform
+from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Formed, Part, Sheet, Stock
 from planner.reading.cell import PoseFile
 from planner.reading.strict_yaml import FileName, Positive, Strict, Unit
-from planner.units import DEG, LENGTH_UNITS, MM
 
 OPENING_CORNERS: Final = 72
 """Corners of a round opening, on the circle."""

@@ -14,7 +14,8 @@ from pydantic import BaseModel, Discriminator, Field, Tag
 
 from planner.catalogue.materials import Foam, foam
 from planner.catalogue.robots import robot
-from planner.geometry.rigid import from_rpy
+from planner.geometry.arrays import from_rpy
+from planner.geometry.units import DEG, GRAVITY, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Change, Pedestal, Problem, Setup, Stock
 from planner.reading import cell as cell_file
@@ -22,7 +23,6 @@ from planner.reading import materials as material_file
 from planner.reading.cell import PoseFile, ShapeFile, ToolFile
 from planner.reading.strict_yaml import Angle, FileName, Name, Positive, Strict
 from planner.tooling import Gripper
-from planner.units import DEG, GRAVITY, MM
 
 TABLE: Final = Pedestal(
     "table", tuple(0.2 * k for k in range(1, 21)), tuple(0.05 * k for k in range(10, 23)), 1.0, 0.1

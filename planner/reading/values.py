@@ -18,12 +18,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import to_quaternion
+from planner.geometry.arrays import FloatArray, to_quaternion
+from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
 from planner.reading import poses as pose_table
 from planner.reading.strict_yaml import MAX_DEPTH
-from planner.units import LENGTH_UNITS, MM
 
 SQUARE: Final = 1e-6
 """How far the columns of a rotation may be off unit length and right angles."""

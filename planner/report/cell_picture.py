@@ -13,8 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import FloatArray, IndexArray, Mesh
-from planner.geometry.rigid import transform
+from planner.geometry.arrays import FloatArray, IndexArray, Mesh, transform
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
 from planner.report import raster, scene

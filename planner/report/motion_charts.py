@@ -22,14 +22,14 @@ import numpy as np
 from planner.catalogue import robots
 from planner.catalogue.robots import RobotData
 from planner.claims.claim import CutsSurface, FeedWindow, WireJoins
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray
+from planner.geometry.units import DEG, MM
 from planner.plans import Plan
 from planner.problem import Problem, Settings
 from planner.report import markup
 from planner.report.charts import Band, Level, Line, chart
 from planner.report.markup import Figure
-from planner.units import DEG, MM
 from planner.verify.result import Proof
 
 

@@ -15,14 +15,14 @@ import numpy as np
 from planner.catalogue import robots
 from planner.claims.claim import CutsSurface, FeedWindow, StraightWire, WireJoins
 from planner.geometry.arrays import FloatArray
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import charts, markup, motion_charts
 from planner.report.cell_picture import Picture
 from planner.report.markup import Block, Phrase
-from planner.report.timeline import MOTION_TIME
-from planner.units import DEG, MM
+from planner.report.scene import MOTION_TIME
 from planner.verify.result import CutFace, Proof, RuleResult
 
 _CLEARANCE_RULES: Final = ("verify.clearance", "verify.wire_clearance")

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from pydrake.geometry import Capsule, Meshcat, MeshcatAnimation, MeshcatParams, Rgba
 
 from planner.cell.plant import CellModel, quiet, rigid
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, Mesh
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.problem import Problem, Setup
 from planner.report import raster
 from planner.report import scene as scenes
-from planner.report.timeline import MOTION_TIME, SETUP_SEGMENT, Track, track
+from planner.report.scene import MOTION_TIME, SETUP_SEGMENT, Track, track
 from planner.verify.result import Proof
 
 _SEGMENT_COLOURS: Final = {

@@ -15,15 +15,14 @@ from planner.catalogue.robots import robot
 from planner.cell import support
 from planner.claims.claim import CutsSurface, FeedWindow, HoldsStock, StraightWire, WireJoins
 from planner.claims.forming import SinksHolder
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import to_quaternion, to_rpy
+from planner.geometry.arrays import FloatArray, to_quaternion, to_rpy
+from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Problem, Setup, Stock
 from planner.report import exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import kerf_shown, operation_starts
 from planner.tooling import Gripper
-from planner.units import DEG, MM
 from planner.verify.result import Proof
 
 _FILL = markup.Blank()

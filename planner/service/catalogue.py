@@ -20,13 +20,13 @@ from pydantic.json_schema import models_json_schema
 from planner import processes
 from planner.catalogue.materials import foams, sheet_metals, wire_materials
 from planner.catalogue.robots import data_dir, robot, robot_names
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue
 from planner.reading import cell
 from planner.reading.problem import ProblemFile
 from planner.reading.stock import SetupFile
 from planner.service.models import Kind
 from planner.service.security import RefusedError
-from planner.units import DEG, MM
 
 TOOLS: Final[tuple[type[BaseModel], ...]] = (
     cell.WireHolderFile,

@@ -21,8 +21,7 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from planner.issues import Issue
-from planner.service.database import EVENTS, FILES, JOBS, Database
-from planner.service.models import OPEN, SETTLED, JobOut
+from planner.service.models import EVENTS, FILES, JOBS, OPEN, SETTLED, Database, JobOut
 from planner.service.security import Limits, RefusedError, issue_json, unknown_job
 from planner.service.storage import Blob
 

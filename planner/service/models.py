@@ -1,14 +1,232 @@
-"""What the API sends, as models: they give its OpenAPI too. Problems are read by the models of
-:mod:`planner.reading.problem`."""
+"""Data models of the service: the tables of its store, and what the API sends.
+
+**Store** (`Database`): tables, the connection to SQLite or PostgreSQL, and the clock all hosts
+share. Tables are the same on both. Times are seconds since 1970 (UTC). A transaction is on the disk
+when it ends.
+
+**API** (`Sent`): models that give its OpenAPI too. Problems are read by the models of
+:mod:`planner.reading.problem`.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
+import threading
+import time
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy import (
+    Column,
+    Connection,
+    Engine,
+    Float,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    Text,
+    cast,
+    create_engine,
+    event,
+    extract,
+    func,
+    literal,
+    text,
+)
+from sqlalchemy.engine import make_url
+from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
+from sqlalchemy.sql.elements import ColumnElement
 
-from planner.issues import Issue
+from planner.issues import Issue, TandemError
+
+METADATA: Final = MetaData()
+"""The tables of the service."""
+
+TOKENS: Final = Table(
+    "tandem_tokens",
+    METADATA,
+    Column("id", String(32), primary_key=True),
+    Column("name", String(64), nullable=False, unique=True),
+    Column("hash", String(64), nullable=False, unique=True),
+    Column("created", Float, nullable=False),
+    Column("revoked", Float),
+)
+"""Who may use the service. Only the SHA-256 of a token is kept."""
+
+SESSIONS: Final = Table(
+    "tandem_sessions",
+    METADATA,
+    Column("hash", String(64), primary_key=True),
+    Column("token", String(32), nullable=False),
+    Column("expires", Float, nullable=False),
+)
+"""Browsers that showed a token once: the SHA-256 of their cookie."""
+
+JOBS: Final = Table(
+    "tandem_jobs",
+    METADATA,
+    Column("id", String(32), primary_key=True),
+    Column("owner", String(32), nullable=False),
+    Column("name", String(64), nullable=False),
+    Column("digest", String(64), nullable=False),
+    Column("key", String(64), nullable=False, index=True),
+    Column("processes", Text, nullable=False),
+    Column("state", String(16), nullable=False, index=True),
+    Column("stage", String(64), nullable=False, default=""),
+    Column("fraction", Float, nullable=False, default=0.0),
+    Column("issues", Text, nullable=False, default="[]"),
+    Column("metrics", Text, nullable=False, default="{}"),
+    Column("created", Float, nullable=False),
+    Column("started", Float),
+    Column("finished", Float),
+    Column("seconds", Float),
+    Column("attempts", Integer, nullable=False, default=0),
+    Column("host", String(96)),
+    Column("lease", Float),
+    Column("seq", Integer, nullable=False, default=0),
+    Column("cancel", Integer, nullable=False, default=0),
+    Column("from_store", Integer, nullable=False, default=0),
+    Column("timeout_s", Float, nullable=False),
+    Column("memory_mb", Float, nullable=False),
+    Index("tandem_jobs_by_owner", "owner", "created", "id"),
+)
+"""``key``: what the answer depends on, the problem's digest and the versions. ``host`` works on the job until
+``lease``. ``seq`` is the number of the job's last event. ``cancel``: 1 cancelled, 2 deleted too."""
+
+FILES: Final = Table(
+    "tandem_files",
+    METADATA,
+    Column("job", String(32), primary_key=True),
+    Column("name", String(255), primary_key=True),
+    Column("sha", String(64), nullable=False, index=True),
+    Column("size", Integer, nullable=False),
+)
+"""A job's problem (``problem/...``) and its results, by the names of a result folder."""
+
+EVENTS: Final = Table(
+    "tandem_events",
+    METADATA,
+    Column("job", String(32), primary_key=True),
+    Column("seq", Integer, primary_key=True),
+    Column("kind", String(16), nullable=False),
+    Column("data", Text, nullable=False),
+    Column("at", Float, nullable=False),
+)
+"""What happened to jobs, numbered, for the streams of events."""
+
+
+POOL_SIZE: Final = 20
+"""Connections to the database that stay open; as many more may come for a while."""
+WAIT_S: Final = 120.0
+"""How long a request waits for a connection or for another writer."""
+
+
+class Database:
+    """One database; threads may share it."""
+
+    def __init__(self, url: str) -> None:
+        """Raises ``TandemError`` with ``service.database`` where it cannot be opened."""
+        self._lock = threading.Lock()
+        try:
+            self._engine = _engine(url)
+            self.sqlite = self._engine.dialect.name == "sqlite"
+            with self._engine.execution_options(write=True).begin() as connection:
+                if not self.sqlite:
+                    connection.execute(text("SELECT pg_advisory_xact_lock(7223)"))
+                METADATA.create_all(connection)
+        except (OperationalError, ArgumentError, NoSuchModuleError, ImportError) as error:
+            raise TandemError(_cannot_open(url, error)) from error
+        self._writer = self._engine.execution_options(write=True)
+
+    @contextmanager
+    def read(self) -> Iterator[Connection]:
+        """A transaction that only reads."""
+        with self._engine.begin() as connection:
+            yield connection
+
+    @contextmanager
+    def write(self) -> Iterator[Connection]:
+        """A transaction that writes; all of it is kept, or nothing."""
+        if self.sqlite:
+            with self._lock, self._writer.begin() as connection:
+                yield connection
+        else:
+            with self._writer.begin() as connection:
+                yield connection
+
+    def clock(self) -> ColumnElement[float]:
+        """Seconds since 1970, by the one clock that all hosts of this database share."""
+        if self.sqlite:
+            return literal(time.time(), Float)
+        return cast(extract("epoch", func.clock_timestamp()), Float)
+
+    def one_at_a_time(self, connection: Connection, what: str) -> None:
+        """Let other transactions about ``what`` wait until this one ends; SQLite has one writer anyway."""
+        if not self.sqlite:
+            number = zlib.crc32(what.encode())
+            connection.execute(text("SELECT pg_advisory_xact_lock(7224, :n)"), {"n": number - 2**31})
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._engine.dispose()
+
+
+def default_url(data: Path) -> str:
+    """The URL of the SQLite file in the data folder."""
+    return f"sqlite:///{data.resolve() / 'tandem.db'}"
+
+
+def _engine(url: str) -> Engine:
+    if url.startswith(("postgres://", "postgresql://")):
+        url = "postgresql+psycopg://" + url.split("://", 1)[1]
+    kind = make_url(url).get_backend_name()
+    if kind not in ("sqlite", "postgresql"):
+        raise ArgumentError(f"got {kind}")
+    more: dict[str, Any] = {"connect_args": {"timeout": WAIT_S}} if kind == "sqlite" else {}
+    engine = create_engine(
+        url,
+        pool_size=POOL_SIZE,
+        max_overflow=POOL_SIZE,
+        pool_timeout=WAIT_S,
+        pool_pre_ping=kind != "sqlite",
+        **more,
+    )
+    if kind == "sqlite":
+        event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _prepare_sqlite(connection: Any, record: Any) -> None:
+    """Write-ahead log, so that readers never wait; what is committed survives a power cut. The driver starts
+    no transactions of its own."""
+    del record
+    connection.isolation_level = None
+    for pragma in ("journal_mode=WAL", "synchronous=FULL"):
+        connection.execute(f"PRAGMA {pragma}").close()
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    writes = connection.get_execution_options().get("write", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+
+def _cannot_open(url: str, error: Exception) -> Issue:
+    shown = url.split("@")[-1].split("?")[0]  # no password in a message
+    if isinstance(error, ImportError):
+        what = "PostgreSQL needs its driver; pip install 'tandem-planner[service,postgres]'"
+    elif isinstance(error, OperationalError):
+        what = f"cannot be opened ({str(error.orig).splitlines()[0]}); see that it runs and may be written"
+    else:
+        what = "is no such URL; give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME"
+    return Issue("service.database", f"database {shown}: {what}", field="database")
+
 
 State = Literal[
     "queued",

@@ -42,8 +42,7 @@ from planner.service.models import (
 )
 from planner.service.security import LOCAL, SESSION_S, RefusedError, unauthorised, unknown_job
 from planner.service.service import Service
-from planner.service.storage import Blob
-from planner.service.upload import documented, take_upload
+from planner.service.storage import Blob, documented, take_upload
 
 COOKIE: Final = "tandem_session"
 """Name of the cookie of a session."""

@@ -23,7 +23,6 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from planner.batch.job import Done, Event, Finished, Found, Job, Progress
 from planner.issues import Issue, TandemError
-from planner.service.database import JOBS, SESSIONS, Database
 from planner.service.jobs import (
     DELETED,
     answer_from_store,
@@ -33,7 +32,7 @@ from planner.service.jobs import (
     record_event,
     remove,
 )
-from planner.service.models import OPEN, State
+from planner.service.models import JOBS, OPEN, SESSIONS, Database, State
 from planner.service.security import issue_json
 from planner.service.storage import Blob, Files
 

@@ -25,7 +25,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from planner.issues import Issue, TandemError
-from planner.service.database import SESSIONS, TOKENS, Database
+from planner.service.models import SESSIONS, TOKENS, Database
 
 
 @dataclasses.dataclass(frozen=True)

@@ -25,13 +25,11 @@ from starlette.requests import Request
 
 from planner.batch.job import all_versions
 from planner.issues import Issue, TandemError
-from planner.service.database import Database, default_url
 from planner.service.jobs import Hub, Jobs, NewJob
-from planner.service.models import JobOut
+from planner.service.models import Database, JobOut, default_url
 from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
-from planner.service.storage import Blob, Files, Storage
-from planner.service.upload import Upload
+from planner.service.storage import Blob, Files, Storage, Upload
 from planner.service.upload_processes import Examiners, Reading, connection_closed
 from planner.service.uploaded_files import Examined
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import assert_never
 
-from planner.geometry.rigid import Shape
-from planner.tooling.base import PlainTool, plain
+from planner.geometry.arrays import Shape
 from planner.tooling.holding_tools import (
     BOW_SPAN,
     BOW_THROAT,
@@ -14,9 +13,11 @@ from planner.tooling.holding_tools import (
     REACH,
     Bow,
     Gripper,
+    PlainTool,
     WireHolder,
     bow,
     gripper_plate,
+    plain,
     vacuum_cup,
     wire_holder,
 )

@@ -1,8 +1,8 @@
-"""Tools that hold: an end of an elastic wire, a straight wire kept taut, or a block of foam.
+"""What every tool on a flange has, and tools that hold: a wire's end, a taut wire, a block of foam.
 
 The wire holder is a sliding clamp. The bow is a fork that keeps a straight hot wire taut between
 two prongs, carried by one arm. Grippers hold a block by its bottom face: a plate with needles, and
-a vacuum cup.
+a vacuum cup. A plain tool is one of the user's own, of which no more is known.
 """
 
 from __future__ import annotations
@@ -12,9 +12,37 @@ from typing import Final, Literal
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import Shape, corners, from_parts, from_rpy, inverse, transform
-from planner.tooling.base import ALUMINIUM_DENSITY, OnFlange
+from planner.geometry.arrays import FloatArray, Shape, corners, from_parts, from_rpy, inverse, transform
+
+ALUMINIUM_DENSITY: Final = 2700.0
+"""Density [kg/m^3] of aluminium."""
+
+
+@dataclasses.dataclass(frozen=True)
+class OnFlange:
+    """What all tools have: ``tcp`` (4, 4) and the solids ``shapes``, which may touch nothing, in the flange
+    frame; mass [kg], centre of gravity (3,) [m]."""
+
+    name: str
+    tcp: FloatArray
+    mass: float
+    cog: FloatArray
+    shapes: tuple[Shape, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class PlainTool(OnFlange):
+    """A tool of the user's own, of which no more is known."""
+
+
+def plain(
+    name: str, tcp: FloatArray, shapes: tuple[Shape, ...], mass: float, cog: FloatArray | None = None
+) -> PlainTool:
+    """A tool of the user's own: ``tcp`` (4, 4) and shapes in the flange frame, mass [kg]; cog (3,) [m] or
+    half way."""
+    centre = 0.5 * tcp[:3, 3] if cog is None else cog
+    return PlainTool(name=name, tcp=tcp, mass=mass, cog=centre, shapes=shapes)
+
 
 Mounting = Literal["along", "across", "diagonal"]
 Side = Literal["start", "end"]

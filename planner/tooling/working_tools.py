@@ -13,9 +13,8 @@ from typing import Final, Literal
 import numpy as np
 import trimesh
 
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import Shape, from_parts
-from planner.tooling.base import ALUMINIUM_DENSITY, OnFlange
+from planner.geometry.arrays import FloatArray, Shape, from_parts
+from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange
 
 
 @dataclasses.dataclass(frozen=True)

@@ -25,14 +25,12 @@ from planner.claims.claim import (
     KerfWithin,
     WireJoins,
 )
-from planner.geometry.arrays import FloatArray, IntArray
-from planner.geometry.rigid import inverse
+from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
 from planner.problem import Problem, Setup, Stock
 from planner.verify import job as job_text
-from planner.verify.job import JobText, Stage, TaskText
-from planner.verify.programs import setups as setup_text
-from planner.verify.programs.setups import SetupClaims, Spans
+from planner.verify import job as setup_text
+from planner.verify.job import JobText, SetupClaims, Spans, Stage, TaskText
 from planner.verify.programs.steps import BASE_FRAME, MessageStep, MoveStep, Step, WorkObject
 from planner.verify.rapid.syntax_tree import Data, Literal, build
 from planner.verify.replay.motion import Motion

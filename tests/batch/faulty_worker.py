@@ -23,7 +23,7 @@ KEPT: list[Any] = []
 def faulty(
     name: str, source: Path, result: Path, origins: Mapping[str, str], on_progress: Any, on_issues: Any
 ) -> Done:
-    """What `planner.batch.solve.solve` would do, or the fault that the name asks for."""
+    """What `planner.batch.run.solve` would do, or the fault that the name asks for."""
     kind = name.split("-")[0]
     on_progress("fault", 0.5)
     result.mkdir()
@@ -46,7 +46,7 @@ def faulty(
     if kind == "keep":
         KEPT.append(np.ones(25_000_000))  # 200 MB that the next job would be blamed for
     if kind == "raise":
-        from planner.batch import solve
+        from planner.batch import run as solve
 
         solve.pipeline.load = _wrong  # type: ignore[assignment]
         (result / "half").unlink()

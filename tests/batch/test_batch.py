@@ -25,7 +25,7 @@ from planner.batch.workers import Workers
 from planner.cli import batch as batch_commands
 from planner.cli import command_line
 from planner.cli.batch import Batch
-from planner.cli.batch import run as command
+from planner.cli.batch import run_batch as command
 from planner.issues import Issue, Severity, TandemError
 from tests import small_problem
 from tests.batch.jobs import FAULTY, alive, content, items

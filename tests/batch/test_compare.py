@@ -13,10 +13,9 @@ import pytest
 from planner import plans
 from planner.batch import compare
 from planner.batch.job import Done, Record, State
-from planner.batch.run import RECORDS
-from planner.batch.solve import Names
-from planner.claims.segments import Segment
-from planner.cli.compare import Compare, run
+from planner.batch.run import RECORDS, Names
+from planner.claims.vocabulary import Segment
+from planner.cli.batch import Compare, run_compare
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome, load
 from planner.plans import OperationPlan, Plan
@@ -75,7 +74,7 @@ def test_what_changed_is_found_where_it_is(tmp_path: Path, capsys: pytest.Captur
     assert again.poses_mm == pytest.approx(2.0)
     assert found.issues == {"mesh.unit": (0, 3)}
     assert next(p for p in found.figures if p.name == "cycle_s").change == 0.5
-    run(Compare(tmp_path / "a", tmp_path / "b"))
+    run_compare(Compare(tmp_path / "a", tmp_path / "b"))
     shown = capsys.readouterr().out
     for text in ("+0.5 (+12.5 %)", "job/cut (2)", "mesh.unit", "no proof"):
         assert text in shown
@@ -119,12 +118,12 @@ def test_batches_are_compared_job_by_job(tmp_path: Path, capsys: pytest.CaptureF
     assert a.figure("planning_s").change == 0.0
     assert a.issues == {"verify.surface": (0, 1)}
     assert (gone.second, new.first) == (None, None)
-    run(Compare(one, other))
+    run_compare(Compare(one, other))
     shown = capsys.readouterr().out
     assert "3 jobs, the status of 3 differs" in shown
     assert "cycle s, sum over 1 jobs: 10 to 8" in shown
     with pytest.raises(TandemError, match="no batch has ended"):
-        run(Compare(one, tmp_path / "none"))
+        run_compare(Compare(one, tmp_path / "none"))
 
 
 def test_no_issue_of_an_outcome_names_the_folder_that_it_was_planned_in(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.geometry.rigid import Shape, from_rpy
+from planner.geometry.arrays import Shape, from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
 from planner.tooling import Tool, plain, wire_holder
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from planner.cell import plant
-from planner.geometry.rigid import from_rpy
+from planner.geometry.arrays import from_rpy
 from tests.cell.cells import BLOCK, UP, facing
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.catalogue import robots
 from planner.cell import clearance, plant
-from planner.geometry.rigid import from_rpy, inverse
+from planner.geometry.arrays import from_rpy, inverse
 from tests.cell.cells import BLOCK, UP, alone
 
 PLACE = from_rpy((1.5, 0.1, 1.0), UP)

@@ -9,7 +9,7 @@ import pytest
 
 from planner.catalogue import robots
 from planner.cell import clearance, plant
-from planner.geometry.rigid import Shape, from_rpy
+from planner.geometry.arrays import Shape, from_rpy
 from planner.problem import Obstacle
 from tests.cell.cells import BLOCK, UP, alone, facing, random_joints
 

@@ -7,7 +7,7 @@ import pytest
 
 from planner.cell import clearance, plant
 from planner.cell.bodies import Solid, signed_distance
-from planner.geometry.rigid import Shape, from_rpy
+from planner.geometry.arrays import Shape, from_rpy
 from planner.problem import Obstacle
 from tests.cell.cells import BLOCK, UP, alone
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from planner.cell import clearance, plant
 from planner.cell.bodies import Solid, signed_distance
 from planner.cell.distance import AGREED_M, cores, distances
-from planner.geometry.rigid import Shape, from_rpy
+from planner.geometry.arrays import Shape, from_rpy
 from tests.cell.cells import BLOCK, UP, facing
 from tests.cell.test_clearance import random_joints
 

@@ -9,7 +9,7 @@ import pytest
 
 from planner.cell import clearance, plant
 from planner.cell.bodies import own_shapes
-from planner.geometry.rigid import Shape, from_rpy, inverse
+from planner.geometry.arrays import Shape, from_rpy, inverse
 from planner.problem import Arm, Cell, Controller, Stock
 from planner.tooling import bow, gripper_plate
 from tests.cell.cells import BLOCK, UP, alone, random_joints

@@ -10,7 +10,7 @@ import yaml
 
 from planner.catalogue import robots
 from planner.cell import clearance, plant
-from planner.geometry.rigid import from_rpy
+from planner.geometry.arrays import from_rpy
 from planner.reading import cell as cell_file
 from tests.cell.cells import BLOCK, UP
 

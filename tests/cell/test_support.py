@@ -13,7 +13,7 @@ import yaml
 from planner import pipeline
 from planner.cell import plant
 from planner.cell import support as standing
-from planner.geometry.rigid import Shape, from_rpy
+from planner.geometry.arrays import Shape, from_rpy
 from planner.issues import Issue, Severity
 from planner.problem import Cell, Obstacle, Setup, Stock
 from planner.reading.stock import PEDESTAL, TABLE

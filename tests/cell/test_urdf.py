@@ -12,7 +12,7 @@ import pytest
 from planner.catalogue import robots
 from planner.cell import clearance, plant
 from planner.cell.bodies import Solid, signed_distance
-from planner.geometry.rigid import Shape, from_rpy, inverse, transform
+from planner.geometry.arrays import Shape, from_rpy, inverse, transform
 from tests.cell.cells import BLOCK, alone
 
 FAR = from_rpy((50.0, 0.0, 0.0), (0.0, 0.0, 0.0))

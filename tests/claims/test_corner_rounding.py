@@ -9,12 +9,12 @@ import pytest
 
 from planner.claims.forming import FormsSheet
 from planner.claims.milling import MillsProgram, SparesPart
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.forming import job as forming_job
 from planner.geometry import corner_rounding
 from planner.hotwire.straight import job as straight_job
 from planner.milling import job as milling_job
-from planner.post.krl import linear_moves
+from planner.post.krl import syntax
 from planner.post.rapid import syntax as rapid_syntax
 from planner.targets import Rounding, lever
 from planner.tooling import bow
@@ -132,8 +132,8 @@ def test_sizes_of_zones_are_no_farther_apart_than_the_clock_counts_with():
     for sizes in (
         rapid,
         rapid_syntax.TURN_ZONES.values(),
-        linear_moves.APPROXIMATION_DISTANCES,
-        linear_moves.APPROXIMATION_ANGLES,
+        syntax.APPROXIMATION_DISTANCES,
+        syntax.APPROXIMATION_ANGLES,
     ):
         found = np.sort(np.array(list(sizes)))
         coarse = found[1:] > corner_rounding.PATH_ACCURACY_MM

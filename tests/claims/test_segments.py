@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from planner import pipeline, processes
 from planner.catalogue.robots import data_dir
 from planner.claims.claim import FeedWindow
-from planner.claims.segments import Segment, clash, fold
+from planner.claims.vocabulary import Segment, clash, fold
 from planner.issues import Severity, TandemError, given_wrong
 from planner.post import write
 from planner.post.krl.syntax import comment, mark

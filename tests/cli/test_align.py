@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planner.cli import align as align_commands
-from planner.geometry.rigid import from_rpy, inverse
+from planner.cli import preparation as align_commands
+from planner.geometry.arrays import from_rpy, inverse
+from planner.geometry.units import DEG, MM
 from planner.issues import TandemError
 from planner.reading import strict_yaml
 from planner.reading.problem import read_cell
-from planner.units import DEG, MM
 
 CELL = Path(__file__).parents[2] / "problems" / "cells" / "two_irb140_facing.yaml"
 LEFT = from_rpy([-0.85, 0.0, 0.0], [0.0, 0.0, 0.0])
@@ -47,7 +47,7 @@ def align(folder: Path, off: float = 0.0, **given: object) -> align_commands.Ali
 
 def refused(request: align_commands.Align) -> list[str]:
     with pytest.raises(TandemError) as caught:
-        align_commands.run(request)
+        align_commands.run_align(request)
     assert not request.output.exists()
     return [issue.code for issue in caught.value.issues]
 
@@ -61,7 +61,7 @@ def cell_with(folder: Path, old: str, new: str) -> Path:
 
 
 def test_the_cell_has_the_base_and_nothing_else_changes(tmp_path: Path) -> None:
-    assert align_commands.run(align(tmp_path)) == ()
+    assert align_commands.run_align(align(tmp_path)) == ()
     new, old = (tmp_path / "new.yaml").read_text().splitlines(), CELL.read_text().splitlines()
     changed = [k for k, (a, b) in enumerate(zip(new, old, strict=True)) if a != b]
     assert len(changed) == 1
@@ -73,7 +73,7 @@ def test_the_cell_has_the_base_and_nothing_else_changes(tmp_path: Path) -> None:
 
 def test_the_first_arm_can_be_aligned_to_the_second(tmp_path: Path) -> None:
     right = np.array([850, 0, 0]), [0.0, 0.0, 180 * DEG]
-    align_commands.run(align(tmp_path, arm="left"))
+    align_commands.run_align(align(tmp_path, arm="left"))
     cell = read_cell(strict_yaml.read(tmp_path / "new.yaml"))
     wanted = from_rpy(right[0] * MM, right[1]) @ inverse(TRUE) @ LEFT
     assert np.allclose(cell.arms[0].base, wanted, atol=1e-6)
@@ -94,7 +94,7 @@ def test_the_first_arm_can_be_aligned_to_the_second(tmp_path: Path) -> None:
 def test_every_layout_keeps_its_comments(tmp_path: Path, layout: str) -> None:
     cell = cell_with(tmp_path, "[3200, 2400, 100]", "[3.2e3, 2400, 1e2]")
     cell = cell_with(tmp_path, "\n    base: {xyz_mm: [850, 0, 0], rpy_deg: [0, 0, 180]}\n", layout)
-    align_commands.run(align(tmp_path, cell=cell))
+    align_commands.run_align(align(tmp_path, cell=cell))
     text = (tmp_path / "new.yaml").read_text()
     new = read_cell(strict_yaml.read(tmp_path / "new.yaml"))
     assert np.allclose(new.arms[1].base, TRUE, atol=1e-6)
@@ -111,7 +111,7 @@ def test_an_alias_is_refused_with_a_remedy(tmp_path: Path) -> None:
 
 def test_a_bad_point_stops_it_until_it_is_left_out(tmp_path: Path) -> None:
     assert refused(align(tmp_path, off=2.0)) == ["align.bad_point"]
-    align_commands.run(align(tmp_path, off=2.0, leave_out=("p3",)))
+    align_commands.run_align(align(tmp_path, off=2.0, leave_out=("p3",)))
     cell = read_cell(strict_yaml.read(tmp_path / "new.yaml"))
     assert np.allclose(cell.arms[1].base, TRUE, atol=1e-6)
 
@@ -129,7 +129,7 @@ def test_what_else_is_refused(tmp_path: Path) -> None:
     request = align(tmp_path)
     there = align(tmp_path, output=tmp_path / "file" / "new.yaml")
     with pytest.raises(TandemError, match="cannot be written"):
-        align_commands.run(there)
+        align_commands.run_align(there)
     text = request.points.read_text().splitlines(keepends=True)
     inches = [text[0]] + [
         row.split(",")[0] + "," + ",".join(f"{float(v) * 25.4:.3f}" for v in row.split(",")[1:]) + "\n"
@@ -149,7 +149,7 @@ def test_meshes_that_the_cell_names_must_be_found_from_the_new_place(tmp_path: P
     mesh = "{kind: mesh, file: box.obj, unit: m, pose: {xyz_mm: [0, 0, -1500]}}"
     cell = cell_with(tmp_path / "a", shape, mesh)
     assert refused(align(tmp_path, cell=cell, output=tmp_path / "b" / "new.yaml")) == ["align.cell"]
-    align_commands.run(align(tmp_path, cell=cell, output=tmp_path / "a" / "new.yaml"))
+    align_commands.run_align(align(tmp_path, cell=cell, output=tmp_path / "a" / "new.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_faults_of_the_points_are_named(tmp_path: Path, old: str, new: str, what
     assert text.count(old) == 1
     request.points.write_text(text.replace(old, new))
     with pytest.raises(TandemError) as caught:
-        align_commands.run(request)
+        align_commands.run_align(request)
     assert {i.code for i in caught.value.issues} == {"align.file"}
     assert what in str(caught.value)
 
@@ -182,7 +182,7 @@ def test_semicolons_and_decimal_commas_are_read(tmp_path: Path) -> None:
     request.points.write_text(
         request.points.read_text().replace("left,", "left.").replace("right,", "right.")
     )
-    assert align_commands.run(request) == ()
+    assert align_commands.run_align(request) == ()
 
 
 def test_the_command_and_its_exit_codes(tmp_path: Path) -> None:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.cli.features import Features, run
+from planner.cli.preparation import Features, run_features
 from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.units import MM
 from planner.issues import TandemError
-from planner.units import MM
 from tests.forming.nests import dome, frustum, revolved, sheet
 
 PROFILE = [(60, 0), (50, 0), (44, -10), (36, -10), (20, 4), (0, 4)]
@@ -56,7 +56,7 @@ def test_bad_parts_end_with_the_code_of_bad_input(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".svg", ".html"])
 def test_drawings_are_whole_and_show_every_contour(part: Path, tmp_path: Path, suffix: str) -> None:
     drawing = tmp_path / f"tree{suffix}"
-    run(Features(part, step_mm=2.0, output=drawing))
+    run_features(Features(part, step_mm=2.0, output=drawing))
     text = drawing.read_text("utf-8")
     svg = text[text.index("<svg") : text.index("</svg>") + 6]
     root = ET.fromstring(svg)
@@ -67,10 +67,10 @@ def test_drawings_are_whole_and_show_every_contour(part: Path, tmp_path: Path, s
 
 def test_other_drawings_and_folders_that_are_not_are_refused(part: Path, tmp_path: Path) -> None:
     with pytest.raises(TandemError, match=r"output\.folder.*\.html or \.svg"):
-        run(Features(part, output=tmp_path / "tree.png"))
+        run_features(Features(part, output=tmp_path / "tree.png"))
     (tmp_path / "file").write_text("")
     with pytest.raises(TandemError, match=r"output\.folder.*cannot be written"):
-        run(Features(part, output=tmp_path / "file" / "tree.svg"))
+        run_features(Features(part, output=tmp_path / "file" / "tree.svg"))
 
 
 def test_a_table_has_centres_depths_and_wall_angles(tmp_path: Path) -> None:
@@ -78,7 +78,7 @@ def test_a_table_has_centres_depths_and_wall_angles(tmp_path: Path) -> None:
     moved = revolved([(float(r), float(z)) for r, z in PROFILE])
     part = written(tmp_path, Mesh(moved.vertices + np.array([30.0, -5.0, 2.0]), moved.faces))
     table = tmp_path / "tree.json"
-    run(Features(part, output=table, strategy="virgin"))
+    run_features(Features(part, output=table, strategy="virgin"))
     read = json.loads(table.read_text("utf-8"))
     pit, knob = read["features"]
     assert (read["level_mm"], read["tolerance_mm"]) == (2.0, 0.0)
@@ -105,7 +105,7 @@ def test_the_noise_of_a_scan_is_no_feature(tmp_path: Path) -> None:
     noise = np.random.default_rng(7).normal(0.0, 1e-4, clean.vertices.shape)
     part = written(tmp_path, Mesh((clean.vertices + noise) / MM, clean.faces))
     table = tmp_path / "tree.json"
-    (note,) = run(Features(part, output=table))
+    (note,) = run_features(Features(part, output=table))
     assert note.code == "part.mesh_noise"
     read = json.loads(table.read_text("utf-8"))
     assert read["tolerance_mm"] == pytest.approx(0.3, rel=0.1)
@@ -117,4 +117,4 @@ def test_the_noise_of_a_scan_is_no_feature(tmp_path: Path) -> None:
     assert middle == {"convex": pytest.approx(-16.0, abs=0.5), "concave": pytest.approx(16.0, abs=0.5)}
     assert [one["depth_mm"] for one in read["features"][1:]] == pytest.approx([4.0, 4.0], abs=0.3)
     with pytest.raises(TandemError, match="tolerance"):
-        run(Features(part, tolerance_mm=0.0))
+        run_features(Features(part, tolerance_mm=0.0))

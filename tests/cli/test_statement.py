@@ -14,7 +14,7 @@ import yaml
 
 from planner import pipeline
 from planner.cli import command_line, statement
-from planner.cli.compare import differences
+from planner.cli.batch import differences
 from planner.files import RESULT, write_folder
 from planner.issues import TandemError
 from planner.problem import Problem

@@ -15,7 +15,6 @@ from scipy.spatial import Delaunay
 
 from planner import pipeline, processes
 from planner.claims.claim import Claim
-from planner.claims.dialogue import OperatorDialogue
 from planner.claims.forming import (
     FollowsOpposite,
     FormingFeed,
@@ -28,15 +27,15 @@ from planner.claims.forming import (
     ToolGap,
     ToolsLean,
 )
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import OperatorDialogue, Segment
 from planner.forming.features.pass_shape import joined, polygons, triangulated
 from planner.forming.process_plan import Work, work
 from planner.geometry.arrays import Mesh
+from planner.geometry.units import DEG, MM
 from planner.issues import Severity, TandemError
 from planner.problem import Problem
 from planner.reading.sheet import CLAMP_BARS
 from planner.targets import Targets
-from planner.units import DEG, MM
 from tests import small_forming
 from tests.forming import shapes
 

@@ -6,8 +6,8 @@ import pytest
 
 from planner.catalogue.materials import sheet_metals
 from planner.forming.passes import nearest_failed, trials, warning
+from planner.geometry.units import DEG, MM
 from planner.issues import Severity
-from planner.units import DEG, MM
 
 INCH = 25.4
 

@@ -10,8 +10,8 @@ from scipy.optimize import minimize_scalar
 
 from planner.catalogue.materials import sheet_metal, sheet_metals, thickness_doubt
 from planner.forming import sheet_mechanics
+from planner.geometry.units import DEG, GRAVITY, MM
 from planner.issues import Severity, TandemError
-from planner.units import DEG, GRAVITY, MM
 
 
 def test_every_figure_has_a_source_and_makes_sense() -> None:

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from planner.geometry import rigid
+from planner.geometry import arrays as rigid
 
 turns = arrays(np.float64, 3, elements=st.floats(-1.8, 1.8, allow_subnormal=False))
 twists = arrays(np.float64, 6, elements=st.floats(-1.7, 1.7, allow_subnormal=False))

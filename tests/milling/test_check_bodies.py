@@ -10,8 +10,7 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray
 from planner.milling import check
-from planner.milling.claims import claims
-from planner.milling.job import MillingJob
+from planner.milling.job import MillingJob, claims
 from planner.milling.process_plan import work
 from planner.tooling import Cutter
 from planner.verify.milling import tool_motion

@@ -10,7 +10,7 @@ import pytest
 from planner import processes
 from planner.claims.milling import MillsSurface
 from planner.geometry.arrays import Mesh
-from planner.milling import face as milling_face
+from planner.milling import cutter_contact as milling_face
 from planner.milling.process_plan import work
 from tests.milling.small_mill import BALL, PANEL, problem
 from tests.verify.milling_job import Job

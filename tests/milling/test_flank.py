@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from planner.geometry.arrays import Ruled
-from planner.milling import flank
-from planner.milling.flank import Strip, strips
+from planner.milling import cutter_contact
+from planner.milling.cutter_contact import Strip, strips
 from planner.milling.point_cut import ridge_step, tips
 from planner.tooling import Cutter
 
@@ -35,7 +35,7 @@ def strip_of(ruled: Ruled, step: float = 5e-4) -> Strip:
 def test_a_cone_is_touched_all_along_its_rulings() -> None:
     """On a cone the normal is the same along a ruling, so that the axis is the ruling moved along it by R."""
     strip, radius = strip_of(cone()), 0.008
-    low, high = flank.axes(strip, radius)
+    low, high = cutter_contact.axes(strip, radius)
     turn = np.arctan2(strip.low[:, 1], strip.low[:, 0])
     lean = np.arctan(0.3)
     normal = np.stack(
@@ -44,14 +44,14 @@ def test_a_cone_is_touched_all_along_its_rulings() -> None:
     inner = slice(40, -40)
     np.testing.assert_allclose(low[inner], (strip.low + radius * normal)[inner], atol=2e-6)
     np.testing.assert_allclose(high[inner], (strip.high + radius * normal)[inner], atol=2e-6)
-    assert np.abs(flank.deviation(strip, radius, low, high)).max() < 2e-6
+    assert np.abs(cutter_contact.deviation(strip, radius, low, high)).max() < 2e-6
 
 
 def test_the_cutter_is_on_the_outer_side() -> None:
     strip = strip_of(cone())
-    low, _ = flank.axes(strip, 0.01)
+    low, _ = cutter_contact.axes(strip, 0.01)
     assert np.linalg.norm(low[:, :2], axis=1).min() > 0.1
-    back, _ = flank.axes(strip.reversed(), 0.01)
+    back, _ = cutter_contact.axes(strip.reversed(), 0.01)
     np.testing.assert_allclose(back[::-1], low, atol=1e-5)
 
 
@@ -61,19 +61,19 @@ def test_the_deviation_on_a_hyperboloid_is_what_a_brute_search_finds(radius: flo
     equation, on a dense grid of turns and heights, by no code of the planner."""
     waist, slope = 0.06, 0.5
     strip = strip_of(hyperboloid(waist, slope))
-    low, high = flank.axes(strip, radius)
+    low, high = cutter_contact.axes(strip, radius)
     k = len(low) // 2
     way = (high[k] - low[k]) / np.linalg.norm(high[k] - low[k])
     middle = np.arctan2(low[k, 1], low[k, 0])
     turn = middle + np.linspace(-1.0, 1.0, 4001)
     found = []
-    for share in flank.RULING_SHARES:
+    for share in cutter_contact.RULING_SHARES:
         z = -0.04 + 0.08 * share
         ring = np.sqrt(waist**2 + (slope * z) ** 2)
         places = np.stack([ring * np.cos(turn), ring * np.sin(turn), np.full(len(turn), z)], axis=1)
         rest = places - low[k]
         found.append(np.linalg.norm(rest - (rest @ way)[:, None] * way, axis=1).min() - radius)
-    told = flank.deviation(strip, radius, low, high)[k]
+    told = cutter_contact.deviation(strip, radius, low, high)[k]
     np.testing.assert_allclose(told, found, atol=3e-6)
 
 
@@ -81,16 +81,18 @@ def test_being_ahead_makes_twisted_rulings_better() -> None:
     """Both guides touched, and the place on the upper guide free: less than half of what is left with it
     opposite."""
     strip, radius = strip_of(hyperboloid(0.06, 0.5)), 0.012
-    chosen = flank.axes(strip, radius)
-    plain = flank._touching(strip, radius, np.arange(len(strip.low)), np.zeros(len(strip.low)))
+    chosen = cutter_contact.axes(strip, radius)
+    plain = cutter_contact._touching(strip, radius, np.arange(len(strip.low)), np.zeros(len(strip.low)))
     inner = slice(45, -45)
-    best, worst = (np.abs(flank.deviation(strip, radius, *ends))[inner].max() for ends in (chosen, plain))
+    best, worst = (
+        np.abs(cutter_contact.deviation(strip, radius, *ends))[inner].max() for ends in (chosen, plain)
+    )
     assert best < 0.5 * worst
 
 
 def test_both_guides_are_touched() -> None:
     strip, radius = strip_of(hyperboloid(0.06, 0.5)), 0.01
-    low, high = flank.axes(strip, radius)
+    low, high = cutter_contact.axes(strip, radius)
     k = len(low) // 2
     way = (high[k] - low[k]) / np.linalg.norm(high[k] - low[k])
     for guide in (strip.low, strip.high):
@@ -147,14 +149,14 @@ def test_a_closed_surface_has_no_seam(turn: float) -> None:
     """The cone is the same all around, and so is the cutter's way: all places are the first one turned about
     z, the last one is the first one again, and without a twist they are those of the closed form."""
     strip, radius = strip_of(ring(turn)), 0.006
-    low, high = flank.axes(strip, radius)
+    low, high = cutter_contact.axes(strip, radius)
     np.testing.assert_allclose(low[-1], low[0], atol=1e-12)
     np.testing.assert_allclose(high[-1], high[0], atol=1e-12)
     for side in (low, high):
         beside = np.linalg.norm(side[:, :2], axis=1)
         assert np.ptp(beside) < 2e-6
         assert np.ptp(side[:, 2]) < 2e-6
-    off = np.abs(flank.deviation(strip, radius, low, high))
+    off = np.abs(cutter_contact.deviation(strip, radius, low, high))
     assert off[0].max() == pytest.approx(off[len(off) // 2].max(), abs=2e-6)
     if turn == 0.0:
         lean = np.arctan2(0.01, 0.04)

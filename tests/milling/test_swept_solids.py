@@ -9,7 +9,7 @@ import pytest
 
 from planner import processes
 from planner.claims.milling import SparesPart
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.milling import check
 from planner.tooling import Cutter

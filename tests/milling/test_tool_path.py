@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planner import processes
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.milling.operation import Milling
 from planner.milling.tool_path import LEAST_PLUNGE, Run, lay_out, plain_path
 from tests.milling.small_mill import BALL, PANEL, WALL, problem

@@ -10,9 +10,8 @@ import numpy as np
 
 from bench.motion_jobs import HOME, arc_wire, block, s_curve, two_arms
 from planner.cell import plant
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import Shape, from_parts
-from planner.motion.scene import Scene
+from planner.geometry.arrays import FloatArray, Shape, from_parts
+from planner.motion.planning_scene import Scene
 from planner.motion.search.subsampling import subset
 from planner.problem import Obstacle, Problem, Settings
 from planner.targets import Targets

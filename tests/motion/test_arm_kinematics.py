@@ -9,9 +9,9 @@ from scipy.spatial.transform import RigidTransform
 
 from planner.catalogue.robots import robot, robot_names
 from planner.cell.kinematics import forward
-from planner.geometry.rigid import exp_twist, from_parts
-from planner.motion import arm_kinematics
-from planner.motion.arm_kinematics import FULL_TURN, Chain, wrap
+from planner.geometry.arrays import exp_twist, from_parts
+from planner.motion import planning_scene
+from planner.motion.planning_scene import FULL_TURN, Chain, wrap
 
 
 @pytest.mark.parametrize("name", robot_names())
@@ -19,7 +19,7 @@ def test_every_branch_reaches_the_pose_and_one_is_the_angle_asked_for(name: str)
     data = robot(name)
     q = np.random.default_rng(1).uniform(data.lower, data.upper, (400, 6))
     flange = forward(data, q)
-    found = arm_kinematics.inverse_kinematics(data.opw, flange)
+    found = planning_scene.inverse_kinematics(data.opw, flange)
     there = ~np.isnan(found[..., 0])
     assert np.array_equal(there, ~np.isnan(found).any(axis=-1))
     again = forward(data, np.nan_to_num(found))
@@ -40,7 +40,7 @@ def test_branches_agree_with_py_opw_kinematics(name: str) -> None:
     q = np.random.default_rng(2).uniform(data.lower, data.upper, (200, 6))
     flange = forward(data, q)
     theirs = np.asarray(other.reach(RigidTransform.from_matrix(flange), [(-20.0, 20.0)] * 6).joints)
-    ours = arm_kinematics.inverse_kinematics(data.opw, flange)
+    ours = planning_scene.inverse_kinematics(data.opw, flange)
     gap = np.abs(wrap(ours[:, :, None] - theirs[:, None], np.zeros(6))).max(axis=-1)
     gap = np.where(np.isnan(gap), np.inf, gap)
     assert np.array_equal(np.isnan(ours[..., 0]).sum(axis=1), np.isnan(theirs[..., 0]).sum(axis=1))
@@ -51,10 +51,10 @@ def test_branches_agree_with_py_opw_kinematics(name: str) -> None:
 def test_branch_numbers_are_continuous_along_a_path() -> None:
     data = robot("irb140")
     q = np.array([0.3, 0.2, -0.4, 0.5, 0.9, 0.1]) + np.linspace(0, 0.3, 200)[:, None] * np.ones(6)
-    found = arm_kinematics.inverse_kinematics(data.opw, forward(data, q))
+    found = planning_scene.inverse_kinematics(data.opw, forward(data, q))
     branch = np.argmin(np.abs(wrap(found - q[:, None], np.zeros(6))).max(axis=-1), axis=1)
     assert len(set(branch.tolist())) == 1
-    only = arm_kinematics.inverse_kinematics(data.opw, forward(data, q), [int(branch[0])])[:, 0]
+    only = planning_scene.inverse_kinematics(data.opw, forward(data, q), [int(branch[0])])[:, 0]
     assert np.allclose(wrap(only, q), q, atol=1e-9)
 
 

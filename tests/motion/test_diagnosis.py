@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from planner.cell import clearance, plant
-from planner.geometry.rigid import Shape, from_parts
+from planner.geometry.arrays import Shape, from_parts
 from planner.issues import Issue, Remedy, TandemError
 from planner.motion import diagnosis, remedies
-from planner.motion.arm_kinematics import Chain
-from planner.motion.scene import Scene
+from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.ladder import LARGEST_STEP
 from planner.motion.search.ladder_search import Blocked, Found, search
 from planner.motion.search.reach import Grid, Rungs, reach, sample

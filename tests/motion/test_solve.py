@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planner.geometry.rigid import exp_twist, from_parts
+from planner.geometry.arrays import exp_twist, from_parts
 from planner.issues import TandemError
 from planner.motion import diagnosis, operation
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Search
-from planner.motion.scene import Scene
+from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found, search
 from planner.motion.search.reach import sample
 from planner.motion.solve import _require_home, check, setup_groups, solve

@@ -11,13 +11,12 @@ import pytest
 
 from bench.motion_bows import held, standing
 from planner.cell import clearance, plant
-from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import from_parts, from_rpy, interpolate, inverse
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import FloatArray, from_parts, from_rpy, interpolate, inverse
 from planner.issues import TandemError
 from planner.motion import diagnosis, transit
 from planner.motion.operation import plan_operation
-from planner.motion.scene import Scene, cutting
+from planner.motion.planning_scene import Scene, cutting
 from planner.motion.search.ladder_search import Blocked, Found
 from planner.motion.search.path_search import find_path
 from planner.motion.search.subsampling import Coordinates, levels, own_turn

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from planner.cell import plant
-from planner.claims.segments import Segment
-from planner.geometry.rigid import from_parts, inverse
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import from_parts, inverse
 from planner.issues import TandemError
 from planner.motion import transit
 from planner.motion.operation import plan_operation
+from planner.motion.planning_scene import Scene
 from planner.motion.rrt import connect, way_free
-from planner.motion.scene import Scene
 from planner.motion.search.ladder_search import Found, search
 from planner.motion.search.reach import sample
 from planner.motion.search.subsampling import subset

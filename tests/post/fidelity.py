@@ -12,8 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from planner.catalogue.robots import RobotData, robot
 from planner.cell.kinematics import forward
-from planner.geometry.rigid import to_quaternion
-from planner.post.krl import linear_moves
+from planner.geometry.arrays import to_quaternion
+from planner.post.krl import syntax as linear_moves
 from planner.post.krl.data import status, turn
 from planner.post.program import Track
 from planner.post.rapid import syntax

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 
-from planner.geometry.rigid import from_quaternion
+from planner.geometry.arrays import from_quaternion
 from planner.post import write
 from tests.line_ends import bare
 

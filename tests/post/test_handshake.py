@@ -10,7 +10,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.dialogue import Handshake, PartnerSignals
+from planner.claims.vocabulary import Handshake, PartnerSignals
 from planner.issues import TandemError
 from planner.post import handshake, write
 from planner.post.handshake import meeting_rows, stretched

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.issues import TandemError
 from planner.targets import Action
 from tests.post import synthetic

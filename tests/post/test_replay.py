@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from planner.targets import Action
 from planner.verify import job
-from planner.verify.programs import setups
+from planner.verify import job as setups
 from planner.verify.replay import playback
 from tests.post import synthetic
 from tests.post.reading import programs

@@ -10,7 +10,7 @@ import pytest
 
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
-from planner.geometry.rigid import from_quaternion
+from planner.geometry.arrays import from_quaternion
 from planner.issues import TandemError
 from planner.problem import Change
 from planner.verify.rapid.reader import read_task

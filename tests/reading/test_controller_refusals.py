@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from planner import pipeline
-from planner.claims import dialogue
+from planner.claims import vocabulary
 from planner.issues import TandemError
 from planner.post.program import plain
 from planner.post.rapid.syntax import BOX_LINE, STRING_LENGTH, box, identifier, quoted, write_lines
@@ -158,7 +158,7 @@ def test_a_spindle_and_a_wire_do_not_share_a_signal(tmp_path: Path) -> None:
 
 def test_texts_to_the_operator_fit_the_panel() -> None:
     signal, name = "x" * 28, "y" * 24
-    texts = dialogue
+    texts = vocabulary
     lines = [
         texts.OFF_BY_MM,
         texts.OFF_BY_DEGREES,

@@ -11,12 +11,12 @@ import pytest
 import yaml
 
 from planner import pipeline
-from planner.geometry.rigid import inverse, transform
+from planner.geometry.arrays import inverse, transform
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Problem
 from planner.reading import grip_choice
 from planner.report import setup_sheet
-from planner.units import DEG, MM
 
 PLATE = {"kind": "gripper_plate"}
 LIST = [

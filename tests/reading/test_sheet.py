@@ -14,9 +14,9 @@ import trimesh
 from planner import pipeline
 from planner.forming.features.tree import build
 from planner.geometry.arrays import Mesh
+from planner.geometry.units import DEG, MM
 from planner.issues import Severity, TandemError
 from planner.problem import Problem
-from planner.units import DEG, MM
 from tests import small_forming
 from tests.forming import nests
 from tests.refusals import change, codes, refused

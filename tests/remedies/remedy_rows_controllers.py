@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.claims.dialogue import Handshake
+from planner.claims.vocabulary import Handshake
 from planner.issues import Issue
 from planner.post.krl import controller_files as krl_files
 from planner.post.steps import build

@@ -16,8 +16,8 @@ from planner.forming.features import tree
 from planner.forming.paths import adsif_response, contact_path
 from planner.forming.paths.spiral import PathOptions
 from planner.geometry.arrays import Mesh
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue
-from planner.units import DEG, MM
 from tests import small_forming
 from tests.forming import shapes
 from tests.forming.paths.path_faces import bowl

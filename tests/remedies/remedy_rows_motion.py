@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner import pipeline, processes
+from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.motion import transit
 from planner.motion.operation import plan_operation
@@ -17,9 +18,8 @@ from planner.motion.search.ladder_search import Found, search
 from planner.motion.search.reach import sample
 from planner.motion.solve import check as check_motion
 from planner.motion.solve import solve
-from planner.motion.trajectory import thinning
+from planner.motion.trajectory import move_limits
 from planner.problem import Settings
-from planner.units import MM
 from tests import small_problem
 from tests.motion.scenes import HIGH, arc_wire, box, pair, problem, s_curve, two_arms
 from tests.refusals import POSES, change
@@ -81,7 +81,7 @@ def short(folder: Path, data: Any) -> list[Issue]:
     _, targets = s_curve(data["count"])
     travel = np.append(0.0, np.linalg.norm(np.diff(targets.pose["arm"][:, :3, 3], axis=0), axis=1))
     targets = dataclasses.replace(targets, travel=travel)
-    return thinning.short_move_notes(targets, targets.neutral(), np.cumsum(travel) / (data["feed"] * MM))
+    return move_limits.short_move_notes(targets, targets.neutral(), np.cumsum(travel) / (data["feed"] * MM))
 
 
 def placed(folder: Path, data: Any) -> list[Issue]:

@@ -16,8 +16,8 @@ import yaml
 
 from planner import files, pipeline
 from planner.batch.batch_file import read_batch
-from planner.cli import align as align_commands
 from planner.cli import command_line, statement
+from planner.cli import preparation as align_commands
 from planner.issues import Issue
 from planner.reading import problem as problem_file
 from planner.verify.prove import Prover
@@ -52,7 +52,7 @@ def align(folder: Path, data: Any) -> list[Issue]:
     given = {"tolerance_mm": data.get("tolerance_mm", 0.5), "leave_out": tuple(data.get("leave_out", ()))}
     output = folder / data.get("output", "new.yaml")
     request = align_commands.Align(folder / "cell.yaml", folder / "points.csv", output, **given)
-    return found(lambda: align_commands.run(request))
+    return found(lambda: align_commands.run_align(request))
 
 
 def batch(folder: Path, data: Any) -> list[Issue]:

@@ -10,9 +10,8 @@ import numpy as np
 from planner.catalogue import robots
 from planner.cell import kinematics
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
-from planner.claims.segments import Segment
-from planner.geometry.arrays import Mesh
-from planner.geometry.rigid import Shape, from_rpy, inverse, log_pose
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import Mesh, Shape, from_rpy, inverse, log_pose
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Controller, Obstacle, Part, Problem, Settings, Stock

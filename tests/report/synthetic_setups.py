@@ -10,9 +10,8 @@ from planner.catalogue.materials import foam
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, HoldsStock, KerfCurve, StraightWire
-from planner.claims.segments import Segment
-from planner.geometry.arrays import Ruled
-from planner.geometry.rigid import from_parts, from_rpy, inverse
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import Ruled, from_parts, from_rpy, inverse
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Change, Part, Problem, Setup, Stock

@@ -11,12 +11,11 @@ import trimesh
 
 from planner.catalogue import robots
 from planner.cell import kinematics, plant
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import raster, replay, scene
-from planner.report.scene import Scene
-from planner.report.timeline import track
+from planner.report.scene import Scene, track
 from tests.report import synthetic_job as job
 
 

@@ -11,12 +11,12 @@ import pytest
 from planner.catalogue import robots
 from planner.cell import kinematics, plant
 from planner.claims.claim import CutsSurface, FeedWindow, KerfCurve
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import Ruled
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import cell_picture, motion_charts, output, raster, replay, scene
-from planner.report.timeline import SETUP_SEGMENT, track
+from planner.report.scene import SETUP_SEGMENT, track
 from planner.verify.result import CutFace, Proof, RuleResult
 from tests.report import synthetic_job as job
 from tests.report import synthetic_setups as made

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from planner import pipeline
-from planner.claims.segments import Segment
-from planner.report import replay, timeline
-from planner.report.timeline import Track
+from planner.claims.vocabulary import Segment
+from planner.report import replay, scene
+from planner.report.scene import Track
 from tests import small_problem
 
 
@@ -50,7 +50,7 @@ def test_the_arm_stands_in_the_replay_as_the_programs_have_it(tmp_path: Path) ->
     """Joint angles that the proof read out of the programs, against those of the replay."""
     outcome = pipeline.plan(pipeline.load(small_problem.write(tmp_path)))
     series = outcome.proof.series
-    shown = timeline.track(outcome.problem, outcome.plan, 600)
+    shown = scene.track(outcome.problem, outcome.plan, 600)
     labels = [str(label) for label in series["label"]]
     at = np.flatnonzero(np.array(labels) == "cut/path")[5:-5]
     pairs = np.array(replay.replay_clock(shown, np.asarray(series["time"]), labels))

@@ -14,7 +14,7 @@ import pytest
 import planner
 from planner import Client, plans
 from planner.issues import TandemError
-from planner.service.database import Database, default_url
+from planner.service.models import Database, default_url
 from planner.service.security import Auth
 from tests import small_problem
 from tests.service.support import Process

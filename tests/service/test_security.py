@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 
 from planner.cli import service
 from planner.issues import TandemError
-from planner.service.database import Database, default_url
+from planner.service.models import Database, default_url
 from planner.service.security import Auth, Limits
 from planner.service.service import Options, Service
 from tests.service.support import HERE, InProcess, Team, codes, named

@@ -10,8 +10,8 @@ from pathlib import Path
 import planner
 from planner import Client
 from planner.issues import TandemError
-from planner.service.database import Database, default_url
 from planner.service.jobs import Jobs
+from planner.service.models import Database, default_url
 from planner.service.security import Limits
 from tests.service.support import Process, until
 

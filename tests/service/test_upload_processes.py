@@ -13,7 +13,7 @@ import anyio
 import pytest
 from starlette.requests import Request
 
-from planner.service.database import Database, default_url
+from planner.service.models import Database, default_url
 from planner.service.security import Auth, Limits, RefusedError
 from planner.service.upload_processes import Examiners, Reading, connection_closed
 from planner.service.uploaded_files import Examined

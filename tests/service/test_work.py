@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from sqlalchemy import update
 
-from planner.service.database import JOBS, Database, default_url
 from planner.service.jobs import Jobs, NewJob
+from planner.service.models import JOBS, Database, default_url
 from planner.service.runner import MOST_ATTEMPTS, Work
 from planner.service.security import Limits
 from planner.service.storage import Blob

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planner.cell.bodies import Solid, signed_distance
-from planner.geometry.rigid import inverse, transform
+from planner.geometry.arrays import inverse, transform
 from planner.tooling import Gripper, Tool, bow, gripper_plate, vacuum_cup
 
 

@@ -17,8 +17,9 @@ from planner import pipeline, processes
 from planner.cell import plant
 from planner.cell.bodies import own_shapes
 from planner.geometry import corner_rounding
-from planner.geometry.rigid import Shape, axis_ends, inverse, transform
-from planner.geometry.rigid import corners as hull
+from planner.geometry.arrays import Shape, axis_ends, inverse, transform
+from planner.geometry.arrays import corners as hull
+from planner.geometry.units import MM
 from planner.hotwire.straight import job
 from planner.issues import TandemError
 from planner.problem import Problem
@@ -38,8 +39,7 @@ from planner.tooling import (
     mill,
     working_solid,
 )
-from planner.tooling.base import OnFlange
-from planner.units import MM
+from planner.tooling.holding_tools import OnFlange
 from planner.verify.prove import Prover
 from tests import small_forming
 from tests.cell.cells import BLOCK, alone

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planner.cell.bodies import Solid, signed_distance
-from planner.geometry.rigid import inverse, transform
+from planner.geometry.arrays import inverse, transform
 from planner.tooling import REACH, wire_holder
 
 OUT = {"along": (0, 0, 1), "across": (-1, 0, 0), "diagonal": (-np.sqrt(0.5), 0, np.sqrt(0.5))}

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from planner.geometry.rigid import exp_rotation, from_quaternion, to_quaternion
+from planner.geometry.arrays import exp_rotation, from_quaternion, to_quaternion
 from tests.verify.rapid_edits import name
 from tests.verify.registry import Texts, pick
 

@@ -8,9 +8,8 @@ import dataclasses
 import numpy as np
 
 from planner.cell.kinematics import forward
-from planner.claims.dialogue import OperatorDialogue, power_off_steps, power_on_steps
-from planner.claims.segments import Segment
-from planner.geometry.rigid import inverse
+from planner.claims.vocabulary import OperatorDialogue, Segment, power_off_steps, power_on_steps
+from planner.geometry.arrays import inverse
 from planner.plans import OperationPlan
 from planner.targets import Action, Targets
 from planner.verify.replay import arm_model, inverse_kinematics

@@ -8,17 +8,17 @@ import functools
 
 import numpy as np
 
-from planner.claims import dialogue
+from planner.claims import vocabulary
 from planner.claims.claim import ContactOnlyIn, OneOf, WireJoins
-from planner.claims.dialogue import (
+from planner.claims.vocabulary import (
     DialogueStop,
     OperatorDialogue,
+    Segment,
     message_step,
     power_off_steps,
     power_on_steps,
     question_step,
 )
-from planner.claims.segments import Segment
 from planner.post import write
 from planner.targets import Action
 from tests.verify import small_job, straight_job
@@ -42,15 +42,15 @@ def bent(count=12):
     last = operation.targets.count - 1
     apart, start, end = clamps()
     actions = (
-        Action(0, "message", dialogue.MOUNT.filled(cold_mm=COLD_MM)),
-        Action(0, "message", dialogue.CLAMPS.filled(apart_mm=apart, start_deg=start, end_deg=end)),
-        Action(0, "confirm", dialogue.CLAMPED.filled()),
+        Action(0, "message", vocabulary.MOUNT.filled(cold_mm=COLD_MM)),
+        Action(0, "message", vocabulary.CLAMPS.filled(apart_mm=apart, start_deg=start, end_deg=end)),
+        Action(0, "confirm", vocabulary.CLAMPED.filled()),
         Action(0, "on", signal=SIGNAL),
         Action(0, "wait", seconds=10.0),
-        Action(0, "confirm", dialogue.LOCKED.filled(hot_mm=1e3 * LENGTH)),
+        Action(0, "confirm", vocabulary.LOCKED.filled(hot_mm=1e3 * LENGTH)),
         Action(last, "off", signal=SIGNAL),
         Action(last, "wait", seconds=30.0),
-        Action(last, "confirm", dialogue.TAKEN_OFF.filled()),
+        Action(last, "confirm", vocabulary.TAKEN_OFF.filled()),
     )
     targets = dataclasses.replace(operation.targets, actions=actions)
     return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
@@ -61,13 +61,13 @@ def bent_claims():
     spoken = OperatorDialogue(
         ("left", "right"),
         (
-            message_step(dialogue.MOUNT, cold_mm=COLD_MM),
-            message_step(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
-            question_step(dialogue.CLAMPED),
+            message_step(vocabulary.MOUNT, cold_mm=COLD_MM),
+            message_step(vocabulary.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            question_step(vocabulary.CLAMPED),
             *power_on_steps(SIGNAL, 10.0),
-            question_step(dialogue.LOCKED, hot_mm=1e3 * LENGTH),
+            question_step(vocabulary.LOCKED, hot_mm=1e3 * LENGTH),
         ),
-        (*power_off_steps(SIGNAL, 30.0), question_step(dialogue.TAKEN_OFF)),
+        (*power_off_steps(SIGNAL, 30.0), question_step(vocabulary.TAKEN_OFF)),
         joined=True,
     )
     return {"panel": _with(small_job.claims()["panel"], spoken)}
@@ -81,7 +81,7 @@ def choice():
     """The plan of the bent wire where the problem leaves open which one it is."""
     whole = bent()
     (operation,) = whole.operations
-    named = Action(0, "message", dialogue.WIRE.filled(material="spring_steel", size="1.5 mm round"))
+    named = Action(0, "message", vocabulary.WIRE.filled(material="spring_steel", size="1.5 mm round"))
     targets = dataclasses.replace(operation.targets, actions=(named, *operation.targets.actions))
     return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
 
@@ -94,10 +94,10 @@ def choice_claims():
 def _wire(longer, size="1.5 mm round"):
     (group,) = bent_claims().values()
     (spoken,) = (claim for claim in group if isinstance(claim, OperatorDialogue))
-    named = message_step(dialogue.WIRE, material="spring_steel", size=size)
+    named = message_step(vocabulary.WIRE, material="spring_steel", size=size)
     first = [named, *spoken.first]
-    first[1] = message_step(dialogue.MOUNT, cold_mm=COLD_MM + longer)
-    first[-1] = question_step(dialogue.LOCKED, hot_mm=1e3 * LENGTH + longer)
+    first[1] = message_step(vocabulary.MOUNT, cold_mm=COLD_MM + longer)
+    first[-1] = question_step(vocabulary.LOCKED, hot_mm=1e3 * LENGTH + longer)
     group = _with(group, dataclasses.replace(spoken, first=tuple(first)))
     return tuple(
         dataclasses.replace(claim, length=LENGTH + 1e-3 * longer) if isinstance(claim, WireJoins) else claim
@@ -121,8 +121,8 @@ def bow(model="irb140", count=12):
         last = targets.count - 1
         wire = {"diameter_mm": 0.4, "material": " nichrome", "power_w": POWER_W}
         actions = [
-            Action(0, "message", dialogue.BOW_POWER.filled(**wire)),
-            Action(0, "confirm", dialogue.TAUT.filled()),
+            Action(0, "message", vocabulary.BOW_POWER.filled(**wire)),
+            Action(0, "confirm", vocabulary.TAUT.filled()),
             Action(0, "on", signal=SIGNAL),
             Action(0, "wait", seconds=5.0),
         ]
@@ -132,15 +132,15 @@ def bow(model="irb140", count=12):
             actions += [
                 Action(ends[-1], "off", signal=SIGNAL),
                 Action(ends[-1], "wait", seconds=10.0),
-                Action(ends[-1], "message", dialogue.SPACERS.filled(kerf_mm=SLOT_MM)),
-                Action(ends[-1], "confirm", dialogue.SPACED.filled()),
+                Action(ends[-1], "message", vocabulary.SPACERS.filled(kerf_mm=SLOT_MM)),
+                Action(ends[-1], "confirm", vocabulary.SPACED.filled()),
                 Action(ends[-1], "on", signal=SIGNAL),
                 Action(ends[-1], "wait", seconds=5.0),
             ]
         actions += [
             Action(last, "off", signal=SIGNAL),
             Action(last, "wait", seconds=10.0),
-            Action(last, "confirm", dialogue.COLD.filled()),
+            Action(last, "confirm", vocabulary.COLD.filled()),
         ]
         targets = dataclasses.replace(targets, actions=tuple(actions), stop=stop)
         operations.append(dataclasses.replace(operation, targets=targets))
@@ -154,11 +154,11 @@ def bow_claims():
     out = {}
     for number, (name, group) in enumerate(straight_job.claims().items()):
         segment = Segment("cut", straight_job.NAMES[number]).at("out")
-        steps = (*off, message_step(dialogue.SPACERS, kerf_mm=None), question_step(dialogue.SPACED), *on)
+        steps = (*off, message_step(vocabulary.SPACERS, kerf_mm=None), question_step(vocabulary.SPACED), *on)
         spoken = OperatorDialogue(
             ("left",),
-            (message_step(dialogue.BOW_POWER, **wire), question_step(dialogue.TAUT), *on),
-            (*off, question_step(dialogue.COLD)),
+            (message_step(vocabulary.BOW_POWER, **wire), question_step(vocabulary.TAUT), *on),
+            (*off, question_step(vocabulary.COLD)),
             (DialogueStop(segment, "behind", steps),) if number == 0 else (),
         )
         out[name] = _with(group, spoken)

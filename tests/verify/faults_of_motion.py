@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.geometry.rigid import exp_twist
+from planner.geometry.arrays import exp_twist
 from tests.verify.planner_faults import Fault, fields, given, result
 
 
@@ -117,20 +117,20 @@ FREEDOMS: Final = (
 )
 
 KINEMATICS: Final = (
-    Fault("opw_a1_off", "posed", {"motion.arm_kinematics:inverse_kinematics": _link("a1", 0.001)}),
+    Fault("opw_a1_off", "posed", {"motion.planning_scene:inverse_kinematics": _link("a1", 0.001)}),
     Fault(
-        "opw_joint_offset", "flank", {"motion.arm_kinematics:inverse_kinematics": result(_joint_off(1, 0.1))}
+        "opw_joint_offset", "flank", {"motion.planning_scene:inverse_kinematics": result(_joint_off(1, 0.1))}
     ),
     Fault(
         "opw_joint_offset_krl",
         "posed_krl",
-        {"motion.arm_kinematics:inverse_kinematics": result(_joint_off(2, 0.1))},
+        {"motion.planning_scene:inverse_kinematics": result(_joint_off(2, 0.1))},
     ),
     Fault(
         "kinematics_longer",
         "posed",
         {
-            "motion.arm_kinematics:inverse_kinematics": _link("c3", 0.001),
+            "motion.planning_scene:inverse_kinematics": _link("c3", 0.001),
             "cell.kinematics:link_frames": given(
                 0,
                 lambda robot: dataclasses.replace(
@@ -154,7 +154,7 @@ KINEMATICS: Final = (
         },
     ),
     Fault(
-        "tool_off_in_motion", "posed", {"motion.arm_kinematics:Chain.of": fields(tcp=_moved_pose(z=0.001))}
+        "tool_off_in_motion", "posed", {"motion.planning_scene:Chain.of": fields(tcp=_moved_pose(z=0.001))}
     ),
 )
 

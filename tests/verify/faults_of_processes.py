@@ -437,7 +437,7 @@ FORMING: Final = (
 # ---- milling ----
 
 MILLING: Final = (
-    Fault("flank_other_side", "flank", {"milling.flank:axes": given(1, _scaled(-1.0))}),
+    Fault("flank_other_side", "flank", {"milling.cutter_contact:axes": given(1, _scaled(-1.0))}),
     Fault("flank_half_radius", "flank", {"milling.flank_cut:placed": given(3, _scaled(0.5))}),
     Fault("flank_diameter_for_radius", "flank", {"milling.flank_cut:placed": given(3, _scaled(2.0))}),
     Fault("flank_tip_high", "flank", {"milling.flank_cut:under": result(lambda u: u - 0.006)}),
@@ -476,7 +476,9 @@ MILLING: Final = (
             )
         },
     ),
-    Fault("engrave_curve_moved", "engrave", {"milling.face:Over.at": given(1, lambda xy: xy + 0.001)}),
+    Fault(
+        "engrave_curve_moved", "engrave", {"milling.cutter_contact:Over.at": given(1, lambda xy: xy + 0.001)}
+    ),
     Fault("gcode_shifted", "gcode", {"milling.gcode.reader:read": result(_program_moved(x=0.002))}),
     Fault("gcode_inch_as_mm", "gcode", {"milling.gcode.state:INCH": value(0.025)}),
     Fault(
@@ -493,8 +495,8 @@ MILLING: Final = (
     Fault("gcode_arcs_as_chords", "gcode", {"milling.gcode.moves:points": result(lambda p: p[-1:])}),
     Fault("gcode_increments_absolute", "gcode", {"milling.gcode.moves:_place": _always_absolute}),
     Fault("gcode_feed_per_second", "gcode", {"milling.gcode.moves:_feed": result(_scaled(60.0))}),
-    Fault("gcode_line_lost", "gcode", {"milling.gcode.passes:_kept": result(_rows_lost)}),
-    Fault("gcode_thinned", "gcode", {"milling.gcode.passes:CHORD_SHARE": value(20.0)}),
+    Fault("gcode_line_lost", "gcode", {"milling.process_plan:_kept": result(_rows_lost)}),
+    Fault("gcode_thinned", "gcode", {"milling.process_plan:CHORD_SHARE": value(20.0)}),
     Fault(
         "gcode_rotary_sign",
         "gcode_rotary",

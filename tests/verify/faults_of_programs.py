@@ -294,12 +294,12 @@ KRL: Final = (
     ),
     Fault("krl_status", "posed_krl", {"post.krl.data:status": result(lambda s: s ^ 2)}),
     Fault("krl_turn", "posed_krl", {"post.krl.data:turn": result(lambda t: t ^ 2)}),
-    Fault("krl_speed_mm", "posed_krl", {"post.krl.linear_moves:rows": fields(speed=_scaled(1e3))}),
-    Fault("krl_speed_tenth", "gcode_krl", {"post.krl.linear_moves:rows": fields(speed=_scaled(10.0))}),
+    Fault("krl_speed_mm", "posed_krl", {"post.krl.syntax:rows": fields(speed=_scaled(1e3))}),
+    Fault("krl_speed_tenth", "gcode_krl", {"post.krl.syntax:rows": fields(speed=_scaled(10.0))}),
     Fault(
         "krl_corners_wide",
         "gcode_krl",
-        {"post.krl.linear_moves:_corners": result(lambda c: (10.0 * c[0] + 5.0, c[1]))},
+        {"post.krl.syntax:_corners": result(lambda c: (10.0 * c[0] + 5.0, c[1]))},
     ),
     Fault(
         "krl_tool_off",

@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims.dialogue import Handshake, OperatorDialogue, Sentence, question_step
 from planner.claims.forming import FormingFeed, FormsInOrder, FormsPart, FormsSheet, SheetState, ToolGap
-from planner.claims.segments import Segment
-from planner.geometry.rigid import from_parts, from_rpy
+from planner.claims.vocabulary import Handshake, OperatorDialogue, Segment, Sentence, question_step
+from planner.geometry.arrays import from_parts, from_rpy
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock

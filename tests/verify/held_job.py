@@ -22,8 +22,8 @@ from planner.claims.claim import (
     KerfWithin,
     StraightWire,
 )
-from planner.claims.segments import Segment
-from planner.geometry.rigid import exp_twist, from_rpy
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import exp_twist, from_rpy
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock

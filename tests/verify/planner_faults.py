@@ -56,7 +56,7 @@ CHECKS: Final[Mapping[str, Change]] = {
         "forming.two_point:holder_issues",
         "milling.check:check",
         "milling.flank_cut:check",
-        "milling.gcode.passes:_speeds",
+        "milling.process_plan:_speeds",
         "geometry.mesh:check_surface",
         "geometry.placing:check_ruled",
         "reading.part_surfaces:check_size",

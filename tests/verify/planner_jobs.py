@@ -16,8 +16,7 @@ import yaml
 
 from planner.catalogue.robots import data_dir, robot
 from planner.cell.kinematics import forward
-from planner.geometry.arrays import Mesh
-from planner.geometry.rigid import from_rpy, to_quaternion
+from planner.geometry.arrays import Mesh, from_rpy, to_quaternion
 from tests import small_forming
 from tests.forming.shapes import cone
 from tests.milling import small_mill

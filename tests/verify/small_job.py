@@ -16,16 +16,16 @@ import numpy as np
 
 from planner.cell.kinematics import forward
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
-from planner.claims.dialogue import (
+from planner.claims.vocabulary import (
     OperatorDialogue,
+    Segment,
     Sentence,
     message_step,
     power_off_steps,
     power_on_steps,
     question_step,
 )
-from planner.claims.segments import Segment
-from planner.geometry.rigid import from_parts, from_rpy, inverse
+from planner.geometry.arrays import from_parts, from_rpy, inverse
 from planner.plans import OperationPlan, Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock

@@ -11,7 +11,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.verify.prove import Prover
 from tests.verify import held_job, provers, small_job, straight_job
 from tests.verify.bow_edits import moves, put, rows_of

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from planner.claims.claim import Contour, CutsSurface, FollowsRulings, KerfCurve, SlitsAllowed
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.verify.prove import Prover
 from planner.verify.rules.straight_wire import between, guide_normals, off_guide
 from planner.verify.wire.walls import walls

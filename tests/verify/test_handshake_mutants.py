@@ -9,7 +9,7 @@ import re
 
 import pytest
 
-from planner.claims.dialogue import SignalWire
+from planner.claims.vocabulary import SignalWire
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import handshake as rules_handshake

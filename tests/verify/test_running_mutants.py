@@ -11,7 +11,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.dialogue import Handshake, PartnerSignals, SignalWire
+from planner.claims.vocabulary import Handshake, PartnerSignals, SignalWire
 from planner.post import write
 from planner.verify.context import Context
 from planner.verify.rules import handshake as rules_handshake

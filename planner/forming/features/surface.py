@@ -23,8 +23,8 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.curves import sides
 from planner.geometry.mesh import TriangleMesh, check_surface
+from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
-from planner.units import MM
 
 OVERHANG: Final = 25e-6
 """Depth [m] by which faces may turn over: what noise of the vertices does to a vertical wall."""

@@ -53,8 +53,8 @@ from planner.forming.features.surface import (
 )
 from planner.forming.features.walls import Wall, skeleton, walls
 from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
-from planner.units import MM
 
 LEAST_BUMP: Final = 50e-6
 """Height [m] below which a bump of the mesh is noise of its facets and no feature."""

@@ -34,9 +34,9 @@ from planner.forming.paths.adsif_response import (
 from planner.forming.paths.level_lines import Loop, cut, loops
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh, corner_normals
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.tooling import FormingHead
-from planner.units import DEG, MM
 
 EDGE_MARGIN: Final = 1e-5
 """The first and the last loop keep so far [m] from the ends of the wall."""

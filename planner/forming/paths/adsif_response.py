@@ -30,8 +30,8 @@ from numpy.typing import ArrayLike
 
 from planner.files import is_file
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.units import DEG, MM
 
 Prefer = Literal["angle", "gap"]
 

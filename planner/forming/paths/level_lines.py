@@ -24,8 +24,8 @@ from shapely import Polygon, contains_xy
 
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
+from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
-from planner.units import DEG
 
 _SAME_PLACE: Final = 1e-7
 """Places of a line nearer than this [m], with the same normal, are one."""

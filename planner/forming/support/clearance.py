@@ -25,10 +25,10 @@ from planner.forming.contact import ContactPath, Pass, ToolPath
 from planner.forming.support.directions import leaned
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import small_pieces
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 from planner.problem import Stock
 from planner.reading.sheet import CLAMP_BARS
-from planner.units import DEG, MM
 
 FACE_SPACING: Final = 1e-3
 """Distance [m] of points on the face and of places on a tool's way."""

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d, minimum_filter1d, uniform_filter1d
 
 from planner.forming.contact import ContactPath
 from planner.geometry.arrays import FloatArray, IntArray, dots
-from planner.units import DEG
+from planner.geometry.units import DEG
 
 
 def leaned(normal: FloatArray, angle: FloatArray) -> FloatArray:

@@ -52,9 +52,9 @@ from planner.forming.support.opposite import (
     waited,
 )
 from planner.geometry.arrays import FloatArray, IntArray, dots
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.tooling import FormingHead, profile
-from planner.units import DEG, MM
 
 NOZZLE_TURN: Final = 1.0 * DEG
 """A nozzle turns by no more than this [rad] in one move: it is long, and its arm turns with it."""

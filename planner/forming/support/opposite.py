@@ -43,8 +43,8 @@ from planner.forming.support.directions import (
 )
 from planner.geometry.arrays import FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.units import DEG, MM
 from planner.tooling import FormingHead
-from planner.units import DEG, MM
 
 NEAREST_WITHIN: Final = 2e-5
 """Facets that are farther from the centre by so much [m] than the nearest one count for nothing."""

@@ -16,9 +16,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import KerfCurve
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray, IndexArray
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.units import MM
 from planner.hotwire.elastic.family import FamilyFit, SectionSet
 from planner.hotwire.elastic.path import Face, Route, box_distance
 from planner.hotwire.elastic.sweep import leaning
@@ -29,7 +30,6 @@ from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, Severity, TandemError
 from planner.targets import FEED_SHARE
-from planner.units import MM
 
 _WEIGHED_SHAPES = 24  # shapes per job for which the deviation by weight is worked out
 _NO_LIMIT = 1e6  # stands for a shape that end errors or weight move without limit

@@ -18,10 +18,9 @@ import dataclasses
 import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 
-from planner.geometry.arrays import FloatArray, IndexArray, IntArray
+from planner.geometry.arrays import FloatArray, IndexArray, IntArray, from_parts
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.mesh_queries import slice_mesh
-from planner.geometry.rigid import from_parts
 from planner.hotwire.elastica.equations import Flow, flow, legendre, node_counts, nodes
 from planner.hotwire.elastica.fit import TAIL_WEIGHT, CurveFit, fit_curves
 

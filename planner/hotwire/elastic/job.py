@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from planner.claims import dialogue
+from planner.claims import vocabulary
 from planner.claims.claim import Claim, KerfCurve
-from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray, Mesh
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import FloatArray, Mesh, from_parts
 from planner.geometry.mesh import TriangleMesh, offset
-from planner.geometry.rigid import from_parts
+from planner.geometry.units import MM
 from planner.hotwire import claims
 from planner.hotwire import wire as wires
 from planner.hotwire.elastic import check as checks
@@ -53,7 +53,6 @@ from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup, Stock
 from planner.targets import FEED_SHARE, Action, Edge, Freedom, Job, ScrewFreedom, Targets
-from planner.units import MM
 
 _SECTIONS_DRAWN = 24
 """Sections of a surface that the report draws at most."""
@@ -508,18 +507,18 @@ def _actions(op: ElasticWire, wire: Wire, route: Route) -> tuple[Action, ...]:
     chord, angles = mount_figures(route)
     last = len(route.segment) - 1
     return (
-        Action(0, "message", dialogue.WIRE.filled(material=op.chosen.material, size=op.chosen.size)),
-        Action(0, "message", dialogue.MOUNT.filled(cold_mm=wire.cold_length(op.chosen.length_mm))),
+        Action(0, "message", vocabulary.WIRE.filled(material=op.chosen.material, size=op.chosen.size)),
+        Action(0, "message", vocabulary.MOUNT.filled(cold_mm=wire.cold_length(op.chosen.length_mm))),
         Action(
             0,
             "message",
-            dialogue.CLAMPS.filled(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
+            vocabulary.CLAMPS.filled(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
         ),
-        Action(0, "confirm", dialogue.CLAMPED.filled()),
+        Action(0, "confirm", vocabulary.CLAMPED.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
-        Action(0, "confirm", dialogue.LOCKED.filled(hot_mm=op.chosen.length_mm)),
+        Action(0, "confirm", vocabulary.LOCKED.filled(hot_mm=op.chosen.length_mm)),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", dialogue.TAKEN_OFF.filled()),
+        Action(last, "confirm", vocabulary.TAKEN_OFF.filled()),
     )

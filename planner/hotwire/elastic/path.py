@@ -20,9 +20,8 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.segments import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.geometry.rigid import from_parts, interpolate, inverse
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, from_parts, interpolate, inverse
 from planner.hotwire.elastic.family import Family, Spine
 from planner.hotwire.elastica import heavy
 from planner.hotwire.elastica.clamped import STABLE, Section, polish

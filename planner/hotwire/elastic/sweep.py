@@ -14,6 +14,7 @@ from trimesh.intersections import slice_faces_plane
 
 from planner.geometry.arrays import IntArray, Mesh
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, merge, offset
+from planner.geometry.units import MM
 from planner.hotwire import wire as wires
 from planner.hotwire.elastic.family import SectionSet, Spine, cut_sections, direction_of, make_spine
 from planner.hotwire.elastic.path import box_distance, planar_pose
@@ -24,7 +25,6 @@ from planner.hotwire.elastica.heavy import end_sensitivity
 from planner.hotwire.operation import ElasticWire
 from planner.problem import Setup
 from planner.reading.materials import WireFile
-from planner.units import MM
 
 SWEEP_ANGLES: Final = (90.0, 0.0, 45.0, 135.0, 67.5, 112.5, 22.5, 157.5)
 """Directions [deg] of the sweep over a face that are tried, in this order."""

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import Mesh
+from planner.geometry.units import MM
 from planner.hotwire.elastic.check import Cut, Figures
 from planner.hotwire.elastic.path import Route
 from planner.hotwire.elastic.sweep import BENT_TOO_SHARPLY, EDGE_ANGLES, SWEEP_ANGLES, Screen, Sweep, ranked
@@ -20,7 +21,6 @@ from planner.hotwire.wire import Wire
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Setup
 from planner.reading.materials import WireFile
-from planner.units import MM
 
 _WHOLE: Final = 3
 """So many wires and sweeps are fitted whole before a refusal, and less to find each kind of help."""

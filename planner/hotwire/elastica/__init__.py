@@ -1,1 +1,1 @@
-"""The planar elastica: equations, shapes with and without weight, their fit and their stability."""
+"""The planar elastica: equations, clamped shapes with weight, their fit and their stability."""

@@ -18,11 +18,11 @@ from scipy.special import ndtr
 from planner.catalogue.materials import Foam, KerfFit, KerfTests
 from planner.files import is_file
 from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.units import MM
 from planner.hotwire.kerf import models
 from planner.hotwire.kerf.test_cuts import Cuts
 from planner.hotwire.kerf.width import USABLE_KERFS
 from planner.issues import Issue, TandemError
-from planner.units import MM
 
 HUBER: Final = 1.345
 """Residuals beyond so many standard deviations count less: 95 % as good as least squares where none is wrong

@@ -54,10 +54,10 @@ from scipy.special import ndtri, stdtrit
 from planner.catalogue import materials
 from planner.catalogue.materials import ROOM_TEMPERATURE, Foam, KerfFit, Table
 from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.units import MM
 from planner.hotwire.kerf import test_cuts
 from planner.hotwire.kerf.test_cuts import Cuts, HotWire
 from planner.issues import Issue, TandemError
-from planner.units import MM
 
 CONFIDENCE: Final = 0.90
 """Share of new cuts that an interval is meant to hold."""

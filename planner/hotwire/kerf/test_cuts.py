@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.units import MM
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError
-from planner.units import MM
 
 _DATA_FOLDER: Final = Path(__file__).resolve().parents[2] / "data"
 """Folder of the tables of test cuts."""

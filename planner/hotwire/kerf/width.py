@@ -21,11 +21,11 @@ from planner.catalogue import materials
 from planner.catalogue.materials import Foam
 from planner.claims.claim import KerfCurve
 from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.units import MM
 from planner.hotwire.kerf import models, test_cuts
 from planner.hotwire.kerf.models import refuse_melting
 from planner.hotwire.kerf.test_cuts import TEST_WIRE, HotWire
 from planner.issues import Issue, TandemError
-from planner.units import MM
 
 Model = Literal["energy", "general", "measured", "dissertation"]
 

@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray, Ruled
-from planner.geometry.rigid import Shape, corners, inverse, transform
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import FloatArray, Ruled, Shape, corners, inverse, transform
+from planner.geometry.units import MM
 from planner.hotwire.kerf import width as kerfs
 from planner.hotwire.kerf.width import KerfFlag, explain
 from planner.hotwire.operation import Straight
@@ -31,7 +31,6 @@ from planner.issues import Issue, Severity
 from planner.problem import Part, Setup
 from planner.reading import grip_choice
 from planner.tooling import Bow
-from planner.units import MM
 
 GOUGE_SHARE: Final = 0.3
 """Share of the tolerance by which a wire may come nearer to its surface than half a kerf."""

@@ -15,11 +15,11 @@ import shapely
 from planner.claims.claim import KerfCurve
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled
 from planner.geometry.rulings import outward_sides, resample
+from planner.geometry.units import MM
 from planner.hotwire.operation import Straight, SurfaceCut, TrimCut
 from planner.hotwire.straight.offset import VERTEX_TURN, Beside, Row, followed, make_row
 from planner.hotwire.straight.order import Lines, Wanted, exit_length, fastest, grown, join
 from planner.targets import FEED_SHARE
-from planner.units import MM
 
 START_RULINGS: Final = 48
 """Rulings that are tried as the beginning of a contour without corners."""

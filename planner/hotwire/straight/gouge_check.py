@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, Ruled, dots
 from planner.geometry.rulings import resample, tessellate
+from planner.geometry.units import MM
 from planner.hotwire.operation import Straight, SurfaceCut
 from planner.hotwire.straight.cut import Cut
 from planner.hotwire.straight.order import (
@@ -32,7 +33,6 @@ from planner.hotwire.straight.order import (
     section,
 )
 from planner.issues import Issue
-from planner.units import MM
 
 GRAZE_SHARE: Final = 0.3
 """Share of the tolerance that a slot may take from another surface or piece, and a way in from its own."""

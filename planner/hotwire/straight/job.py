@@ -19,8 +19,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from planner.claims.claim import Claim, KerfCurve
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import from_parts, inverse
+from planner.geometry.arrays import FloatArray, from_parts, inverse
+from planner.geometry.units import DEG, MM
 from planner.hotwire import claims
 from planner.hotwire.kerf.models import most_power
 from planner.hotwire.kerf.test_cuts import HotWire
@@ -34,7 +34,6 @@ from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup, Stock
 from planner.targets import Freedom, Job, Rounding, ScrewFreedom, Targets
 from planner.tooling import Bow
-from planner.units import DEG, MM
 
 SMOOTHING_WIDTHS: Final = (81, 41, 21, 9, 1)
 """Targets over which the mean of the bow's place along the wire is taken: as many as the wire's length

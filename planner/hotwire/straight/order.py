@@ -15,13 +15,13 @@ from typing import Final
 import numpy as np
 import shapely
 
-from planner.claims.segments import Segment, clash
+from planner.claims.vocabulary import Segment, clash
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled, dots
+from planner.geometry.units import MM
 from planner.hotwire.operation import BLOCK_SIDES, Straight, SurfaceCut, TrimCut
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Stock
 from planner.tooling import Bow
-from planner.units import MM
 
 _PARALLEL: Final = 1e-12
 """Components of a direction below this do not leave the slab between two faces."""

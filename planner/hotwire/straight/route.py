@@ -18,10 +18,10 @@ from typing import Final
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from planner.claims import dialogue
-from planner.claims.segments import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.geometry.rigid import exp_rotation
+from planner.claims import vocabulary
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, exp_rotation
+from planner.geometry.units import MM
 from planner.hotwire.claims import RESTING_COSINE
 from planner.hotwire.operation import AIR_STEP, Straight
 from planner.hotwire.straight.cut import Cut
@@ -30,7 +30,6 @@ from planner.issues import Issue, Severity
 from planner.problem import Setup
 from planner.targets import Action
 from planner.tooling import Bow
-from planner.units import MM
 
 SAME_DIRECTION: Final = np.deg2rad(0.5)
 """Directions that differ by less [rad] need no place to turn."""
@@ -261,13 +260,15 @@ def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route)
     """The operator's steps and the wire's power, by target."""
     diameter, material = 2.0 * bow.radius / MM, f" {op.wire_material}".rstrip()
     if op.power_w is not None:
-        mounted = dialogue.BOW_POWER.filled(diameter_mm=diameter, material=material, power_w=op.power_w)
+        mounted = vocabulary.BOW_POWER.filled(diameter_mm=diameter, material=material, power_w=op.power_w)
     else:
-        mounted = dialogue.BOW_SLOT.filled(diameter_mm=diameter, material=material, kerf_mm=op.kerf_mm or 0.0)
+        mounted = vocabulary.BOW_SLOT.filled(
+            diameter_mm=diameter, material=material, kerf_mm=op.kerf_mm or 0.0
+        )
     last = len(route.segment) - 1
     out = [
         Action(0, "message", mounted),
-        Action(0, "confirm", dialogue.TAUT.filled()),
+        Action(0, "confirm", vocabulary.TAUT.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
     ]
@@ -278,7 +279,7 @@ def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route)
         *out,
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", dialogue.COLD.filled()),
+        Action(last, "confirm", vocabulary.COLD.filled()),
     )
 
 
@@ -317,8 +318,8 @@ def _spacers(op: Straight, at: int, kerf: float) -> list[Action]:
     return [
         Action(at, "off", signal=op.signal),
         Action(at, "wait", seconds=op.cool_down_s),
-        Action(at, "message", dialogue.SPACERS.filled(kerf_mm=kerf / MM)),
-        Action(at, "confirm", dialogue.SPACED.filled()),
+        Action(at, "message", vocabulary.SPACERS.filled(kerf_mm=kerf / MM)),
+        Action(at, "confirm", vocabulary.SPACED.filled()),
         Action(at, "on", signal=op.signal),
         Action(at, "wait", seconds=op.heat_up_s),
     ]

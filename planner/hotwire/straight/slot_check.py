@@ -17,13 +17,13 @@ import numpy as np
 
 from planner.claims.claim import KerfCurve
 from planner.geometry.arrays import FloatArray
+from planner.geometry.units import MM
 from planner.hotwire.operation import Straight
 from planner.hotwire.straight.cut import Cut
 from planner.hotwire.straight.offset import DAMPING, WIRE_SHARES, Melted, beside, foam_left, guides, melted
 from planner.hotwire.straight.order import join, place_text
 from planner.issues import Issue, Severity
 from planner.targets import FEED_SHARE
-from planner.units import MM
 
 LEAST_HEAT: Final = 1.0 / 64.0
 """Heats between this share of the given one and its inverse are tried."""

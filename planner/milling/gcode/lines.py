@@ -12,8 +12,15 @@ import re
 from typing import Any, Final
 
 from planner.issues import Severity
-from planner.milling.gcode.moves import AXIS_LETTERS, CENTRE_LETTERS, ROTARY_LETTERS, Step, move
-from planner.milling.gcode.rows import Faults, Gathered
+from planner.milling.gcode.moves import (
+    AXIS_LETTERS,
+    CENTRE_LETTERS,
+    ROTARY_LETTERS,
+    Faults,
+    Gathered,
+    Step,
+    move,
+)
 from planner.milling.gcode.state import INCH, Dialect, Modal, wanted
 
 Word = tuple[str, float]

@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from planner.files import is_file
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError, aggregate
 from planner.milling.gcode import lines, state
-from planner.milling.gcode.rows import CUT_ROW, RAPID_ROW, ROW_KINDS, Event, Faults, Gathered, Rows
+from planner.milling.gcode.moves import CUT_ROW, RAPID_ROW, ROW_KINDS, Event, Faults, Gathered, Rows
 from planner.milling.gcode.state import LINEAR, RAPID, Dialect, Modal, Triple, pieces, wanted
 from planner.milling.tool_path import ToolPath, joined
-from planner.units import DEG
 
 BytesArray = NDArray[np.bytes_]
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.motion.arm_kinematics import FULL_TURN, Chain
+from planner.motion.planning_scene import FULL_TURN, Chain
 from planner.motion.search.reach import Grid, Rungs
 
 LARGEST_STEP = np.deg2rad(100.0)

@@ -11,8 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.motion.arm_kinematics import FULL_TURN
-from planner.motion.scene import TRANSIT_KIND, Scene
+from planner.motion.planning_scene import FULL_TURN, TRANSIT_KIND, Scene
 from planner.motion.search.ladder import Ladder, Path, Steps, joint_path, steps
 from planner.motion.search.reach import Checker, Grid, Others, Reach, Rungs, full_turn, reach
 from planner.motion.trajectory.joint_path import Dense, clear, dense

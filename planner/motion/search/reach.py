@@ -14,8 +14,7 @@ import numpy as np
 
 from planner.cell.clearance import Pairs
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.motion.arm_kinematics import BRANCHES, FULL_TURN, Chain
-from planner.motion.scene import Scene
+from planner.motion.planning_scene import BRANCHES, FULL_TURN, Chain, Scene
 from planner.targets import Freedom, ScrewFreedom, Targets
 
 SPIN_STEP = np.deg2rad(10.0)

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.arrays import FloatArray, IndexArray
-from planner.motion.arm_kinematics import FULL_TURN
-from planner.motion.scene import Scene
+from planner.motion.planning_scene import FULL_TURN, Scene
 from planner.motion.search.ladder import LARGEST_STEP, TIE_SHARE, TURN_CODE, Path, Turns
 from planner.motion.search.ladder_search import Blocked, Dead, Found, speed_limits
 from planner.motion.search.reach import Grid, Reach, Rungs, reach

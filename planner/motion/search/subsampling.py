@@ -19,10 +19,8 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.geometry.rigid import inverse, to_quaternion
-from planner.motion.arm_kinematics import FULL_TURN
-from planner.motion.scene import holders
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, inverse, to_quaternion
+from planner.motion.planning_scene import FULL_TURN, holders
 from planner.motion.search.reach import full_turn, sample, slides_only
 from planner.problem import Cell
 from planner.targets import Edge, Freedom, ScrewFreedom, TableFreedom, Targets

@@ -17,10 +17,8 @@ from planner.cell import clearance
 from planner.cell.bodies import extent
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.geometry.rigid import transform
-from planner.motion.arm_kinematics import FULL_TURN, Chain
-from planner.motion.scene import Scene
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, transform
+from planner.motion.planning_scene import FULL_TURN, Chain, Scene
 from planner.motion.search.reach import PENALTY, SOFT_LIMIT_RAD, SOFT_SINGULARITY_RAD
 from planner.targets import Targets
 from planner.tooling import working_solid

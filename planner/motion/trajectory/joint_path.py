@@ -16,11 +16,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from planner.geometry import corner_rounding
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots
-from planner.geometry.rigid import inverse, to_quaternion
-from planner.motion.scene import Scene, holders
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, inverse, to_quaternion
+from planner.geometry.units import MM
+from planner.motion.planning_scene import Scene, holders
 from planner.targets import Targets
-from planner.units import MM
 
 JOINT_STEP_RAD: Final = np.deg2rad(2.0)
 """A move that turns a joint farther than this [rad] gets samples of its own, since a line in space bends in

@@ -18,9 +18,8 @@ from typing import Final, Protocol
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.geometry.rigid import inverse, log_pose
-from planner.motion.scene import Scene
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, inverse, log_pose
+from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import speed_limits
 from planner.motion.search.reach import full_turn, slides_only
 from planner.motion.trajectory.hinges import Rows, margin_rows, preference_rows

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.dialogue import SignalWire
+from planner.claims.vocabulary import SignalWire
 from planner.issues import Issue, Severity
 from planner.plans import Plan
 from planner.post import handshake

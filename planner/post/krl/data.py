@@ -19,12 +19,10 @@ import numpy as np
 
 from planner.catalogue.robots import RobotData
 from planner.cell.kinematics import forward
-from planner.geometry.arrays import FloatArray, IntArray
-from planner.geometry.rigid import from_parts, inverse
+from planner.geometry.arrays import FloatArray, IntArray, from_parts, inverse
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post.krl.linear_moves import written
-from planner.post.krl.syntax import NAME_LENGTH, aggregate, e6axis, e6pos, frame, name
+from planner.post.krl.syntax import NAME_LENGTH, aggregate, e6axis, e6pos, frame, name, written
 from planner.post.program import Joints, Load, OperationProgram, TaskProgram, number
 from planner.post.steps import LEAST_MASS
 from planner.tooling import Tool

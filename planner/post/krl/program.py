@@ -17,7 +17,7 @@ import numpy as np
 from planner import __version__
 from planner.catalogue.robots import RobotData
 from planner.cell.kinematics import forward
-from planner.claims import dialogue
+from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
@@ -33,10 +33,10 @@ from planner.post.handshake import (
     SetLine,
     Tell,
 )
-from planner.post.krl import linear_moves, spline_blocks, syntax
+from planner.post.krl import spline_blocks, syntax
+from planner.post.krl import syntax as linear_moves
 from planner.post.krl.data import Data
-from planner.post.krl.linear_moves import Lines
-from planner.post.krl.syntax import comment, mark, name
+from planner.post.krl.syntax import Lines, comment, mark, name
 from planner.post.program import (
     LINE_END,
     Carry,
@@ -65,7 +65,7 @@ def partner_lines(
 ) -> list[str]:
     """The statements of the steps; ``shown``: the panel says so while the program waits, which in a file with
     a meeting it does already."""
-    waiting = dialogue.WAITING.filled(arm=partner.other)
+    waiting = vocabulary.WAITING.filled(arm=partner.other)
     own = partner.handshake.of(partner.arm)
     output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
     runs = controller.number(partner.arm, own.partner_running)
@@ -171,7 +171,7 @@ class Main:
         out = [*syntax.INTERRUPT, "BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
         out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
         out += [*syntax.prepared(self.dialect), *syntax.robroot_check(self.task.arm.name, self.dialect)]
-        clear = (dialogue.KRL_CLEAR if self.problem.setups[0].steps else dialogue.KRL_READY).filled()
+        clear = (vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY).filled()
         if self.partner is None:
             out += syntax.question_lines(clear, self.dialect)
         else:
@@ -263,7 +263,7 @@ class Main:
             calls.append(f"{word}()")
         self._at = operation.track.q[last - 1]
         if self.partner is not None and operation.meets[first:last].any():
-            together = dialogue.TOGETHER.filled(arm=self.partner.other)
+            together = vocabulary.TOGETHER.filled(arm=self.partner.other)
             return syntax.during(together, calls, self.dialect)
         return calls
 

@@ -22,15 +22,13 @@ import numpy as np
 
 from planner.catalogue.robots import robot
 from planner.claims.claim import on_straight_moves_alone
-from planner.claims.segments import Segment
-from planner.geometry.arrays import BoolArray, FloatArray
-from planner.geometry.rigid import from_quaternion, log_rotation, to_quaternion
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, from_quaternion, log_rotation, to_quaternion
 from planner.issues import Issue, Severity
 from planner.plans import Plan
-from planner.post.krl import linear_moves
+from planner.post.krl import syntax
 from planner.post.krl.data import Data
-from planner.post.krl.linear_moves import FREE_TURN_RATE, LEAST_SPEED, SPEED_DECIMALS, Lines, Rows
-from planner.post.krl.syntax import rotation
+from planner.post.krl.syntax import FREE_TURN_RATE, LEAST_SPEED, SPEED_DECIMALS, Lines, Rows, rotation
 from planner.post.program import Joints, OperationProgram, TaskProgram, short
 from planner.problem import Problem
 from planner.targets import Targets
@@ -393,16 +391,16 @@ def first_joints(operation: OperationProgram) -> FloatArray | None:
     return None if operation.track is None else next(starts, None)
 
 
-def operation_rows(task: TaskProgram, data: Data) -> list[linear_moves.Rows | None]:
+def operation_rows(task: TaskProgram, data: Data) -> list[syntax.Rows | None]:
     """The moves of each operation; None where the arm has none."""
-    out: list[linear_moves.Rows | None] = []
+    out: list[syntax.Rows | None] = []
     for operation in task.operations:
         q = first_joints(operation)
         if operation.track is None or q is None:
             out.append(None)
         else:
             start = data.start_pose(operation, q)
-            out.append(linear_moves.rows(operation.track, operation.stop, start))
+            out.append(syntax.rows(operation.track, operation.stop, start))
     return out
 
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from planner.claims import dialogue
-from planner.claims.dialogue import SignalWire
+from planner.claims import vocabulary
+from planner.claims.vocabulary import SignalWire
 from planner.post import handshake
 from planner.post.handshake import ConfigurationRow
 from planner.post.rapid.syntax import identifier, quoted
@@ -135,14 +135,14 @@ def _module(controller: Controller, requests: Sequence[str], together: bool) -> 
         ]
     out += ["  ENDPROC", "", "  ! At every start: no arm moves on in a cut before somebody says that it may."]
     out += ["  PROC tandem_again()", "    VAR num answer;", "    tandem_off;"]
-    buttons = ",".join(quoted(word) for word in dialogue.BUTTONS)
+    buttons = ",".join(quoted(word) for word in vocabulary.BUTTONS)
     stop = "Stop\\AllMoveTasks;" if together else "Stop;"
     for flag, request in zip(flags, requests, strict=True):
-        lines = [quoted(line) for line in dialogue.again(request)]
+        lines = [quoted(line) for line in vocabulary.again(request)]
         real = controller.interlock.of(request).signal
         out += [
             f"    WHILE {flag} DO",
-            f"      answer:=UIMessageBox(\\Header:={quoted(dialogue.HEADER)}",
+            f"      answer:=UIMessageBox(\\Header:={quoted(vocabulary.HEADER)}",
             f"        \\MsgArray:=[{lines[0]},",
             *(f"          {line}," for line in lines[1:-1]),
             f"          {lines[-1]}]",
@@ -152,7 +152,7 @@ def _module(controller: Controller, requests: Sequence[str], together: bool) -> 
             f"      ELSEIF answer=2 AND DOutput({real})=1 THEN",
             f"        {flag}:=FALSE;",
             "      ELSE",
-            *(f"        TPWrite {quoted(line)};" for line in dialogue.REFUSED),
+            *(f"        TPWrite {quoted(line)};" for line in vocabulary.REFUSED),
             f"        {stop}",
             "      ENDIF",
             "    ENDWHILE",

@@ -12,9 +12,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from planner.claims import dialogue
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import to_quaternion
+from planner.claims import vocabulary
+from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.program import Carry, Job, Joints, Load, OperationProgram, TaskProgram, number, short
@@ -217,10 +216,10 @@ def check_procedures(task: TaskProgram, job: Job, plan: Plan, tools: Tools, robo
     for part in range(4):
         out += [f'ReadCfgData {place},"base_frame_orient_u{part}",cfg_value;']
         out += [f"cfg_base.rot.q{part + 1}:=cfg_value;"]
-    out += [_pose(dialogue.base_of(task.arm.name), "cfg_base", "base_frame")]
+    out += [_pose(vocabulary.base_of(task.arm.name), "cfg_base", "base_frame")]
     for name, matrix in {tools.of(op.arm.tool): op.arm.tool.tcp for op in task.operations}.items():
-        out += [_pose(dialogue.frame_of(name), f"{name}.tframe", pose(matrix))]
-        out += [f"check_true {quoted(dialogue.kind_of(name))},{name}.robhold;"]
+        out += [_pose(vocabulary.frame_of(name), f"{name}.tframe", pose(matrix))]
+        out += [f"check_true {quoted(vocabulary.kind_of(name))},{name}.robhold;"]
     return [*out, *_wobj_checks(task, job, plan)]
 
 
@@ -232,17 +231,17 @@ def _wobj_checks(task: TaskProgram, job: Job, plan: Plan) -> list[str]:
             continue
         frame = operation.track.frame
         name = wobj_name(frame, operation.setup)
-        kind = quoted(dialogue.kind_of(name))
+        kind = quoted(vocabulary.kind_of(name))
         if frame == "stock":
             place, inner = pose(plan.places[operation.setup - 1]), pose(np.eye(4))
-            lines = [_pose(dialogue.user_frame_of(name), f"{name}.uframe", place)]
+            lines = [_pose(vocabulary.user_frame_of(name), f"{name}.uframe", place)]
             lines += [f"check_true {kind},NOT {name}.robhold AND {name}.ufprog;"]
         else:
             holder = next(t for t in job.tasks if t.arm.name == frame.removeprefix("held:"))
             inner = pose(holder.operations[index].arm.tool.tcp)
             moved = f"NOT {name}.robhold AND NOT {name}.ufprog AND {name}.ufmec={quoted(holder.unit)}"
             lines = [f"check_true {kind},{moved};"]
-        out[name] = [_pose(dialogue.object_frame_of(name), f"{name}.oframe", inner), *lines]
+        out[name] = [_pose(vocabulary.object_frame_of(name), f"{name}.oframe", inner), *lines]
     return [line for lines in out.values() for line in lines]
 
 
@@ -266,8 +265,8 @@ def helpers(together: bool) -> list[str]:
         f"    +{apart[2]}+{apart[3]});",
         "  IF Distance(got.trans,wanted.trans)>0.1 OR off_turn>0.02 THEN",
         "    TPWrite what;",
-        f"    TPWrite {quoted(dialogue.OFF_BY_MM)}\\Num:=Distance(got.trans,wanted.trans);",
-        f"    TPWrite {quoted(dialogue.OFF_BY_DEGREES)}\\Num:=off_turn;",
+        f"    TPWrite {quoted(vocabulary.OFF_BY_MM)}\\Num:=Distance(got.trans,wanted.trans);",
+        f"    TPWrite {quoted(vocabulary.OFF_BY_DEGREES)}\\Num:=off_turn;",
         "    check_stop;",
         "  ENDIF",
         "ENDPROC",
@@ -275,14 +274,14 @@ def helpers(together: bool) -> list[str]:
         "PROC check_true(string what,bool same)",
         "  IF NOT same THEN",
         "    TPWrite what;",
-        f"    TPWrite {quoted(dialogue.NOT_AS_PLANNED)};",
+        f"    TPWrite {quoted(vocabulary.NOT_AS_PLANNED)};",
         "    check_stop;",
         "  ENDIF",
         "ENDPROC",
         "",
         "! a start does not lead out of here",
         "PROC check_stop()",
-        *(f"  TPWrite {quoted(line)};" for line in dialogue.NOTHING_MOVES),
+        *(f"  TPWrite {quoted(line)};" for line in vocabulary.NOTHING_MOVES),
         "  WHILE TRUE DO",
         "    Stop\\AllMoveTasks;" if together else "    Stop;",
         "  ENDWHILE",

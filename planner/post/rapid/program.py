@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import __version__
-from planner.claims import dialogue
-from planner.claims.dialogue import HEADER, UNANSWERED
+from planner.claims import vocabulary
+from planner.claims.vocabulary import HEADER, UNANSWERED
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post import handshake
@@ -293,7 +293,7 @@ class _Task:
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.coupling is not None else "On"
         body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
-        clear = (dialogue.CLEAR if self.problem.setups[0].steps else dialogue.READY).filled()
+        clear = (vocabulary.CLEAR if self.problem.setups[0].steps else vocabulary.READY).filled()
         if self.partner is not None:
             body += [
                 *self._power_off(),
@@ -302,7 +302,7 @@ class _Task:
         elif self.task.number == 1:
             body += self._power_off()
             # also keeps a controller that repeats its program from starting over by itself
-            body += box(dialogue.HEADER, dialogue.NO_WIRE.filled() if self.job.coupled else clear)
+            body += box(vocabulary.HEADER, vocabulary.NO_WIRE.filled() if self.job.coupled else clear)
         count = len(self.task.operations)
         body += [f"operation_{i};" for i in range(1, count + 1)]
         body += [] if self.partner is None else partner_lines(self.partner, self.partner.end())
@@ -384,9 +384,9 @@ class _Task:
 
     def _handler(self, name: str) -> list[str]:
         """Power off, then stop; the program ends there, so that no arm goes on by itself."""
-        joined = (dialogue.JOINED if self.job.coupled else dialogue.ALONE).filled()
+        joined = (vocabulary.JOINED if self.job.coupled else vocabulary.ALONE).filled()
         stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 and self.partner is None else "Stop;"
-        note = quoted(f"{dialogue.FAILED.filled(procedure=name)} ")
+        note = quoted(f"{vocabulary.FAILED.filled(procedure=name)} ")
         return [
             *self._power_off(),
             "StopMove\\Quick;",

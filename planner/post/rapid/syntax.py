@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue.robots import RobotData
-from planner.claims.dialogue import HEADER
-from planner.claims.segments import Segment, fold
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.claims.vocabulary import HEADER, Segment, fold
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
-from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, TandemError
 from planner.post.program import Part, Track, number, plain, short
 from planner.targets import Action

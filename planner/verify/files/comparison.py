@@ -23,8 +23,8 @@ from planner.claims.milling import MillsSurface
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import closest_on_triangles
 from planner.verify.context import Context
+from planner.verify.files import Samples, on_triangles
 from planner.verify.files.sheets import SheetFace
-from planner.verify.files.values import Samples, on_triangles
 from planner.verify.forming.face import Face, least_gap
 from planner.verify.forming.state import Forming
 from planner.verify.forming.swept import swept

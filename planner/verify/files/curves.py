@@ -22,7 +22,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from planner.geometry.arrays import BoolArray, FloatArray
-from planner.verify.files.values import UnreadError
+from planner.verify.files import UnreadError
 
 
 def bezier(control: FloatArray, t: FloatArray) -> FloatArray:

@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray
+from planner.verify.files import UNITS, Said, UnreadError, file_of, metres, radians, row
 from planner.verify.files.curves import Ruled, bezier, blended, bspline, joined, through
-from planner.verify.files.values import UNITS, Said, UnreadError, file_of, metres, radians, row
 
 _STL: Final = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("more", "<u2")])
 """One triangle of a binary STL file."""

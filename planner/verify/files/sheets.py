@@ -16,8 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray
+from planner.verify.files import Said, Samples, UnreadError, file_of, on_triangles, pose
 from planner.verify.files.meshes import Face, mesh_face, rims
-from planner.verify.files.values import Said, Samples, UnreadError, file_of, on_triangles, pose
 
 NOISE_DEVIATIONS = 3.0
 """Vertices are within so many standard deviations of their face."""

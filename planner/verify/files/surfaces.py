@@ -20,6 +20,18 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from planner.geometry.arrays import FloatArray
+from planner.verify.files import (
+    UNITS,
+    Said,
+    Samples,
+    UnreadError,
+    file_of,
+    metres,
+    on_rulings,
+    on_triangles,
+    radians,
+    row,
+)
 from planner.verify.files.curves import (
     Curve,
     Drawn,
@@ -33,18 +45,6 @@ from planner.verify.files.curves import (
     through,
 )
 from planner.verify.files.meshes import Face, behind, edges_of, loft_face, mesh_face, rims
-from planner.verify.files.values import (
-    UNITS,
-    Said,
-    Samples,
-    UnreadError,
-    file_of,
-    metres,
-    on_rulings,
-    on_triangles,
-    radians,
-    row,
-)
 
 _SIMPLE: Final = {
     1: (0.0580, 361.4),

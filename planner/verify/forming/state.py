@@ -13,9 +13,8 @@ import numpy as np
 
 from planner.claims.claim import Claim
 from planner.claims.forming import FormsByTable, FormsPart, FormsSheet, SheetState, ToolGap
-from planner.claims.segments import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths
-from planner.geometry.rigid import inverse
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse, lengths
 from planner.verify.context import Context
 from planner.verify.forming.face import Face, Nearest, left_by
 from planner.verify.forming.shapes import PartShapes, in_order

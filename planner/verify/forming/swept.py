@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from planner.claims.forming import FormsSheet
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, face_normals
-from planner.units import MM
+from planner.geometry.units import MM
 from planner.verify.forming.face import Face, apart, least_gap
 from planner.verify.forming.state import Formed, Forming
 from planner.verify.result import CutFace

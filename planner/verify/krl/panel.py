@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from planner.claims import dialogue
+from planner.claims import vocabulary
 from planner.verify.krl import syntax_tree
 from planner.verify.krl.syntax_tree import (
     Call,
@@ -156,7 +156,7 @@ class Panel:
         """A question of krc2; in krc4 the stop in which the program of another arm is started."""
         self._main(depth, "HALT")
         if self.dialect == "krc4":
-            calls = (letters(dialogue.START_PARTNER.filled(other=arm)) for arm in self.others)
+            calls = (letters(vocabulary.START_PARTNER.filled(other=arm)) for arm in self.others)
             if self._told in calls:
                 return None
             raise PanelError(f"HALT is no question: {_EXTERNAL_REASON}; ask by a dialog")
@@ -180,7 +180,7 @@ class Panel:
         return Message("Set_KrlDlg", whole, True)
 
     def _state(self, text: str) -> Message:
-        forms = (dialogue.WAITING, dialogue.TOGETHER)
+        forms = (vocabulary.WAITING, vocabulary.TOGETHER)
         known = [form.filled(arm=arm) for arm in self.others for form in forms]
         if text not in known:
             wanted = " or ".join(map(repr, known)) or "nothing"
@@ -189,13 +189,13 @@ class Panel:
         return Message("#STATE", text)
 
     def _listens(self, depth: int) -> None:
-        forms = (dialogue.TOGETHER,) if depth else (dialogue.WAITING,)
+        forms = (vocabulary.TOGETHER,) if depth else (vocabulary.WAITING,)
         if self._shown not in [form.filled(arm=arm) for arm in self.others for form in forms]:
             raise PanelError("the program waits for the other arm, and the panel does not say so")
         self._waited = True
 
     def _foot(self, shift: float, turn: float, text: str) -> None:
-        wanted = dialogue.FOOT.filled(arm=self.arm) if self.dialect == "krc4" else ""
+        wanted = vocabulary.FOOT.filled(arm=self.arm) if self.dialect == "krc4" else ""
         if text != wanted:
             raise PanelError(f"$ROBROOT is looked at with the text {text!r}; wanted: {wanted!r}")
         if text and not self._prepared:

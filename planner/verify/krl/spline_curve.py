@@ -51,8 +51,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import BoolArray, FloatArray
-from planner.geometry.rigid import log_rotation
+from planner.geometry.arrays import BoolArray, FloatArray, log_rotation
 
 TURN_LEVER: Final = 0.1
 """What a turn counts as [m/rad]."""

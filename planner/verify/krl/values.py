@@ -30,8 +30,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import inverse, to_quaternion
+from planner.geometry.arrays import FloatArray, inverse, to_quaternion
 from planner.verify.krl.syntax_tree import Point, Said, Spline
 from planner.verify.programs.steps import (
     LARGEST_NUMBER,

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims.milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
-from planner.claims.segments import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.geometry.rigid import inverse
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.problem import Stock
 from planner.tooling import Cutter, Mill

@@ -17,21 +17,19 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import BSpline
 
-from planner.claims import dialogue
+from planner.claims import vocabulary
 from planner.claims.claim import Claim, FeedWindow
-from planner.claims.dialogue import DialogueStep, DialogueStop, OperatorDialogue, question_step
 from planner.claims.milling import DrawnCurve, Engraves, MillsAlong, MillsProgram, SafeWays, SparesPart
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import DialogueStep, DialogueStop, OperatorDialogue, Segment, question_step
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.tooling import Cutter
-from planner.verify.files import curves
-from planner.verify.files.values import UNITS, UnreadError
+from planner.verify.files import UNITS, UnreadError, curves
+from planner.verify.job import MILL
 from planner.verify.milling import gcode_moves
 from planner.verify.milling.gcode_lines import UnreadableError
 from planner.verify.milling.gcode_moves import Way
 from planner.verify.milling.surface_passes import Laid, Places
-from planner.verify.programs.setups import MILL
 
 LEAST_PLUNGE = 2e-3
 """Least way [m] down to a pass and up from it."""
@@ -109,11 +107,11 @@ def passes(program: MillsProgram) -> tuple[Pass, ...]:
         zip((np.flatnonzero(edge > 0) - 1).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True), 1
     ):
         pauses = [line for line, at in way.pauses if before < at - 1 <= first]
-        spoken = [dialogue.FILE_LINE.filled(line=line) for line in pauses]
+        spoken = [vocabulary.FILE_LINE.filled(line=line) for line in pauses]
         own = float(way.spindle[last])
         if own != speed:
-            spoken.append((dialogue.SPEED if own > 0.0 else dialogue.SPEED_BACK).filled(rpm=abs(own)))
-        question = dialogue.GO_ON.filled(asked=", ".join(spoken)) if spoken else ""
+            spoken.append((vocabulary.SPEED if own > 0.0 else vocabulary.SPEED_BACK).filled(rpm=abs(own)))
+        question = vocabulary.GO_ON.filled(asked=", ".join(spoken)) if spoken else ""
         rows = slice(first, last + 1)
         if _extent(way, rows) > SAME_PLACE:
             out.append(Pass(number, _part(way, rows), question))
@@ -154,7 +152,7 @@ def program_dialogue(
     for program in programs:
         for number, one in enumerate(known[program.name]):
             segment = Segment(MILL, f"{program.name}_{one.number}")
-            question = question_step(dialogue.PLAIN, text=one.question)
+            question = question_step(vocabulary.PLAIN, text=one.question)
             if one.question and program.first and number == 0:
                 first = (*first[:1], question, *first[1:])
             elif one.question:

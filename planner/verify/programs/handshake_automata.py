@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 
-from planner.claims.dialogue import HandshakeKind, SignalWire
+from planner.claims.vocabulary import HandshakeKind, SignalWire
 from planner.verify.programs.handshake_model import Action, Levels
 from planner.verify.programs.steps import (
     CarryStep,

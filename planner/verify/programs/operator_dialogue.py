@@ -22,9 +22,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from planner.claims import dialogue
+from planner.claims import vocabulary
 from planner.claims.claim import Claim, OneOf, WireJoins
-from planner.claims.dialogue import (
+from planner.claims.vocabulary import (
     SPELT,
     DialogueStep,
     DialogueStop,
@@ -383,16 +383,16 @@ def joined(context: Context) -> bool:
 
 def handler(context: Context, task: TaskText, procedure: str) -> tuple[Said, ...]:
     """What an error handler says, in this order."""
-    out: list[Said] = [(dialogue.FAILED, {"procedure": procedure})]
+    out: list[Said] = [(vocabulary.FAILED, {"procedure": procedure})]
     if _partner(context, task):
-        out.append((dialogue.UNANSWERED, {"other": _partner(context, task)}))
-    return (*out, (dialogue.JOINED if joined(context) else dialogue.ALONE, {}))
+        out.append((vocabulary.UNANSWERED, {"other": _partner(context, task)}))
+    return (*out, (vocabulary.JOINED if joined(context) else vocabulary.ALONE, {}))
 
 
 def aside(context: Context, task: TaskText) -> tuple[Said, ...]:
     """What may be said on a way that is decided at run time, which ends the program."""
     partner = _partner(context, task)
-    return ((dialogue.UNANSWERED, {"other": partner}),) if partner else ()
+    return ((vocabulary.UNANSWERED, {"other": partner}),) if partner else ()
 
 
 def _partner(context: Context, task: TaskText) -> str:
@@ -405,28 +405,28 @@ def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
     first = bool(context.setups[0].steps)
     krl, lead = task.krl is not None, task is context.job.tasks[0]
     if krl:
-        question = dialogue.KRL_CLEAR if first else dialogue.KRL_READY
+        question = vocabulary.KRL_CLEAR if first else vocabulary.KRL_READY
     else:
-        question = dialogue.CLEAR if first else dialogue.READY
+        question = vocabulary.CLEAR if first else vocabulary.READY
     partner = _partner(context, task)
     if partner:
-        earlier = question_step(dialogue.KRL_EARLIER if krl else dialogue.EARLIER, other=partner)
+        earlier = question_step(vocabulary.KRL_EARLIER if krl else vocabulary.EARLIER, other=partner)
         if not lead:
-            return earlier, message_step(dialogue.READY_TO_MEET, other=partner)
+            return earlier, message_step(vocabulary.READY_TO_MEET, other=partner)
         both = {"other": partner, "arm": task.arm.name, "start": question.words}
         return (
             earlier,
-            message_step(dialogue.START_PARTNER, other=partner),
-            question_step(dialogue.PARTNER_READY, **both),
+            message_step(vocabulary.START_PARTNER, other=partner),
+            question_step(vocabulary.PARTNER_READY, **both),
         )
     if not lead:
         return ()
-    return (question_step(dialogue.NO_WIRE if joined(context) and not krl else question),)
+    return (question_step(vocabulary.NO_WIRE if joined(context) and not krl else question),)
 
 
 def _setup(setup: Setup) -> tuple[DialogueStep, ...]:
-    steps = (message_step(dialogue.PLAIN, text=step) for step in setup.steps)
-    return (*steps, question_step(dialogue.PLAIN, text=setup.confirmation))
+    steps = (message_step(vocabulary.PLAIN, text=step) for step in setup.steps)
+    return (*steps, question_step(vocabulary.PLAIN, text=setup.confirmation))
 
 
 def _operation(number: int, claim: OperatorDialogue) -> Sequence[Part]:

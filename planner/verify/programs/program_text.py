@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.problem import Controller
 from planner.verify.programs.steps import Fault
 from planner.verify.rapid.lexer import Cursor

@@ -13,8 +13,7 @@ import numpy as np
 from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import FloatArray, IntArray
-from planner.geometry.rigid import Shape
+from planner.geometry.arrays import FloatArray, IntArray, Shape
 from planner.issues import Issue, TandemError
 from planner.problem import Setup
 from planner.tooling import working_solid

@@ -20,8 +20,16 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
-from planner.geometry.rigid import exp_rotation, from_parts, inverse, log_rotation
+from planner.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    dots,
+    exp_rotation,
+    from_parts,
+    inverse,
+    log_rotation,
+)
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import (
     JointTarget,

@@ -17,9 +17,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray, IntArray
-from planner.geometry.rigid import inverse
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue, TandemError
 from planner.problem import Arm
 from planner.verify.job import JobText, Stage, TaskText

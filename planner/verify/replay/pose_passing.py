@@ -25,8 +25,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.geometry.rigid import exp_twist, inverse, log_pose, log_rotation
+from planner.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    exp_twist,
+    inverse,
+    log_pose,
+    log_rotation,
+)
 
 MOST_MISSED = 100
 """Poses that are missed before the search ends: each one is held against all of the path that is left."""

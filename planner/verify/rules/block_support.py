@@ -12,12 +12,11 @@ from scipy.spatial import ConvexHull
 
 from planner.catalogue.robots import robot
 from planner.cell import support
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import corners, inverse, transform
+from planner.geometry.arrays import FloatArray, corners, inverse, transform
+from planner.geometry.units import GRAVITY
 from planner.issues import Issue
 from planner.problem import Cell, Pedestal, Setup, Stock
 from planner.tooling import Gripper
-from planner.units import GRAVITY
 from planner.verify.context import Context, Outcome, mm, rule
 
 GRIP_FACTOR: Final = 3.0

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 
-from planner.claims import dialogue
+from planner.claims import vocabulary
 from planner.claims.forming import SinksHolder
 from planner.issues import Issue
 from planner.problem import Controller
@@ -240,11 +240,11 @@ def _routines(controller: Controller, signals: Sequence[str], together: bool) ->
     )
     ask, stop = "", "Stop\\AllMoveTasks" if together else "Stop"
     for flag, request in kept.items():
-        lines = ",".join(f'"{line}"' for line in dialogue.again(request))
-        words = ",".join(f'"{word}"' for word in dialogue.BUTTONS)
-        told = "".join(f'TPWrite "{line}";' for line in dialogue.REFUSED)
+        lines = ",".join(f'"{line}"' for line in vocabulary.again(request))
+        words = ",".join(f'"{word}"' for word in vocabulary.BUTTONS)
+        told = "".join(f'TPWrite "{line}";' for line in vocabulary.REFUSED)
         ask += (
-            f'WHILE {flag} DO answer:=UIMessageBox(\\Header:="{dialogue.HEADER}"\\MsgArray:=[{lines}]'
+            f'WHILE {flag} DO answer:=UIMessageBox(\\Header:="{vocabulary.HEADER}"\\MsgArray:=[{lines}]'
             f"\\BtnArray:=[{words}]\\Icon:=iconWarning); IF answer=1 THEN {flag}:=FALSE; "
             f"ELSEIF answer=2 AND DOutput({controller.interlock.of(request).signal})=1 THEN {flag}:=FALSE; "
             f"ELSE {told} {stop}; ENDIF ENDWHILE "
@@ -411,7 +411,7 @@ def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
     for part in range(4):
         read += f'ReadCfgData {place},"base_frame_orient_u{part}",cfg_value;'
         read += f"cfg_base.rot.q{part + 1}:=cfg_value;"
-    calls = f'check_pose "{dialogue.base_of(task.arm.name)}",cfg_base,{BASE_FRAME};'
+    calls = f'check_pose "{vocabulary.base_of(task.arm.name)}",cfg_base,{BASE_FRAME};'
     for data in context.data(task, r"\w+"):
         if not isinstance(data.initial, Literal) or data.kind not in ("tooldata", "wobjdata"):
             continue
@@ -422,12 +422,12 @@ def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
 def _compared(name: str, kind: str, value: Sequence[str]) -> str:
     """Comparisons of a declared tool or work object, whose parts are ``value`` as text."""
     if kind == "tooldata":
-        text = f'check_pose "{dialogue.frame_of(name)}",{name}.tframe,{value[1]};'
-        return text + f'check_true "{dialogue.kind_of(name)}",{name}.robhold;'
-    text = f'check_pose "{dialogue.object_frame_of(name)}",{name}.oframe,{value[4]};'
-    who = f'check_true "{dialogue.kind_of(name)}",NOT {name}.robhold AND '
+        text = f'check_pose "{vocabulary.frame_of(name)}",{name}.tframe,{value[1]};'
+        return text + f'check_true "{vocabulary.kind_of(name)}",{name}.robhold;'
+    text = f'check_pose "{vocabulary.object_frame_of(name)}",{name}.oframe,{value[4]};'
+    who = f'check_true "{vocabulary.kind_of(name)}",NOT {name}.robhold AND '
     if value[1].upper() == "TRUE":
-        text += f'check_pose "{dialogue.user_frame_of(name)}",{name}.uframe,{value[3]};'
+        text += f'check_pose "{vocabulary.user_frame_of(name)}",{name}.uframe,{value[3]};'
         return text + f"{who}{name}.ufprog;"
     return text + f"{who}NOT {name}.ufprog AND {name}.ufmec={value[2]};"
 
@@ -462,19 +462,19 @@ def _helpers(together: bool) -> str:
     dot = "+".join(f"got.rot.q{i}*wanted.rot.q{i}" for i in parts)
     squares = "+".join(f"Pow(got.rot.q{i}-off_sign*wanted.rot.q{i},2)" for i in parts)
     stop = "Stop\\AllMoveTasks" if together else "Stop"
-    said_last = "".join(f'TPWrite "{line}";' for line in dialogue.NOTHING_MOVES)
+    said_last = "".join(f'TPWrite "{line}";' for line in vocabulary.NOTHING_MOVES)
     return f"""
     PROC check_pose(string what, pose got, pose wanted)
       VAR num off_sign:=1; VAR num off_turn;
       IF {dot}<0 THEN off_sign:=-1; ENDIF
       off_turn:=114.591559*Sqrt({squares});
       IF Distance(got.trans,wanted.trans)>{_DISTANCE} OR off_turn>{_TURN} THEN
-        TPWrite what; TPWrite "{dialogue.OFF_BY_MM}"\\Num:=Distance(got.trans,wanted.trans);
-        TPWrite "{dialogue.OFF_BY_DEGREES}"\\Num:=off_turn; check_stop;
+        TPWrite what; TPWrite "{vocabulary.OFF_BY_MM}"\\Num:=Distance(got.trans,wanted.trans);
+        TPWrite "{vocabulary.OFF_BY_DEGREES}"\\Num:=off_turn; check_stop;
       ENDIF
     ENDPROC
     PROC check_true(string what, bool same)
-      IF NOT same THEN TPWrite what; TPWrite "{dialogue.NOT_AS_PLANNED}"; check_stop; ENDIF
+      IF NOT same THEN TPWrite what; TPWrite "{vocabulary.NOT_AS_PLANNED}"; check_stop; ENDIF
     ENDPROC
     PROC check_stop()
       {said_last} WHILE TRUE DO {stop}; ENDWHILE

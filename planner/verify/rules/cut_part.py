@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 
 from planner.claims.claim import CutsSurface, FeedWindow, SlitsAllowed
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, dots
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_node, at_sample, mm, rule

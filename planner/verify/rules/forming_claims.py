@@ -25,7 +25,7 @@ from planner.claims.forming import (
     SupportsBorder,
     ToolGap,
 )
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.mesh import TriangleMesh, corner_normals
 from planner.issues import Issue

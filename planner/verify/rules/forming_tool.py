@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 
 from planner.claims.forming import FormingFeed, FormsInOrder, FormsSheet, SheetState, SinksHolder, ToolsLean
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule

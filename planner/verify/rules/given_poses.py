@@ -8,8 +8,7 @@ from typing import Final
 import numpy as np
 
 from planner.claims.claim import FollowsPoses, FollowsTable, FreeAxis
-from planner.geometry.arrays import FloatArray, IntArray
-from planner.geometry.rigid import inverse
+from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm, rule
 from planner.verify.replay import pose_passing

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from planner.claims.dialogue import SignalWire
+from planner.claims.vocabulary import SignalWire
 from planner.issues import Issue
 from planner.verify import job
 from planner.verify.context import Context, Outcome, at_step, rule

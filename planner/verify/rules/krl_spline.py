@@ -16,11 +16,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import dialogue, milling
+from planner.claims import milling, vocabulary
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, FollowsPoses, FollowsTable
 from planner.claims.milling import SafeWays, SparesPart
-from planner.geometry.arrays import FloatArray, IntArray
-from planner.geometry.rigid import log_rotation
+from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import TaskText
@@ -51,7 +50,7 @@ _NO_TOLERANCE: Final[tuple[str, ...]] = ()
 """Of claims in which no length has a tolerance."""
 _CLAIM_TOLERANCES: Final[Mapping[type, tuple[str, ...]]] = {
     ContactOnlyIn: _NO_TOLERANCE,
-    dialogue.OperatorDialogue: _NO_TOLERANCE,
+    vocabulary.OperatorDialogue: _NO_TOLERANCE,
     FollowsPoses: _NO_TOLERANCE,
     FollowsTable: _NO_TOLERANCE,
     FeedWindow: _NO_TOLERANCE,

@@ -24,11 +24,12 @@ from planner.claims.milling import (
     MillsSurface,
     SparesPart,
 )
-from planner.claims.segments import Phase, Segment
+from planner.claims.vocabulary import Phase, Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
 from planner.tooling import Mill
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
+from planner.verify.job import MILL
 from planner.verify.milling import surface_passes
 from planner.verify.milling.following import Followed, allowed, rows_to_check
 from planner.verify.milling.surface_passes import OverFace, Way, within
@@ -48,7 +49,6 @@ from planner.verify.milling.tool_motion import (
     solids,
     sweep,
 )
-from planner.verify.programs.setups import MILL
 from planner.verify.programs.steps import SignalStep
 from planner.verify.result import CutFace
 from planner.verify.wire.cut_surface import divided

@@ -17,15 +17,14 @@ from typing import Any, Final
 import numpy as np
 
 from planner.claims.claim import CutsSurface
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm, rule
-from planner.verify.files import comparison
+from planner.verify.files import Samples, UnreadError, comparison, on_triangles, pose
 from planner.verify.files.comparison import Made
 from planner.verify.files.sheets import sheet_face
 from planner.verify.files.surfaces import Surface, stated
-from planner.verify.files.values import Samples, UnreadError, on_triangles, pose
 from planner.verify.forming.state import Forming
 from planner.verify.milling.tool_motion import Milling
 from planner.verify.wire.cut_surface import Sweep

@@ -10,13 +10,12 @@ import numpy as np
 
 from planner.catalogue.robots import RobotData, robot
 from planner.claims.claim import HoldsStock
-from planner.geometry.arrays import FloatArray
-from planner.geometry.rigid import inverse, log_rotation
+from planner.geometry.arrays import FloatArray, inverse, log_rotation
 from planner.issues import Issue
 from planner.problem import Stock
 from planner.tooling import Tool as WantedTool
 from planner.verify.context import Context, Outcome, at_step, mm, rule
-from planner.verify.programs.setups import Asked, all_asked, one_line, shown_letters, stays
+from planner.verify.job import Asked, all_asked, one_line, shown_letters, stays
 from planner.verify.programs.steps import (
     CarryStep,
     ChoiceStep,

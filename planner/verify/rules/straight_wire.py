@@ -11,8 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from planner.claims.claim import FollowsRulings, KerfWithin, LeadsFrom, SlitsAllowed, StraightWire
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
-from planner.geometry.rigid import inverse
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse
 from planner.issues import Issue
 from planner.problem import Stock
 from planner.tooling import Bow, Tool

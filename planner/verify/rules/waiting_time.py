@@ -12,8 +12,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 import numpy as np
 
 from planner.claims.claim import StraightWire, WireJoins
-from planner.claims.dialogue import HandshakeKind
 from planner.claims.milling import MillsAlong
+from planner.claims.vocabulary import HandshakeKind
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
 from planner.verify import job

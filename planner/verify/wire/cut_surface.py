@@ -25,8 +25,8 @@ from scipy.spatial import cKDTree
 from planner.claims.claim import CutsSurface, FollowsRulings
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import small_pieces
+from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
-from planner.units import MM
 from planner.verify.result import CutFace
 
 SAMPLE_EDGE = 0.005

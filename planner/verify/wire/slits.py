@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from planner.claims.claim import Contour, CutsSurface, LeadsFrom, SlitsAllowed
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.verify.context import Context
 from planner.verify.replay.motion import local

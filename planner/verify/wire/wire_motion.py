@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims.claim import StraightWire, WireJoins
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.geometry.rigid import log_rotation
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, log_rotation
 from planner.problem import Stock
 from planner.verify.context import Context, Phase
 from planner.verify.wire.rod import Rod, RodError, RodPath, follow, mount

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from planner.forming.paths import adsif_response
+from planner.geometry.units import DEG, MM
 from planner.issues import TandemError
-from planner.units import DEG, MM
 
 PRINTED = {  # wall angle [deg] by gap over thickness and position angle [deg]
     (0.6, 35): 35.8,

@@ -13,8 +13,8 @@ from planner.forming.paths.spiral import PathOptions
 from planner.forming.support.modes import tool_path
 from planner.forming.support.opposite import FACING_TURN, Touching, opposite_path
 from planner.geometry.arrays import FloatArray
+from planner.geometry.units import MM
 from planner.tooling import FormingHead
-from planner.units import MM
 from planner.verify.forming.face import Face
 from planner.verify.forming.state import TOUCHED_WITHIN, Track, pieces
 from planner.verify.rules.forming_two_tools import _off_directions

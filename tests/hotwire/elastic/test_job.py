@@ -11,10 +11,8 @@ from scipy.integrate import solve_bvp
 from scipy.interpolate import CubicSpline
 
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
-from planner.claims.dialogue import OperatorDialogue
-from planner.claims.segments import Segment
-from planner.geometry.arrays import Mesh
-from planner.geometry.rigid import interpolate, inverse
+from planner.claims.vocabulary import OperatorDialogue, Segment
+from planner.geometry.arrays import Mesh, interpolate, inverse
 from planner.hotwire.elastic import job
 from planner.hotwire.elastic.path import Wires, driven
 from planner.targets import ScrewFreedom, TableFreedom, Targets

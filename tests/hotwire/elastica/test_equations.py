@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from planner.hotwire.elastica import heavy
 from planner.hotwire.elastica.equations import elliptic, evaluate, flow, interpolate
-from planner.hotwire.elastica.weightless import from_params
+from tests.hotwire.elastica.weightless import from_params
 
 angle = st.floats(-3.1, 3.1)
 bend = st.floats(-9.0, 9.0)

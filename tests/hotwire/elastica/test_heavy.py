@@ -5,8 +5,9 @@ import pytest
 from scipy.integrate import solve_bvp
 from shapely import LineString, Point
 
-from planner.hotwire.elastica import heavy, weightless
+from planner.hotwire.elastica import heavy
 from planner.issues import TandemError
+from tests.hotwire.elastica import weightless
 
 LENGTH = np.full(4, 0.56)
 START = np.tile([0.0, 0.0, 0.5], (4, 1))

@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from planner.hotwire.elastica import clamped, weightless
+from planner.hotwire.elastica import clamped
 from planner.hotwire.elastica.equations import bump_slopes, bump_values
+from tests.hotwire.elastica import weightless
 
 ONE = np.ones(1)
 

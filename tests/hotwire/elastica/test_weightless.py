@@ -8,8 +8,8 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import least_squares
 from scipy.special import ellipe, ellipk
 
-from planner.hotwire.elastica import weightless
 from planner.issues import TandemError
+from tests.hotwire.elastica import weightless
 
 
 @pytest.mark.parametrize(("degrees", "x", "y"), [(20, 0.970, 0.220), (60, 0.741, 0.593), (100, 0.349, 0.792)])

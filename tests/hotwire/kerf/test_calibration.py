@@ -13,7 +13,7 @@ import pytest
 
 from planner.catalogue import materials
 from planner.cli import command_line
-from planner.cli import kerf as kerf_commands
+from planner.cli import preparation as kerf_commands
 from planner.hotwire.kerf import calibration, width
 from planner.hotwire.kerf.test_cuts import Cuts, dissertation_tables
 from planner.hotwire.kerf.width import TEST_WIRE
@@ -283,19 +283,19 @@ def test_the_command_fits_a_foam_and_answers(tmp_path: Path) -> None:
 
 
 def test_speed_and_power_at_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    kerf_commands.run(kerf_commands.Speed("eps_af", power_w=47.5, kerf_mm=1.5))
+    kerf_commands.run_kerf(kerf_commands.Speed("eps_af", power_w=47.5, kerf_mm=1.5))
     speed = float(width.speed_for("eps_af", TEST_WIRE, 47.5, 1.5e-3, 0.05)) * 1e3
     assert f"at 47.5 W and {speed:.2f} mm/s" in capsys.readouterr().out
-    kerf_commands.run(kerf_commands.Power("eps_af", speed_mm_s=4.0, kerf_mm=2.0, thickness_mm=200.0))
+    kerf_commands.run_kerf(kerf_commands.Power("eps_af", speed_mm_s=4.0, kerf_mm=2.0, thickness_mm=200.0))
     shown = capsys.readouterr().out
     assert "kerf 2.00 mm" in shown
     assert "mind: too hot" in shown
     assert "mind: the foam is thicker" in shown
     with pytest.raises(TandemError) as caught:
-        kerf_commands.run(kerf_commands.Fit(Path("t.csv"), density_kg_m3=-1.0))
+        kerf_commands.run_kerf(kerf_commands.Fit(Path("t.csv"), density_kg_m3=-1.0))
     assert caught.value.issues[0].code == "kerf.foam_file"
     with pytest.raises(TandemError) as caught:
-        kerf_commands.run(kerf_commands.Fit(Path("t.csv"), density_kg_m3=14.0, thickness_mm=0.0))
+        kerf_commands.run_kerf(kerf_commands.Fit(Path("t.csv"), density_kg_m3=14.0, thickness_mm=0.0))
     assert caught.value.issues[0].code == "kerf.input"
 
 

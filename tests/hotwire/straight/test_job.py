@@ -17,10 +17,8 @@ from planner.claims.claim import (
     KerfWithin,
     StraightWire,
 )
-from planner.claims.dialogue import OperatorDialogue
-from planner.claims.segments import Segment
-from planner.geometry.arrays import Ruled
-from planner.geometry.rigid import Shape, exp_twist, from_rpy, interpolate, inverse, transform
+from planner.claims.vocabulary import OperatorDialogue, Segment
+from planner.geometry.arrays import Ruled, Shape, exp_twist, from_rpy, interpolate, inverse, transform
 from planner.hotwire.straight import job
 from planner.hotwire.straight.order import distance_to_polyline
 from planner.issues import Severity

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.milling.claims import program_file
+from planner.milling.job import program_file
 from planner.milling.tool_path import ToolPath
 from planner.verify.milling import gcode_moves
 from tests.milling.gcode.gcode_programs import read, spec

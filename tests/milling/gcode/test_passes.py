@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from planner.issues import TandemError
-from planner.milling.gcode.passes import Passes, passes
 from planner.milling.operation import GCodeCut
+from planner.milling.process_plan import Passes, gcode_passes
 from tests.milling.gcode.gcode_programs import HEAD, spec
 
 TOLERANCE = 1e-4
@@ -17,7 +17,7 @@ TOLERANCE = 1e-4
 
 def cut(folder: Path, text: str, step: float = 0.05, **stated: object) -> Passes:
     own = GCodeCut(gcode=spec(folder, HEAD + text, **stated), name="job")
-    return passes(own, step, TOLERANCE, "operations.0.cuts.0")
+    return gcode_passes(own, step, TOLERANCE, "operations.0.cuts.0")
 
 
 def test_each_stretch_of_cuts_is_a_pass_from_where_the_rapid_move_ended(tmp_path: Path) -> None:

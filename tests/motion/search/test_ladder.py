@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from planner.motion.arm_kinematics import FULL_TURN
+from planner.motion.planning_scene import FULL_TURN
 from planner.motion.search.ladder import LARGEST_STEP, TIE_SHARE, Ladder, joint_path, steps
 from planner.motion.search.ladder_search import Choice, Found, search, speed_limits
 from planner.motion.search.reach import Grid, Rungs, reach, sample

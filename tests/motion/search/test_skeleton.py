@@ -9,10 +9,10 @@ import pytest
 
 from bench.motion_jobs import spiral_pair
 from planner.cell import plant
-from planner.geometry.rigid import inverse
+from planner.geometry.arrays import inverse
 from planner.motion import diagnosis
-from planner.motion.scene import Scene
-from planner.motion.search import skeleton
+from planner.motion.planning_scene import Scene
+from planner.motion.search import path_search
 from planner.motion.search.ladder_search import Blocked, Found, search
 from planner.motion.search.path_search import find_path
 from planner.motion.search.reach import sample
@@ -27,7 +27,7 @@ AWAY = np.array([[1.0, 0, 0, 0], [0, 1, 0, 3.0], [0, 0, 1, 0], [0, 0, 0, 1]])
 
 @pytest.fixture(autouse=True)
 def _few_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(skeleton, "LONG_JOB", 100)
+    monkeypatch.setattr(path_search, "LONG_JOB", 100)
 
 
 def facing(count: int, tilt: float = 0.0, obstacles: tuple[Obstacle, ...] = ()) -> tuple[Scene, Targets]:
@@ -38,7 +38,7 @@ def facing(count: int, tilt: float = 0.0, obstacles: tuple[Obstacle, ...] = ()) 
 
 
 def path(scene: Scene, targets: Targets) -> Found:
-    assert skeleton.suits(targets)
+    assert path_search.suits(targets)
     _, found = find_path(scene, targets)
     assert isinstance(found, Found), diagnosis.no_path(scene, targets, _, found)
     return found
@@ -47,8 +47,8 @@ def path(scene: Scene, targets: Targets) -> Found:
 def test_only_jobs_whose_arms_share_nothing_suit() -> None:
     _, wire = pair(120, solid=False)
     _, few = one_arm(90)
-    assert not skeleton.suits(wire)
-    assert not skeleton.suits(few)
+    assert not path_search.suits(wire)
+    assert not path_search.suits(few)
 
 
 def test_the_path_of_a_skeleton_costs_what_that_of_all_targets_costs() -> None:

@@ -10,13 +10,13 @@ import pytest
 from shapely import LineString, Point
 
 from planner.geometry import corner_rounding
+from planner.geometry.units import MM
 from planner.motion.operation import plan_operation
-from planner.motion.trajectory import thinning
+from planner.motion.trajectory import move_limits
 from planner.motion.trajectory.joint_path import MOST_RAMP
 from planner.motion.trajectory.timing import SHORTEST
 from planner.problem import Settings
 from planner.targets import Action
-from planner.units import MM
 from tests.motion.scenes import HIGH, arc_wire, s_curve
 
 FEED = 0.1
@@ -37,11 +37,11 @@ def short_moves(plan):
 
 def test_dense_targets_are_joined_and_none_is_farther_off_than_a_corner_may_be():
     cell, targets = s_targets(1500)
-    assert (targets.travel[1:] / FEED).max() < thinning.LEAST_MOVE_TIME_S
+    assert (targets.travel[1:] / FEED).max() < move_limits.LEAST_MOVE_TIME_S
     plan = plan_operation("dense", cell, targets, Settings(), HIGH)
     assert plan.targets.count < 0.7 * targets.count
     assert not short_moves(plan)
-    assert np.diff(plan.time).min() >= thinning.LEAST_MOVE_TIME_S
+    assert np.diff(plan.time).min() >= move_limits.LEAST_MOVE_TIME_S
     way = plan.targets.poses(plan.values)["arm"][:, :3, 3]
     line = LineString(way / MM)  # shapely measures in the plane; the curve lies in it
     assert np.ptp(way[:, 2]) < 1e-9
@@ -55,8 +55,8 @@ def test_joined_moves_are_as_long_as_their_parts_and_no_faster_than_any_of_them(
     _, targets = s_targets(400, feed=feed, feed_min=feed / 3.0)
     values = targets.neutral()
     time = np.cumsum(np.append(0.0, targets.travel[1:] / feed[1:]))
-    kept = thinning.joined(targets, values, time, np.arange(400))
-    fewer = thinning.picked(targets, kept)
+    kept = move_limits.joined(targets, values, time, np.arange(400))
+    fewer = move_limits.picked(targets, kept)
     assert 2 < fewer.count < 400
     assert fewer.travel.sum() == pytest.approx(targets.travel.sum(), rel=1e-12)
     for row, (first, last) in enumerate(itertools.pairwise(kept.tolist()), 1):
@@ -72,10 +72,10 @@ def test_stops_actions_and_ends_of_segments_stay():
     stop[[100, 333]] = True
     actions = (Action(333, "wait", seconds=1.0),)
     targets = dataclasses.replace(targets, stop=stop, actions=actions)
-    kept = thinning.joined(targets, targets.neutral(), np.arange(600) * 0.01, np.arange(600))
+    kept = move_limits.joined(targets, targets.neutral(), np.arange(600) * 0.01, np.arange(600))
     edges = [i for i in range(599) if targets.segment[i] != targets.segment[i + 1]]
     assert {0, 100, 333, 599, *edges} <= set(kept.tolist())
-    fewer = thinning.picked(targets, kept)
+    fewer = move_limits.picked(targets, kept)
     assert len(kept) < 400
     assert kept[fewer.actions[0].at] == 333
 
@@ -87,9 +87,9 @@ def test_where_a_least_feed_is_asked_for_and_the_way_bends_short_moves_are_told(
     targets = dataclasses.replace(targets, feed=np.full(400, 0.15), feed_min=np.full(400, 0.02))
     plan = plan_operation("teeth", cell, targets, Settings(), HIGH)
     (issue,) = short_moves(plan)
-    assert issue.limit == thinning.LEAST_MOVE_TIME_S
+    assert issue.limit == move_limits.LEAST_MOVE_TIME_S
     assert issue.value is not None
-    assert issue.value < thinning.LEAST_MOVE_TIME_S
+    assert issue.value < move_limits.LEAST_MOVE_TIME_S
     assert plan.targets.count >= 398
     free = dataclasses.replace(targets, feed_min=np.zeros(400))
     slower = plan_operation("teeth", cell, free, Settings(), HIGH)
@@ -101,12 +101,12 @@ def test_poses_that_a_user_stated_and_arms_that_have_to_meet_stay():
     stated = dataclasses.replace(targets, may_join=False)
     time = np.arange(300) * 0.005
     every = np.arange(300)
-    assert len(thinning.joined(targets, targets.neutral(), time, every)) < 300
-    assert len(thinning.joined(stated, targets.neutral(), time, every)) == 300
-    assert (thinning.slowed(stated, np.full(300, 0.01)) == 0.01).all()
+    assert len(move_limits.joined(targets, targets.neutral(), time, every)) < 300
+    assert len(move_limits.joined(stated, targets.neutral(), time, every)) == 300
+    assert (move_limits.slowed(stated, np.full(300, 0.01)) == 0.01).all()
     wire = arc_wire(200)
     rows = np.arange(200)
-    assert len(thinning.joined(wire, wire.neutral(), rows * 0.005, rows)) == 200
+    assert len(move_limits.joined(wire, wire.neutral(), rows * 0.005, rows)) == 200
 
 
 def with_other(targets, other, apart):
@@ -126,12 +126,12 @@ def test_two_arms_are_joined_as_far_as_they_stay_together():
     other[:, 0, 3] += 0.1
     pair = with_other(targets, other, 2e-6)
     rows, time = np.arange(300), np.arange(300) * 0.01
-    together = thinning.joined(pair, pair.neutral(), time, rows)
+    together = move_limits.joined(pair, pair.neutral(), time, rows)
     assert len(together) < 200
     shaken = other.copy()
     shaken[1:-1, 2, 3] += np.random.default_rng(3).uniform(-5e-6, 5e-6, 298)
     apart = dataclasses.replace(pair, pose={**pair.pose, "other": shaken})
-    assert len(together) < len(thinning.joined(apart, pair.neutral(), time, rows))
+    assert len(together) < len(move_limits.joined(apart, pair.neutral(), time, rows))
 
 
 def test_arms_of_two_controllers_are_not_joined_beyond_what_a_move_ahead_may_change():
@@ -147,7 +147,7 @@ def test_arms_of_two_controllers_are_not_joined_beyond_what_a_move_ahead_may_cha
     rows, time = np.arange(300), np.arange(300) * 0.01
     changed = []
     for most in (2.5 * step, np.inf):
-        kept = thinning.joined(dataclasses.replace(pair, ahead=most), pair.neutral(), time, rows)
+        kept = move_limits.joined(dataclasses.replace(pair, ahead=most), pair.neutral(), time, rows)
         one, two = (pose[kept, :3, 3] for pose in pair.pose.values())
         changed.append(np.abs(np.linalg.norm(one[1:] - two[:-1], axis=1) - 0.013).max())
         assert len(kept) < 300
@@ -164,7 +164,7 @@ def test_moves_of_next_to_no_way_do_not_hold_up_those_from_a_stop():
     travel[20], feed[20] = 1e-12, 1e-12 / SHORTEST
     targets = dataclasses.replace(targets, travel=travel, feed=feed, stop=stop)
     kept = np.delete(np.arange(60), [19, 21])
-    fewer = thinning.picked(targets, kept)
+    fewer = move_limits.picked(targets, kept)
     row = int(np.flatnonzero(kept == 20)[0])
     # the rest of each is FEED, which the end away from the stop may have
     assert fewer.feed[row : row + 2] == pytest.approx(np.full(2, FEED / MOST_RAMP), rel=1e-9)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
-from planner.geometry.rigid import from_rpy
+from planner.geometry.arrays import from_rpy
 from planner.issues import Severity
 from planner.post.krl.controller_files import MEMORY_BYTES, notes
 from planner.post.krl.program import ptp_percent

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
-from planner.geometry.rigid import inverse
+from planner.geometry.arrays import inverse
 from planner.issues import TandemError
-from planner.post.krl import linear_moves
+from planner.post.krl import syntax
 from planner.targets import Action
 from tests.post import krl_job, synthetic
 from tests.post.krl_job import body, data, flat, moves, turning_job
@@ -310,6 +310,6 @@ def test_a_pose_that_is_nearer_than_least_speeds_go_in_the_least_time_is_the_one
     position, angles = np.zeros((9, 3)), np.zeros((9, 3))
     position[:, 0] = x
     angles[8, 2] = 0.01
-    linear_moves._settle(position, angles)
+    syntax._settle(position, angles)
     assert position[:, 0].tolist() == [0.0, 1.0, 1.0, 1.0007, 1.0007, 2.0, 2.0, 2.0, 2.0]
     assert angles[8, 2] == 0.01

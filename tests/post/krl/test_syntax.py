@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from planner.geometry.rigid import from_rpy
+from planner.geometry.arrays import from_rpy
 from planner.issues import TandemError
 from planner.post.krl.data import load_data
 from planner.post.krl.syntax import NAME_LENGTH, RESERVED, abc, comment, frame, name, rotation

@@ -11,7 +11,7 @@ import pytest
 
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
-from planner.geometry.rigid import from_quaternion
+from planner.geometry.arrays import from_quaternion
 from planner.targets import Action
 from planner.verify.rapid.reader import read_task
 from tests.post import synthetic

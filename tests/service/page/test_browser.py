@@ -18,7 +18,7 @@ import trimesh
 from playwright.sync_api import Page, Route, expect
 
 import planner
-from planner.service.database import Database, default_url
+from planner.service.models import Database, default_url
 from planner.service.security import Auth
 from tests.service.support import ROOT, Process, free_port
 

@@ -13,9 +13,9 @@ import pytest
 
 from planner import pipeline
 from planner.geometry.arrays import Mesh
-from planner.service.page import routes
-from planner.service.page.preview import path_bars, shapes, thinned
-from planner.service.page.routes import ROOT, STATIC
+from planner.service import app
+from planner.service.app import PAGE_FOLDER, STATIC
+from planner.service.upload_reader import path_bars, shapes, thinned
 from tests import small_problem
 from tests.service.support import ROOT as REPOSITORY
 from tests.service.support import TABLE, InProcess
@@ -111,7 +111,7 @@ def test_pages_are_no_part_of_the_api(here: InProcess) -> None:
 
 
 def test_bundled_problems_need_a_token_where_others_do(tmp_path: Path) -> None:
-    from planner.service.database import Database, default_url
+    from planner.service.models import Database, default_url
     from planner.service.security import Auth
 
     data = tmp_path / "data"
@@ -127,14 +127,14 @@ def test_bundled_problems_need_a_token_where_others_do(tmp_path: Path) -> None:
         assert closed.http.get("/").status_code == 200
 
 
-@pytest.mark.parametrize("name", sorted(routes.bundled_entries()))
+@pytest.mark.parametrize("name", sorted(app.bundled_entries()))
 def test_every_bundled_problem_is_data_with_its_files(name: str) -> None:
-    found = routes.bundled_problem(name)
+    found = app.bundled_problem(name)
     assert isinstance(found["problem"]["cell"], dict)
     assert found["problem"]["operations"]
     for file in found["files"]:
-        assert routes.bundled_file(name, file).is_file()
-    assert "make_" not in routes.bundled_entries()[name]["about"]
+        assert app.bundled_file(name, file).is_file()
+    assert "make_" not in app.bundled_entries()[name]["about"]
 
 
 def test_bundled_files_are_those_that_problems_name(here: InProcess) -> None:
@@ -206,6 +206,6 @@ def test_templates_styles_and_scripts_travel_in_the_wheel(tmp_path: Path) -> Non
     (made,) = builder.WheelBuilder(str(REPOSITORY)).build(directory=str(tmp_path), versions=["standard"])
     with zipfile.ZipFile(made) as wheel:
         inside = set(wheel.namelist())
-    for path in (*(ROOT / "templates").iterdir(), *STATIC.rglob("*")):
+    for path in (*(PAGE_FOLDER / "templates").iterdir(), *STATIC.rglob("*")):
         if path.is_file():
             assert path.relative_to(REPOSITORY).as_posix() in inside

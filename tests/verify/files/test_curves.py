@@ -10,10 +10,10 @@ from planner.geometry.curves import ArcRail, Loft, curve_points
 from planner.geometry.wing import naca, read_airfoil
 from planner.issues import TandemError
 from planner.reading.part_ruled import read_dxf
+from planner.verify.files import UnreadError
 from planner.verify.files.curves import bezier, bspline, read_curves
 from planner.verify.files.meshes import loft_points
 from planner.verify.files.surfaces import read_section, section_of_digits
-from planner.verify.files.values import UnreadError
 
 SECTION = naca("2412", 30)
 

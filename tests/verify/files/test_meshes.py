@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from planner.geometry.mesh import read_mesh
 from planner.issues import TandemError
+from planner.verify.files import UnreadError
 from planner.verify.files.meshes import read_facets
-from planner.verify.files.values import UnreadError
 
 PLACES = np.array([[0, 0, 0], [40, 0, 5], [40, 30, 0], [0, 30, -5], [20, 15, 9.5]], dtype=float)
 FANS = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.geometry.rigid import from_rpy, transform
-from planner.verify.files import comparison
-from planner.verify.files.values import on_triangles
+from planner.geometry.arrays import from_rpy, transform
+from planner.verify.files import comparison, on_triangles
 
 
 def panel(x: np.ndarray, y: np.ndarray, sag: tuple[float, float]) -> np.ndarray:

@@ -7,10 +7,9 @@ import trimesh
 
 from planner.geometry.rulings import tessellate
 from planner.geometry.wing import naca
-from planner.verify.files import comparison
+from planner.verify.files import UnreadError, comparison, pose
 from planner.verify.files.sheets import sheet_face
 from planner.verify.files.surfaces import stated
-from planner.verify.files.values import UnreadError, pose
 from tests.reading.part_specs import WING, circle, guides, make, outline
 from tests.verify.files.part_files import HIGH, LOW, absolute, grid_obj, hills
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner.claims.milling import MillsAlong
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray
 from planner.verify.milling.following import Followed, follow
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planner.claims.milling import MillsAlong
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.milling.tool_path import parted
 from planner.verify.milling.following import FEED_TOLERANCES, allowed, follow, highest, rows_to_check
 from tests.milling.small_mill import BALL, PANEL

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 from planner import processes
 from planner.claims.claim import ContactOnlyIn
-from planner.claims.dialogue import OperatorDialogue
 from planner.claims.milling import MillsAlong
+from planner.claims.vocabulary import OperatorDialogue
 from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
 from planner.milling import check
 from planner.milling import job as milling_job
-from planner.milling.claims import program_file
 from planner.milling.gcode import lines, moves, reader
 from planner.milling.gcode.state import Convention
+from planner.milling.job import program_file
 from planner.milling.operation import GCodeFile
 from planner.milling.tool_path import ToolPath
 from planner.motion import solve

@@ -14,7 +14,7 @@ import pytest
 from planner import processes
 from planner.claims.milling import MillsFlank
 from planner.geometry.arrays import FloatArray
-from planner.milling import flank, flank_cut
+from planner.milling import cutter_contact, flank_cut
 from planner.milling import job as milling_job
 from planner.milling.job import MillingJob
 from planner.milling.tool_path import Run, ends
@@ -201,15 +201,15 @@ def test_ways_that_go_elsewhere_are_found(tmp_path: Path, phase: str, wrong: str
     assert way.faults or way.off.max() > 1.0
 
 
-_AXES, _RUN, _PLACED = flank.axes, flank_cut._run, flank_cut.placed
+_AXES, _RUN, _PLACED = cutter_contact.axes, flank_cut._run, flank_cut.placed
 FAULTS: dict[str, tuple[Any, str, Any]] = {
     "on the other side": (
-        flank,
+        cutter_contact,
         "axes",
         lambda strip, radius: _AXES(dataclasses.replace(strip, out=-strip.out), radius),
     ),
-    "radius not compensated": (flank, "axes", lambda strip, radius: _AXES(strip, 0.0)),
-    "half of the radius": (flank, "axes", lambda strip, radius: _AXES(strip, 0.5 * radius)),
+    "radius not compensated": (cutter_contact, "axes", lambda strip, radius: _AXES(strip, 0.0)),
+    "half of the radius": (cutter_contact, "axes", lambda strip, radius: _AXES(strip, 0.5 * radius)),
     "tip not beyond its guide": (flank_cut, "under", lambda cut, cutter: -0.004),
     "roughing 2 mm too high": (
         flank_cut,

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import SparesPart
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.tooling import Cutter
 from planner.verify.milling.tool_motion import Milling, Track, signed, solids
 from planner.verify.rules.milling_cutter import _GOUGE_SPACING, _step, mill_gouge

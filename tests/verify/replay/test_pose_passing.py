@@ -4,7 +4,7 @@ number."""
 import numpy as np
 import pytest
 
-from planner.geometry.rigid import exp_rotation, exp_twist, from_parts
+from planner.geometry.arrays import exp_rotation, exp_twist, from_parts
 from planner.verify.replay.pose_passing import MOST_MISSED, passing, values
 from tests.work import counted
 

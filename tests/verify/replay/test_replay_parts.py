@@ -10,7 +10,7 @@ import trimesh
 from planner.catalogue import robots
 from planner.cell.kinematics import forward
 from planner.claims.claim import CutsSurface, KerfCurve
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.verify.context import Context
 from planner.verify.replay import arm_model, inverse_kinematics, moves
 from planner.verify.wire.cut_surface import Sweep, closest, cut_face

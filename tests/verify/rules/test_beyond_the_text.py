@@ -14,7 +14,7 @@ from planner.catalogue.issue_codes import CODES
 from planner.catalogue.robots import robot
 from planner.cell.plant import build
 from planner.claims.claim import CutsSurface, FollowsPoses, KerfCurve, WireJoins
-from planner.geometry.rigid import Shape, from_rpy
+from planner.geometry.arrays import Shape, from_rpy
 from planner.issues import Issue, with_remedy
 from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Stock
 from planner.tooling import PlainTool

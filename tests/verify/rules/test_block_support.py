@@ -10,11 +10,11 @@ import pytest
 
 from planner.cell import support
 from planner.claims.claim import HoldsStock
-from planner.geometry.rigid import Shape, from_rpy
+from planner.geometry.arrays import Shape, from_rpy
+from planner.geometry.units import GRAVITY
 from planner.problem import Obstacle, Problem
 from planner.reading.stock import PEDESTAL
 from planner.tooling import gripper_plate
-from planner.units import GRAVITY
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules.block_support import rests

@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.geometry.rigid import from_rpy, to_quaternion
+from planner.geometry.arrays import from_rpy, to_quaternion
 from planner.post import write
 from planner.verify.prove import Prover
 from tests.verify import handshake_job, small_job

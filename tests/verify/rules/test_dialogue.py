@@ -10,7 +10,7 @@ import yaml
 
 import planner
 from planner import processes
-from planner.claims import dialogue
+from planner.claims import vocabulary
 from planner.claims.claim import OneOf
 from planner.motion import solve
 from planner.post import write
@@ -382,7 +382,7 @@ def test_spacers_are_as_thick_as_the_slot(tmp_path, heat):
 WAIT_DI = r"WaitDI (\w+),(\d)\\MaxTime:=(\d+);"
 
 
-UNANSWERED = dialogue.UNANSWERED.filled(other="right")
+UNANSWERED = vocabulary.UNANSWERED.filled(other="right")
 
 
 def flagged(end, text=UNANSWERED):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planner.claims.forming import FollowsOpposite, SupportsBorder, ToolsLean
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
 from tests.verify.provers import broken

@@ -11,7 +11,7 @@ import pytest
 
 from planner import pipeline, processes
 from planner.claims.forming import FormsPart
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.forming.features import tree
 from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.verify.context import Context

@@ -16,7 +16,7 @@ import yaml
 
 from planner import pipeline, processes
 from planner.issues import TandemError
-from planner.motion.trajectory import least_feed as planned
+from planner.motion.trajectory import move_limits as planned
 from planner.targets import Targets
 from planner.verify.prove import Prover
 from planner.verify.replay import pose_passing as proven

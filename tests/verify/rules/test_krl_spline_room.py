@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from planner.claims.claim import FeedWindow
 from planner.claims.milling import MillsAlong
-from planner.claims.segments import Segment
-from planner.geometry.rigid import to_quaternion
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import to_quaternion
 from planner.motion import solve
 from planner.post.krl.spline_blocks import curve
 from planner.verify.krl import spline_curve

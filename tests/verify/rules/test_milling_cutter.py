@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.tooling import Cutter
 from planner.verify.milling.tool_motion import signed, solids, sweep
 from tests.milling.small_mill import BALL, PANEL, WALL

@@ -13,7 +13,7 @@ import shapely
 import planner
 from planner import processes
 from planner.claims.claim import FollowsRulings, KerfCurve
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.hotwire.straight import cut
 from planner.hotwire.straight.offset import Beside
 from planner.problem import Problem

@@ -10,13 +10,13 @@ import pytest
 import trimesh
 
 from planner.claims.claim import CutsSurface, FollowsRulings, KerfCurve, KerfWithin, StraightWire
-from planner.claims.segments import Segment
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import Ruled
 from planner.geometry.rulings import tessellate
 from planner.problem import Stock
 from planner.verify.context import Context
+from planner.verify.job import letters
 from planner.verify.programs.program_text import segment_of_name
-from planner.verify.programs.setups import letters
 from planner.verify.prove import Prover
 from planner.verify.replay.motion import local
 from planner.verify.rules.straight_wire import free_lengths, guide_normals, off_guide

@@ -4,7 +4,7 @@
     shape.points(101), shape.energy, shape.stable_out_of_plane(round(0.3))
     fitted, rms = fit(points)
 
-Shapes are evaluated in closed form (`equations`); weight is in `heavy`.
+Shapes are evaluated in closed form (`elastica.equations`); weight is in `elastica.heavy`.
 """
 
 from dataclasses import dataclass

@@ -1,0 +1,453 @@
+"""The planning scene of an operation: kinematics of its arms, the stock, and what may not be touched.
+
+**Kinematics of one arm** (`Chain`) as planning sees it: closed-form inverse, turns, limit margins,
+rates. The inverse is that of ortho-parallel arms with spherical wrists, batched over poses.
+Formulas: Brandstoetter, Angerer, Hofbaur, "An analytical solution of the inverse kinematics problem
+of industrial serial manipulators with an ortho-parallel basis and a spherical wrist", 2014. One
+branch of a thousand poses costs about half a millisecond, so that an optimiser may call it in every
+step.
+
+**Scene**: where things stand for one operation, the arms that take part, the stock, and the cell's
+collision model.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from planner.catalogue.robots import OpwParameters, RobotData, robot
+from planner.cell import clearance
+from planner.cell.clearance import Against, LeastClearance, Pairs
+from planner.cell.clearance import edge as edge_clearance
+from planner.cell.kinematics import forward, jacobian
+from planner.cell.plant import CellModel
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, interpolate, inverse, transform
+from planner.geometry.arrays import inverse as rigid_inverse
+from planner.problem import Arm, Cell, Settings
+from planner.targets import Targets
+from planner.tooling import FormingTool, working_solid
+
+BRANCHES: Final = 8
+"""Branch number = shoulder (0 front, 1 back) * 2 + elbow (0, 1) + 4 * wrist (0 theta5 >= 0, 1 flipped)."""
+
+
+def inverse_kinematics(
+    opw: OpwParameters, flange: FloatArray, branches: Sequence[int] = range(BRANCHES)
+) -> FloatArray:
+    """Joint angles (..., len(branches), 6) [rad] of flange poses (..., 4, 4) in the base; NaN where none
+    exists.
+
+    Angles are not wrapped into limits. The branch number of a solution is continuous in the pose while the
+    arm does not pass a singularity.
+    """
+    r = flange[..., :3, :3]
+    centre = flange[..., :3, 3] - opw.c4 * r[..., :, 2]
+    cx, cy, up = centre[..., 0], centre[..., 1], centre[..., 2] - opw.c1
+    with np.errstate(invalid="ignore"):
+        radial = np.sqrt(cx * cx + cy * cy - opw.b * opw.b)
+    turn, skew = np.arctan2(cy, cx), np.arctan2(opw.b, radial)
+    arms = {pair: _first_three(opw, turn, skew, radial, up, *pair) for pair in {_pair(b) for b in branches}}
+    wrists = {pair: _wrist(r, *angles) for pair, angles in arms.items()}
+    out = np.empty((len(branches), 6, *flange.shape[:-2]))  # one block per joint: what follows works by joint
+    for slot, branch in enumerate(branches):
+        pair = _pair(branch)
+        theta4, theta5, theta6 = wrists[pair]
+        flip = branch >= 4
+        columns = (*arms[pair], theta4 + np.pi * flip, -theta5 if flip else theta5, theta6 - np.pi * flip)
+        for j, column in enumerate(columns):
+            np.multiply(column + opw.offsets[j], opw.signs[j], out=out[slot, j])
+    return np.moveaxis(out, (0, 1), (-2, -1))
+
+
+def _pair(branch: int) -> tuple[int, int]:
+    return (branch % 4) // 2, branch % 2
+
+
+def _first_three(
+    opw: OpwParameters,
+    turn: FloatArray,
+    skew: FloatArray,
+    radial: FloatArray,
+    up: FloatArray,
+    shoulder: int,
+    elbow: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Theta 1 to 3 for one choice of shoulder and elbow; the back shoulder is the front one mirrored."""
+    forearm = np.hypot(opw.a2, opw.c3)
+    out = radial - opw.a1 if shoulder == 0 else -(radial + opw.a1)
+    theta1 = turn - skew if shoulder == 0 else turn + skew - np.pi
+    square = out * out + up * up
+    sign = -1.0 if elbow == 0 else 1.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lift = np.arccos((square + opw.c2**2 - forearm**2) / (2.0 * np.sqrt(square) * opw.c2))
+        bend = np.arccos((square - opw.c2**2 - forearm**2) / (2.0 * opw.c2 * forearm))
+    theta2 = np.arctan2(out, up) + sign * lift
+    theta3 = -sign * bend - np.arctan2(opw.a2, opw.c3)
+    return theta1 + 0.0 * bend, theta2, theta3  # a branch exists as a whole or not at all
+
+
+def _wrist(
+    r: FloatArray, theta1: FloatArray, theta2: FloatArray, theta3: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Theta 4 to 6 with theta 5 >= 0, from the rotation that the first three leave over."""
+    c1, s1 = np.cos(theta1), np.sin(theta1)
+    c, s = np.cos(theta2 + theta3), np.sin(theta2 + theta3)
+    front = c1[..., None] * r[..., 0, :] + s1[..., None] * r[..., 1, :]
+    side = c1[..., None] * r[..., 1, :] - s1[..., None] * r[..., 0, :]
+    along = s[..., None] * front + c[..., None] * r[..., 2, :]
+    across = c * front[..., 2] - s * r[..., 2, 2]
+    theta4 = np.arctan2(side[..., 2], across)
+    theta5 = np.arctan2(np.hypot(side[..., 2], across), along[..., 2])
+    theta6 = np.arctan2(along[..., 1], -along[..., 0])
+    return theta4, theta5, theta6
+
+
+FULL_TURN = 2.0 * np.pi
+"""One turn of a joint [rad]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Chain:
+    """An arm at ``base`` (4, 4) in the world with a tool whose TCP is at ``tcp`` (4, 4) on the flange."""
+
+    name: str
+    robot: RobotData
+    base: FloatArray
+    tcp: FloatArray
+    home: FloatArray
+
+    @staticmethod
+    def of(arm: Arm, base: FloatArray | None = None) -> Chain:
+        """The chain of an arm of a cell, at another base when one is given."""
+        return Chain(arm.name, robot(arm.robot), arm.base if base is None else base, arm.tool.tcp, arm.home)
+
+    def pose(self, q: FloatArray) -> FloatArray:
+        """TCP poses (..., 4, 4) in the world for joint angles (..., 6)."""
+        return np.asarray(self.base @ forward(self.robot, q) @ self.tcp)
+
+    def inverse(self, pose: FloatArray, branches: Sequence[int] = range(BRANCHES)) -> FloatArray:
+        """Joint angles (..., len(branches), 6) of TCP poses (..., 4, 4), each within pi of the middle of its
+        range.
+
+        NaN where a pose is out of reach. Joints that may turn more than once have more states: :attr:`turns`.
+        """
+        flange = rigid_inverse(self.base) @ pose @ rigid_inverse(self.tcp)
+        return wrap(inverse_kinematics(self.robot.opw, flange, branches), self.middle)
+
+    @property
+    def middle(self) -> FloatArray:
+        """Middle (6,) of every joint's range."""
+        return np.asarray(0.5 * (self.robot.lower + self.robot.upper))
+
+    @property
+    def turns(self) -> FloatArray:
+        """Whole turns (T, 6) [rad] that can be added to angles of :meth:`inverse` and may stay within the
+        limits."""
+        span = 0.5 * (self.robot.upper - self.robot.lower)
+        most = np.floor((span + np.pi - 1e-9) / FULL_TURN).astype(int)
+        choices = itertools.product(*(range(-m, m + 1) for m in most))
+        return FULL_TURN * np.array(sorted(choices, key=lambda c: (sum(map(abs, c)), c)), dtype=np.float64)
+
+    @property
+    def many_turns(self) -> BoolArray:
+        """(6,) which joints may turn more than once."""
+        return np.asarray(self.robot.upper - self.robot.lower > FULL_TURN + 1e-9)
+
+    def continuous(self, q: FloatArray, near: FloatArray) -> FloatArray:
+        """The angles q (..., 6), with joints that may turn more than once brought nearest to ``near`` (...,
+        6)."""
+        return np.where(self.many_turns, wrap(q, near), q)
+
+    def limit_margin(self, q: FloatArray) -> FloatArray:
+        """Least distance (...,) [rad] to a joint limit; -inf where q is NaN."""
+        return _plain_margin(self.robot.limit_margin(q))
+
+    def limit_margins(self, q: FloatArray, turns: FloatArray) -> list[FloatArray]:
+        """Limit margins (...,) of principal angles q (..., 6) with each of the turns (T, 6) added; -inf where
+        NaN."""
+        low, high = self.robot.lower, self.robot.upper
+        fixed: FloatArray | None = None
+        for j in np.flatnonzero(~self.many_turns):
+            part = np.minimum(q[..., j] - low[j], high[j] - q[..., j])
+            fixed = part if fixed is None else np.minimum(fixed, part)
+        if self.robot.coupling is not None:
+            axis3 = q[..., 1] + q[..., 2]
+            rod = np.minimum(axis3 - self.robot.coupling.axis3_lower, self.robot.coupling.axis3_upper - axis3)
+            fixed = rod if fixed is None else np.minimum(fixed, rod)
+        parts: dict[tuple[int, float], FloatArray] = {}
+        out = []
+        for turn in turns:
+            margin: FloatArray | None = fixed
+            for j in np.flatnonzero(self.many_turns):
+                key = (int(j), float(turn[j]))
+                if key not in parts:
+                    angle = q[..., j] + turn[j]
+                    parts[key] = np.minimum(angle - low[j], high[j] - angle)
+                margin = parts[key] if margin is None else np.minimum(margin, parts[key])
+            out.append(_plain_margin(np.asarray(margin)))
+        return out
+
+    def singularity_margin(self, q: FloatArray) -> FloatArray:
+        """Least angle (...,) [rad] from a singularity of wrist, elbow or shoulder; -inf where q is NaN."""
+        wrist, elbow, shoulder = self._singularities(q)
+        return _plain_margin(np.minimum(np.minimum(wrist, elbow), shoulder))
+
+    def singularities(self, q: FloatArray) -> FloatArray:
+        """Angles (..., 3) [rad]: axis 5 from lining up axes 4 and 6, the elbow from stretched or folded, and
+        the angle under which the stretched arm would see the distance of the wrist's centre from axis 1."""
+        return np.stack(self._singularities(q), axis=-1)
+
+    def _singularities(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        p = self.robot.opw
+        theta2, theta3, theta5 = (p.signs[j] * q[..., j] - p.offsets[j] for j in (1, 2, 4))
+        wrist = np.abs(wrap(2.0 * theta5, np.zeros(()))) / 2.0
+        elbow = np.abs(wrap(2.0 * (theta3 + np.arctan2(p.a2, p.c3)), np.zeros(()))) / 2.0
+        tilt = theta2 + theta3
+        out = p.a1 + p.c2 * np.sin(theta2) + p.c3 * np.sin(tilt) + p.a2 * np.cos(tilt)
+        shoulder = np.arcsin(np.minimum(1.0, np.abs(out) / (p.c2 + np.hypot(p.a2, p.c3))))
+        return wrist, elbow, shoulder
+
+    def rates(self, q: FloatArray, twist: FloatArray) -> FloatArray:
+        """Joint rates (..., K, 6) for K body twists (..., K, 6) of the TCP (angular part first) at angles q
+        (..., 6)."""
+        jac = jacobian(self.robot, q)
+        flange = forward(self.robot, q)
+        tool = flange[..., :3, :3] @ self.tcp[:3, :3]
+        angular = np.einsum("...ij,...kj->...ik", tool, twist[..., :3])
+        linear = np.einsum("...ij,...kj->...ik", tool, twist[..., 3:])
+        lever = flange[..., :3, :3] @ self.tcp[:3, 3]
+        at_flange = linear - np.cross(np.swapaxes(angular, -1, -2), lever[..., None, :]).swapaxes(-1, -2)
+        rates = np.linalg.solve(jac, np.concatenate([angular, at_flange], axis=-2))
+        return np.swapaxes(rates, -1, -2)
+
+
+def _plain_margin(margin: FloatArray) -> FloatArray:
+    """Margins, -inf where NaN."""
+    return np.where(np.isnan(margin), -np.inf, margin)
+
+
+def wrap(angle: FloatArray, near: FloatArray) -> FloatArray:
+    """Angles brought within pi of ``near`` by whole turns."""
+    return np.asarray(angle - FULL_TURN * np.round((angle - near) / FULL_TURN))
+
+
+SKIPPED_END_LENGTH = 0.05
+"""Arc length [m] at either end of the flexible edge that is not held against the tool which holds it."""
+
+TRANSIT_KIND = "transit"
+"""Kind of segments in which joined TCPs go from one work to the next and keep their relative pose."""
+
+HELD_PREFIX = "held:"
+"""Work frames that another arm's tool carries are named by this and that arm."""
+
+
+DISTANCE_BATCH = 64
+"""Targets that are asked for their least distance at a time, nearest bounds first."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """Arms of one operation with the stock at ``stock`` (4, 4) in the world.
+
+    ``model`` is the cell's collision model, or None for kinematics alone.
+    """
+
+    chains: Mapping[str, Chain]
+    stock: FloatArray
+    settings: Settings
+    model: CellModel | None = None
+
+    @staticmethod
+    def of(
+        cell: Cell,
+        arms: tuple[str, ...],
+        stock: FloatArray,
+        settings: Settings,
+        model: CellModel | None = None,
+        bases: Mapping[str, FloatArray] | None = None,
+    ) -> Scene:
+        """The scene of the named arms of a cell; ``bases`` replaces base poses."""
+        moved = bases or {}
+        chains = {name: Chain.of(cell.arm(name), moved.get(name)) for name in arms}
+        return Scene(chains, stock, settings, model)
+
+    def world(self, targets: Targets, poses: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """TCP poses in the world of poses {arm: (..., 4, 4)} in the work frames of the targets."""
+        done: dict[str, FloatArray] = {}
+        for arm, holder in holders(targets):
+            if holder is not None:
+                done[arm] = done[holder] @ poses[arm]
+            else:
+                done[arm] = poses[arm] if targets.frame.get(arm) == "world" else self.stock @ poses[arm]
+        return done
+
+    def tcp(
+        self, targets: Targets, values: FloatArray, index: IndexArray | None = None
+    ) -> dict[str, FloatArray]:
+        """TCP poses in the world {arm: (..., 4, 4)} at freedom values (..., F), as :meth:`Targets.poses`."""
+        return self.world(targets, targets.poses(values, index))
+
+    def edge(self, targets: Targets, index: IndexArray) -> FloatArray | None:
+        """Points (B, P, 3) of the flexible edge in the world at targets ``index`` (B,), or None without an
+        edge."""
+        if targets.edge is None:
+            return None
+        frame = targets.frame.get(targets.arms[0], "stock")
+        points = targets.edge.points[index]
+        return points if frame == "world" else transform(self.stock, points)
+
+    @functools.cached_property
+    def last_reach(self) -> dict[str, tuple[FloatArray, tuple[int, int], object]]:
+        """What was found last of each arm's reach: the poses, how many targets and samples, and the table."""
+        return {}
+
+    @functools.cached_property
+    def passing(self) -> Pairs:
+        """Pairs of bodies that may meet in working segments: the stock and the rigid edges of the tools that
+        take part, and the heads of two tools that form one sheet."""
+        if self.model is None:
+            return frozenset()
+        tools = {arm: self.model.cell.arm(arm).tool for arm in self.chains}
+        works = [arm for arm, tool in tools.items() if working_solid(tool) is not None]
+        pairs = {frozenset((f"{arm}/edge", "stock")) for arm in works}
+        heads = [f"{arm}/edge" for arm, tool in tools.items() if isinstance(tool, FormingTool)]
+        return frozenset(pairs | ({frozenset(heads)} if len(heads) > 1 else set()))
+
+    def by_kind(self, targets: Targets, move: IndexArray) -> list[tuple[Pairs, IndexArray]]:
+        """Rows of ``move`` (B,), targets that moves lead to, with the pairs of bodies that may meet there."""
+        if not self.passing:
+            return [(frozenset(), np.arange(len(move)))]
+        cuts = cutting(targets)[move]
+        parts = [(self.passing, np.flatnonzero(cuts)), (frozenset(), np.flatnonzero(~cuts))]
+        return [(pairs, rows) for pairs, rows in parts if len(rows)]
+
+    def free(
+        self,
+        targets: Targets,
+        q: Mapping[str, FloatArray],
+        index: IndexArray,
+        move: IndexArray | None = None,
+        ignored: Pairs = frozenset(),
+    ) -> BoolArray:
+        """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, edges
+        included.
+
+        ``move`` (B,) are the targets that the moves lead to on which the joints lie, where that is not
+        ``index``. Pairs of bodies in ``ignored`` are not looked at.
+        """
+        if self.model is None or len(index) == 0:
+            return np.ones(len(index), dtype=bool)
+        ok = np.zeros(len(index), dtype=bool)
+        for ignore, part in self.by_kind(targets, index if move is None else move):
+            some = {arm: v[part] for arm, v in q.items()}
+            ok[part] = clearance.free(self.model, some, self.settings.clearance, ignore | ignored)
+        rows = np.flatnonzero(ok)
+        distance, _ = self.edge_clearance(targets, {arm: v[rows] for arm, v in q.items()}, index[rows])
+        ok[rows] = distance >= self.settings.clearance
+        return ok
+
+    def least(
+        self, targets: Targets, q: Mapping[str, FloatArray], move: IndexArray, reach: float
+    ) -> LeastClearance:
+        """Least distances (B,) between bodies at joints {arm: (B, 6)} on the moves to targets ``move`` (B,),
+        of those within ``reach`` [m]; without the flexible edge."""
+        distance, pair = np.full(len(move), reach), [("", "")] * len(move)
+        if self.model is None:
+            return LeastClearance(distance, tuple(pair))
+        for ignore, rows in self.by_kind(targets, move):
+            part = {arm: v[rows] for arm, v in q.items()}
+            found = clearance.least(self.model, part, reach, ignore)
+            distance[rows] = found.distance
+            for row, names in zip(rows, found.pair, strict=True):
+                pair[row] = names
+        return LeastClearance(distance, tuple(pair))
+
+    def nearest(
+        self, targets: Targets, q: Mapping[str, FloatArray], reach: float
+    ) -> tuple[float, tuple[str, str], int]:
+        """The least distance [m] between bodies over all targets, if within ``reach`` [m], its pair and its
+        target; exact, though only targets are looked at whose cheap lower bounds leave room for less."""
+        best, pair, where = reach, ("", ""), 0
+        if self.model is None:
+            return best, pair, where
+        for ignore, rows in self.by_kind(targets, np.arange(targets.count)):
+            part = {arm: v[rows] for arm, v in q.items()}
+            lower = clearance.at_least(self.model, part, reach, ignore)
+            order = np.argsort(lower, kind="stable")
+            for start in range(0, len(order), DISTANCE_BATCH):
+                some = order[start : start + DISTANCE_BATCH]
+                some = some[lower[some] < best]
+                if not len(some):
+                    break
+                found = clearance.least(self.model, {arm: v[some] for arm, v in part.items()}, best, ignore)
+                k = found.worst()
+                if found.distance[k] < best:
+                    best, pair, where = float(found.distance[k]), found.pair[k], int(rows[some[k]])
+        return best, pair, where
+
+    def between(
+        self,
+        targets: Targets,
+        start: Mapping[str, FloatArray],
+        end: Mapping[str, FloatArray],
+        share: FloatArray,
+    ) -> dict[str, FloatArray]:
+        """TCP poses in the world {arm: (..., 4, 4)} at ``share`` (...,) of linear moves between world poses.
+
+        A TCP whose work frame is held by another arm moves straight in that frame, which itself moves.
+        """
+        out: dict[str, FloatArray] = {}
+        for arm, holder in holders(targets):
+            if holder is None:
+                out[arm] = interpolate(start[arm], end[arm], share)
+            else:
+                first, last = inverse(start[holder]) @ start[arm], inverse(end[holder]) @ end[arm]
+                out[arm] = out[holder] @ interpolate(first, last, share)
+        return {arm: out[arm] for arm in targets.arms}
+
+    def edge_clearance(
+        self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray
+    ) -> tuple[FloatArray, list[tuple[str, str]]]:
+        """Least distances (B,) [m] of the flexible edge to what it may not touch, and the pairs.
+
+        The stock counts except in cut segments. Infinite without an edge.
+        """
+        distance, pairs = np.full(len(index), np.inf), [("", "")] * len(index)
+        points = self.edge(targets, index)
+        if points is None or targets.edge is None or self.model is None:
+            return distance, pairs
+        cuts = cutting(targets)[index]
+        choices: tuple[tuple[Against, IndexArray], ...] = (
+            ("no_stock", np.flatnonzero(cuts)),
+            ("all", np.flatnonzero(~cuts)),
+        )
+        for against, rows in choices:
+            if len(rows):
+                part = {arm: q[arm][rows] for arm in targets.arms}
+                found = edge_clearance(
+                    self.model, part, points[rows], targets.edge.radius, SKIPPED_END_LENGTH, against
+                )
+                distance[rows] = found.distance
+                for row, pair in zip(rows, found.pair, strict=True):
+                    pairs[row] = pair
+        return distance, pairs
+
+
+def holders(targets: Targets) -> list[tuple[str, str | None]]:
+    """Arms, each with the arm that holds its work frame or None, holders first."""
+    frames = {arm: targets.frame.get(arm, "stock") for arm in targets.arms}
+    pairs = [
+        (arm, f.removeprefix(HELD_PREFIX) if f.startswith(HELD_PREFIX) else None) for arm, f in frames.items()
+    ]
+    return sorted(pairs, key=lambda pair: pair[1] is not None)
+
+
+def cutting(targets: Targets) -> BoolArray:
+    """(N,) whether an edge works the stock on the move to each target."""
+    return np.array([segment.works for segment in targets.segment], dtype=bool)

@@ -1,1 +1,0 @@
-"""The page that the service serves: templates, style and scripts of its own, no build step, no internet."""
