@@ -400,6 +400,7 @@ def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[
 WAYS: Final = (MillsProgram, Engraves, MillsFlank, MillsOver)
 """Claims on the way of the cutter."""
 TURNING_LEVER: Final = TURNING_LEVER_MM * MM
+"""What turning counts as [m/rad] where nothing else is known."""
 TIGHT_SHARE: Final = 0.5
 """Part of a tolerance that rounded corners take at most where it is tighter than what they take anyway."""
 ROUNDED_SHARE: Final = 0.15
