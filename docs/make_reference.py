@@ -1,4 +1,4 @@
-"""Writes tables from the code: fields of problem and batch files, and the rules of the proof, into ``docs/``.
+"""Writes tables from the code into ``docs/``: fields of problem and batch files, rules of the proof, codes.
 
 Run ``python docs/make_reference.py`` after a change of a schema; a test compares the file with what this
 writes.
@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from planner.batch import batch_file
+from planner.catalogue.issue_codes import CODES
 from planner.forming import operation as forming
 from planner.hotwire import operation
 from planner.milling import operation as milling_operation
@@ -21,6 +22,7 @@ from planner.reading import part as part_file
 from planner.verify import prove
 
 HERE = Path(__file__).parent
+PACKAGE = HERE.parent / "planner"
 START, END = "<!-- written by make_reference.py -->", "<!-- end of what make_reference.py writes -->"
 
 CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
@@ -114,10 +116,28 @@ def batch_fields() -> str:
     return "\n".join([_table(batch_file.BatchFile), "A range of `vary`:", "", _table(batch_file.RangeFile)])
 
 
+def codes() -> str:
+    """Issue codes but those of rules, by subject, with the files in which they stand."""
+    texts = {path: path.read_text("utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
+    rows: dict[str, dict[str, list[str]]] = {}
+    for code in sorted(code for code in CODES if not code.startswith("verify.")):
+        subject, _, name = code.partition(".")
+        for path, text in texts.items():
+            if f'"{code}"' in text and path.name != "issue_codes.py":
+                rows.setdefault(subject, {}).setdefault(path.relative_to(PACKAGE).as_posix(), []).append(name)
+    lines = [f"| `{subject}` | {_by_file(files)} |" for subject, files in rows.items()]
+    return "\n".join(["| code | stands in |", "|---|---|", *lines, ""])
+
+
+def _by_file(files: dict[str, list[str]]) -> str:
+    return "; ".join(f"`{file}`: {', '.join(names)}" for file, names in sorted(files.items()))
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "problem_file.md": fields,
     "proof.md": rules,
     "batch.md": batch_fields,
+    "architecture.md": codes,
 }
 
 

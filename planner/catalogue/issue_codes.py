@@ -89,7 +89,6 @@ CODES: Final[dict[str, Code]] = {
     "wire.size": Code("the size of a wire or strip is missing, contradictory or not positive", given=True),
     "wire.temperature": Code("a wire temperature outside the range of its material", given=True),
     "wire.no_equilibrium": Code("the solver found no equilibrium of a wire with weight near its guess"),
-    "wire.no_stable_shape": Code("no stable shape of a wire was found between its clamps"),
     # kerf of a hot wire
     "kerf.unknown_foam": Code("a foam that is not built in", given=True),
     "kerf.no_data": Code("a foam has no test cuts, or not what a kerf model needs", given=True),

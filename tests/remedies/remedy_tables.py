@@ -71,7 +71,6 @@ NONE: Final = {
     "sign.content": "a result that somebody changed is planned or fetched again",
     "sign.missing": "who made the result signs it; the reader cannot",
     "wire.no_equilibrium": "of the solver, for callers of the library; jobs are told wire.shape and its kin",
-    "wire.no_stable_shape": "of the solver, for callers of the library; jobs are told wire.unstable",
     "verify.unread": "tells by line what of somebody else's programs is not read or proven; as nobody knows "
     "where an arm starts, its first move is always among it",
     "wire.touches": "ways in the air are laid clear of the block: a guard, which no job is known to meet; "

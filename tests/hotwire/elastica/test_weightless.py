@@ -133,7 +133,7 @@ def test_batches_of_any_shape_and_failures_by_item():
 def test_too_taut_wires_are_refused_not_guessed():
     with pytest.raises(TandemError) as caught:
         weightless.solve(1.0, [0, 0, 2.0], [0.99, 0, -2.0])
-    assert caught.value.issues[0].code == "wire.no_stable_shape"
+    assert caught.value.issues[0].code == "wire.unstable"
     with pytest.raises(TandemError) as caught:
         weightless.solve(1.0, [0, 0, 0.1], [1.0, 0, 0.1])
     assert caught.value.issues[0].code == "wire.too_short"

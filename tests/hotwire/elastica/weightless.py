@@ -141,7 +141,7 @@ def solve(length: ArrayLike, start: ArrayLike, end: ArrayLike, strict: bool = Tr
     poses (..., 3).
 
     The turning end theta - start theta is part of the question (unwrapped). Raises `TandemError` with
-    code wire.too_short or wire.no_stable_shape, one per item; with strict=False these items come back
+    code wire.too_short or wire.unstable, one per item; with strict=False these items come back
     with ok False and NaN instead."""
     a, b = np.broadcast_arrays(np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64))
     batch = np.broadcast_shapes(a.shape[:-1], np.shape(length))
@@ -187,7 +187,7 @@ def _issues(ok: BoolArray, chord: FloatArray, lengths: FloatArray) -> list[Issue
             hint = (
                 "slacken the wire or turn its ends less: its bends would be tighter than 1/80 of its length"
             )
-            out.append(Issue("wire.no_stable_shape", text, index=int(i), hint=hint))
+            out.append(Issue("wire.unstable", text, index=int(i), hint=hint))
     return out
 
 
