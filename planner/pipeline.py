@@ -243,8 +243,9 @@ def _notes(problem: Problem) -> tuple[Issue, ...]:
 
 
 @_contained()
-def verify(problem: Problem, programs: Mapping[str, str]) -> Proof:
+def verify(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Proof:
     """Prove programs from their text and the problem alone."""
+    problem = _built(problem)
     return prove.prove(problem, processes.claims(problem), programs)
 
 
@@ -252,9 +253,9 @@ _PROGRAM_SUFFIXES = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src",
 """Suffixes of files that a controller reads as programs."""
 
 
-def read_partly(problem: Problem, programs: Mapping[str, str]) -> Partial:
+def read_partly(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Partial:
     """How much of programs of any origin is read and proven, for the cell of ``problem``."""
-    return partial.read_partly(problem, programs)
+    return partial.read_partly(_built(problem), programs)
 
 
 def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:

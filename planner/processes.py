@@ -26,7 +26,8 @@ from planner.targets import Job
 
 
 class Process(NamedTuple):
-    """Schema of the operation, and the module and class of the process's jobs."""
+    """Schema of the operation (:class:`planner.problem.Operation`: name, process, arms, and ``leaves``, the
+    block as the next operation finds it), and the module and class of the process's jobs."""
 
     schema: type[BaseModel]
     module: str
@@ -74,8 +75,14 @@ def _loaded(point: EntryPoint, owner: str) -> Process | Issue:
         fault = f"cannot be imported ({type(error).__name__}: {error})"
     else:
         if isinstance(made, Process) and isinstance(made.schema, type) and issubclass(made.schema, BaseModel):
-            return made
-        fault = f"is {type(made).__name__}, not a planner.processes.Process with the schema of its operation"
+            lacking = [name for name in ("name", "process", "arms") if name not in made.schema.model_fields]
+            lacking += ["leaves()"] if not callable(getattr(made.schema, "leaves", None)) else []
+            if not lacking:
+                return made
+            fault = f"has a schema without {', '.join(lacking)}, which every operation has"
+        else:
+            kind = type(made).__name__
+            fault = f"is {kind}, not a planner.processes.Process with the schema of its operation"
     what = f"the process {point.name!r} of {owner} {fault}"
     return Issue("problem.process_package", f"{what}; mend or uninstall {owner} ({point.value})")
 

@@ -124,3 +124,9 @@ def test_slips_of_a_first_user_are_named(made: Callable[[], object], code: str, 
     (issue,) = caught.value.issues
     assert issue.code == code
     assert said in issue.message
+
+
+def test_the_page_lists_every_example() -> None:
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    listed = re.findall(r"\(examples/(\w+\.py)\)", page)
+    assert listed == sorted(path.name for path in EXAMPLES.glob("*.py"))

@@ -68,6 +68,7 @@ def refused(path: Path) -> str:
         ("ring = no_such_module_at_all:PROCESS", "ModuleNotFoundError"),
         ("ring = tests.toy_process:NOTHING", "AttributeError"),
         ("ring = tests.toy_process:Ring", "not a planner.processes.Process"),
+        ("ring = tests.toy_process:UNFINISHED", "has a schema without arms, leaves()"),
     ],
 )
 def test_what_cannot_be_used_is_refused_where_a_problem_names_it(

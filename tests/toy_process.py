@@ -75,3 +75,13 @@ class RingJob(Job[Ring]):
 
 
 PROCESS = Process(Ring, "tests.toy_process", "RingJob")
+
+
+class Unfinished(Strict):
+    """An operation that lacks what every one has."""
+
+    name: Name
+    process: Literal["ring"]
+
+
+UNFINISHED = Process(Unfinished, "tests.toy_process", "RingJob")
