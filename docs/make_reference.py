@@ -126,11 +126,11 @@ def codes() -> str:
             if f'"{code}"' in text and path.name != "issue_codes.py":
                 rows.setdefault(subject, {}).setdefault(path.relative_to(PACKAGE).as_posix(), []).append(name)
     lines = [f"| `{subject}` | {_by_file(files)} |" for subject, files in rows.items()]
-    return "\n".join(["| code | stands in |", "|---|---|", *lines, ""])
+    return "\n".join(["| code | files |", "|---|---|", *lines, ""])
 
 
 def _by_file(files: dict[str, list[str]]) -> str:
-    return "; ".join(f"`{file}`: {', '.join(names)}" for file, names in sorted(files.items()))
+    return "<br>".join(f"`{file}`: {', '.join(names)}" for file, names in sorted(files.items()))
 
 
 PAGES: dict[str, Callable[[], str]] = {
