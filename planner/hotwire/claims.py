@@ -66,7 +66,7 @@ from planner.claims.vocabulary import (
 from planner.geometry.arrays import BoolArray, FloatArray, Mesh, Ruled
 from planner.geometry.rulings import tessellate
 from planner.geometry.units import GRAVITY, MM
-from planner.hotwire.operation import ElasticWire, Straight, SurfaceCut, TrimCut
+from planner.hotwire.operation import RESTING_COSINE, ElasticWire, Straight, SurfaceCut, TrimCut
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Stock
 from planner.reading.materials import WireFile
@@ -327,8 +327,6 @@ def _auto(op: Straight, stock: Stock, axis: int, span: float) -> int:
     return min(level, key=lambda k: float(length[k]))
 
 
-RESTING_COSINE: Final = 0.7
-"""What is above a slot rests on it where the cosine of the slot's lean is more than this."""
 RESTING_MARGIN: Final = 0.01
 """Cosines of leans that differ from `RESTING_COSINE` by less are not told apart: spacers may be asked for or
 not."""

@@ -29,6 +29,8 @@ AIR_STEP: Final = 0.012
 """Largest move [m] of any point of the wire between targets in the air."""
 KERF_SPEEDS: Final = (1e-3, 50e-3)
 """Speeds [m/s] of a kerf curve. A wire that hardly moves has no kerf of its own: it counts as 1 mm/s."""
+RESTING_COSINE: Final = 0.7
+"""What is above a slot rests on it where the cosine of the slot's lean is more than this."""
 
 
 class Heat(Strict):

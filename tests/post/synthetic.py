@@ -99,6 +99,7 @@ def operation(
         segment=tuple(map(Segment.read, segment)),
         coupled=coupled,
         actions=tuple(actions),
+        feed_throughout=False,
     )
     middle = 0.5 * (HOME + START)
     return OperationPlan(

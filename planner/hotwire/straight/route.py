@@ -22,8 +22,7 @@ from planner.claims import vocabulary
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, exp_rotation
 from planner.geometry.units import MM
-from planner.hotwire.claims import RESTING_COSINE
-from planner.hotwire.operation import AIR_STEP, Straight
+from planner.hotwire.operation import AIR_STEP, RESTING_COSINE, Straight
 from planner.hotwire.straight.cut import Cut
 from planner.hotwire.straight.order import Lines, grown, join
 from planner.issues import Issue, Severity

@@ -68,7 +68,7 @@ def test_the_planner_follows_what_the_proof_lays(tmp_path: Path, name: str, tool
     assert isinstance(job, MillingJob)
     (group,) = wanted_ways.worked_out(processes.claims(own))[0].values()
     wanted = {str(claim.segment): claim for claim in group if isinstance(claim, MillsAlong)}
-    for run in job.made.runs:
+    for run in job.planned.runs:
         claim = wanted[f"mill/{run.name}"]
         path = dataclasses.replace(claim, tip=run.path.tip, axis=run.path.axis)
         found = follow(claim, *samples(path))
