@@ -37,7 +37,7 @@ class Bounds:
     ``boxes`` (K,) are boxes of fixed bodies, of half size (K, 3), or stand for meshes within them where not
     ``exact``. ``pairs`` (M, 2) are pairs of capsules,
     ``box_pairs`` (N, 2) of a capsule and a box, that are held apart. ``given`` (S + K,) are the solids
-    themselves, moving and fixed ones, and ``cores`` theirs.
+    themselves, moving and fixed ones, ``own`` (S + K, 4, 4) their poses in their bodies, and their ``cores``.
     """
 
     solids: tuple[Solid, ...]
@@ -55,6 +55,7 @@ class Bounds:
     pairs: IndexArray
     box_pairs: IndexArray
     given: tuple[Solid, ...]
+    own: FloatArray
     cores: Cores
 
     def among(self, ignore: frozenset[frozenset[str]]) -> Bounds:
@@ -211,7 +212,6 @@ class Bounds:
         which: IndexArray,
     ) -> FloatArray:
         """World poses (M, 4, 4) of solids of ``given`` in rows (M,)."""
-        own = np.array([solid.shape.pose for solid in self.given]).reshape(-1, 4, 4)
         body = np.zeros((len(row), 4, 4))
         body[:, 3, 3] = 1.0
         moving = which < len(self.solids)
@@ -220,7 +220,7 @@ class Bounds:
         if len(self.boxes):
             fixed = np.stack([poses[solid.body][0] for solid in self.given[len(self.solids) :]])
             body[~moving] = fixed[which[~moving] - len(self.solids)]
-        return np.asarray(body @ own[which])
+        return np.asarray(body @ self.own[which])
 
     def _apart(
         self,
@@ -380,6 +380,7 @@ def prepare(
     given = [s for s, fixed in zip(solids, boxed, strict=True) if not fixed] + boxes
     return Bounds(
         given=tuple(given),
+        own=np.array([solid.shape.pose for solid in given]).reshape(-1, 4, 4),
         cores=cores(given),
         solids=capsules,
         bodies=bodies,

@@ -203,7 +203,7 @@ def _gjk(
         started = used[live].any(axis=1)
         going = ~(started & (norm - gap[live] < AGREED_M))
         if settled is not None:
-            going &= (norm > enough[live]) & (gap[live] <= enough[live])
+            going &= ~(started & (norm <= enough[live])) & (gap[live] <= enough[live])
         live, support, far = live[going], support[going], far[going]
         if not len(live):
             break
@@ -247,17 +247,18 @@ def _nearest(corner: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArra
     points = np.concatenate([corner, a + t[..., None] * edge, on_face], axis=1)
     good = np.concatenate([used, edge_good, face_good], axis=1)
     best = np.where(good, np.einsum("mkc,mkc->mk", points, points), np.inf).argmin(axis=1)
-    share = np.zeros((count, 14, 4))
-    share[:, range(4), range(4)] = 1.0
-    for k, (i, j) in enumerate(_EDGES):
-        share[:, 4 + k, i], share[:, 4 + k, j] = 1.0 - t[:, k], t[:, k]
-    for k, ends in enumerate(_TRIANGLES):
-        for end, own in zip(ends, across, strict=True):
-            share[:, 10 + k, end] = own[:, k]
+    share = np.zeros((count, 4))
+    rows = np.flatnonzero(best < 4)
+    share[rows, best[rows]] = 1.0
+    rows = np.flatnonzero((best >= 4) & (best < 10))
+    which = best[rows] - 4
+    share[rows[:, None], _EDGES[which]] = np.stack([1.0 - t[rows, which], t[rows, which]], axis=1)
+    rows = np.flatnonzero(best >= 10)
+    which = best[rows] - 10
+    share[rows[:, None], _TRIANGLES[which]] = across[:, rows, which].T
     volumes = np.einsum("mkc,mkc->mk", opposite[2], z) * np.array([1.0, -1.0, 1.0, -1.0])
     inside = used.all(axis=1) & ((volumes > 0.0).all(axis=1) | (volumes < 0.0).all(axis=1))
-    rows = np.arange(count)
-    return points[rows, best], share[rows, best], inside
+    return points[np.arange(count), best], share, inside
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
