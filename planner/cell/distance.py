@@ -125,9 +125,14 @@ def _segments(
     cosine, ca, cb = dots(along, across), dots(along, between), dots(across, between)
     sine2 = 1.0 - cosine * cosine
     level = sine2 < 1e-12
-    s = np.clip(np.where(level, -ca, (cosine * cb - ca) / np.where(level, 1.0, sine2)), -a, a)
+    inner = np.clip(np.where(level, -ca, (cosine * cb - ca) / np.where(level, 1.0, sine2)), -a, a)
+    # where segments are nearly level the formula cancels out: ends, then, are as near as anything
+    s = np.stack([inner, a, -a, np.clip(cosine * b - ca, -a, a), np.clip(-cosine * b - ca, -a, a)])
     t = np.clip(cosine * s + cb, -b, b)
     s = np.clip(cosine * t - ca, -a, a)
+    square = s * s + t * t - 2.0 * cosine * s * t + 2.0 * ca * s - 2.0 * cb * t
+    best = square.argmin(axis=0)
+    s, t = s[best, np.arange(len(best))], t[best, np.arange(len(best))]
     gap, way = _with_way(between + s[:, None] * along - t[:, None] * across)
     return gap, way, one[:, :3, 3] + s[:, None] * along
 

@@ -42,11 +42,15 @@ def solid(kind: str, rng: np.random.Generator) -> Solid:
 
 
 def poses(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Poses of both solids at one place, a fifth of them parallel, and directions (N, 3) to part them."""
+    """Poses of both solids at one place, a fifth of them parallel, another fifth nearly so, and directions
+    (N, 3) to part them."""
     one, other = np.tile(np.eye(4), (count, 1, 1)), np.tile(np.eye(4), (count, 1, 1))
     turned = rng.random(count) < 0.8
     for pose in (one, other):
         pose[turned, :3, :3] = Rotation.random(int(turned.sum()), random_state=rng).as_matrix()
+    nearly = turned & (rng.random(count) < 0.25)
+    tilt = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-9.0, -3.0, (count, 1))
+    other[nearly, :3, :3] = one[nearly, :3, :3] @ Rotation.from_rotvec(tilt[nearly]).as_matrix()
     way = rng.normal(size=(count, 3))
     way[~turned & (rng.random(count) < 0.5)] = [0.0, 0.0, 1.0]
     return one, other, way / np.linalg.norm(way, axis=1)[:, None]
