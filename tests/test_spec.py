@@ -160,8 +160,7 @@ def test_arrays_of_any_precision_and_of_text_are_plain_values() -> None:
     assert (
         json.dumps(spec.Pose(xyz_mm=np.array([1, 2, 3], dtype=np.longdouble))["xyz_mm"]) == "[1.0, 2.0, 3.0]"
     )
-    named = {"file": "x.csv", "name": "p"}
-    assert spec.Targets(arms=np.array(["left", "right"]), **named)["arms"] == ["left", "right"]
+    assert spec.Targets(name="p", arms=np.array(["left", "right"]), file="x.csv")["arms"] == ["left", "right"]
     poses = {"left": np.tile(np.eye(4, dtype=int), (2, 1, 1))}
     column = {"segment": np.array(["cut", "air"])}
     made = spec.Targets(name="p", poses=poses, unit="m", columns=column)

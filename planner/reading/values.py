@@ -213,7 +213,12 @@ def _folder() -> Path:
     """Where arrays and meshes lie as files while Python runs; :func:`planner.save` copies them. A forked
     process shares the folder and leaves it there at its end."""
     path, owner = Path(tempfile.mkdtemp(prefix="tandem-")), os.getpid()
-    atexit.register(lambda: os.getpid() == owner and shutil.rmtree(path, ignore_errors=True))
+
+    def end() -> None:
+        if os.getpid() == owner:
+            shutil.rmtree(path, ignore_errors=True)
+
+    atexit.register(end)
     return path
 
 
