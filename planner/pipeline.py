@@ -121,20 +121,27 @@ def save(problem: Problem | spec.Problem, path: str | Path, overwrite: bool = Fa
     """Write a problem as a file that says the same, with its cell inside and what it names beside it in
     ``files/``; the file's path. Where ``path`` does not end in ``.yaml`` or ``.yml`` it is a folder.
 
-    Raises ``TandemError`` (``output.folder``) where another file is in the way and is not to be
-    overwritten.
+    Raises ``TandemError``: ``output.folder`` where another file is in the way and is not to be overwritten,
+    ``problem.missing_file`` where what the problem names is gone.
     """
     given = Path(path)
     target = given if given.suffix.lower() in (".yaml", ".yml") else given / "problem.yaml"
-    files = problem_file.bundle(_built(problem))
+    built = _built(problem)
+    try:
+        files = problem_file.bundle(built)
+    except (OSError, ValueError) as error:
+        name = getattr(error, "filename", None)
+        what = f"{name or error}: what the problem names cannot be read; load or build it again"
+        raise TandemError(Issue("problem.missing_file", what, file=name)) from error
     try:
         if is_file(target) and not overwrite and target.read_bytes() != files["problem.yaml"]:
             what = f"{target}: there is another file; give another name, or overwrite=True"
             raise TandemError(Issue("output.folder", what, file=str(target)))
         for name, content in reversed(files.items()):  # what the problem names before the problem
             write_whole(target if name == "problem.yaml" else target.parent / name, content)
-    except OSError as error:
-        what = f"{target} cannot be written ({error.strerror or error}); choose a folder of your own"
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        what = f"{target} cannot be written ({reason}); choose a folder of your own"
         raise TandemError(Issue("output.folder", what, file=str(target))) from error
     return target
 

@@ -78,6 +78,12 @@ class Section(Mapping[str, Any]):
             _, faults = problem_file.validate(self.model, self._words, _document(self._words), ())
             _refuse(faults, type(self).__name__)
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name != "_words":
+            what = f"a {type(self).__name__} does not change; replace({name}=...) gives another"
+            raise AttributeError(what)
+        super().__setattr__(name, value)
+
     def __getitem__(self, key: str) -> Any:
         return copy.deepcopy(self._words[key])
 
@@ -113,6 +119,9 @@ class Pose(Section, model=cell.PoseFile):
 
     def __init__(self, *, matrix: Any = None, unit: str | None = None, **words: Any) -> None:
         if matrix is not None:
+            if both := sorted({"xyz_mm", "rpy_deg"} & set(words)):
+                what = f"{' and '.join(both)} beside a matrix; give one of them"
+                _refuse([Issue("problem.field", what, field=both[0])], "Pose")
             pose = values.rigid_poses(matrix, unit, "Pose.matrix", (4, 4))
             words = {**words, "xyz_mm": pose[:3, 3] / MM, "rpy_deg": to_rpy(pose[:3, :3]) / DEG}
         elif unit is not None:
@@ -287,6 +296,9 @@ class Operation(Section):
         setup = words.pop("setup", None)
         super().__init__(**words)
         if setup is not None:
+            if not isinstance(setup, Mapping) or any(not isinstance(key, str) for key in setup):
+                what = f"setup: got a {type(setup).__name__}; give a Setup, or a mapping with its keys"
+                _refuse([Issue("problem.field", what, field="setup")], type(self).__name__)
             self._words["setup"] = dict(setup if isinstance(setup, Setup) else Setup(**setup))
 
     def _check(self) -> None:
@@ -357,6 +369,9 @@ class Targets(Operation, model=pose_table.Posed, process="targets"):
         **words: Any,
     ) -> None:
         if poses is not None:
+            if "file" in words:
+                what = "file beside poses; give one of them"
+                _refuse([Issue("problem.field", what, field="file")], "Targets")
             file = values.pose_file(poses, unit, {} if columns is None else columns)
             words = {"arms": list(poses), **words, "file": file}
         elif unit is not None or columns is not None:
@@ -377,6 +392,9 @@ class Problem(Section, model=problem_file.ProblemFile, tandem=1):
         super()._check()
         for index, one in enumerate(self._words["operations"]):
             faults = problem_file.read_operation(one, index, _document({}), processes.readers())[1]
+            if "setup" in one:
+                place = ("operations", index, "setup")
+                faults += problem_file.validate(stock.SetupFile, one["setup"], _document({}), place)[1]
             _refuse(faults, type(self).__name__)
 
     @classmethod

@@ -6,6 +6,9 @@ import dataclasses
 import enum
 import json
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +156,47 @@ def test_values_of_numpy_and_enums_are_plain_ones() -> None:
     assert json.dumps(dict(spec.WireHolder(side=Side.START))) == '{"kind": "wire_holder", "side": "start"}'
 
 
+def test_arrays_of_any_precision_and_of_text_are_plain_values() -> None:
+    assert (
+        json.dumps(spec.Pose(xyz_mm=np.array([1, 2, 3], dtype=np.longdouble))["xyz_mm"]) == "[1.0, 2.0, 3.0]"
+    )
+    assert spec.Targets(name="p", arms=np.array(["left", "right"]), file="x.csv")["arms"] == ["left", "right"]
+    poses = {"left": np.tile(np.eye(4, dtype=int), (2, 1, 1))}
+    column = {"segment": np.array(["cut", "air"])}
+    made = spec.Targets(name="p", poses=poses, unit="m", columns=column)
+    assert [row.split(",")[-1] for row in Path(made["file"]).read_text().split()] == ["segment", "cut", "air"]
+
+
+def test_files_of_arrays_that_are_gone_are_named_and_come_again(tmp_path: Path) -> None:
+    problem, built = small(), planner.build(small())
+    path = Path(problem["operations"][0]["file"])
+    shutil.rmtree(path.parent)
+    issue = refusal(lambda: planner.save(built, tmp_path))
+    assert (issue.code, issue.file) == ("problem.missing_file", str(path))
+    assert small() == problem
+    planner.save(built, tmp_path)
+
+
+FORKED = """
+import os, sys
+from pathlib import Path
+from planner.reading import values
+path = Path(values._stored("v 0 0 0", ".obj"))
+child = os.fork()
+if child == 0:
+    sys.exit()
+os.waitpid(child, 0)
+print(path, path.is_file())
+"""
+
+
+def test_files_of_arrays_outlive_a_forked_process_and_end_with_their_own() -> None:
+    ran = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, check=True)
+    path, there = ran.stdout.split()
+    assert there == "True"
+    assert not Path(path).parent.exists()
+
+
 LOOP: list[Any] = []
 LOOP.append(LOOP)
 FAULTS = {
@@ -201,6 +245,27 @@ FAULTS = {
     "Targets.poses: the columns differ in length": lambda: spec.Targets(
         name="p", poses={"l": np.eye(4)[None]}, unit="m", columns={"feed_mm_s": [1, 2]}
     ),
+    "Pose: xyz_mm beside a matrix": lambda: spec.Pose(matrix=np.eye(4), unit="m", xyz_mm=[1, 2, 3]),
+    "Pose.matrix: is a masked array": lambda: spec.Pose(matrix=np.ma.masked_equal(np.eye(4), 1), unit="m"),
+    "Pose.matrix: is an array of complex128": lambda: spec.Pose(matrix=np.eye(4) * (1 + 1j), unit="m"),
+    "Pose.matrix: got the unit ['m']; say mm": lambda: spec.Pose(matrix=np.eye(4), unit=["m"]),  # type: ignore[arg-type]
+    "Pose.xyz_mm.0: is a whole number beyond all": lambda: spec.Pose(xyz_mm=[10**5000, 0, 0]),
+    "FaceMesh.file: is a masked array": lambda: spec.FaceMesh(
+        file=(np.ma.masked_equal(np.eye(3), 1), [[0, 1, 2]]), unit="mm"
+    ),
+    "FaceMesh.file: is an array of complex128; give": lambda: spec.FaceMesh(
+        file=(np.eye(3) * 1j, [[0, 1, 2]]), unit="mm"
+    ),
+    "FaceMesh.file: got a NoneType; give a file": lambda: spec.FaceMesh(file=None, unit="mm"),
+    "FaceMesh.file: got '', which is no name of a file": lambda: spec.FaceMesh(file="", unit="mm"),
+    "FaceMesh.file: has half a character": lambda: spec.FaceMesh(file="\ud800.obj", unit="mm"),
+    "Targets: file beside poses": lambda: spec.Targets(
+        name="p", poses={"l": np.eye(4)[None]}, unit="m", file="x.csv"
+    ),
+    "Targets: setup: got a str; give a Setup": lambda: spec.Targets(
+        name="p", arms=["l"], file="x.csv", setup="auto"
+    ),
+    "Problem: operations.0.setup.plase: unknown key": lambda: small().changed("operations.0.setup.plase", 1),
     "Targets: unit and columns belong to poses": lambda: spec.Targets(
         name="p", arms=["l"], file="x.csv", unit="m"
     ),
@@ -258,6 +323,8 @@ def test_sections_do_not_change() -> None:
     assert (other["name"], other["stock"]["size_mm"]) == ("wider", [120, 100, 100])
     assert eval(repr(base["cell"]["arms"])) == base["cell"]["arms"]
     assert eval(repr(base), vars(spec)) == base
+    with pytest.raises(AttributeError, match=r"a Problem does not change; replace\(name=...\) gives another"):
+        base.name = "other"
 
 
 PLAIN = st.recursive(

@@ -6,11 +6,14 @@ without a unit, frames that are none.
 
 from __future__ import annotations
 
+import atexit
 import csv
 import functools
 import hashlib
 import io
 import math
+import os
+import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from planner.files import write_whole
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
@@ -26,6 +30,10 @@ from planner.reading.strict_yaml import MAX_DEPTH
 
 SQUARE: Final = 1e-6
 """How far the columns of a rotation may be off unit length and right angles."""
+
+
+MOST_BITS: Final = 1000
+"""Whole numbers of more bits are more than a float holds, and soon more than Python writes out."""
 
 
 def _fault(where: str, what: str, code: str = "problem.field") -> TandemError:
@@ -47,8 +55,12 @@ def plain(value: Any, where: str, depth: int = 0) -> Any:
         return float(value)
     if value is None or isinstance(value, bool):
         return value
-    if isinstance(value, int | str):
-        return int(value) if isinstance(value, int) else _plain_text(value, where)
+    if isinstance(value, str):
+        return _plain_text(value, where)
+    if isinstance(value, int):
+        if value.bit_length() > MOST_BITS:
+            raise _fault(where, "is a whole number beyond all that is read; correct it")
+        return int(value)
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Mapping):
@@ -73,10 +85,9 @@ def _plain_text(value: str, where: str) -> str:
 
 
 def _plain_array(value: FloatArray, where: str) -> Any:
-    if isinstance(value, np.ma.MaskedArray):
-        raise _fault(where, "is a masked array; give one without holes")
-    if value.dtype.kind not in "fiub":
-        raise _fault(where, f"is an array of {value.dtype}; give one of numbers")
+    if value.dtype.kind == "U" and not isinstance(value, np.ma.MaskedArray):
+        return plain(value.tolist(), where)
+    value = _numbers(value, where)
     if value.shape == (4, 4):
         raise _fault(where, "a pose as an array has no unit; write spec.Pose(matrix=..., unit='m')")
     bad = np.argwhere(~np.isfinite(value))
@@ -85,17 +96,27 @@ def _plain_array(value: FloatArray, where: str) -> Any:
         raise _fault(
             where, f"has {value[tuple(bad[0])]} at [{at}]; give finite numbers", "problem.not_finite"
         )
-    return value.tolist()
+    return value.astype(np.float64).tolist() if value.dtype.kind == "f" else value.tolist()
+
+
+def _numbers(value: Any, where: str) -> Any:
+    """An array of one's own, of real numbers without holes; raises ``ValueError`` for ragged lists."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise _fault(where, "is a masked array; give one without holes")
+    array = np.array(value)
+    if array.dtype.kind not in "fiub":
+        raise _fault(where, f"is an array of {array.dtype}; give one of numbers")
+    return array
 
 
 def rigid_poses(value: Any, unit: str | None, where: str, shape: tuple[int, ...]) -> FloatArray:
     """Rigid poses in metres; ``shape`` has -1 where any length will do."""
-    if unit not in LENGTH_UNITS:
+    if not isinstance(unit, str) or unit not in LENGTH_UNITS:
         raise _fault(where, f"got the unit {unit!r}; say {', '.join(LENGTH_UNITS)}")
     try:
-        pose = np.array(value, dtype=np.float64)
+        pose = np.array(_numbers(value, where), dtype=np.float64)
     except (TypeError, ValueError):
-        raise _fault(where, "is no array of numbers") from None
+        raise _fault(where, "is no array of numbers; give lists of the same length") from None
     if pose.ndim != len(shape) or any(
         want not in (-1, got) for want, got in zip(shape, pose.shape, strict=True)
     ):
@@ -118,16 +139,20 @@ def rigid_poses(value: Any, unit: str | None, where: str, shape: tuple[int, ...]
 def _file(value: Any, where: str, meshes: bool) -> str:
     """The absolute name of a file; with ``meshes``, a mesh becomes an OBJ file."""
     if isinstance(value, str | Path):
-        return str(Path(value).absolute())
+        if not str(value) or "\0" in str(value):
+            raise _fault(where, f"got {str(value)!r}, which is no name of a file; correct it")
+        return str(Path(_plain_text(str(value), where)).absolute())
     if not meshes:
         what = f"got a {type(value).__name__}; give the name of a file, or the unit of a mesh beside it"
         raise _fault(where, what)
     pair = (value.vertices, value.faces) if hasattr(value, "vertices") and hasattr(value, "faces") else value
     try:
         if isinstance(pair, tuple | list) and len(pair) == 2:
-            vertices, faces = np.array(pair[0], dtype=np.float64), np.array(pair[1])
+            vertices, faces = _numbers(pair[0], where).astype(np.float64), _numbers(pair[1], where)
+        elif isinstance(pair, np.ndarray | tuple | list) or hasattr(pair, "__array__"):
+            vertices, faces = _grid(_numbers(pair, where).astype(np.float64), where)
         else:
-            vertices, faces = _grid(np.array(pair, dtype=np.float64), where)
+            raise TypeError
     except (TypeError, ValueError):
         what = f"got a {type(value).__name__}; give a file, a trimesh, (vertices, faces) or a grid (N, M, 3)"
         raise _fault(where, what) from None
@@ -184,14 +209,22 @@ def pose_file(poses: Mapping[str, Any], unit: str | None, columns: Mapping[str, 
 
 
 @functools.cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
-    """Where arrays and meshes lie as files while Python runs; :func:`planner.save` copies them."""
-    return tempfile.TemporaryDirectory(prefix="tandem-")
+def _folder() -> Path:
+    """Where arrays and meshes lie as files while Python runs; :func:`planner.save` copies them. A forked
+    process shares the folder and leaves it there at its end."""
+    path, owner = Path(tempfile.mkdtemp(prefix="tandem-")), os.getpid()
+
+    def end() -> None:
+        if os.getpid() == owner:
+            shutil.rmtree(path, ignore_errors=True)
+
+    atexit.register(end)
+    return path
 
 
 def _stored(text: str, suffix: str) -> str:
-    """The name of a file with this text."""
+    """The name of a file with this text, whole at every moment: another thread may be reading it."""
     name = hashlib.sha256(text.encode()).hexdigest()[:16]
-    path = Path(_folder().name) / f"{name}{suffix}"
-    path.write_text(text, encoding="utf-8")
+    path = _folder() / f"{name}{suffix}"
+    write_whole(path, text)
     return str(path)
