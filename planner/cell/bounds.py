@@ -15,15 +15,13 @@ import numpy as np
 
 from planner.cell.bodies import Solid, extent
 from planner.cell.bodies import fixed as is_fixed
-from planner.cell.distance import AGREED_M, Cores, cores, distances
+from planner.cell.distance import AGREED_M, Cores, between_segments, cores, distances, nearest_to_box
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, from_parts, lengths
 
 AXIS_SAMPLES: Final = 5
 """Points on a capsule's axis whose distances to a box bound that of the whole axis."""
 ROWS_AT_ONCE: Final = 32
 """Rows that are held against a box at once at first."""
-AXIS_RESOLUTION: Final = 2e-5
-"""Length [m] of axis within which the place nearest to a box is found."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -79,24 +77,20 @@ class Bounds:
         below ``settled`` the lower one is not worked out, and -inf. Unless ``both`` are asked for, upper
         bounds are infinite.
         """
-        turns, _, centre, axis = self._placed(poses)
-        lower, upper = np.full(len(turns), np.inf), np.full(len(turns), np.inf)
-        boxes = self._near_boxes(centre, axis, poses, limit)
+        placed = self._placed(poses)
+        lower, upper = np.full(placed.rows, np.inf), np.full(placed.rows, np.inf)
+        boxes = self._near_boxes(placed, limit)
         if both:
             exact = boxes.some(np.flatnonzero(self.exact[boxes.box]))
             value = self._on_axis(exact, self.inner[0]).min(axis=1) - self.inner[1][exact.solid]
             np.minimum.at(upper, exact.row, value)
-        row, a, b = self._near(centre, limit, upper > settled)
-        w, da, db = centre[row, a] - centre[row, b], axis[row, a], axis[row, b]
-        products = (dots(da, db), dots(da, w), dots(db, w))
+        row, a, b = self._near(placed.centre, limit, upper > settled)
         if both:
-            between = _segments(w, da, db, products, self.inner[0][a], self.inner[0][b])
-            np.minimum.at(upper, row, lengths(between) - self.inner[1][a] - self.inner[1][b])
+            np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1])
         lower[upper <= settled] = -np.inf
         live = upper[row] > settled
-        row, a, b, w, da, db = row[live], a[live], b[live], w[live], da[live], db[live]
-        products = products[0][live], products[1][live], products[2][live]
-        np.minimum.at(lower, row, self._apart(turns, limit, row, a, b, w, da, db, products))
+        row, a, b = row[live], a[live], b[live]
+        np.minimum.at(lower, row, self._apart(placed, limit, row, a, b))
         self._below(lower, boxes, limit)
         return lower, upper
 
@@ -109,10 +103,10 @@ class Bounds:
 
         Distances are at most 1e-7 m below the truth and never above it.
         """
-        turns, places, row, first, second, low = self._near_pairs(poses, limit)
-        best = np.full(len(turns), limit)
-        pair = np.full((len(turns), 2), -1, dtype=np.intp)
-        deep = np.zeros(len(turns), dtype=np.bool_)
+        placed, row, first, second, low = self._near_pairs(poses, limit)
+        best = np.full(placed.rows, limit)
+        pair = np.full((placed.rows, 2), -1, dtype=np.intp)
+        deep = np.zeros(placed.rows, dtype=np.bool_)
         leading = np.flatnonzero(np.diff(row, prepend=-1))
         rest = np.ones(len(row), dtype=np.bool_)
         rest[leading] = False
@@ -121,7 +115,7 @@ class Bounds:
             if not len(some):
                 continue
             at, one, other = row[some], first[some], second[some]
-            gap, way, _ = self._measured(turns, places, poses, at, one, other)
+            gap, way, _ = self._measured(placed, at, one, other)
             closest = np.lexsort((gap, at))
             closest = closest[np.diff(at[closest], prepend=-1) != 0]
             closest = closest[gap[closest] < best[at[closest]]]
@@ -132,14 +126,14 @@ class Bounds:
 
     def apart(self, poses: Mapping[str, FloatArray], padding: float) -> BoolArray:
         """Whether all solids are farther apart than ``padding`` [m], as (B,), for finite poses."""
-        turns, places, row, first, second, _ = self._near_pairs(poses, padding + AGREED_M)
-        out = np.ones(len(turns), dtype=np.bool_)
+        placed, row, first, second, _ = self._near_pairs(poses, padding + AGREED_M)
+        out = np.ones(placed.rows, dtype=np.bool_)
         leading = np.diff(row, prepend=-1) != 0
         for some in (np.flatnonzero(leading), None):
             look = np.flatnonzero(~leading & out[row]) if some is None else some
             if len(look):
                 at, one, other = row[look], first[look], second[look]
-                gap = self._measured(turns, places, poses, at, one, other, padding)[0]
+                gap = self._measured(placed, at, one, other, padding)[0]
                 out[at[gap <= padding]] = False
         return out
 
@@ -148,52 +142,39 @@ class Bounds:
     ) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray, FloatArray]:
         """All pairs of solids nearer than ``limit`` [m]: row (M,), places in ``given`` of both (M, 2),
         distance (M,) as in :meth:`nearest`, and the line that it lies on, as in :func:`distances`."""
-        turns, places, row, first, second, _ = self._near_pairs(poses, limit)
-        gap, way, place = self._measured(turns, places, poses, row, first, second)
+        placed, row, first, second, _ = self._near_pairs(poses, limit)
+        gap, way, place = self._measured(placed, row, first, second)
         near = np.flatnonzero(gap < limit)
         return row[near], np.stack([first, second], axis=1)[near], gap[near], way[near], place[near]
 
     def _near_pairs(
         self, poses: Mapping[str, FloatArray], limit: float
-    ) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray, IndexArray, FloatArray]:
-        """Rotations and places of moving bodies; row, both solids and lower bound (M,) of pairs that may be
-        nearer than ``limit``, by row, the least bound of each row first."""
-        turns, places, centre, axis = self._placed(poses)
-        row, first, second = self._near(centre, limit, np.ones(len(turns), dtype=np.bool_))
-        w, da, db = centre[row, first] - centre[row, second], axis[row, first], axis[row, second]
-        products = (dots(da, db), dots(da, w), dots(db, w))
-        low = self._apart(turns, limit, row, first, second, w, da, db, products)
-        boxes = self._near_boxes(centre, axis, poses, limit)
-        value = self._on_axis(boxes, self.outer[0])
-        step = 2.0 * self.outer[0][boxes.solid] / (AXIS_SAMPLES - 1)
-        between = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
-        low = np.concatenate([low, between.min(axis=1) - self.outer[1][boxes.solid]])
+    ) -> tuple[_Placed, IndexArray, IndexArray, IndexArray, FloatArray]:
+        """The solids as they are placed; row, both solids and lower bound (M,) of pairs that may be nearer
+        than ``limit``, by row, the least bound of each row first."""
+        placed = self._placed(poses)
+        row, first, second = self._near(placed.centre, limit, np.ones(placed.rows, dtype=np.bool_))
+        boxes = self._near_boxes(placed, limit)
+        low = np.concatenate([self._apart(placed, limit, row, first, second), self._along_axis(boxes)[0]])
         row, first = np.concatenate([row, boxes.row]), np.concatenate([first, boxes.solid])
         second = np.concatenate([second, boxes.box + len(self.solids)])
         order = np.flatnonzero(low < limit)
         order = order[np.lexsort((low[order], row[order]))]
-        return turns, places, row[order], first[order], second[order], low[order]
+        return placed, row[order], first[order], second[order], low[order]
 
     def _measured(
         self,
-        turns: FloatArray,
-        places: FloatArray,
-        poses: Mapping[str, FloatArray],
+        placed: _Placed,
         row: IndexArray,
         one: IndexArray,
         other: IndexArray,
         settled: float | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Distances (M,) of solids in rows (M,), and their lines, as :func:`distances` has them."""
-        first = self._poses(turns, places, poses, row, one)
-        second = self._poses(turns, places, poses, row, other)
+        first, second = (self._solid_poses(placed, row, which) for which in (one, other))
         return distances(self.cores, one, other, first, second, settled)
 
-    def _placed(
-        self, poses: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Rotations (B, P, 3, 3) and places (B, P, 3) of moving bodies; centres and axes (B, S, 3) of their
-        capsules."""
+    def _placed(self, poses: Mapping[str, FloatArray]) -> _Placed:
         rows = max(len(pose) for pose in poses.values())
         turns = np.empty((rows, len(self.bodies), 3, 3))
         places = np.empty((rows, len(self.bodies), 3))
@@ -201,49 +182,47 @@ class Bounds:
             turns[:, k], places[:, k] = poses[body][:, :3, :3], poses[body][:, :3, 3]
         each = turns[:, self.part]
         centre = (each @ self.centre[..., None])[..., 0] + places[:, self.part]
-        return turns, places, centre, (each @ self.axis[..., None])[..., 0]
+        fixed = np.array([poses[box.body][0] for box in self.boxes]).reshape(-1, 4, 4)
+        return _Placed(turns, places, centre, (each @ self.axis[..., None])[..., 0], fixed)
 
-    def _poses(
-        self,
-        turns: FloatArray,
-        places: FloatArray,
-        poses: Mapping[str, FloatArray],
-        row: IndexArray,
-        which: IndexArray,
-    ) -> FloatArray:
+    def _solid_poses(self, placed: _Placed, row: IndexArray, which: IndexArray) -> FloatArray:
         """World poses (M, 4, 4) of solids of ``given`` in rows (M,)."""
         body = np.zeros((len(row), 4, 4))
         body[:, 3, 3] = 1.0
         moving = which < len(self.solids)
-        part = self.part[which[moving]]
-        body[moving, :3, :3], body[moving, :3, 3] = turns[row[moving], part], places[row[moving], part]
-        if len(self.boxes):
-            fixed = np.stack([poses[solid.body][0] for solid in self.given[len(self.solids) :]])
-            body[~moving] = fixed[which[~moving] - len(self.solids)]
+        at = row[moving], self.part[which[moving]]
+        body[moving, :3, :3], body[moving, :3, 3] = placed.turns[at], placed.places[at]
+        body[~moving] = placed.fixed[which[~moving] - len(self.solids)]
         return np.asarray(body @ self.own[which])
 
-    def _apart(
+    def _between(
         self,
-        turns: FloatArray,
-        limit: float,
+        placed: _Placed,
         row: IndexArray,
         a: IndexArray,
         b: IndexArray,
-        w: FloatArray,
-        da: FloatArray,
-        db: FloatArray,
-        products: tuple[FloatArray, FloatArray, FloatArray],
+        size: tuple[FloatArray, FloatArray],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Ways (M, 3) between the axes of capsules whose half lengths and radii are ``size``, and their
+        distances (M,)."""
+        w = placed.centre[row, a] - placed.centre[row, b]
+        way, _ = between_segments(w, placed.axis[row, a], placed.axis[row, b], size[0][a], size[0][b])
+        return way, lengths(way) - size[1][a] - size[1][b]
+
+    def _apart(
+        self, placed: _Placed, limit: float, row: IndexArray, a: IndexArray, b: IndexArray
     ) -> FloatArray:
         """Lower bounds (M,) of the distances of moving solids: of their outer capsules, and where these are
         nearer than ``limit``, of their shadows."""
-        between = _segments(w, da, db, products, self.outer[0][a], self.outer[0][b])
-        gap = lengths(between) - self.outer[1][a] - self.outer[1][b]
+        way, gap = self._between(placed, row, a, b, self.outer)
         touch = np.flatnonzero(gap < limit)
         at, first, second = row[touch], a[touch], b[touch]
-        one = turns[at, self.part[first]] @ self.frame[first], self.support[first]
-        two = turns[at, self.part[second]] @ self.frame[second], self.support[second]
-        gap[touch] = np.maximum(gap[touch], _separation(w[touch], between[touch], one, two))
-        return np.asarray(gap)
+        one, two = (
+            (placed.turns[at, self.part[k]] @ self.frame[k], self.support[k]) for k in (first, second)
+        )
+        w = placed.centre[at, first] - placed.centre[at, second]
+        gap[touch] = np.maximum(gap[touch], _separation(w, way[touch], one, two))
+        return gap
 
     def _near(
         self, centre: FloatArray, limit: float, rows: BoolArray
@@ -262,16 +241,15 @@ class Bounds:
         row, code = np.divmod(np.flatnonzero(apart < near), count * count)
         return which[row], code // count, code % count
 
-    def _near_boxes(
-        self, centre: FloatArray, axis: FloatArray, poses: Mapping[str, FloatArray], limit: float
-    ) -> _NearBox:
+    def _near_boxes(self, placed: _Placed, limit: float) -> _NearBox:
         """Pairs of capsules and boxes that come within ``limit`` by the capsules' spheres: first of rows that
         follow each other, which are mostly near each other, then of each."""
         count = len(self.boxes)
         if not count or not len(self.box_pairs):
             none, nowhere = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
             return _NearBox(none, none, none, nowhere, nowhere, nowhere, np.zeros(0))
-        pose = np.stack([poses[box.body][0] @ box.shape.pose for box in self.boxes])
+        centre, axis = placed.centre, placed.axis
+        pose = placed.fixed @ np.array([box.shape.pose for box in self.boxes])
         place, turn = pose[:, :3, 3], pose[:, :3, :3]
         reach = self.outer[0] + self.outer[1]
         held = np.zeros((len(reach), count), dtype=bool)
@@ -305,34 +283,49 @@ class Bounds:
         np.minimum.at(most, near.row, near.apart - radius)
         least = near.apart - size - radius
         near = near.some(np.flatnonzero((least <= most[near.row]) & (least < limit)))
-        value = self._on_axis(near, self.outer[0])
-        step = 2.0 * self.outer[0][near.solid] / (AXIS_SAMPLES - 1)
-        least, radius = value.min(axis=1), self.outer[1][near.solid]
-        between = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
-        low = np.minimum(between.min(axis=1), least) - radius
-        np.minimum.at(most, near.row, least - radius)
+        low, high = self._along_axis(near)
+        np.minimum.at(most, near.row, high)
         open_ = np.flatnonzero((low < most[near.row]) & (low < limit))
         low[open_] = np.maximum(low[open_], self._to_box(near.some(open_)))
         np.minimum.at(lower, near.row, low)
 
     def _to_box(self, near: _NearBox) -> FloatArray:
-        """Distances (M,) of outer capsules to boxes, too small by half of ``AXIS_RESOLUTION`` at most:
-        along an axis the distance to a box is convex, so that its slope tells on which side of a point it is
-        least."""
-        high = self.outer[0][near.solid]
-        low = -high
-        for _ in range(int(np.ceil(np.log2(max(2.0 * float(high.max(initial=0.0)) / AXIS_RESOLUTION, 1.0))))):
-            middle = 0.5 * (low + high)
-            falls = _slope(near.place + middle[:, None] * near.along, near.along, near.half) < 0.0
-            low, high = np.where(falls, middle, low), np.where(falls, high, middle)
-        value = _box(near.place + (0.5 * (low + high))[:, None] * near.along, near.half)
-        return np.asarray(value - 0.5 * (high - low) - self.outer[1][near.solid])
+        """Distances (M,) of outer capsules to boxes; only the sign tells of those that overlap."""
+        nearest = nearest_to_box(near.place, near.along, self.outer[0][near.solid], near.half)
+        value = _box(near.place + nearest[:, None] * near.along, near.half)
+        return np.asarray(value - self.outer[1][near.solid])
+
+    def _along_axis(self, near: _NearBox) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds (M,) of the distances of outer capsules to boxes by a few points of their
+        axes: distance changes by the way at most."""
+        value = self._on_axis(near, self.outer[0])
+        step = 2.0 * self.outer[0][near.solid] / (AXIS_SAMPLES - 1)
+        between = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
+        radius = self.outer[1][near.solid]
+        return between.min(axis=1) - radius, value.min(axis=1) - radius
 
     def _on_axis(self, near: _NearBox, length: FloatArray) -> FloatArray:
         """Distances (M, SAMPLES) to the boxes of points along the axes, out to the half lengths ``length``
         (S,)."""
         t = length[near.solid][:, None] * np.linspace(-1.0, 1.0, AXIS_SAMPLES)
         return _box(near.place[:, None] + t[..., None] * near.along[:, None], near.half[:, None])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Placed:
+    """Solids in B rows: rotations (B, P, 3, 3) and places (B, P, 3) of moving bodies, centres and axes
+    (B, S, 3) of their capsules, poses (K, 4, 4) of the bodies of fixed boxes."""
+
+    turns: FloatArray
+    places: FloatArray
+    centre: FloatArray
+    axis: FloatArray
+    fixed: FloatArray
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.turns)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -469,39 +462,9 @@ def _separation(
     return np.asarray(np.where(norm > 1e-12, shadow, -np.inf).max(axis=1))
 
 
-def _segments(
-    w: FloatArray,
-    da: FloatArray,
-    db: FloatArray,
-    products: tuple[FloatArray, FloatArray, FloatArray],
-    ha: FloatArray,
-    hb: FloatArray,
-) -> FloatArray:
-    """Shortest ways (M, 3) between segments by centre difference w, unit axes and half lengths (Ericson
-    2005, section 5.1.9)."""
-    cosine, ca, cb = products
-    sine2 = 1.0 - cosine * cosine
-    level = sine2 < 1e-9
-    s = np.where(level, 0.0, (cosine * cb - ca) / np.where(level, 1.0, sine2))
-    s = np.clip(s, -ha, ha)
-    t = np.clip(cosine * s + cb, -hb, hb)
-    s = np.clip(cosine * t - ca, -ha, ha)
-    return np.asarray(w + s[:, None] * da - t[:, None] * db)
-
-
 def _box(points: FloatArray, half: FloatArray) -> FloatArray:
     """Signed distances (...,) of points (..., 3) to boxes about the origin of half sizes (..., 3)."""
     x, y, z = (np.abs(points[..., i]) - half[..., i] for i in range(3))
     inside = np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
     x, y, z = np.maximum(x, 0.0), np.maximum(y, 0.0), np.maximum(z, 0.0)
     return np.asarray(np.sqrt(x * x + y * y + z * z) + inside)
-
-
-def _slope(points: FloatArray, along: FloatArray, half: FloatArray) -> FloatArray:
-    """How the signed distances of points (M, 3) to boxes about the origin of half sizes (M, 3) change (M,)
-    along ``along`` (M, 3), up to a positive factor."""
-    over = np.abs(points) - half
-    out = np.maximum(over, 0.0)
-    inside = over.max(axis=1) <= 0.0
-    out[inside] = np.eye(3)[over[inside].argmax(axis=1)]
-    return dots(out * np.sign(points), along)

@@ -214,8 +214,8 @@ def _bounds(
     settled: float = -np.inf,
     both: bool = True,
 ) -> tuple[FloatArray, FloatArray]:
-    """Bounds (B,) of the least distances, widened by TOUCH; those above ``limit`` may be infinite, and the
-    upper ones are unless ``both`` are asked for."""
+    """Bounds (B,) of the least distances, widened by :data:`BOUND_ERROR`; those above ``limit``
+    may be infinite, and the upper ones are unless ``both`` are asked for."""
     bounds = model.bounds.among(ignore)
     lower, upper = np.empty(len(rows)), np.empty(len(rows))
     for start in range(0, len(rows), CONFIGURATIONS_AT_ONCE):
@@ -236,16 +236,14 @@ def least(
     finite = np.isfinite(rows).all(axis=1)
     distance = np.where(finite, reach, np.nan)
     pairs = [("", "")] * len(rows)
-    lower, _ = _bounds(model, rows, reach, ignore, both=False)
-    looked = np.flatnonzero(finite & (lower < reach))
+    looked = np.flatnonzero(finite)
     distance[looked], found, deep = _nearest(model, rows[looked], reach, ignore)
     for i, pair in zip(looked, found, strict=True):
         pairs[i] = pair
     # how deep solids are in one another is Drake's to say
-    drake = witness(
-        model, {arm: rows[looked[deep], 6 * k : 6 * k + 6] for k, arm in enumerate(model.arms)}, 0.0, ignore
-    )
-    for i, depth, pair in zip(looked[deep], drake.distance, drake.pair, strict=True):
+    inside = looked[deep]
+    drake = witness(model, _by_arm(model, rows[inside]), 0.0, ignore)
+    for i, depth, pair in zip(inside, drake.distance, drake.pair, strict=True):
         if depth < distance[i]:
             distance[i], pairs[i] = depth, pair
     return LeastClearance(distance, tuple(pairs))
@@ -336,7 +334,7 @@ def _slopes(
     in rows (M,) of q."""
     out = np.zeros((len(row), 6 * len(model.arms)))
     for k, arm in enumerate(model.arms):
-        count = np.array([[_joints(model, arm, body) for body in pair] for pair in names], dtype=np.intp)
+        count = np.array([[model.joints_of(arm, body) for body in pair] for pair in names], dtype=np.intp)
         joint = np.arange(6)
         moved = (joint < count.reshape(-1, 2, 1)).astype(np.float64)
         frames = model.bases[arm] @ link_frames(model.robots[arm], q[arm])[:, :6]
@@ -344,16 +342,6 @@ def _slopes(
         speed = np.cross(axes, place[:, None] - frames[row, :, :3, 3])
         out[:, 6 * k : 6 * k + 6] = (moved[:, 0] - moved[:, 1]) * np.einsum("mkc,mc->mk", speed, way)
     return out
-
-
-def _joints(model: CellModel, arm: str, body: str) -> int:
-    """How many joints of an arm move a body."""
-    if body == "stock":
-        return 6 if model.stock.held_by == arm else 0
-    owner, _, link = body.partition("/")
-    if owner != arm or not link or link == "base_link":
-        return 0
-    return int(link.removeprefix("link_")) if link.startswith("link_") else 6
 
 
 def _drake_into(

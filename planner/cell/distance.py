@@ -119,10 +119,22 @@ def _segments(
     settled: float | None,
 ) -> _Found:
     del settled  # closed forms need no search
-    between = one[:, :3, 3] - other[:, :3, 3]
-    along, across = one[:, :3, 2], other[:, :3, 2]
-    a, b = cores.half[first, 2], cores.half[second, 2]
-    cosine, ca, cb = dots(along, across), dots(along, between), dots(across, between)
+    along = one[:, :3, 2]
+    half = cores.half[first, 2], cores.half[second, 2]
+    ray, s = between_segments(one[:, :3, 3] - other[:, :3, 3], along, other[:, :3, 2], *half)
+    gap, way = _with_way(ray)
+    return gap, way, one[:, :3, 3] + s[:, None] * along
+
+
+def between_segments(
+    w: FloatArray, along: FloatArray, across: FloatArray, a: FloatArray, b: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Shortest ways (M, 3) from second to first segments, and their places (M,) on the first from its middle.
+
+    ``w`` (M, 3) leads from middle to middle, ``along`` and ``across`` (M, 3) are the unit axes of the first
+    and the second, ``a`` and ``b`` (M,) their half lengths.
+    """
+    cosine, ca, cb = dots(along, across), dots(along, w), dots(across, w)
     sine2 = 1.0 - cosine * cosine
     level = sine2 < 1e-12
     inner = np.clip(np.where(level, -ca, (cosine * cb - ca) / np.where(level, 1.0, sine2)), -a, a)
@@ -133,8 +145,7 @@ def _segments(
     square = s * s + t * t - 2.0 * cosine * s * t + 2.0 * ca * s - 2.0 * cb * t
     best = square.argmin(axis=0)
     s, t = s[best, np.arange(len(best))], t[best, np.arange(len(best))]
-    gap, way = _with_way(between + s[:, None] * along - t[:, None] * across)
-    return gap, way, one[:, :3, 3] + s[:, None] * along
+    return np.asarray(w + s[:, None] * along - t[:, None] * across), s
 
 
 def _segment_box(
@@ -152,7 +163,18 @@ def _segment_box(
     turn = frame[:, :3, :3]
     start = np.einsum("mc,mcd->md", line[:, :3, 3] - frame[:, :3, 3], turn)
     along = np.einsum("mc,mcd->md", line[:, :3, 2], turn)
-    reach, half = cores.half[segment, 2], cores.half[box]
+    half = cores.half[box]
+    best = nearest_to_box(start, along, cores.half[segment, 2], half)
+    place = start + best[:, None] * along
+    ray = np.sign(place) * np.maximum(np.abs(place) - half, 0.0)
+    gap, way = _with_way(np.einsum("md,mcd->mc", ray, turn))
+    world = line[:, :3, 3] + best[:, None] * line[:, :3, 2]
+    return gap, np.where(swap[:, None], -way, way), world
+
+
+def nearest_to_box(start: FloatArray, along: FloatArray, reach: FloatArray, half: FloatArray) -> FloatArray:
+    """Places (M,) on segments, from their middles ``start`` (M, 3) along unit axes ``along`` (M, 3) as far as
+    ``reach`` (M,) either way, that are nearest to boxes about the origin of half sizes (M, 3)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = np.concatenate([(half - start) / along, (-half - start) / along], axis=1)
     crossings = np.where(np.isfinite(crossings), crossings, 0.0)
@@ -167,12 +189,7 @@ def _segment_box(
     rows = np.arange(len(t))
     low, high = slope[rows, right - 1], slope[rows, right]
     share = np.where(high > low, np.clip(-low / np.where(high > low, high - low, 1.0), 0.0, 1.0), 0.0)
-    best = t[rows, right - 1] + share * (t[rows, right] - t[rows, right - 1])
-    place = start + best[:, None] * along
-    ray = np.sign(place) * np.maximum(np.abs(place) - half, 0.0)
-    gap, way = _with_way(np.einsum("md,mcd->mc", ray, turn))
-    world = line[:, :3, 3] + best[:, None] * line[:, :3, 2]
-    return gap, np.where(swap[:, None], -way, way), world
+    return np.asarray(t[rows, right - 1] + share * (t[rows, right] - t[rows, right - 1]))
 
 
 def _with_way(ray: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -229,6 +229,19 @@ class CellModel:
                 return self.plant.get_body(BodyIndex(index))
         raise KeyError(name)
 
+    def carrier(self, body: str) -> str | None:
+        """The arm that a body belongs to or is held by, None for bodies of no arm."""
+        owner = self.stock.held_by if body == "stock" else body.partition("/")[0]
+        return owner if owner in self.arms else None
+
+    def joints_of(self, arm: str, body: str) -> int:
+        """How many joints of an arm move a body, from the base on: 0 for bodies that are not its own, six for
+        its tool and what it holds."""
+        link = body.partition("/")[2]
+        if self.carrier(body) != arm or link == "base_link":
+            return 0
+        return int(link.removeprefix("link_")) if link.startswith("link_") else 6
+
     def stack(self, q: Mapping[str, FloatArray]) -> FloatArray:
         """Configurations (B, nq) from {arm: (B, 6)}; arms that are not named stay at home."""
         count = {len(np.atleast_2d(rows)) for rows in q.values()}

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.cell import clearance, plant
 from planner.cell.bodies import Solid, signed_distance
-from planner.cell.distance import AGREED_M, cores, distances
+from planner.cell.distance import AGREED_M, between_segments, cores, distances
 from planner.geometry.arrays import Shape, from_rpy
 from tests.cell.cells import BLOCK, UP, facing
 from tests.cell.test_clearance import random_joints
@@ -151,6 +151,24 @@ def test_a_capsule_and_a_box_have_the_least_distance_along_its_axis() -> None:
         if sampled > -capsule.shape.size[0]:
             assert got[0] <= sampled + 1e-12
             assert got[0] >= sampled - 0.5 * (t[1] - t[0])
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-9, 1e-6, 2e-5, 1e-3])
+def test_axes_that_are_nearly_parallel_are_as_near_as_any_of_their_points(tilt: float) -> None:
+    """Lower bounds of capsules rest on it, too: pairs that these rule out are never measured."""
+    rng = np.random.default_rng(10)
+    t = np.linspace(-1.0, 1.0, 201)
+    for _ in range(60):
+        half = rng.uniform(0.1, 0.6, (2, 1))
+        across = np.array([[0.0, 0.0, 1.0]])
+        along = Rotation.from_rotvec([tilt, 0.0, 0.0]).apply(across)
+        between = rng.normal(size=(1, 3)) * [0.1, 0.1, 0.3]
+        way, place = between_segments(between, along, across, *half)
+        first = between + (half[0] * t)[:, None] * along
+        second = (half[1] * t)[:, None] * across
+        sampled = np.linalg.norm(first[:, None] - second[None], axis=2).min()
+        assert np.linalg.norm(way) <= sampled + 1e-15
+        assert abs(place[0]) <= half[0, 0]
 
 
 def test_bounds_of_convergence_are_what_is_returned() -> None:

@@ -290,11 +290,10 @@ class Avoid:
         names = [self._model.body_name(i) for i in bodies]
         out = np.zeros((len(names), len(names), len(self._columns)))
         for k, arm in enumerate(self._arms):
-            place = [_link(name) if _carrier(self._model, name) == arm else -1 for name in names]
+            moved = [self._model.joints_of(arm, name) for name in names]
             for a, b in itertools.product(bodies, repeat=2):
-                ends = [end for end in (place[a], place[b]) if end >= 0]
-                low = min(ends) if len(ends) == 2 else 0
-                out[a, b, 6 * k + low : 6 * k + max(ends, default=0)] = 1.0
+                low, high = sorted((moved[a], moved[b]))
+                out[a, b, 6 * k + low : 6 * k + high] = 1.0
         return out
 
 
@@ -315,7 +314,7 @@ def _outermost(model: CellModel, arm: str) -> float:
     """Distance [m] from the flange within which the tool, its edge and a held block lie."""
     far = 0.0
     for solid in model.solids:
-        if _carrier(model, solid.body) != arm or not solid.body.endswith(("/tool", "/edge", "stock")):
+        if model.carrier(solid.body) != arm or not solid.body.endswith(("/tool", "/edge", "stock")):
             continue
         pose = solid.shape.pose
         if solid.body == "stock":
@@ -337,17 +336,3 @@ def _local_pairs(model: CellModel, arms: tuple[str, ...]) -> Pairs:
     if model.stock.held_by in arms:
         pairs.add(frozenset((f"{model.stock.held_by}/link_4", "stock")))
     return frozenset(pairs)
-
-
-def _carrier(model: CellModel, body: str) -> str | None:
-    """The arm that a body belongs to or is held by."""
-    return model.stock.held_by if body == "stock" else body.partition("/")[0]
-
-
-def _link(name: str) -> int:
-    """Number of joints between the base and a body "<arm>/link_4", "<arm>/base_link"; the hand has
-    all six."""
-    last = name.rsplit("/", 1)[-1]
-    if last == "base_link":
-        return 0
-    return int(last.removeprefix("link_")) if last.startswith("link_") else 6
