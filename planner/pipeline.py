@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from planner import plans, processes, spec
-from planner.catalogue.robots import bundled
 from planner.cell import support
 from planner.files import RESULT, claim_folder, is_file, write_folder, write_whole
 from planner.forming.support.clearance import wider_mm
@@ -34,7 +33,7 @@ from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
 MAX_PROGRAM_BYTES = 20_000_000
-"""Endings of files that controllers read in UTF-8; all others are in ISO 8859-1."""
+"""Programs are read up to this size."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +91,7 @@ def load(path: str | Path) -> Problem:
 
     Raises ``TandemError`` with every fault found.
     """
-    return _read(strict_yaml.read(_find(Path(path))))
+    return _read(strict_yaml.read(problem_file.find(Path(path))))
 
 
 def build(problem: spec.Problem) -> Problem:
@@ -110,7 +109,8 @@ def _read(document: Document) -> Problem:
         raise TandemError(size_advice.advised(document, error.issues, _changed, wider_mm)) from None
 
 
-def _built(problem: Problem | spec.Problem) -> Problem:
+def built(problem: Problem | spec.Problem) -> Problem:
+    """A problem as it is planned: built where it is said in Python. Raises as :func:`build`."""
     if not isinstance(problem, Problem | spec.Problem):
         what = f"got a {type(problem).__name__}, wanted is what planner.load or planner.spec.Problem gives"
         raise TypeError(what)
@@ -126,9 +126,9 @@ def save(problem: Problem | spec.Problem, path: str | Path, overwrite: bool = Fa
     """
     given = Path(path)
     target = given if given.suffix.lower() in (".yaml", ".yml") else given / "problem.yaml"
-    built = _built(problem)
+    own = built(problem)
     try:
-        files = problem_file.bundle(built)
+        files = problem_file.bundle(own)
     except (OSError, ValueError) as error:
         name = getattr(error, "filename", None)
         what = f"{name or error}: what the problem names cannot be read; load or build it again"
@@ -166,7 +166,7 @@ def _contained() -> Iterator[None]:
 @_contained()
 def plan(problem: Problem | spec.Problem, progress: Progress | None = None) -> Outcome:
     """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible."""
-    problem, tell = _built(problem), progress or _silent
+    problem, tell = built(problem), progress or _silent
     tell("targets", 0.0)
     jobs = processes.jobs(problem)
     targets = _targets(problem, jobs)
@@ -194,7 +194,7 @@ def plan(problem: Problem | spec.Problem, progress: Progress | None = None) -> O
 def check(problem: Problem | spec.Problem) -> tuple[Issue, ...]:
     """Validate and test reach without planning: the issues found, errors included."""
     try:
-        problem = _built(problem)
+        problem = built(problem)
     except TandemError as error:
         return error.issues
     notes = _notes(problem)
@@ -252,7 +252,7 @@ def _notes(problem: Problem) -> tuple[Issue, ...]:
 @_contained()
 def verify(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Proof:
     """Prove programs from their text and the problem alone."""
-    problem = _built(problem)
+    problem = built(problem)
     return prove.prove(problem, processes.claims(problem), programs)
 
 
@@ -262,7 +262,7 @@ _PROGRAM_SUFFIXES = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src",
 
 def read_partly(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Partial:
     """How much of programs of any origin is read and proven, for the cell of ``problem``."""
-    return partial.read_partly(_built(problem), programs)
+    return partial.read_partly(built(problem), programs)
 
 
 def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
@@ -309,7 +309,7 @@ def claim_output(folder: str | Path, problem: str | Path) -> None:
 
     Raises ``TandemError`` with ``output.folder``.
     """
-    claim_folder(Path(folder), RESULT, _find(Path(problem)))
+    claim_folder(Path(folder), RESULT, problem_file.find(Path(problem)))
 
 
 def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str | Path) -> None:
@@ -322,14 +322,6 @@ def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str
 def exit_code(outcome: Outcome) -> int:
     """0 for done and verified, 4 for planned but not proven."""
     return 4 if not outcome.verified or has_errors(outcome.issues) else 0
-
-
-def _find(path: Path) -> Path:
-    """The problem file, or the one in the folder of that name; bundled ones are known by their names."""
-    for candidate in (path, path / "problem.yaml", bundled(path), bundled(path / "problem.yaml")):
-        if is_file(candidate):
-            return candidate
-    return path
 
 
 def _with_margins(

@@ -201,7 +201,7 @@ class Cell(Section, model=cell.CellFile):
     def read(cls, path: str | Path) -> Self:
         """The cell of a file, or a bundled one by its name, such as ``irb140_bow``."""
         named = Path("cells") / f"{path}.yaml"
-        found = _found(Path(path), bundled(named))
+        found = Path(path) if is_file(Path(path)) else bundled(named)
         if not is_file(found):
             known = ", ".join(sorted(one.stem for one in (data_dir("problems") / "cells").glob("*.yaml")))
             what = f"{path}: no such file, and no cell that is built in; these are {known}"
@@ -392,17 +392,13 @@ class Problem(Section, model=problem_file.ProblemFile, tandem=1):
         super()._check()
         for index, one in enumerate(self._words["operations"]):
             faults = problem_file.read_operation(one, index, _document({}), processes.readers())[1]
-            if "setup" in one:
-                place = ("operations", index, "setup")
-                faults += problem_file.validate(stock.SetupFile, one["setup"], _document({}), place)[1]
+            faults += problem_file.read_setup(one, index, _document({}))[1]
             _refuse(faults, type(self).__name__)
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """The problem of a file, or a bundled one by its name, such as ``wing``. Raises ``TandemError``."""
-        name = Path(path)
-        found = _found(name, name / "problem.yaml", bundled(name), bundled(name / "problem.yaml"))
-        document = strict_yaml.read(found)
+        document = strict_yaml.read(problem_file.find(Path(path)))
         words = problem_file.resolved(document.data, document.path.parent)
         return cls(**{k: v for k, v in words.items() if k not in cls.fixed or v != cls.fixed[k]})
 
@@ -426,10 +422,6 @@ class Problem(Section, model=problem_file.ProblemFile, tandem=1):
 def _document(data: Mapping[str, Any]) -> Document:
     """Data that come from no file; names in it start at the working directory."""
     return Document(Path.cwd() / "problem.yaml", data, None, b"", file=False)
-
-
-def _found(*names: Path) -> Path:
-    return next((name for name in names if is_file(name)), names[0])
 
 
 def _refuse(faults: Sequence[Issue], name: str) -> None:

@@ -260,16 +260,12 @@ def plan_all(
     """
     folder, names = Path(out), safe_names(problems)
     items = [
-        Item(name, given, functools.partial(_built, problem))
+        Item(name, given, functools.partial(pipeline.built, problem))
         for name, (given, problem) in zip(names, problems.items(), strict=True)
     ]
     with claimed_folder(folder), Workers(workers) as planners:
         rows = run(items, folder, planners, settings or Settings(), on_event or _silent)
     return {row.item.origin: row.done for row in rows}
-
-
-def _built(problem: Problem | spec.Problem) -> Problem:
-    return pipeline.build(problem) if isinstance(problem, spec.Problem) else problem
 
 
 def _silent(event: Event) -> None:

@@ -18,6 +18,7 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import AfterValidator, BaseModel, Field, Tag, ValidationError, model_validator
 
 from planner.catalogue.issue_codes import CODES
+from planner.catalogue.robots import bundled
 from planner.files import is_file
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
@@ -32,6 +33,14 @@ from planner.reading.part import PartFile
 from planner.reading.sheet import SheetFile
 from planner.reading.stock import Choice, SetupFile, StockFile
 from planner.reading.strict_yaml import Document, Name, Strict
+
+
+def find(path: Path) -> Path:
+    """The problem file, or the one in the folder of that name; bundled ones are known by their names."""
+    for candidate in (path, path / "problem.yaml", bundled(path), bundled(path / "problem.yaml")):
+        if is_file(candidate):
+            return candidate
+    return path
 
 
 def bundle(problem: Problem) -> dict[str, bytes]:
@@ -168,7 +177,7 @@ def build(document: Document, models: OperationModels) -> Problem:
     setups: dict[int, SetupFile] = {}
     if isinstance(raw_operations, list):
         for index, raw in enumerate(raw_operations):
-            setup, faults = _setup(raw, index, document)
+            setup, faults = read_setup(raw, index, document)
             issues += faults
             if setup is not None:
                 setups[index] = setup
@@ -277,7 +286,7 @@ def _with_first_steps(problem: Problem) -> Problem:
     return dataclasses.replace(problem, changes=changes)
 
 
-def _setup(raw: Any, index: int, document: Document) -> tuple[SetupFile | None, list[Issue]]:
+def read_setup(raw: Any, index: int, document: Document) -> tuple[SetupFile | None, list[Issue]]:
     """The setup that an operation asks for, common to all processes."""
     if not isinstance(raw, dict) or "setup" not in raw:
         return None, []
