@@ -3,8 +3,7 @@
 For many wires at once, with bending and weight. theta = straight line between the end angles + sum
 a_j phi_j. In units of the wire the bending energy is |a|^2 / 2 plus a constant, the constraint int
 (cos theta, sin theta) = chord, and its multiplier is the force F at the start. The second
-derivative of the Lagrangian is the very form of in-plane stability, so Newton's method with this
-form made positive finds minima and never comes to rest on a saddle by choice.
+derivative of the Lagrangian is the very form of in-plane stability.
 
 From this Galerkin solution to the exact one: Newton on the state at the wire's middle (`polish`).
 
@@ -193,9 +192,6 @@ def out_of_plane_sag(
 
 MODES = 36
 """Functions by which a wire's angle is expanded between its clamps."""
-FINE_MODES = 64
-"""As many where a shape is sharp."""
-_HOMOTOPY_STEPS = 10  # of the homotopy from the first guess's chord to the wanted one
 _MOST_ROTATION = 0.6  # rad: largest change of theta in one step
 
 
@@ -262,54 +258,6 @@ def _saddle_step(
     right = np.concatenate([-gradient, miss], axis=1)
     step = np.linalg.solve(system, right[..., None])[..., 0]
     return step[:, :size], step[:, size:]
-
-
-def minimise(
-    first: FloatArray,
-    last: FloatArray,
-    chord: FloatArray,
-    weight: FloatArray,
-    amplitude: FloatArray,
-    rounds: int = 60,
-    limit: float = _MOST_ROTATION,
-    tolerance: float = 1e-11,
-) -> Clamped:
-    """Local minima of the energy near the guessed amplitudes (B, j).
-
-    first, last: end angles (B,) [rad]; chord (B, 2) over L; weight q L^3 (B, 2). Items that do not settle
-    keep a residual above the tolerance; the caller judges by `residual` and `margin`."""
-    a = amplitude.copy()
-    batch, size = a.shape
-    force = np.zeros((batch, 2))
-    residual = np.full(batch, np.inf)
-    begin = _terms(first, last, weight, a, force).chord
-    active = np.arange(batch)
-    for turn in range(rounds):
-        i = active
-        t = min(1.0, (turn + 1.0) / _HOMOTOPY_STEPS)
-        wanted = begin[i] + t * (chord[i] - begin[i])
-        terms = _terms(first[i], last[i], weight[i], a[i], force[i])
-        miss = wanted - terms.chord
-        error = np.maximum(np.abs(terms.gradient).max(axis=1), np.abs(miss).max(axis=1))
-        if t == 1.0:
-            residual[i] = error
-        projected, basis = project(terms.form, terms.normal)
-        filled = projected + 2.0 * (np.swapaxes(basis, 1, 2) @ basis)
-        lift = np.zeros(i.size)
-        far = error > 1e-4  # near a solution its own margin decides, at the end
-        lowest = np.linalg.eigvalsh(filled[far])[:, 0]
-        lift[far] = np.where(lowest > 1e-5, 0.0, 0.03 - lowest)
-        form = terms.form + lift[:, None, None] * np.eye(size)
-        da, df = _saddle_step(form, terms.normal, terms.gradient, miss)
-        moved = np.abs(da @ _base(size).value.T).max(axis=1)
-        share = np.minimum(1.0, limit / np.maximum(moved, 1e-300))
-        a[i] += share[:, None] * da
-        force[i] += share[:, None] * df
-        if t == 1.0:
-            active = i[(error > tolerance) & np.isfinite(error) & (np.abs(force[i]).max(axis=1) < 1e6)]
-            if active.size == 0:
-                break
-    return _judge(first, last, chord, weight, a, force)
 
 
 def newton(

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from planner.hotwire.elastica import heavy
-from planner.hotwire.elastica.equations import elliptic, evaluate, flow, interpolate
-from tests.hotwire.elastica.weightless import from_params
+from planner.hotwire.elastica.equations import flow, interpolate
+from tests.hotwire.elastica.weightless import elliptic, evaluate, from_params
 
 angle = st.floats(-3.1, 3.1)
 bend = st.floats(-9.0, 9.0)

@@ -4,18 +4,28 @@
     shape.points(101), shape.energy, shape.stable_out_of_plane(round(0.3))
     fitted, rms = fit(points)
 
-Shapes are evaluated in closed form (`elastica.equations`); weight is in `elastica.heavy`.
+Shapes are evaluated in closed form, which the product's integration is held against as well; weight is in
+`elastica.heavy`.
+
+**In closed form**, by Jacobi's elliptic functions.
+
+With w^2 = |F|, phi = atan2(Fy, Fx) + pi and psi = theta - phi the equation of balance k' = Fx sin theta - Fy
+cos theta becomes the pendulum psi'' = -w^2 sin psi, whose solution is classical (Love ch. 19;
+Levien, The elastica: a mathematical history, 2009). Near the separatrix (m = 1), for small forces
+and for lines and arcs the formulas lose digits; there the initial value problem is solved on Gauss
+nodes instead (`flow`), so that the error stays about 1e-12 of the length everywhere.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ellipeinc, ellipj, ellipkinc
 
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.hotwire.elastica import clamped
 from planner.hotwire.elastica.clamped import Section, middle_state, polish, round_section, strip
-from planner.hotwire.elastica.equations import evaluate, nodes
+from planner.hotwire.elastica.equations import flow, nodes
 from planner.hotwire.elastica.fit import fit_curves
 from planner.issues import Issue, TandemError
 
@@ -27,6 +37,155 @@ _ACCEPT = 1e-9  # of the length: largest miss of the end pose
 _TAUTEST = 44.0  # largest w L: beyond it rounding at the middle reaches 1e-7 L at the ends
 _ENERGY_POINTS = 72
 """Gauss points of the energy's integral."""
+
+
+FINE_MODES = 64
+"""Functions by which a wire's angle is expanded where a shape is sharp."""
+_HOMOTOPY_STEPS = 10  # of the homotopy from the first guess's chord to the wanted one
+
+
+_NEAR_SEPARATRIX = 1e-5
+"""Distance of the elliptic parameter from 1 within which the closed form loses its digits."""
+_LARGEST_PARAMETER = 1e3  # beyond it 1/m cancels digits: almost an arc
+
+
+def _wrap(angle: FloatArray) -> FloatArray:
+    out: FloatArray = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+    return out
+
+
+def elliptic_modulus(state: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(w, m^2, psi) of states (B, 6); m^2 is inf where F = 0. Inflections exist for m^2 < 1 only."""
+    w = np.sqrt(np.hypot(state[:, 4], state[:, 5]))
+    psi = _wrap(state[:, 2] - np.arctan2(state[:, 5], state[:, 4]) - np.pi)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        m2 = np.sin(0.5 * psi) ** 2 + (state[:, 3] / (2.0 * w)) ** 2
+    return w, np.where(w > 0.0, m2, np.inf), psi
+
+
+def elliptic(state: FloatArray, length: FloatArray) -> BoolArray:
+    """Where the closed form is used; elsewhere the initial value problem."""
+    w, m2, _ = elliptic_modulus(state)
+    near = (
+        (np.abs(m2 - 1.0) < _NEAR_SEPARATRIX) | (m2 > _LARGEST_PARAMETER) | (w * length < 1e-3) | (m2 < 1e-12)
+    )
+    return ~near
+
+
+def evaluate(state: FloatArray, offset: FloatArray, reach: FloatArray) -> FloatArray:
+    """Points (B, m, 4) = x, y, theta, k at arc offsets (B, m) from the states (B, 6), |offset| <= reach
+    (B,)."""
+    out = np.empty((*offset.shape, 4))
+    closed = elliptic(state, 2.0 * reach)
+    w, m2, psi = elliptic_modulus(state)
+    inflected = closed & (m2 < 1.0)
+    if inflected.any():
+        out[inflected] = _inflected(
+            state[inflected], offset[inflected], w[inflected], m2[inflected], psi[inflected]
+        )
+    free = closed & (m2 > 1.0)
+    if free.any():
+        out[free] = _uninflected(state[free], offset[free], w[free], m2[free], psi[free])
+    other = ~closed
+    if other.any():
+        span = 2.0 * reach[other]
+        wire = flow(state[other], span, np.zeros((span.size, 2)), anchor=0.5)
+        out[other] = wire.at(offset[other] / span[:, None] + 0.5)[..., :4]
+    return out
+
+
+def _place(
+    state: FloatArray,
+    w: FloatArray,
+    psi0: FloatArray,
+    along: FloatArray,
+    across: FloatArray,
+    psi: FloatArray,
+    k: FloatArray,
+) -> FloatArray:
+    """Rotate the pendulum frame by phi and set it on the state."""
+    phi = (state[:, 2] - psi0)[:, None]
+    x = state[:, 0, None] + along * np.cos(phi) - across * np.sin(phi)
+    y = state[:, 1, None] + along * np.sin(phi) + across * np.cos(phi)
+    return np.stack([x, y, phi + psi, k], axis=-1)
+
+
+def _inflected(
+    state: FloatArray, s: FloatArray, w: FloatArray, m2: FloatArray, psi0: FloatArray
+) -> FloatArray:
+    m = np.sqrt(m2)
+    u0 = ellipkinc(np.arctan2(np.sin(0.5 * psi0) / m, state[:, 3] / (2.0 * w * m)), m2)[:, None]
+    wc, mc, m2c = w[:, None], m[:, None], m2[:, None]
+    sn, cn, _, am = ellipj(u0 + wc * s, m2c)
+    _, cn0, _, am0 = ellipj(u0, m2c)
+    psi = 2.0 * np.arcsin(np.clip(mc * sn, -1.0, 1.0))
+    along = 2.0 / wc * (ellipeinc(am, m2c) - ellipeinc(am0, m2c)) - s
+    across = 2.0 * mc / wc * (cn0 - cn)
+    return _place(state, w, psi0, along, across, psi, 2.0 * mc * wc * cn)
+
+
+def _uninflected(
+    state: FloatArray, s: FloatArray, w: FloatArray, m2: FloatArray, psi0: FloatArray
+) -> FloatArray:
+    m = np.sqrt(m2)[:, None]
+    n = 1.0 / m2[:, None]
+    sign = np.where(state[:, 3] < 0.0, -1.0, 1.0)[:, None]
+    wc = w[:, None]
+    v0 = ellipkinc(sign * 0.5 * psi0[:, None], n)
+    _, _, dn, am = ellipj(v0 + m * wc * s, n)
+    _, _, dn0, am0 = ellipj(v0, n)
+    along = s - 2.0 / (m * wc * n) * (m * wc * s - (ellipeinc(am, n) - ellipeinc(am0, n)))
+    across = sign * 2.0 / (m * wc * n) * (dn0 - dn)
+    return _place(state, w, psi0, along, across, 2.0 * sign * am, sign * 2.0 * m * wc * dn)
+
+
+def minimise(
+    first: FloatArray,
+    last: FloatArray,
+    chord: FloatArray,
+    weight: FloatArray,
+    amplitude: FloatArray,
+    rounds: int = 60,
+    limit: float = clamped._MOST_ROTATION,
+    tolerance: float = 1e-11,
+) -> clamped.Clamped:
+    """Local minima of the energy near the guessed amplitudes (B, j): by Newton with the form of in-plane
+    stability made positive, which never comes to rest on a saddle by choice.
+
+    first, last: end angles (B,) [rad]; chord (B, 2) over L; weight q L^3 (B, 2). Items that do not settle
+    keep a residual above the tolerance; the caller judges by `residual` and `margin`."""
+    a = amplitude.copy()
+    batch, size = a.shape
+    force = np.zeros((batch, 2))
+    residual = np.full(batch, np.inf)
+    begin = clamped._terms(first, last, weight, a, force).chord
+    active = np.arange(batch)
+    for turn in range(rounds):
+        i = active
+        t = min(1.0, (turn + 1.0) / _HOMOTOPY_STEPS)
+        wanted = begin[i] + t * (chord[i] - begin[i])
+        terms = clamped._terms(first[i], last[i], weight[i], a[i], force[i])
+        miss = wanted - terms.chord
+        error = np.maximum(np.abs(terms.gradient).max(axis=1), np.abs(miss).max(axis=1))
+        if t == 1.0:
+            residual[i] = error
+        projected, basis = clamped.project(terms.form, terms.normal)
+        filled = projected + 2.0 * (np.swapaxes(basis, 1, 2) @ basis)
+        lift = np.zeros(i.size)
+        far = error > 1e-4  # near a solution its own margin decides, at the end
+        lowest = np.linalg.eigvalsh(filled[far])[:, 0]
+        lift[far] = np.where(lowest > 1e-5, 0.0, 0.03 - lowest)
+        form = terms.form + lift[:, None, None] * np.eye(size)
+        da, df = clamped._saddle_step(form, terms.normal, terms.gradient, miss)
+        moved = np.abs(da @ clamped._base(size).value.T).max(axis=1)
+        share = np.minimum(1.0, limit / np.maximum(moved, 1e-300))
+        a[i] += share[:, None] * da
+        force[i] += share[:, None] * df
+        if t == 1.0:
+            active = i[(error > tolerance) & np.isfinite(error) & (np.abs(force[i]).max(axis=1) < 1e6)]
+            if active.size == 0:
+                break
+    return clamped._judge(first, last, chord, weight, a, force)
 
 
 @dataclass(frozen=True)
@@ -229,13 +388,13 @@ def _least_energy(
     a: FloatArray, b: FloatArray, chord: FloatArray, lengths: FloatArray, fine: bool = False
 ) -> FloatArray:
     """Middle states (B, 6) of the best stable solution of each; NaN rows where there is none."""
-    kinds, modes, rounds, limit = (4, clamped.FINE_MODES, 200, 0.2) if fine else (2, clamped.MODES, 60, 0.6)
+    kinds, modes, rounds, limit = (4, FINE_MODES, 200, 0.2) if fine else (2, clamped.MODES, 60, 0.6)
     guesses = _starts(a, b, chord, kinds, modes)
     count = guesses.shape[1]
     first, last = np.repeat(a[:, 2], count), np.repeat(b[:, 2], count)
     nothing = np.zeros((first.size, 2))
     chords = np.repeat(chord, count, axis=0)
-    found = clamped.minimise(first, last, chords, nothing, guesses.reshape(first.size, -1), rounds, limit)
+    found = minimise(first, last, chords, nothing, guesses.reshape(first.size, -1), rounds, limit)
     energy = 0.5 * np.sum(found.amplitude**2, axis=1)
     taut = np.hypot(found.force[:, 0], found.force[:, 1]) > _TAUTEST**2
     energy[(found.residual > 1e-6) | (found.margin < clamped.STABLE) | taut] = np.inf
