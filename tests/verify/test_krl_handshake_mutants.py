@@ -124,36 +124,32 @@ def _other(row):
     return row.replace("TRUE", "\0").replace("FALSE", "TRUE").replace("\0", "FALSE")
 
 
-@pytest.mark.parametrize(("kind", "every"), FORMS)
-def test_every_fault_in_every_statement_is_caught(kind, every):
+def _put_in_every_row(kind, every, edits):
+    """How many faults ``edits`` (of rows, in one of them) were tried in all texts, and those that passed."""
     _, texts = job(KUKAS, kind, every)
     passed, tried = [], 0
     for file, text in texts.items():
         rows = text.split("\r\n")
         for i in range(len(rows)):
-            for what, changed in faults(rows, i):
+            for what, changed in edits(rows, i):
                 tried += 1
                 mutant = {**texts, file: "\r\n".join(changed)}
                 assert mutant != texts
                 if not broken(KUKAS, kind, every, mutant):
                     passed.append((file, i + 1, what))
+    return tried, passed
+
+
+@pytest.mark.parametrize(("kind", "every"), FORMS)
+def test_every_fault_in_every_statement_is_caught(kind, every):
+    tried, passed = _put_in_every_row(kind, every, faults)
     assert tried >= 100
     assert passed == []
 
 
 @pytest.mark.parametrize(("kind", "every"), [pytest.param(*FORMS[0], marks=pytest.mark.long), *FORMS[1:]])
 def test_every_fault_in_what_the_panel_says_while_a_program_waits_is_caught(kind, every):
-    _, texts = job(KUKAS, kind, every)
-    passed, tried = [], 0
-    for file, text in texts.items():
-        rows = text.split("\r\n")
-        for i in range(len(rows)):
-            for what, changed in panel_faults(rows, i):
-                tried += 1
-                mutant = {**texts, file: "\r\n".join(changed)}
-                assert mutant != texts
-                if not broken(KUKAS, kind, every, mutant):
-                    passed.append((file, i + 1, what))
+    tried, passed = _put_in_every_row(kind, every, panel_faults)
     assert tried >= 60
     assert passed == []
 
