@@ -21,7 +21,13 @@ from pydrake.geometry import MeshcatVisualizer, MeshcatVisualizerParams
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, FixedOffsetFrame, RigidBody, SpatialInertia
+from pydrake.multibody.tree import (
+    BodyIndex,
+    FixedOffsetFrame,
+    JacobianWrtVariable,
+    RigidBody,
+    SpatialInertia,
+)
 from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
 from planner.catalogue import robots as catalogue
@@ -257,6 +263,26 @@ class CellModel:
             arm: self.bases[arm] @ forward(self.robots[arm], rows) @ self.cell.arm(arm).tool.tcp
             for arm, rows in q.items()
         }
+
+    def jacobians(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Jacobians {arm: (B, 6, 6)} of the TCPs in the world, rows angular [-], then linear [m/rad], of
+        joints {arm: (B, 6)}, by Drake's plant; :meth:`poses` of the same is closed form."""
+        world, rows = self.plant.world_frame(), self.stack(q)
+        ends = {arm: self._flange(arm) for arm in q}
+        out = {arm: np.empty((len(rows), 6, 6)) for arm in q}
+        for i, row in enumerate(rows):
+            context = self.checker.UpdatePositions(row)
+            for arm, (frame, place, columns) in ends.items():
+                out[arm][i] = self.plant.CalcJacobianSpatialVelocity(
+                    context, JacobianWrtVariable.kQDot, frame, place, world, world
+                )[:, columns]
+        return out
+
+    def _flange(self, arm: str) -> tuple[Any, FloatArray, slice]:
+        """Drake's frame of an arm's flange, the TCP (3,) [m] in it, and the arm's columns."""
+        flange = self.plant.GetFrameByName("tool0", self.body(f"{arm}/link_6").model_instance())
+        start = 6 * self.arms.index(arm)
+        return flange, self.cell.arm(arm).tool.tcp[:3, 3], slice(start, start + 6)
 
     def poses(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """World poses of all bodies by name: (B, 4, 4) of moving bodies of named arms, (1, 4, 4) of all

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from planner.motion.planning_scene import Scene
 from planner.motion.search import path_search
 from planner.motion.search.ladder_search import Found, speed_limits
 from planner.motion.search.path_search import find_path
-from planner.motion.trajectory import joint_path, move_limits, trajopt
+from planner.motion.trajectory import joint_path, move_limits, program, trajopt
 from planner.motion.trajectory.hinges import Avoid
 from planner.motion.trajectory.joint_path import Dense, clear, dense, tcp_ways
 from planner.motion.trajectory.timing import Clock, Limits, TimingError, least_times
@@ -33,6 +33,14 @@ CLEARANCE_WEIGHT = 0.5
 CORRIDORS = ((4, np.pi), (8, 0.3), (16, 0.2), (32, 0.1), (64, 0.1), (10**6, 0.06), (0, 0.06))
 """How far around a place that is too near the next path is kept to the ladder's [targets], and how close this
 one is kept where others were too near [rad]."""
+
+PROGRAM_CORRIDORS: Final = ((8, 0.1), (24, 0.03), (64, 0.0))
+"""The same of what Drake's program makes of that path, and how close to it [rad] the next is kept there."""
+
+LEAST_BUDGET: Final = 128
+"""Targets whose distances Drake's program may ask for at least; else as many as were asked for before it."""
+SLOWER_SHARE: Final = 1.002
+"""A path of Drake's program takes at most so many times as long as the one that it was made from."""
 
 DETOUR_MARGIN = 24
 """Targets on either side of those over which a better path goes from the one that is kept to its own."""
@@ -63,11 +71,17 @@ def plan_operation(
     transit.require_home(scene, targets)
     targets = path_search.with_aims(scene, targets)
     targets, found = _path(scene, targets, watch)
-    better, kept = _improve(scene, targets, found, watch)
+    avoid = _avoid(scene, targets)
+    better, kept = _improve(scene, targets, found, avoid, watch)
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
         diagnosis.require_moves(scene, targets, found.path.branch, samples)
     wanted, timed = targets, _clock(scene, targets, samples)
+    watch.lap("timing")
+    seed = _Driven(better, samples, timed)
+    driven, told = _programmed(scene, targets, found, seed, avoid if kept else None)
+    better, samples, timed = driven.path, driven.samples, driven.timed
+    watch.lap("program")
     wanted, better, timed = _joined(scene, wanted, found, better, samples, timed)
     targets, ticks, deviation = timed
     move_limits.require(scene, targets, samples, ticks.time)
@@ -79,6 +93,8 @@ def plan_operation(
     ]
     if not kept:
         issues.append(_not_kept(scene))
+    if scene.model is not None and not program.solvers():
+        issues.append(_no_solver())
     watch.lap("timing")
     ways, leaves = transit.both_ways(scene, targets, better.q)
     watch.lap("entry")
@@ -89,6 +105,7 @@ def plan_operation(
         "trajopt_gain": 1.0 - better.cost / better.cost_before if better.cost_before > 0 else 0.0,
         "trajopt_iterations": better.iterations,
         "trajopt_used": kept,
+        **told,
         "ladder_time": found.path.cost,
         "branch": dict(found.path.branch),
         "branch_choices": found.choices,
@@ -145,7 +162,17 @@ def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found
     return mended, again
 
 
-def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tuple[Improved, bool]:
+def _avoid(scene: Scene, targets: Targets) -> Avoid | None:
+    """What measures distances along paths of the targets, None where nothing is in the way."""
+    if scene.model is None:
+        return None
+    kinds = scene.by_kind(targets, np.arange(targets.count))
+    return Avoid(scene.model, targets.arms, scene.settings.clearance, CLEARANCE_WEIGHT, kinds)
+
+
+def _improve(
+    scene: Scene, targets: Targets, found: Found, avoid: Avoid | None, watch: _Watch
+) -> tuple[Improved, bool]:
     """The optimised path if it keeps clearance at and between targets, or the ladder's own.
 
     Where an optimised path comes too near to something, it is optimised once more from the ladder's and kept
@@ -154,10 +181,6 @@ def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tup
     plain = path_cost(scene, targets, found.values, found.q)
     start = trajopt.unwrapped(targets, found.values)
     rows = np.zeros(targets.count, dtype=np.bool_)
-    avoid = None
-    if scene.model is not None:
-        kinds = scene.by_kind(targets, np.arange(targets.count))
-        avoid = Avoid(scene.model, targets.arms, scene.settings.clearance, CLEARANCE_WEIGHT, kinds)
     within, values, q, iterations = targets, start, dict(found.q), 0
     moved = np.ones(targets.count, dtype=np.bool_)
     for reach, width in CORRIDORS if scene.model is not None else CORRIDORS[:1]:
@@ -178,6 +201,83 @@ def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tup
         within = trajopt.narrowed_freedoms(within, values, ~moved, 0.0)
     watch.lap("trajopt")
     return Improved(found.values, found.q, plain, plain, 0), False
+
+
+@dataclasses.dataclass(frozen=True)
+class _Driven:
+    """A path, samples of its moves, and its clock."""
+
+    path: Improved
+    samples: Dense
+    timed: Timed
+
+    def peaks(self) -> tuple[float, ...]:
+        """The largest acceleration [rad/s2] and jerk [rad/s3] of a joint."""
+        targets, clock, _ = self.timed
+        joints = np.concatenate([self.path.q[arm] for arm in targets.arms], axis=1)
+        return program.peaks(np.diff(clock.time), targets.stop, joints)
+
+
+def _programmed(
+    scene: Scene, targets: Targets, found: Found, seed: _Driven, avoid: Avoid | None
+) -> tuple[_Driven, dict[str, Any]]:
+    """What Drake's program makes of an optimised path, which stays where that does not keep all that it keeps
+    or costs no less; and figures that tell which of both it is and why.
+
+    Where moves of its path come too near to something, the next is kept closer to the given one there.
+    """
+    told: dict[str, Any] = {"program_used": False, "program_rounds": 0, "program_asked": 0}
+    if avoid is None:
+        return seed, {**told, "program_reason": "there is no optimised path to start from"}
+    branch, before = found.path.branch, seed.path
+    within, rows = targets, np.zeros(targets.count, dtype=np.bool_)
+    budget = max(avoid.asked, LEAST_BUDGET)
+    duration, stop = np.diff(seed.timed[1].time), seed.timed[0].stop
+    for reach, width in PROGRAM_CORRIDORS:
+        left = budget - told["program_asked"]
+        made = program.optimise(scene, within, branch, before, duration, stop, avoid, left)
+        told["program_rounds"] += made.rounds
+        told["program_asked"] += made.asked
+        told |= {"program_solver": made.solver, "program_reason": made.reason}
+        if made.path is None:
+            break
+        looked = dense(scene, targets, branch, made.path.q)
+        bad = _bad_moves(scene, targets, looked, np.ones(targets.count, dtype=np.bool_))
+        if not len(bad):
+            cost = path_cost(scene, targets, made.path.values, made.path.q)
+            path = dataclasses.replace(before, values=made.path.values, q=made.path.q, cost=cost)
+            try:
+                driven = _Driven(path, looked, _clock(scene, targets, looked))
+                move_limits.require(scene, driven.timed[0], looked, driven.timed[1].time)
+            except TandemError as error:
+                told["program_reason"] = f"it cannot be driven: {error.issues[0].message}"
+                break
+            told["program_reason"] = _worse(seed, driven)
+            if told["program_reason"]:
+                break
+            return driven, {**told, "program_used": True, "program_gain": 1.0 - cost / before.cost}
+        told["program_reason"] = "its moves come too near to something"
+        rows |= trajopt.targets_around(targets.count, bad, reach)
+        within = trajopt.narrowed_freedoms(targets, trajopt.unwrapped(targets, before.values), rows, width)
+    return seed, told
+
+
+def _worse(seed: _Driven, driven: _Driven) -> str:
+    """In what a driven path is worse than the one that it was made from, empty where in nothing."""
+    if not driven.path.cost < seed.path.cost:
+        return "it costs no less"
+    peaks = zip(("acceleration", "jerk"), seed.peaks(), driven.peaks(), strict=True)
+    for name, before, after in peaks:
+        if after > program.PEAK_SHARE * before:
+            return f"its peak of joint {name} is {after / before:.3f} times as high"
+    ends = [own.timed[1].time[-1] for own in (seed, driven)]
+    if ends[1] > SLOWER_SHARE * ends[0]:
+        return f"it takes {ends[1]:.2f} s, the given one {ends[0]:.2f} s"
+    slow = [_too_slow(own.timed[0], own.timed[1].time) for own in (seed, driven)]
+    more = np.setdiff1d(slow[1], slow[0])
+    if len(more):
+        return f"the move to {driven.timed[0].name(int(more[0]))} is slower than the process wants"
+    return ""
 
 
 def _bad_moves(scene: Scene, targets: Targets, samples: Dense, moved: BoolArray) -> IndexArray:
@@ -250,12 +350,27 @@ def _not_kept(scene: Scene) -> Issue:
     )
 
 
+def _no_solver() -> Issue:
+    names = " nor ".join(program.solver_name(kind) for kind in program.SOLVERS)
+    return Issue(
+        "motion.solver",
+        f"this build of Drake has neither {names}, one of which improves the path; the banded result is used",
+        severity=Severity.NOTE,
+        hint="install drake from its own wheels (pip install drake)",
+    )
+
+
+def _too_slow(targets: Targets, clock_time: FloatArray) -> IndexArray:
+    """Targets to which moves go slower than the process wants."""
+    speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
+    return np.flatnonzero(speed < targets.feed_min[1:] * (1.0 - 1e-6)) + 1
+
+
 def _slow(targets: Targets, clock_time: FloatArray) -> list[Issue]:
     """Moves that the arms cannot make as fast as the process wants."""
     out = []
     speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
-    slow = np.flatnonzero(speed < targets.feed_min[1:] * (1.0 - 1e-6)) + 1
-    for i in slow.tolist():
+    for i in _too_slow(targets, clock_time).tolist():
         got, least = float(speed[i - 1]) / MM, float(targets.feed_min[i]) / MM
         out.append(
             Issue(

@@ -56,7 +56,7 @@ NONE: Final = {
     **dict.fromkeys(("part.extra_missing", "sign.extra", "batch.install", "service.install"), INSTALL),
     **dict.fromkeys(("catalogue.missing_data", "plan.missing_file", "plan.damaged", "plan.schema"), DAMAGED),
     **dict.fromkeys(("part.ruled_deviation", "part.strips_found", "sign.good", "gcode.skipped"), FACT),
-    **dict.fromkeys(("wire.chosen", "straight.slit", "motion.path_kept"), FACT),
+    **dict.fromkeys(("wire.chosen", "straight.slit", "motion.path_kept", "motion.solver"), FACT),
     **dict.fromkeys(
         (
             "batch.crashed", "batch.timeout", "batch.memory", "batch.cancelled", "batch.worker",

@@ -50,9 +50,19 @@ def hinge(
 
 def margin_rows(scene: Scene, arms: tuple[str, ...], joints: FloatArray, slopes: bool = True) -> list[Rows]:
     """Hinges on joint limits and singularities of all arms at joints (N, J)."""
+    weight = PENALTY / len(joints)
+    return [
+        hinge(margin.value, margin.slope, hard, soft, weight, margin.index)
+        for margin, hard, soft in near_margins(scene, arms, joints, slopes)
+    ]
+
+
+def near_margins(
+    scene: Scene, arms: tuple[str, ...], joints: FloatArray, slopes: bool = True
+) -> list[tuple[Rows, float, float]]:
+    """Margins [rad] to joint limits and singularities of all arms at joints (N, J) that are near, their
+    slopes 0 without ``slopes``; with each the margin that must stay and the width that counts above it."""
     out = []
-    rows, width = joints.shape
-    weight = PENALTY / rows
     for k, arm in enumerate(arms):
         chain = scene.chains[arm]
         part = slice(6 * k, 6 * k + 6)
@@ -62,10 +72,10 @@ def margin_rows(scene: Scene, arms: tuple[str, ...], joints: FloatArray, slopes:
             (*_singularities(chain, q, slopes), scene.settings.singularity_margin, SOFT_SINGULARITY_RAD),
         ):
             index, which = np.nonzero(margins < hard + soft)
-            slope = np.zeros((len(index), width))
+            slope = np.zeros((len(index), joints.shape[1]))
             if slopes:
                 slope[:, part] = gradient[index, which]
-            out.append(hinge(margins[index, which], slope, hard, soft, weight, index))
+            out.append((Rows(index, margins[index, which], slope), hard, soft))
     return out
 
 
@@ -146,7 +156,7 @@ class Avoid:
     Distances are measured only at rows where cheap bounds do not show that nothing is near. Pairs that only
     the wrist moves against each other (hand and forearm of one arm) are always near, and would spoil the
     bounds: they are followed by their gradients. ``kinds`` are pairs of bodies that may meet, with the rows
-    where they may.
+    where they may. ``soft`` [m]: distances up to this above ``wanted`` count.
     """
 
     def __init__(
@@ -156,8 +166,11 @@ class Avoid:
         wanted: float,
         weight: float,
         kinds: Sequence[tuple[Pairs, IndexArray]] = (),
+        soft: float = SOFT_CLEARANCE_M,
     ) -> None:
         self._model, self._arms, self._wanted, self._weight = model, arms, wanted, weight
+        self._soft = soft
+        self.asked = 0
         self._columns = np.concatenate([np.arange(6) + 6 * model.arms.index(arm) for arm in arms])
         self._levers = np.concatenate([levers(model, arm) for arm in arms])
         self._wrist = max(WRIST_LEVER_M, *(_hand(model, arm) for arm in arms if _is_long(model, arm)), 0.0)
@@ -181,18 +194,25 @@ class Avoid:
         index = self._near(q)
         values = self._values(index)
         row, which = np.nonzero(values > 0.0)
-        slope = -np.sqrt(self._weight) / SOFT_CLEARANCE_M * self._gradient[index[row], which]
+        slope = -np.sqrt(self._weight) / self._soft * self._gradient[index[row], which]
         return [Rows(index[row], values[row, which], slope)]
 
+    def distances(self, q: FloatArray) -> Rows:
+        """All distances [m] below ``wanted`` and ``soft`` more, and their slopes by joints q (N, J)."""
+        index = self._near(q)
+        row, which = np.nonzero(self._distance[index] < self._wanted + self._soft)
+        at = index[row]
+        return Rows(at, self._distance[at, which], self._gradient[at, which])
+
     def _values(self, index: IndexArray) -> FloatArray:
-        near = np.maximum(self._wanted + SOFT_CLEARANCE_M - self._distance[index], 0.0)
-        return np.asarray(np.sqrt(self._weight) / SOFT_CLEARANCE_M * near)
+        near = np.maximum(self._wanted + self._soft - self._distance[index], 0.0)
+        return np.asarray(np.sqrt(self._weight) / self._soft * near)
 
     def _near(self, q: FloatArray) -> IndexArray:
         """Rows that may be near something; what is known of these is then exact."""
         if self._at.shape != q.shape:
             self._start(q)
-        limit = self._wanted + SOFT_CLEARANCE_M
+        limit = self._wanted + self._soft
         near = self._lower(q) < limit
         step = q - self._at
         part = np.einsum("nkj,nj->nk", self._mask, np.abs(step))
@@ -211,7 +231,7 @@ class Avoid:
     def _lower(self, q: FloatArray) -> FloatArray:
         """Lower bounds (N,) of the least distance of all but local pairs, worked out anew only where they may
         matter."""
-        limit = self._wanted + SOFT_CLEARANCE_M
+        limit = self._wanted + self._soft
         moved = np.abs(q - self._bound_at) @ self._levers
         bound = self._bound - moved
         # what was nearer by more than it moved is near still
@@ -252,6 +272,7 @@ class Avoid:
         """Measures at the rows ``index`` of q."""
         if not len(index):
             return
+        self.asked += len(index)
         index = np.concatenate([index[self._kind[index] == k] for k in range(len(self._meeting))])
         found = []
         for kind, meeting in enumerate(self._meeting):

@@ -18,6 +18,7 @@ from typing import Final, Protocol
 import numpy as np
 from scipy.linalg import solveh_banded
 
+from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, inverse, log_pose
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import speed_limits
@@ -40,6 +41,11 @@ BOUND_ROUNDS: Final = 4
 """Rounds at most in which values at their bounds are found and held there."""
 DIFFERENCE_STEP: Final = 1e-4
 """Step [rad or m] of the central differences of a freedom."""
+_TURN, _MOVE = slice(0, 3), slice(3, 6)  # parts of a twist
+
+
+Blocks = list[FloatArray]
+"""A symmetric block-banded matrix: blocks (N - d, F, F) of targets i and i + d, for d = 0, 1, 2."""
 
 
 class Obstacles(Protocol):
@@ -78,7 +84,7 @@ def improve(
     obstacles: Obstacles | None = None,
 ) -> Improved:
     """Smooths a path of freedom ``values`` (N, F) and joints {arm: (N, 6)} on the branches ``branch``."""
-    problem = _Problem(scene, targets, branch, obstacles)
+    problem = PathProblem(scene, targets, branch, obstacles)
     values = problem.unwrapped(values)
     joints = problem.stack(q)
     start = cost = problem.cost(values, joints)
@@ -118,11 +124,13 @@ def path_cost(
     obstacles: Obstacles | None = None,
 ) -> float:
     """The cost of :func:`improve` of any path."""
-    problem = _Problem(scene, targets, {}, obstacles)
+    problem = PathProblem(scene, targets, {}, obstacles)
     return problem.cost(problem.unwrapped(values), problem.stack(q))
 
 
-class _Problem:
+class PathProblem:
+    """Cost, exact joints and slopes of paths over the freedoms of targets, on the branches ``branch``."""
+
     def __init__(
         self, scene: Scene, targets: Targets, branch: Mapping[str, int], obstacles: Obstacles | None
     ) -> None:
@@ -166,7 +174,26 @@ class _Problem:
         return np.concatenate(out, axis=-1)
 
     def rates(self, values: FloatArray, joints: FloatArray) -> FloatArray:
-        """dq/dvalue (N, J, F): the body twist of each freedom through the Jacobian."""
+        """dq/dvalue (N, J, F): the body twist of each freedom through the arms' closed-form Jacobians."""
+        twists = self._twists(values)
+        parts = [
+            self.scene.chains[arm].rates(joints[:, 6 * k : 6 * k + 6], twists[arm])
+            for k, arm in enumerate(self.targets.arms)
+        ]
+        return np.swapaxes(np.concatenate(parts, axis=-1), 1, 2)
+
+    def plant_rates(self, model: CellModel, values: FloatArray, joints: FloatArray) -> FloatArray:
+        """What :meth:`rates` gives, through the Jacobians of Drake's plant."""
+        twists, q = self._twists(values), self.split(joints)
+        poses, parts = self.scene.tcp(self.targets, values), []
+        for arm, jacobian in model.jacobians(q).items():
+            turn = poses[arm][:, None, :3, :3]
+            world = [np.einsum("nkij,nkj->nik", turn, twists[arm][..., part]) for part in (_TURN, _MOVE)]
+            parts.append(np.linalg.solve(jacobian, np.concatenate(world, axis=1)))
+        return np.concatenate(parts, axis=1)
+
+    def _twists(self, values: FloatArray) -> dict[str, FloatArray]:
+        """Body twists {arm: (N, F, 6)} of the TCPs by each freedom, by central differences."""
         twists: dict[str, list[FloatArray]] = {arm: [] for arm in self.targets.arms}
         for j in range(values.shape[1]):
             shift = np.zeros(values.shape[1])
@@ -175,15 +202,7 @@ class _Problem:
             behind = self.scene.tcp(self.targets, values - shift)
             for arm in self.targets.arms:
                 twists[arm].append(log_pose(inverse(behind[arm]) @ ahead[arm]) / (2.0 * DIFFERENCE_STEP))
-        parts = [
-            self.scene.chains[arm].rates(joints[:, 6 * k : 6 * k + 6], np.stack(twists[arm], axis=1))
-            for k, arm in enumerate(self.targets.arms)
-        ]
-        return np.swapaxes(np.concatenate(parts, axis=-1), 1, 2)
-
-    def hinges(self, joints: FloatArray) -> list[Rows]:
-        rows = margin_rows(self.scene, self.targets.arms, joints)
-        return rows + list(self.obstacles.rows(joints)) if self.obstacles else rows
+        return {arm: np.stack(each, axis=1) for arm, each in twists.items()}
 
     def cost(self, values: FloatArray, joints: FloatArray, limit: float = np.inf) -> float:
         """The cost, or inf where it is ``limit`` or more before obstacles are looked at."""
@@ -195,10 +214,10 @@ class _Problem:
             return np.inf
         return total + (self.obstacles.cost(joints) if self.obstacles else 0.0)
 
-    def step(self, values: FloatArray, joints: FloatArray, damping: float) -> tuple[FloatArray, float]:
-        """Gauss-Newton step (N, F) and the gain that its model expects."""
+    def model(self, values: FloatArray, joints: FloatArray, rates: FloatArray) -> tuple[Blocks, FloatArray]:
+        """The cost about a path as a quadratic form of steps (N, F) of the freedoms: its matrix in blocks and
+        half its gradient (N, F), by Gauss and Newton, without obstacles; ``rates`` as :meth:`rates` gives."""
         rows = len(values)
-        rates = self.rates(values, joints)
         scaled = rates / self.speed[:, None]
         blocks = [
             self.stencil[d][: rows - d, None, None]
@@ -206,18 +225,23 @@ class _Problem:
             for d in range(3)
         ]
         gradient = np.einsum("njf,nj->nf", scaled, _times(self.stencil, joints / self.speed))
-        for hinge in self.hinges(joints):
-            slope = np.einsum("rj,rjf->rf", hinge.slope, rates[hinge.index])
-            np.add.at(blocks[0], hinge.index, np.einsum("rf,rg->rfg", slope, slope))
-            np.add.at(gradient, hinge.index, slope * hinge.value[:, None])
+        for hinge in margin_rows(self.scene, self.targets.arms, joints):
+            _add(blocks[0], gradient, hinge, np.einsum("rj,rjf->rf", hinge.slope, rates[hinge.index]))
         for hinge in preference_rows(self.targets, values, self.rings):
-            np.add.at(blocks[0], hinge.index, np.einsum("rf,rg->rfg", hinge.slope, hinge.slope))
-            np.add.at(gradient, hinge.index, hinge.slope * hinge.value[:, None])
+            _add(blocks[0], gradient, hinge, hinge.slope)
+        return blocks, gradient
+
+    def step(self, values: FloatArray, joints: FloatArray, damping: float) -> tuple[FloatArray, float]:
+        """Gauss-Newton step (N, F) and the gain that its model expects."""
+        rates = self.rates(values, joints)
+        blocks, gradient = self.model(values, joints, rates)
+        for hinge in self.obstacles.rows(joints) if self.obstacles else ():
+            _add(blocks[0], gradient, hinge, np.einsum("rj,rjf->rf", hinge.slope, rates[hinge.index]))
         step = self._bounded(blocks, gradient, values, damping)
         return step, float(-np.sum(step * gradient))
 
     def _bounded(
-        self, blocks: Sequence[FloatArray], gradient: FloatArray, values: FloatArray, damping: float
+        self, blocks: Blocks, gradient: FloatArray, values: FloatArray, damping: float
     ) -> FloatArray:
         """The Gauss-Newton step within the bounds: what would leave them goes to its bound, the rest is
         solved again."""
@@ -236,6 +260,12 @@ class _Problem:
             held |= out
             fixed = np.where(out, target, fixed)
         return np.clip(values + step, self.lower, self.upper) - values
+
+
+def _add(diagonal: FloatArray, gradient: FloatArray, hinge: Rows, slope: FloatArray) -> None:
+    """Adds residuals with slopes (R, F) by freedoms to the diagonal blocks and to half the gradient."""
+    np.add.at(diagonal, hinge.index, np.einsum("rf,rg->rfg", slope, slope))
+    np.add.at(gradient, hinge.index, slope * hinge.value[:, None])
 
 
 def _blocks_times(blocks: Sequence[FloatArray], x: FloatArray) -> FloatArray:

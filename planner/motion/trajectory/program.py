@@ -1,0 +1,413 @@
+"""Trajectory optimisation as a Drake ``MathematicalProgram``, seeded by the banded result.
+
+Each round is a convex quadratic program over the freedoms of all targets, by Clarabel or OSQP. Its cost is
+that of :mod:`planner.motion.trajectory.trajopt` without obstacles, by Gauss and Newton, with the Jacobians of
+Drake's plant. What the banded form has to price is a constraint here: every clearance, the margins of joints
+and of singular postures, the peaks of joint acceleration and jerk, and for tools that are joined (a wire) how
+far their pose to each other leaves the wanted one between targets; at targets it is exact, for the freedoms
+are all that can change. Joints follow by closed-form inverse kinematics in every trial step.
+
+A path that is found here keeps all that the seed keeps, at a lower cost; otherwise there is none, with the
+reason. Work is bounded by rounds and by distances that are asked for.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from pydrake.solvers import ClarabelSolver, MathematicalProgram, OsqpSolver
+from scipy.sparse import csc_matrix
+
+from planner.cell.plant import CellModel, quiet
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, interpolate, inverse, log_pose
+from planner.motion.planning_scene import Scene
+from planner.motion.search.reach import slides_only
+from planner.motion.trajectory.hinges import Avoid, Rows, near_margins
+from planner.motion.trajectory.trajopt import Blocks, Improved, PathProblem
+from planner.targets import TableFreedom, Targets
+
+MOST_TARGETS: Final = 1000
+"""Jobs with more targets keep the banded result."""
+MOST_ROUNDS: Final = 6
+"""Quadratic programs at most."""
+LEAST_GAIN_SHARE: Final = 3e-3
+"""A round that gains less than this share of the cost is the last."""
+LEAST_SCALE: Final = 0.1
+"""Steps are halved down to this share of what the program gives."""
+
+TRUST_SHARE: Final = 0.3
+"""A slide or a table moves by at most this share of its range in a round."""
+TRUST_RAD: Final = 0.3
+"""A turn moves by at most this [rad] in a round."""
+RESERVE_M: Final = 0.5e-3
+"""Distances at targets are kept so much [m] above the wanted clearance, or where they are if that is less:
+moves between targets bend."""
+PEAK_SHARE: Final = 1.02
+"""Peaks of acceleration and jerk, each path on its own clock, grow to at most this share of the seed's."""
+KEPT_SHARE: Final = 1.01
+"""Trial steps keep them, on the seed's clock, to this share: programs are linear about a path."""
+ACTIVE_SHARE: Final = 0.5
+"""Accelerations and jerks above this share of what is allowed are constraints."""
+JOINED_FLOOR: Final = 1e-6
+"""Poses of joined tools to each other may always leave the wanted one by this [m, rad] between targets."""
+EXACT: Final = 1e-12
+"""Poses are met to this [m]."""
+DIFFERENCE_SHARE: Final = 0.01
+"""Step of central differences, as a share of how far a freedom may move in a round."""
+LARGEST_ENTRY: Final = 2e3
+"""Largest entry of the cost's matrix as solvers get it: a hundred times as much stopped Clarabel short."""
+DAMPING: Final = 1e-7
+"""Weight of the step itself, for freedoms that change nothing."""
+SOLVERS: Final = (ClarabelSolver, OsqpSolver)
+"""Solvers of the quadratic programs, the first that this build of Drake has and that solves one."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Programmed:
+    """What came of the program: a path, or None with the ``reason``; ``solver`` of the last round, the
+    ``rounds`` and the targets ``asked`` for distances."""
+
+    path: Improved | None
+    reason: str
+    solver: str = ""
+    rounds: int = 0
+    asked: int = 0
+
+
+def solvers() -> list[Any]:
+    """The solvers that this build of Drake has, in the order in which they are asked."""
+    return [solver for solver in (kind() for kind in SOLVERS) if solver.available() and solver.enabled()]
+
+
+def solver_name(kind: type) -> str:
+    """What a solver is called."""
+    return kind.__name__.removesuffix("Solver")
+
+
+def optimise(
+    scene: Scene,
+    targets: Targets,
+    branch: Mapping[str, int],
+    seed: Improved,
+    duration: FloatArray,
+    stop: BoolArray,
+    avoid: Avoid,
+    budget: int,
+) -> Programmed:
+    """A path of lower cost than ``seed`` on the branches ``branch``, whose moves last ``duration``
+    (N - 1,) [s], with stops ``stop`` (N,). ``avoid`` measures the distances, at ``budget`` targets before
+    the last round at most.
+
+    Moves between targets are the caller's to look at.
+    """
+    if targets.count > MOST_TARGETS:
+        return Programmed(None, f"{targets.count} targets, the program is for {MOST_TARGETS} at most")
+    if scene.model is None or not targets.freedoms:
+        return Programmed(None, "nothing is free at any target")
+    ready = solvers()
+    if not ready:
+        return Programmed(None, "this build of Drake has no solver for it")
+    search = _Search(scene, scene.model, targets, branch, seed, _bands(duration, stop), avoid)
+    return search.run(ready, budget)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Look:
+    """What a path is judged by: its cost, least distances (N,) [m], peaks of acceleration and jerk, each by
+    joint (J,), and how far joined tools leave their pose to each other between targets (N - 1, 6)."""
+
+    cost: float
+    near: Rows
+    least: FloatArray
+    peaks: tuple[FloatArray, ...]
+    joined: FloatArray
+
+
+class _Search:
+    def __init__(
+        self,
+        scene: Scene,
+        model: CellModel,
+        targets: Targets,
+        branch: Mapping[str, int],
+        seed: Improved,
+        bands: tuple[_Band, ...],
+        avoid: Avoid,
+    ) -> None:
+        self.scene, self.model, self.targets, self.avoid = scene, model, targets, avoid
+        self.problem = PathProblem(scene, targets, branch, None)
+        self.values = self.problem.unwrapped(seed.values)
+        self.joints = self.problem.stack(seed.q)
+        self.start = avoid.asked
+        self.bands = bands
+        self.look = self._look(self.values, self.joints)
+        strength = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
+        # no joint may come to more than any of them has, nor to more of what it can than any of them has
+        self.allowed = [
+            np.minimum(peak.max(), (peak / strength).max() * strength) for peak in self.look.peaks
+        ]
+        self.wanted = np.minimum(scene.settings.clearance + RESERVE_M, self.look.least)
+        self.off = np.maximum(np.abs(self.look.joined).max(axis=0, initial=0.0), JOINED_FLOOR)
+        spans = [
+            TRUST_SHARE * float((f.upper - f.lower).max()) if slides_only(f) else TRUST_RAD
+            for f in targets.freedoms
+        ]
+        self.trust = np.array(spans)
+
+    def run(self, solvers: Sequence[Any], budget: int) -> Programmed:
+        """Rounds until little is gained."""
+        before, rounds, used, reason = self.look.cost, 0, "", "the banded result cannot be bettered"
+        while rounds < MOST_ROUNDS and self._asked() < budget:
+            rounds += 1
+            step, used = self._solved(solvers)
+            if step is None:
+                reason = f"{used} did not solve the program"
+                break
+            cost = self.look.cost
+            scale = self._advance(step)
+            if scale > 0.0 and cost - self.look.cost < LEAST_GAIN_SHARE * cost:
+                break
+            self.trust = self.trust * (1.0 if scale == 1.0 else max(scale, LEAST_SCALE))
+        asked = self._asked()
+        if not self.look.cost < before:
+            return Programmed(None, reason, used, rounds, asked)
+        q = self.problem.split(self.joints)
+        if not self._exact(q):
+            return Programmed(None, f"poses are off by more than {EXACT} m", used, rounds, asked)
+        path = Improved(self.values, q, self.look.cost, before, rounds)
+        return Programmed(path, "", used, rounds, asked)
+
+    def _asked(self) -> int:
+        return self.avoid.asked - self.start
+
+    def _look(self, values: FloatArray, joints: FloatArray) -> _Look:
+        near = self.avoid.distances(joints)
+        least = np.full(len(joints), np.inf)
+        np.minimum.at(least, near.index, near.value)
+        peaks = tuple(np.abs(band.of(joints)).max(axis=0, initial=0.0) for band in self.bands)
+        return _Look(self.problem.cost(values, joints), near, least, peaks, self._joined(values))
+
+    def _advance(self, step: FloatArray) -> float:
+        """Goes the greatest share of a step that keeps everything and gains; that share, 0 for none."""
+        scale = 1.0
+        while scale > LEAST_SCALE:
+            values = self.problem.clip(self.values + scale * step)
+            joints = self.problem.joints(values, self.joints)
+            if joints is not None and self.problem.cost(values, joints) < self.look.cost:
+                look = self._look(values, joints)
+                if self._keeps(look):
+                    self.values, self.joints, self.look = values, joints, look
+                    return scale
+            scale *= 0.5
+        return 0.0
+
+    def _keeps(self, look: _Look) -> bool:
+        wanted = np.minimum(self.wanted, self.scene.settings.clearance + 0.5 * RESERVE_M)
+        peaks = zip(look.peaks, self.allowed, strict=True)
+        return bool(
+            (look.least >= wanted).all()
+            and all((peak <= KEPT_SHARE * most).all() for peak, most in peaks)
+            and (np.abs(look.joined) <= KEPT_SHARE * self.off).all()
+        )
+
+    def _exact(self, q: Mapping[str, FloatArray]) -> bool:
+        """Whether the joints put the TCPs where the freedoms do."""
+        wanted = self.scene.tcp(self.targets, self.values)
+        found = {arm: self.scene.chains[arm].pose(q[arm]) for arm in q}
+        return all(float(np.abs(found[arm] - wanted[arm])[:, :3, 3].max()) <= EXACT for arm in q)
+
+    def _solved(self, solvers: Sequence[Any]) -> tuple[FloatArray | None, str]:
+        """The program's step (N, F) by the first solver that has one, None for none, and the solver."""
+        program, unknowns = self._program()
+        name = ""
+        for solver in solvers:
+            name = solver_name(type(solver))
+            with quiet():
+                found = solver.Solve(program)
+            step = np.asarray(found.GetSolution(unknowns.ravel())).reshape(unknowns.shape)
+            if found.is_success() and np.isfinite(step).all():
+                return step * self.trust, name
+        return None, name
+
+    def _program(self) -> tuple[MathematicalProgram, Any]:
+        """The program of the next step and its unknowns (N, F), in units of what a round allows."""
+        problem, values, joints = self.problem, self.values, self.joints
+        rates = problem.plant_rates(self.model, values, joints)
+        blocks, slope = problem.model(values, joints, rates)
+        program = MathematicalProgram()
+        unknowns = program.NewContinuousVariables(*values.shape, "step")
+        blocks = [block * self.trust[:, None] * self.trust for block in blocks]
+        unit = LARGEST_ENTRY / max(float(np.abs(blocks[0]).max()), np.finfo(float).tiny)
+        blocks, slope = [unit * block for block in blocks], unit * slope * self.trust
+        _add_cost(program, unknowns, blocks, slope)
+        low, high = (problem.lower - values) / self.trust, (problem.upper - values) / self.trust
+        low, high = np.clip(low, -1.0, 0.0), np.clip(high, 0.0, 1.0)
+        flat = unknowns.ravel()
+        program.AddBoundingBoxConstraint(low.ravel(), high.ravel(), flat)
+        rows = _Linear(values.shape)
+        self._add_distances(rows, rates)
+        for band, most in zip(self.bands, self.allowed, strict=True):
+            rows.add_band(band, joints, rates, most)
+        self._add_joined(rows)
+        if rows.count:
+            matrix, lower, upper = rows.stacked(self.trust)
+            program.AddLinearConstraint(matrix, lower, upper, flat)
+        return program, unknowns
+
+    def _add_distances(self, rows: _Linear, rates: FloatArray) -> None:
+        """Clearances of bodies, and the hard margins of joints and singular postures where they are near."""
+        near = self.look.near
+        rows.add_slopes(near, rates, np.minimum(self.wanted[near.index] - near.value, 0.0))
+        for margins, hard, _ in near_margins(self.scene, self.targets.arms, self.joints):
+            rows.add_slopes(margins, rates, np.minimum(hard - margins.value, 0.0))
+
+    def _joined(self, values: FloatArray) -> FloatArray:
+        """How far (N - 1, 6) [rad, m] the pose of one joined tool to the other is off, half way between
+        targets, what it would be there if both targets had the same freedoms."""
+        if not _is_joined(self.targets):
+            return np.zeros((self.targets.count - 1, 6))
+        return _off_joined(self.targets, values[:-1], values[1:])
+
+    def _add_joined(self, rows: _Linear) -> None:
+        if not _is_joined(self.targets):
+            return
+        now, ends = self.look.joined, (self.values[:-1], self.values[1:])
+        slopes = np.zeros((2, *now.shape, self.values.shape[1]))
+        for j, step in enumerate(DIFFERENCE_SHARE * self.trust):
+            shift = np.zeros(self.values.shape[1])
+            shift[j] = step
+            for side, (before, behind) in enumerate(((shift, 0.0 * shift), (0.0 * shift, shift))):
+                ahead = _off_joined(self.targets, ends[0] + before, ends[1] + behind)
+                back = _off_joined(self.targets, ends[0] - before, ends[1] - behind)
+                slopes[side, ..., j] = (ahead - back) / (2.0 * step)
+        rows.add_pairs(slopes, -self.off - now, self.off - now)
+
+
+def _is_joined(targets: Targets) -> bool:
+    """Whether a freedom changes how two joined tools stand to each other."""
+    return targets.coupled and any(isinstance(f, TableFreedom) for f in targets.freedoms)
+
+
+def _off_joined(targets: Targets, start: FloatArray, end: FloatArray) -> FloatArray:
+    """What :meth:`_Search._joined` tells, of freedoms (N - 1, F) at the start and at the end of each move."""
+    one, other = targets.arms[0], targets.arms[-1]
+    first, last = np.arange(targets.count - 1), np.arange(1, targets.count)
+    half, mean = np.full(targets.count - 1, 0.5), 0.5 * (start + end)
+
+    def between(a: FloatArray, b: FloatArray) -> FloatArray:
+        begins, ends = targets.poses(a, first), targets.poses(b, last)
+        middle = {arm: interpolate(begins[arm], ends[arm], half) for arm in (one, other)}
+        return inverse(middle[one]) @ middle[other]
+
+    return log_pose(inverse(between(mean, mean)) @ between(start, end))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Band:
+    """Divided differences of paths: row m is the sum of ``weight`` (M, K) times targets ``first`` (M,) to
+    ``first`` + K - 1."""
+
+    first: IndexArray
+    weight: FloatArray
+
+    def of(self, joints: FloatArray) -> FloatArray:
+        """The differences (M, J) of joints (N, J)."""
+        at = self.first[:, None] + np.arange(self.weight.shape[1])
+        return np.asarray(np.einsum("mk,mkj->mj", self.weight, joints[at]))
+
+
+def _bands(duration: FloatArray, stop: BoolArray) -> tuple[_Band, _Band]:
+    """Accelerations and jerks of joints by the times (N - 1,) [s] of the moves, where no stop is between."""
+    step = np.maximum(duration, 1e-3 * float(np.median(duration)) + 1e-9)
+    middle = 0.5 * (step[1:] + step[:-1])
+    weight = np.stack([1.0 / step[:-1], -1.0 / step[:-1] - 1.0 / step[1:], 1.0 / step[1:]], axis=1)
+    weight = weight / middle[:, None]
+    first = np.flatnonzero(~stop[1:-1])
+    jerk = np.zeros((max(len(weight) - 1, 0), 4))
+    if len(jerk):
+        jerk[:, :3] -= weight[:-1] / step[1:-1, None]
+        jerk[:, 1:] += weight[1:] / step[1:-1, None]
+    both = np.flatnonzero(~stop[1:-2] & ~stop[2:-1])
+    return _Band(first, weight[first]), _Band(both, jerk[both])
+
+
+def peaks(duration: FloatArray, stop: BoolArray, joints: FloatArray) -> tuple[float, ...]:
+    """The largest acceleration [rad/s2] and jerk [rad/s3] of any joint on a path (N, J) whose moves last
+    ``duration`` (N - 1,) [s], by divided differences of its targets where no stop is between."""
+    return tuple(float(np.abs(band.of(joints)).max(initial=0.0)) for band in _bands(duration, stop))
+
+
+class _Linear:
+    """Linear constraints on steps of freedoms (N, F), collected row by row for one sparse matrix."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.targets, self.freedoms = shape
+        self.count = 0
+        self._parts: list[tuple[IndexArray, IndexArray, FloatArray]] = []
+        self._bounds: list[tuple[FloatArray, FloatArray]] = []
+
+    def _add(self, at: IndexArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
+        """Rows of ``weight`` (R, K, F) at targets ``at`` (R, K)."""
+        row = np.broadcast_to(self.count + np.arange(len(at))[:, None, None], weight.shape)
+        column = at[:, :, None] * self.freedoms + np.arange(self.freedoms)
+        column = np.broadcast_to(column, weight.shape)
+        self._parts.append((row.ravel(), column.ravel(), weight.ravel()))
+        self._bounds.append((lower, upper))
+        self.count += len(at)
+
+    def add_slopes(self, rows: Rows, rates: FloatArray, lower: FloatArray) -> None:
+        """What has slopes by the joints changes by ``lower`` (R,) at least."""
+        weight = np.einsum("rj,rjf->rf", rows.slope, rates[rows.index])
+        self._add(rows.index[:, None], weight[:, None], lower, np.full(len(lower), np.inf))
+
+    def add_band(self, band: _Band, joints: FloatArray, rates: FloatArray, most: FloatArray) -> None:
+        """Differences of joints stay within ``most`` (J,), or where they are if that is more."""
+        now = band.of(joints)
+        row, joint = np.nonzero(np.abs(now) > ACTIVE_SHARE * most)
+        at = band.first[row, None] + np.arange(band.weight.shape[1])
+        weight = band.weight[row, :, None] * rates[at, joint[:, None]]
+        value, limit = now[row, joint], most[joint]
+        self._add(at, weight, np.minimum(-limit - value, 0.0), np.maximum(limit - value, 0.0))
+
+    def add_pairs(self, slopes: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
+        """What changes by ``slopes`` (2, N - 1, C, F) of the targets at both ends of moves stays within
+        ``lower`` and ``upper`` (N - 1, C)."""
+        move, part = (index.ravel() for index in np.indices(lower.shape))
+        weight = np.moveaxis(slopes[:, move, part], 0, 1)
+        at = move[:, None] + np.arange(2)
+        self._add(at, weight, np.minimum(lower, 0.0).ravel(), np.maximum(upper, 0.0).ravel())
+
+    def stacked(self, unit: FloatArray) -> tuple[csc_matrix, FloatArray, FloatArray]:
+        """The matrix for freedoms in units of ``unit`` (F,) and both bounds, each row divided by its largest
+        entry; rows of zeros are left out."""
+        row, column, weight = (np.concatenate(part) for part in zip(*self._parts, strict=True))
+        weight = weight * unit[column % self.freedoms]
+        lower, upper = (np.concatenate(part) for part in zip(*self._bounds, strict=True))
+        size = np.zeros(self.count)
+        np.maximum.at(size, row, np.abs(weight))
+        kept = np.flatnonzero(size > 1e-9 * float(size.max(initial=0.0)))
+        size = np.where(size > 0.0, size, 1.0)
+        shape = (self.count, self.targets * self.freedoms)
+        matrix = csc_matrix((weight / size[row], (row, column)), shape=shape)
+        return matrix[kept].tocsc(), (lower / size)[kept], (upper / size)[kept]
+
+
+def _add_cost(program: MathematicalProgram, unknowns: Any, blocks: Blocks, slope: FloatArray) -> None:
+    """The cost by terms of three neighbouring targets each. Drake adds them up before a solver sees them: the
+    sum is convex, whatever one term is."""
+    count, free = slope.shape
+    for i in range(count):
+        near = unknowns[i : i + 3].ravel()
+        part = np.zeros((len(near), len(near)))
+        part[:free, :free] = 2.0 * blocks[0][i] + 2.0 * DAMPING * np.eye(free)
+        for d in (1, 2):
+            if i + d < count:
+                other = slice(d * free, d * free + free)
+                part[:free, other] = 2.0 * blocks[d][i]
+                part[other, :free] = 2.0 * blocks[d][i].T
+        linear = np.zeros(len(near))
+        linear[:free] = 2.0 * slope[i]
+        program.AddQuadraticCost(part, linear, near, is_convex=True)

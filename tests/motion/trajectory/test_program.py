@@ -1,0 +1,303 @@
+"""Trajectory optimisation as a Drake program: what it keeps, what it gains, and when the seed stays."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pydrake.solvers import ClarabelSolver, MathematicalProgram, OsqpSolver
+
+from bench.motion_jobs import arc_wire, block, box, two_arms
+from planner.cell import clearance, plant
+from planner.geometry.arrays import FloatArray, from_parts
+from planner.motion import operation
+from planner.motion.operation import plan_operation
+from planner.motion.planning_scene import Scene
+from planner.motion.search.ladder_search import Found
+from planner.motion.search.path_search import find_path
+from planner.motion.trajectory import program
+from planner.motion.trajectory.hinges import Avoid
+from planner.motion.trajectory.joint_path import dense
+from planner.motion.trajectory.trajopt import Improved, PathProblem, improve
+from planner.plans import OperationPlan
+from planner.problem import Obstacle, Settings
+from planner.targets import TableFreedom, Targets
+from tests.motion.scenes import HIGH, pair
+
+
+def found_path(scene: Scene, targets: Targets) -> Found:
+    """The ladder's path."""
+    _, found = find_path(scene, targets)
+    assert isinstance(found, Found)
+    return found
+
+
+BEAMS = tuple(
+    Obstacle(f"beam_{k}", (box((0.03, 0.04, 0.03), place),))
+    for k, place in enumerate(((-0.297, -0.106, 0.672), (0.300, 0.167, 0.681)))
+)
+"""Where the hands would pass with the spin that suits the rest."""
+
+
+def planned(monkeypatch: pytest.MonkeyPatch, count: int, used: bool) -> tuple[Scene, OperationPlan]:
+    """A plan of a wire past two beams; without Drake's program unless ``used``."""
+    with monkeypatch.context() as patch:
+        if not used:
+            patch.setattr(program, "MOST_TARGETS", 0)
+        cell, targets = two_arms(obstacles=BEAMS), arc_wire(count)
+        model = plant.build(cell, block((0.16, 0.7, 0.1), HIGH), HIGH)
+        settings = Settings()
+        plan = plan_operation("job", cell, targets, settings, HIGH, model)
+        return Scene.of(cell, targets.arms, HIGH, settings, model), plan
+
+
+def test_the_programs_path_costs_less_and_keeps_what_the_seed_keeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, before = planned(monkeypatch, 90, used=False)
+    _, after = planned(monkeypatch, 90, used=True)
+    assert before.metrics["program_used"] is False
+    assert after.metrics["program_used"] is True, after.metrics["program_reason"]
+    assert after.metrics["trajopt_cost"] < before.metrics["trajopt_cost"]
+    # distances by Drake, which the program does not ask, at targets and between them
+    branch = after.metrics["branch"]
+    looked = dense(scene, after.targets, branch, after.q)
+    assert scene.model is not None
+    for q in (after.q, {arm: rows[::3] for arm, rows in looked.q.items()}):
+        assert clearance.witness(scene.model, q, 0.1).distance.min() >= scene.settings.clearance - 1e-9
+    # poses by Drake's kinematics
+    wanted = scene.tcp(after.targets, after.values)
+    for k, arm in enumerate(after.targets.arms):
+        frame = scene.model.body(f"{arm}/link_6").model_instance()
+        flange = scene.model.plant.GetFrameByName("tool0", frame)
+        tool = scene.model.cell.arm(arm).tool.tcp
+        for i in range(0, after.targets.count, 7):
+            context = scene.model.checker.UpdatePositions(np.concatenate([after.q[a][i] for a in after.q]))
+            pose = flange.CalcPoseInWorld(context).GetAsMatrix4() @ tool
+            assert np.abs(pose - wanted[arm][i])[:3, 3].max() <= 1e-12
+        assert k < 2
+    for one, other in zip(_peaks(before), _peaks(after), strict=True):
+        assert other <= 1.02 * one
+
+
+def _peaks(plan: OperationPlan) -> tuple[float, float]:
+    """Largest second and third differences of joints over time, by numpy alone."""
+    joints = np.concatenate([plan.q[arm] for arm in plan.targets.arms], axis=1)
+    middle = 0.5 * (plan.time[1:] + plan.time[:-1])
+    speed = np.diff(joints, axis=0) / np.diff(plan.time)[:, None]
+    rate = np.diff(speed, axis=0) / np.diff(middle)[:, None]
+    jerk = np.diff(rate, axis=0) / np.diff(plan.time)[1:-1, None]
+    return float(np.abs(rate).max()), float(np.abs(jerk).max())
+
+
+def test_the_same_question_has_the_same_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    one, other = (planned(monkeypatch, 40, used=True)[1] for _ in range(2))
+    assert all(np.array_equal(one.q[arm], other.q[arm]) for arm in one.q)
+    assert one.metrics["program_rounds"] == other.metrics["program_rounds"] > 0
+
+
+def test_rates_by_the_plant_are_those_of_the_closed_form() -> None:
+    scene, targets = pair(30)
+    found = found_path(scene, targets)
+    assert scene.model is not None
+    problem = PathProblem(scene, targets, found.path.branch, None)
+    joints = problem.stack(found.q)
+    own = problem.rates(found.values, joints)
+    assert np.abs(problem.plant_rates(scene.model, found.values, joints) - own).max() <= 1e-9
+    # a base that is moved moves the plant's answer, not the rates
+    base = scene.chains["left"].base @ from_parts(np.eye(3), np.array([0.0, 0.0, 0.0]))
+    moved = scene.model.with_bases({"left": base @ _turned(0.3)})
+    left = moved.jacobians({"left": found.q["left"]})["left"]
+    there = scene.model.jacobians({"left": found.q["left"]})["left"]
+    turn = (base @ _turned(0.3) @ np.linalg.inv(base))[:3, :3]
+    assert np.abs(left[:, :3] - turn @ there[:, :3]).max() <= 1e-12
+    assert np.abs(left[:, 3:] - turn @ there[:, 3:]).max() <= 1e-12
+
+
+def _turned(angle: float) -> FloatArray:
+    c, s = np.cos(angle), np.sin(angle)
+    return from_parts(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
+
+
+def search(count: int = 40, wanted: float = 0.01) -> program._Search:
+    """The program of a wire past two beams, about the banded result."""
+    cell, targets = two_arms(obstacles=BEAMS), arc_wire(count)
+    model = plant.build(cell, block((0.16, 0.7, 0.1), HIGH), HIGH)
+    scene = Scene.of(cell, targets.arms, HIGH, Settings(clearance=wanted), model)
+    found = found_path(scene, targets)
+    avoid = Avoid(model, targets.arms, wanted, 0.5)
+    seed = improve(scene, targets, found.path.branch, found.values, found.q, avoid)
+    bands = program._bands(np.full(count - 1, 0.1), targets.stop)
+    return program._Search(scene, model, targets, found.path.branch, seed, bands, avoid)
+
+
+def test_both_solvers_agree_on_a_program() -> None:
+    made, unknowns = search()._program()
+    steps = [solver().Solve(made).GetSolution(unknowns.ravel()) for solver in (ClarabelSolver, OsqpSolver)]
+    costs = [sum(c.evaluator().Eval(step[_at(made, c)])[0] for c in made.quadratic_costs()) for step in steps]
+    assert costs[0] < 0.0
+    assert costs[1] == pytest.approx(costs[0], rel=0.05)
+
+
+def _at(made: MathematicalProgram, cost: object) -> list[int]:
+    return [made.FindDecisionVariableIndex(v) for v in cost.variables()]  # type: ignore[attr-defined]
+
+
+def test_the_programs_cost_is_that_of_small_steps() -> None:
+    """Against differences of the real cost, through inverse kinematics."""
+    own = search()
+    made, unknowns = own._program()
+    rng = np.random.default_rng(3)
+    ratios = []
+    for _ in range(4):
+        step = 1e-3 * np.cumsum(rng.normal(size=unknowns.shape), axis=0) / np.sqrt(len(unknowns))
+        flat = step.ravel()
+        model = sum(c.evaluator().Eval(flat[_at(made, c)])[0] for c in made.quadratic_costs())
+        values = own.values + step * own.trust
+        joints = own.problem.joints(values, own.joints)
+        assert joints is not None
+        ratios.append((own.problem.cost(values, joints) - own.look.cost) / model)
+    assert np.ptp(ratios) <= 0.05 * np.mean(ratios)  # one scale for all of them
+
+
+def test_constraints_tell_distances_and_differences_of_small_steps() -> None:
+    """Against distances and differences of joints as they are after the step."""
+    own = search()
+    rates = own.problem.plant_rates(own.model, own.values, own.joints)
+    near = own.look.near
+    assert len(near.index) > 0
+    step = 1e-4 * np.sin(np.arange(own.values.size)).reshape(own.values.shape)
+    joints = own.problem.joints(own.values + step, own.joints)
+    assert joints is not None
+    expected = near.value + np.einsum("rj,rjf,rf->r", near.slope, rates[near.index], step[near.index])
+    left = {arm: joints[:, 6 * k : 6 * k + 6] for k, arm in enumerate(own.targets.arms)}
+    least = np.full(len(joints), np.inf)
+    np.minimum.at(least, near.index, expected)
+    rows = np.flatnonzero(np.isfinite(least))
+    truth = clearance.least(own.model, {arm: q[rows] for arm, q in left.items()}, 0.2)
+    assert np.abs(truth.distance - least[rows]).max() <= 2e-6
+    for band in own.bands:
+        change = np.einsum("njf,nf->nj", rates, step)
+        assert (
+            np.abs(band.of(joints) - band.of(own.joints) - band.of(change)).max()
+            <= 1e-3 * np.abs(band.of(change)).max() + 1e-6
+        )
+
+
+def test_differences_of_a_polynomial_are_its_derivatives() -> None:
+    """Divided differences of t^2 and t^3 on uneven times, in closed form; none across a stop."""
+    time = np.cumsum(np.random.default_rng(1).uniform(0.1, 0.3, 20))
+    stop = np.zeros(20, dtype=bool)
+    stop[[0, 9, -1]] = True
+    second, third = program._bands(np.diff(time), stop)
+    assert np.allclose(second.of(time[:, None] ** 2), 2.0)
+    assert 8 not in second.first and len(second.first) == 17
+    assert not {7, 8} & set(third.first.tolist())
+    even = np.arange(20.0)
+    _, third = program._bands(np.diff(even), stop)
+    assert np.allclose(third.of(even[:, None] ** 3), 6.0)
+    assert program.peaks(np.diff(time), stop, time[:, None] ** 2)[0] == pytest.approx(2.0)
+
+
+def test_joined_tools_stand_as_wanted_between_targets_that_have_the_same_freedom() -> None:
+    """A wire whose slack goes along an arc: between targets of different slack it is off by the sagitta of
+    that arc, chord^2 / (8 radius)."""
+    radius, nodes = 0.4, np.linspace(-0.02, 0.02, 5)
+    count = 3
+    angle = nodes / radius
+    turn = np.stack([[[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]] for a in angle])
+    place = np.stack([radius * np.sin(angle), radius * (1 - np.cos(angle)), 0 * angle], axis=1)
+    table = np.broadcast_to(from_parts(turn, place), (count, 5, 4, 4))
+    base = arc_wire(count, spin=False)
+    still = np.broadcast_to(np.eye(4), (count, 5, 4, 4))
+    slack = TableFreedom(
+        "slack", nodes, {"left": still, "right": table}, np.full(count, -0.02), np.full(count, 0.02)
+    )
+    targets: Targets = dataclasses.replace(base, freedoms=(slack,))
+    assert program._is_joined(targets)
+    assert not program._is_joined(dataclasses.replace(targets, coupled=False))
+    same = np.array([[0.01], [0.01]])
+    assert np.abs(program._off_joined(targets, same, same)).max() <= 1e-12
+    off = program._off_joined(targets, np.array([[-0.01], [-0.01]]), np.array([[0.01], [0.01]]))
+    assert np.allclose(np.linalg.norm(off[:, 3:], axis=1), 0.02**2 / (8.0 * radius), rtol=1e-3)
+
+
+def test_without_solvers_the_banded_result_stays_and_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, plain = planned(monkeypatch, 40, used=False)
+    monkeypatch.setattr(program, "solvers", list)
+    _, plan = planned(monkeypatch, 40, used=True)
+    (note,) = [issue for issue in plan.issues if issue.code == "motion.solver"]
+    assert "neither Clarabel nor Osqp" in note.message
+    assert plan.metrics["program_used"] is False
+    assert all(np.array_equal(plan.q[arm], plain.q[arm]) for arm in plan.q)
+
+
+class Failing:
+    """A solver that never solves."""
+
+    def Solve(self, made: MathematicalProgram) -> object:
+        del made
+        return self
+
+    def GetSolution(self, unknowns: FloatArray) -> FloatArray:
+        return np.zeros(len(unknowns))
+
+    def is_success(self) -> bool:
+        return False
+
+
+def test_a_solver_that_fails_leaves_the_seed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(program, "solvers", lambda: [Failing()])
+    _, plan = planned(monkeypatch, 40, used=True)
+    assert plan.metrics["program_used"] is False
+    assert plan.metrics["program_reason"] == "Failing did not solve the program"
+
+
+def test_jobs_with_more_targets_keep_the_banded_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(program, "MOST_TARGETS", 39)
+    _, plan = planned(monkeypatch, 40, used=True)
+    assert plan.metrics["program_reason"] == "40 targets, the program is for 39 at most"
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "reason"),
+    [("cost", 1.0, "it costs no less"), ("peaks", 1.05, "its peak of joint acceleration is 1.050 times as")],
+)
+def test_a_path_that_is_worse_in_anything_is_not_taken(
+    monkeypatch: pytest.MonkeyPatch, name: str, factor: float, reason: str
+) -> None:
+    made: list[Improved] = []
+
+    def worse(seed: operation._Driven, driven: operation._Driven) -> str:
+        made.append(driven.path)
+        if name == "cost":
+            return real(seed, dataclasses.replace(driven, path=seed.path))
+        peaks = seed.peaks()
+        monkeypatch.setattr(
+            operation._Driven, "peaks", lambda own: peaks if own is seed else tuple(factor * p for p in peaks)
+        )
+        return real(seed, driven)
+
+    real = operation._worse
+    monkeypatch.setattr(operation, "_worse", worse)
+    _, plan = planned(monkeypatch, 40, used=True)
+    assert len(made) == 1
+    assert plan.metrics["program_used"] is False
+    assert plan.metrics["program_reason"].startswith(reason)
+
+
+def test_moves_that_come_too_near_narrow_the_next_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if the first program's moves 20 to 22 were not free: its path is held there, and still better."""
+    asked = []
+    real = operation._bad_moves
+
+    def bad(*given: object) -> object:
+        asked.append(given)
+        return np.array([20, 21, 22]) if len(asked) == 2 else real(*given)  # type: ignore[arg-type]
+
+    _, plain = planned(monkeypatch, 60, used=False)
+    monkeypatch.setattr(operation, "_bad_moves", bad)
+    _, plan = planned(monkeypatch, 60, used=True)
+    assert len(asked) >= 3
+    assert plan.metrics["program_used"] is True
+    around = slice(20 - 8, 22 + 8)
+    assert np.abs(plan.values[around] - plain.values[around]).max() <= 0.1 + 1e-9
