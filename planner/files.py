@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import shutil
 import signal
 import tempfile
@@ -192,3 +193,8 @@ def versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             out[name] = "not installed"
     return out
+
+
+def base_name(name: str) -> str:
+    """The last step of a file name, whatever system wrote it."""
+    return re.split(r"[/\\]", name)[-1]

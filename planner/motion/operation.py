@@ -255,6 +255,10 @@ def _programmed(
             told["program_reason"] = _worse(seed, driven)
             if told["program_reason"]:
                 break
+            shares = [
+                after / max(own, 1e-12) for own, after in zip(seed.peaks(), driven.peaks(), strict=True)
+            ]
+            told |= {"program_acceleration_share": shares[0], "program_jerk_share": shares[1]}
             return driven, {**told, "program_used": True, "program_gain": 1.0 - cost / before.cost}
         told["program_reason"] = "its moves come too near to something"
         rows |= trajopt.targets_around(targets.count, bad, reach)

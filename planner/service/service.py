@@ -30,8 +30,7 @@ from planner.service.models import Database, JobOut, default_url
 from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
 from planner.service.storage import Blob, Files, Storage, Upload
-from planner.service.upload_processes import Examiners, Reading, connection_closed
-from planner.service.uploaded_files import Examined
+from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
 
 PID_MARK: Final = ".pid-"
 """Stands before the process identifier in the name of a service's folder."""

@@ -31,10 +31,10 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 
+from planner.files import base_name
 from planner.issues import Issue
 from planner.reading.strict_yaml import MAX_YAML_BYTES
 from planner.service.security import MB, Limits, RefusedError, too_large
-from planner.service.uploaded_files import base_name
 
 CHUNK_BYTES: Final = 1 << 20
 """Bytes of a file that are read at once."""

@@ -22,10 +22,29 @@ from typing import Any, Final
 from planner.batch.workers import THREADS, module_path
 from planner.issues import Issue
 from planner.service.security import RefusedError
-from planner.service.uploaded_files import Examined
 
 MB: Final = 1 << 20
 """Bytes of a megabyte, as limits of memory are counted (2^20)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Examined:
+    """What is known of an upload. Where it can be read: ``text``, the problem as it stands alone, ``files``
+    {name in it: SHA-256}, its ``name``, ``digest``, ``processes`` and ``summary``; else errors alone."""
+
+    issues: tuple[Issue, ...]
+    name: str = ""
+    digest: str = ""
+    processes: tuple[str, ...] = ()
+    text: str = ""
+    files: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    summary: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    shapes: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def readable(self) -> bool:
+        """Whether the problem can be planned, as far as its file says."""
+        return bool(self.text)
 
 
 class Reading:

@@ -15,8 +15,7 @@ from starlette.requests import Request
 
 from planner.service.models import Database, default_url
 from planner.service.security import Auth, Limits, RefusedError
-from planner.service.upload_processes import Examiners, Reading, connection_closed
-from planner.service.uploaded_files import Examined
+from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
 from tests import small_problem
 from tests.service.support import InProcess, codes, named, until
 
