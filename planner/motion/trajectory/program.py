@@ -31,6 +31,8 @@ from planner.targets import TableFreedom, Targets
 
 MOST_TARGETS: Final = 1000
 """Jobs with more targets keep the banded result."""
+LEAST_TARGETS: Final = 3
+"""Of fewer there is no acceleration."""
 MOST_ROUNDS: Final = 6
 """Quadratic programs at most."""
 LEAST_GAIN_SHARE: Final = 3e-3
@@ -105,8 +107,8 @@ def optimise(
     """
     if targets.count > MOST_TARGETS:
         return Programmed(None, f"{targets.count} targets, the program is for {MOST_TARGETS} at most")
-    if scene.model is None or not targets.freedoms:
-        return Programmed(None, "nothing is free at any target")
+    if scene.model is None or not targets.freedoms or targets.count < LEAST_TARGETS:
+        return Programmed(None, "nothing is free at any target, or there are too few of them")
     ready = solvers()
     if not ready:
         return Programmed(None, "this build of Drake has no solver for it")
@@ -151,18 +153,19 @@ class _Search:
         ]
         self.wanted = np.minimum(scene.settings.clearance + RESERVE_M, self.look.least)
         self.off = np.maximum(np.abs(self.look.joined).max(axis=0, initial=0.0), JOINED_FLOOR)
+        ranges = [float((f.upper - f.lower).max()) for f in targets.freedoms]
         spans = [
-            TRUST_SHARE * float((f.upper - f.lower).max()) if slides_only(f) else TRUST_RAD
-            for f in targets.freedoms
+            TRUST_SHARE * (span or 1.0) if slides_only(f) else TRUST_RAD  # bounds hold what has no range
+            for f, span in zip(targets.freedoms, ranges, strict=True)
         ]
         self.trust = np.array(spans)
 
-    def run(self, solvers: Sequence[Any], budget: int) -> Programmed:
-        """Rounds until little is gained."""
+    def run(self, ready: Sequence[Any], budget: int) -> Programmed:
+        """Rounds until little is gained, by the first solver that is ``ready`` and solves."""
         before, rounds, used, reason = self.look.cost, 0, "", "the banded result cannot be bettered"
         while rounds < MOST_ROUNDS and self._asked() < budget:
             rounds += 1
-            step, used = self._solved(solvers)
+            step, used = self._solved(ready)
             if step is None:
                 reason = f"{used} did not solve the program"
                 break
@@ -219,11 +222,11 @@ class _Search:
         found = {arm: self.scene.chains[arm].pose(q[arm]) for arm in q}
         return all(float(np.abs(found[arm] - wanted[arm])[:, :3, 3].max()) <= EXACT for arm in q)
 
-    def _solved(self, solvers: Sequence[Any]) -> tuple[FloatArray | None, str]:
+    def _solved(self, ready: Sequence[Any]) -> tuple[FloatArray | None, str]:
         """The program's step (N, F) by the first solver that has one, None for none, and the solver."""
         program, unknowns = self._program()
         name = ""
-        for solver in solvers:
+        for solver in ready:
             name = solver_name(type(solver))
             with quiet():
                 found = solver.Solve(program)
@@ -240,7 +243,7 @@ class _Search:
         program = MathematicalProgram()
         unknowns = program.NewContinuousVariables(*values.shape, "step")
         blocks = [block * self.trust[:, None] * self.trust for block in blocks]
-        unit = LARGEST_ENTRY / max(float(np.abs(blocks[0]).max()), np.finfo(float).tiny)
+        unit = LARGEST_ENTRY / (float(np.abs(blocks[0]).max()) or 1.0)
         blocks, slope = [unit * block for block in blocks], unit * slope * self.trust
         _add_cost(program, unknowns, blocks, slope)
         low, high = (problem.lower - values) / self.trust, (problem.upper - values) / self.trust

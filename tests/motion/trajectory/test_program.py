@@ -22,7 +22,7 @@ from planner.motion.trajectory.joint_path import dense
 from planner.motion.trajectory.trajopt import Improved, PathProblem, improve
 from planner.plans import OperationPlan
 from planner.problem import Obstacle, Settings
-from planner.targets import TableFreedom, Targets
+from planner.targets import ScrewFreedom, TableFreedom, Targets
 from tests.motion.scenes import HIGH, pair
 
 
@@ -229,6 +229,20 @@ def test_without_solvers_the_banded_result_stays_and_it_is_told(monkeypatch: pyt
     assert "neither Clarabel nor Osqp" in note.message
     assert plan.metrics["program_used"] is False
     assert all(np.array_equal(plan.q[arm], plain.q[arm]) for arm in plan.q)
+
+
+def test_freedoms_without_a_range_and_few_targets_are_no_trouble() -> None:
+    own = search(3)
+    held = ScrewFreedom("slide", {"left": np.array([0.0, 0, 0, 1, 0, 0])}, np.zeros(3), np.zeros(3))
+    targets = dataclasses.replace(own.targets, freedoms=(*own.targets.freedoms, held))
+    values = np.append(own.values, np.zeros((3, 1)), axis=1)
+    seed = Improved(values, own.problem.split(own.joints), 1.0, 1.0, 0)
+    moves, branch = np.full(2, 0.1), own.problem.branch
+    made = program.optimise(own.scene, targets, branch, seed, moves, targets.stop, own.avoid, 100)
+    assert made.rounds > 0
+    if made.path is not None:
+        assert np.isfinite(made.path.values).all()
+        assert (made.path.values[:, -1] == 0.0).all()
 
 
 class Failing:
