@@ -313,8 +313,7 @@ def _gradients(
     again = (np.diff(key, axis=0, prepend=-1) == 0).all(axis=1) & deep[some]
     some = some[~again]  # of solids that overlap, one entry stands for both bodies
     row, gap, bodies, deep = row[some], gap[some], bodies[some], deep[some]
-    names = [(bounds.given[a].body, bounds.given[b].body) for a, b in solids[some].tolist()]
-    slope = _slopes(model, q, row, names, way[some], place[some])
+    slope = _slopes(model, q, row, [s.body for s in bounds.given], solids[some], way[some], place[some])
     for one in np.unique(row[deep]).tolist():
         own = np.flatnonzero(deep & (row == one))
         _drake_into(model, rows[one], ignore, bodies[own], own, gap, slope)
@@ -326,17 +325,17 @@ def _slopes(
     model: CellModel,
     q: Mapping[str, FloatArray],
     row: IndexArray,
-    names: Sequence[tuple[str, str]],
+    bodies: Sequence[str],
+    solids: IndexArray,
     way: FloatArray,
     place: FloatArray,
 ) -> FloatArray:
-    """Gradients (M, nq) [m/rad] of distances along lines ``way`` through ``place`` (M, 3) of pairs of bodies,
-    in rows (M,) of q."""
+    """Gradients (M, nq) [m/rad] of distances along lines ``way`` through ``place`` (M, 3) between ``solids``
+    (M, 2) of ``bodies``, in rows (M,) of q."""
     out = np.zeros((len(row), 6 * len(model.arms)))
     for k, arm in enumerate(model.arms):
-        count = np.array([[model.joints_of(arm, body) for body in pair] for pair in names], dtype=np.intp)
-        joint = np.arange(6)
-        moved = (joint < count.reshape(-1, 2, 1)).astype(np.float64)
+        count = np.array([model.joints_of(arm, body) for body in bodies], dtype=np.intp)[solids]
+        moved = (np.arange(6) < count.reshape(-1, 2, 1)).astype(np.float64)
         frames = model.bases[arm] @ link_frames(model.robots[arm], q[arm])[:, :6]
         axes = joint_axes(model.robots[arm], frames)[row]
         speed = np.cross(axes, place[:, None] - frames[row, :, :3, 3])
