@@ -157,6 +157,7 @@ class Avoid:
     the wrist moves against each other (hand and forearm of one arm) are always near, and would spoil the
     bounds: they are followed by their gradients. ``kinds`` are pairs of bodies that may meet, with the rows
     where they may. ``soft`` [m]: distances up to this above ``wanted`` count.
+    ``asked`` counts the targets that were measured.
     """
 
     def __init__(
