@@ -37,6 +37,8 @@ one is kept where others were too near [rad]."""
 PROGRAM_CORRIDORS: Final = ((8, 0.1), (24, 0.03), (64, 0.0))
 """The same of what Drake's program makes of that path, and how close to it [rad] the next is kept there."""
 
+PROGRAM_SHARES: Final = (1.0, 0.5, 0.25)
+"""Where its clock makes a path of the program's worse in anything, the path so far on the way to it is tried."""
 LEAST_BUDGET: Final = 128
 """Targets whose distances Drake's program may ask for at least; else as many as were asked for before it."""
 SLOWER_SHARE: Final = 1.002
@@ -231,6 +233,7 @@ def _programmed(
         return seed, {**told, "program_reason": "there is no optimised path to start from"}
     branch, before = found.path.branch, seed.path
     within, rows = targets, np.zeros(targets.count, dtype=np.bool_)
+    everywhere = ~rows
     budget = max(avoid.asked, LEAST_BUDGET)
     duration, stop = np.diff(seed.timed[1].time), seed.timed[0].stop
     for reach, width in PROGRAM_CORRIDORS:
@@ -241,29 +244,50 @@ def _programmed(
         told |= {"program_solver": made.solver, "program_reason": made.reason}
         if made.path is None:
             break
-        looked = dense(scene, targets, branch, made.path.q)
-        bad = _bad_moves(scene, targets, looked, np.ones(targets.count, dtype=np.bool_))
+        bad = _bad_moves(scene, targets, dense(scene, targets, branch, made.path.q), everywhere)
         if not len(bad):
-            cost = path_cost(scene, targets, made.path.values, made.path.q)
-            path = dataclasses.replace(before, values=made.path.values, q=made.path.q, cost=cost)
-            try:
-                driven = _Driven(path, looked, _clock(scene, targets, looked))
-                move_limits.require(scene, driven.timed[0], looked, driven.timed[1].time)
-            except TandemError as error:
-                told["program_reason"] = f"it cannot be driven: {error.issues[0].message}"
-                break
-            told["program_reason"] = _worse(seed, driven)
-            if told["program_reason"]:
-                break
-            shares = [
-                after / max(own, 1e-12) for own, after in zip(seed.peaks(), driven.peaks(), strict=True)
-            ]
-            told |= {"program_acceleration_share": shares[0], "program_jerk_share": shares[1]}
-            return driven, {**told, "program_used": True, "program_gain": 1.0 - cost / before.cost}
+            for share in PROGRAM_SHARES:
+                driven = _driven(scene, targets, branch, seed, made.path, share)
+                told["program_reason"] = driven if isinstance(driven, str) else _worse(seed, driven)
+                if isinstance(driven, _Driven) and not told["program_reason"]:
+                    return driven, {**told, **_gains(seed, driven), "program_used": True}
+            break
         told["program_reason"] = "its moves come too near to something"
         rows |= trajopt.targets_around(targets.count, bad, reach)
         within = trajopt.narrowed_freedoms(targets, trajopt.unwrapped(targets, before.values), rows, width)
     return seed, told
+
+
+def _driven(
+    scene: Scene, targets: Targets, branch: Mapping[str, int], seed: _Driven, path: Improved, share: float
+) -> _Driven | str:
+    """A path so far on the way from the one that it was made from to the one that Drake's program gave, with
+    its clock; or why it cannot be driven."""
+    problem, before = trajopt.PathProblem(scene, targets, branch, None), seed.path
+    start = trajopt.unwrapped(targets, before.values)
+    values = start + share * (path.values - start)
+    joints = problem.joints(values, problem.stack(before.q))
+    if joints is None:
+        return "it loses its branch or a margin"
+    q = problem.split(joints)
+    samples = dense(scene, targets, branch, q)
+    if len(_bad_moves(scene, targets, samples, np.ones(targets.count, dtype=np.bool_))):
+        return "its moves come too near to something"
+    cost = path_cost(scene, targets, values, q)
+    try:
+        timed = _clock(scene, targets, samples)
+        move_limits.require(scene, timed[0], samples, timed[1].time)
+    except TandemError as error:
+        return f"it cannot be driven: {error.issues[0].message}"
+    return _Driven(dataclasses.replace(before, values=values, q=q, cost=cost), samples, timed)
+
+
+def _gains(seed: _Driven, driven: _Driven) -> dict[str, float]:
+    """What a driven path's cost and peaks are beside those of the one that it was made from."""
+    shares = [after / max(own, 1e-12) for own, after in zip(seed.peaks(), driven.peaks(), strict=True)]
+    gain = 1.0 - driven.path.cost / seed.path.cost
+    names = ("program_gain", "program_acceleration_share", "program_jerk_share")
+    return dict(zip(names, (gain, *shares), strict=True))
 
 
 def _worse(seed: _Driven, driven: _Driven) -> str:

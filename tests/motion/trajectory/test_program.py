@@ -294,9 +294,22 @@ def test_a_path_that_is_worse_in_anything_is_not_taken(
     real = operation._worse
     monkeypatch.setattr(operation, "_worse", worse)
     _, plan = planned(monkeypatch, 40, used=True)
-    assert len(made) == 1
+    assert len(made) == len(operation.PROGRAM_SHARES)
     assert plan.metrics["program_used"] is False
     assert plan.metrics["program_reason"].startswith(reason)
+
+
+def test_a_path_whose_clock_makes_it_worse_is_gone_half_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, plain = planned(monkeypatch, 40, used=False)
+    _, whole = planned(monkeypatch, 40, used=True)
+    said = iter(("its peak of joint jerk is 1.050 times as high", ""))
+    monkeypatch.setattr(operation, "_worse", lambda *_: next(said))
+    scene, half = planned(monkeypatch, 40, used=True)
+    assert half.metrics["program_used"] is True
+    assert np.allclose(half.values, 0.5 * (plain.values + whole.values), atol=1e-12)
+    wanted = scene.tcp(half.targets, half.values)
+    for arm, q in half.q.items():
+        assert np.abs(scene.chains[arm].pose(q) - wanted[arm])[:, :3, 3].max() <= 1e-12
 
 
 def test_moves_that_come_too_near_narrow_the_next_program(monkeypatch: pytest.MonkeyPatch) -> None:
