@@ -1,7 +1,7 @@
 """``python -m bench [name ...]``: run measurements, print one table, write ``bench/results/<name>.json``.
 
-``python -m bench corpus --help``: ordinary jobs, and what becomes of them; it is not among the measurements
-that run by default.
+``python -m bench corpus --help``: ordinary jobs, and what becomes of them; ``python -m bench peers --help``:
+all rows beside other tools in one table. Neither is among the measurements that run by default.
 """
 
 from __future__ import annotations
@@ -39,11 +39,15 @@ def machine() -> dict[str, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the named measurements, all by default, or the corpus; returns 2 for an unknown name."""
+    """Run the named measurements, all by default, the corpus or the peers; returns 2 for an unknown name."""
     if arguments[:1] == ["corpus"]:
         from bench.corpus import command
 
         return command.main(arguments[1:])
+    if arguments[:1] == ["peers"]:
+        from bench import peers
+
+        return peers.main(arguments[1:])
     chosen = arguments or names()
     unknown = sorted(set(chosen) - set(names()))
     if unknown:
