@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from scipy.spatial.transform import RigidTransform
 from toppra import algorithm, constraint
@@ -267,7 +268,7 @@ def main(arguments: list[str]) -> int:
     table = Table("work", "peer", "ours, s", "peer's, s", "peer / ours", "note")
     for row in found:
         table.add_row(
-            row.work, row.peer, _figure(row.ours), _figure(row.theirs), _figure(row.ratio), row.note
+            row.work, row.peer, _figure(row.ours), _figure(row.theirs), _figure(row.ratio), escape(row.note)
         )
     Console(width=180).print(table)
     if wanted.write:
