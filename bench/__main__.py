@@ -1,7 +1,7 @@
 """``python -m bench [name ...]``: run measurements, print one table, write ``bench/results/<name>.json``.
 
-``python -m bench corpus --help``: ordinary jobs, and what becomes of them; it is not among the measurements
-that run by default.
+``python -m bench corpus --help``: ordinary jobs, and what becomes of them; ``python -m bench peers --help``:
+all rows beside other tools in one table. Neither is among the measurements that run by default.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 SUFFIX = "_bench"
@@ -39,11 +40,15 @@ def machine() -> dict[str, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the named measurements, all by default, or the corpus; returns 2 for an unknown name."""
+    """Run the named measurements, all by default, the corpus or the peers; returns 2 for an unknown name."""
     if arguments[:1] == ["corpus"]:
         from bench.corpus import command
 
         return command.main(arguments[1:])
+    if arguments[:1] == ["peers"]:
+        from bench import peers
+
+        return peers.main(arguments[1:])
     chosen = arguments or names()
     unknown = sorted(set(chosen) - set(names()))
     if unknown:
@@ -65,7 +70,9 @@ def main(arguments: list[str]) -> int:
 
 
 def _cell(value: object) -> str:
-    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else escape(str(value))
 
 
 if __name__ == "__main__":

@@ -289,8 +289,16 @@ def _first_that_works(
 
 
 def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> None:
-    """Homes that are not free wherever the stock is need no search for its place."""
+    """Bases that are inside of one another, and homes that are not free, wherever the stock is need no search
+    for its place."""
     away = from_parts(np.eye(3), np.array([AWAY_M, AWAY_M, AWAY_M]))  # so is what it stands on
+    out: list[Issue] = []
+    for setup, model in zip(stand.setups, models, strict=True):
+        found = [found for found in clearance.overlaps(model.with_stock(away)) if _between_bases(found)]
+        searched = {f"{arm.name}/base_link" for arm in setup.cell.arms if arm.base_auto}
+        out += [_overlap(setup, model, own) for own in found if not searched & set(own[:2])]
+    if out:
+        raise TandemError(list(aggregate(out)))
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         for job in jobs:
             scene = Scene.of(setup.cell, job.arms, away, problem.settings, model.with_stock(away))
@@ -319,28 +327,16 @@ def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, 
 
 def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list[Issue]:
     """``motion.overlap`` for bodies that are inside of one another where all stands as it is stated, with
-    homes that are not free."""
+    homes that are not free; these say nothing as long as bases are inside of one another."""
     out: list[Issue] = []
+    bases = False
     for setup, model in zip(stand.setups, models, strict=True):
         placed = model.with_stock(stand.place)
-        for one, other, deep in clearance.overlaps(placed):
-            own = "stock" in (one, other) and "support" not in (one, other)  # which moves with its block
-            move = _out_of(setup, placed, stand.place) if own else None
-            way = "" if move is None else ", ".join(f"{v / MM:g}" for v in move)
-            hint = "correct the place or the size of one of them; a block ends where its support begins"
-            what = f"{one} and {other} stand in one another, {deep / MM:.1f} mm deep"
-            out.append(
-                Issue(
-                    "motion.overlap",
-                    f"{what}; arms would go where something else is",
-                    bodies=(one, other),
-                    value=deep / MM,
-                    limit=1.0,
-                    unit="mm",
-                    hint=f"move the stock by ({way}) mm (tried); or {hint}" if move is not None else hint,
-                    remedy=None if move is None else Remedy("stock", "stock", _in_mm(move)),
-                )
-            )
+        found = clearance.overlaps(placed)
+        bases = bases or any(map(_between_bases, found))
+        out += [_overlap(setup, placed, own) for own in found]
+    if bases:
+        return list(aggregate(out))
     if not out:
         return []
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
@@ -351,6 +347,47 @@ def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list
             except TandemError as error:
                 out += error.issues
     return list(aggregate(out))
+
+
+Overlap = tuple[str, str, float]
+"""Two bodies that are inside of one another, and how deep [m]."""
+
+
+def _between_bases(found: Overlap) -> bool:
+    return all(body.endswith("/base_link") for body in found[:2])
+
+
+def _overlap(setup: Setup, placed: CellModel, found: Overlap) -> Issue:
+    """``motion.overlap`` of two bodies, with the move of the block that was tried or the bases to part."""
+    one, other, deep = found
+    what = f"{one} and {other} stand in one another, {deep / MM:.1f} mm deep"
+    field, remedy = None, None
+    if _between_bases(found):
+        names = [body.partition("/")[0] for body in (one, other)]
+        way = float(np.linalg.norm(placed.bases[names[0]][:3, 3] - placed.bases[names[1]][:3, 3]))
+        what = f"{what}: the bases of {names[0]} and {names[1]} are {way / MM:.1f} mm apart"
+        number = next(i for i, arm in enumerate(setup.cell.arms) if arm.name == names[1])
+        field = f"cell.arms.{number}.base"
+        hint = "state each arm's base where it stands in the cell, in mm and in the world's frame"
+    else:
+        what = f"{what}; arms would go where something else is"
+        hint = "correct the place or the size of one of them; a block ends where its support begins"
+        own = "stock" in (one, other) and "support" not in (one, other)  # which moves with its block
+        move = _out_of(setup, placed, placed.stock_pose) if own else None
+        if move is not None:
+            hint = f"move the stock by ({', '.join(f'{v / MM:g}' for v in move)}) mm (tried); or {hint}"
+            remedy = Remedy("stock", "stock", _in_mm(move))
+    return Issue(
+        "motion.overlap",
+        what,
+        field=field,
+        bodies=(one, other),
+        value=deep / MM,
+        limit=1.0,
+        unit="mm",
+        hint=hint,
+        remedy=remedy,
+    )
 
 
 def _out_of(setup: Setup, model: CellModel, place: FloatArray) -> FloatArray | None:

@@ -330,11 +330,12 @@ def require_home(scene: Scene, targets: Targets) -> None:
         return
     found = clearance.least(scene.model, q, 0.2)
     pair, distance = found.pair[0], float(found.distance[0]) / MM
+    said = f"{distance:.1f} mm apart" if distance > 0.0 else f"{-distance:.1f} mm inside of one another"
     raise TandemError(
         Issue(
             "motion.home",
-            f"at home {pair[0]} and {pair[1]} are {distance:.1f} mm apart, allowed is "
-            f"{scene.settings.clearance / MM:.1f} mm at least",
+            f"at home {pair[0]} and {pair[1]} are {said}, allowed is "
+            f"{scene.settings.clearance / MM:.1f} mm apart at least",
             bodies=pair,
             value=distance,
             limit=scene.settings.clearance / MM,

@@ -291,3 +291,38 @@ def test_a_home_in_a_box_is_found_by_the_check_as_by_the_plan(place: np.ndarray 
     with pytest.raises(TandemError) as caught:
         solve(job, [few])
     assert caught.value.issues[0].message == found[0].message
+
+
+@pytest.mark.parametrize("place", [HIGH, None])
+@pytest.mark.parametrize("apart", [0.0, 0.2])
+def test_bases_inside_of_one_another_are_told_as_that(place: np.ndarray | None, apart: float) -> None:
+    """The foot of an IRB 140 is 400 mm long, 300 mm wide and 165 mm high, its axis 1 is 132 mm from its
+    front (urdf/irb140.urdf): two that face each other 200 mm apart are 64 mm inside of one another, and as
+    deep as they are high on one place."""
+    _, few = pair(20)
+    job = problem(two_arms(apart), few, place)
+    (found,) = check(job, [few])
+    assert found.code == "motion.overlap"
+    assert found.bodies == ("left/base_link", "right/base_link")
+    assert found.field == "cell.arms.1.base"
+    assert found.value == pytest.approx(165.0 if apart == 0.0 else 63.5, abs=0.1)
+    assert f"the bases of left and right are {1e3 * apart:.1f} mm apart" in found.message
+    assert "home" not in str(found.hint)
+    with pytest.raises(TandemError) as caught:
+        solve(job, [few])
+    assert caught.value.issues == (found,)
+
+
+@pytest.mark.parametrize("place", [HIGH, None])
+def test_homes_that_touch_are_told_as_that(place: np.ndarray | None) -> None:
+    _, few = pair(20)
+    cell = two_arms(1.0)
+    reaching = np.deg2rad([0.0, 30.0, -10.0, 0.0, 60.0, 0.0])
+    cell = dataclasses.replace(cell, arms=tuple(dataclasses.replace(arm, home=reaching) for arm in cell.arms))
+    away = None if place is None else place + np.array([[0, 0, 0, 3.0], [0] * 4, [0] * 4, [0] * 4])
+    found = check(problem(cell, few, away), [few], advise=False)[0]
+    assert found.code == "motion.home"
+    assert {body.partition("/")[0] for body in found.bodies} == {"left", "right"}
+    assert found.value is not None
+    assert f"{-found.value:.1f} mm inside of one another" in found.message
+    assert "home_deg" in str(found.hint)
