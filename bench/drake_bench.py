@@ -38,6 +38,8 @@ from planner.cell.kinematics import forward
 from planner.cell.plant import rigid
 from planner.geometry.arrays import FloatArray, IndexArray
 from planner.motion.solve import solve
+from planner.plans import OperationPlan, Plan
+from planner.problem import Problem
 
 ASKED = 100
 """Targets of each job that the witness is asked."""
@@ -74,7 +76,10 @@ def run() -> list[dict[str, Any]]:
     """All rows: the witness of every bundled job of two arms, whole paths, forward kinematics."""
     rows = []
     for name in two_arm_jobs():
-        witness = planned(name)
+        problem = load(name)
+        plan = solve(problem, [job.targets() for job in processes.jobs(problem)])
+        rows += [program_row(name, operation) for operation in plan.operations]
+        witness = witness_of(problem, plan)
         kinds = (True, False) if witness.targets.coupled else (False,)
         rows += [witness_row(name, witness, spin) for spin in kinds]
         if name == WIRE_JOB:
@@ -83,14 +88,37 @@ def run() -> list[dict[str, Any]]:
 
 
 def planned(name: str) -> Witness:
-    """The witness of a bundled job's operation with two arms, planned here: the first one with a wire, if
-    any."""
+    """The witness of a bundled job, planned here."""
     problem = load(name)
-    plan = solve(problem, [job.targets() for job in processes.jobs(problem)])
+    return witness_of(problem, solve(problem, [job.targets() for job in processes.jobs(problem)]))
+
+
+def witness_of(problem: Problem, plan: Plan) -> Witness:
+    """The witness of a plan's operation with two arms: the first one with a wire, if any."""
     both = [k for k, own in enumerate(plan.operations) if len(own.targets.arms) == 2]
     chosen = max(both, key=lambda k: (plan.operations[k].targets.coupled, -k))
     k = next(k for k, own in enumerate(problem.setups) if chosen in own.operations)
     return of_plan(problem.setups[k].cell, plan.bases, plan.places[k], plan.operations[chosen])
+
+
+def program_row(name: str, operation: OperationPlan) -> dict[str, Any]:
+    """Drake's program over the freedoms of all targets, after the banded form: its time with the clock of its
+    path, beside that of the banded form. Wall time, of one run."""
+    told, stages = operation.metrics, operation.metrics["stages"]
+    note = f"not taken: {told.get('program_reason')}"
+    if told["program_used"]:
+        note = (
+            f"taken, cost {told['trajopt_cost'] / (1.0 - told['program_gain']):.4g} -> {told['trajopt_cost']:.4g}, "
+            f"acceleration {told['program_acceleration_share']:.3f}, jerk {told['program_jerk_share']:.3f} of the "
+            f"banded path's; {told['program_rounds']} programs by {told['program_solver']}, "
+            f"{told['program_asked']} targets measured; wall time"
+        )
+    return {
+        "name": f"Drake program, {name}, {operation.name}: {operation.targets.count} targets",
+        "median_s": stages["program"],
+        "ratio": stages["program"] / stages["trajopt"],
+        "note": note,
+    }
 
 
 def witness_row(name: str, witness: Witness, spin: bool) -> dict[str, Any]:

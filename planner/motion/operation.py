@@ -38,7 +38,7 @@ PROGRAM_CORRIDORS: Final = ((8, 0.1), (24, 0.03), (64, 0.0))
 """The same of what Drake's program makes of that path, and how close to it [rad] the next is kept there."""
 
 PROGRAM_SHARES: Final = (1.0, 0.5, 0.25)
-"""Where its clock makes a path of the program's worse in anything, the path so far on the way to it is tried."""
+"""Where its clock makes a path of the program worse in anything, the path so far on the way is tried."""
 LEAST_BUDGET: Final = 128
 """Targets whose distances Drake's program may ask for at least; else as many as were asked for before it."""
 SLOWER_SHARE: Final = 1.002
