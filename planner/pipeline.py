@@ -1,5 +1,7 @@
 """The whole way through: problem -> targets -> plan -> programs -> proof -> files. This file is the house in
 one page.
+
+Who only reads a problem waits for no Drake: what motion, proof and report need is imported where they begin.
 """
 
 from __future__ import annotations
@@ -9,31 +11,37 @@ import dataclasses
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from planner import plans, processes, spec
-from planner.cell import support
-from planner.files import RESULT, claim_folder, is_file, write_folder, write_whole
-from planner.forming.support.clearance import wider_mm
+from planner import processes, spec
+from planner.files import RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
-from planner.motion import solve
-from planner.plans import Plan
-from planner.post import write
 from planner.problem import Problem
 from planner.reading import problem as problem_file
 from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document
-from planner.report import output
-from planner.report.replay import Viewer
-from planner.targets import Job, Targets
-from planner.verify import partial, prove, result
-from planner.verify.partial import Partial
-from planner.verify.programs import program_text
-from planner.verify.result import Proof
+
+if TYPE_CHECKING:
+    from planner.plans import Plan
+    from planner.report.replay import Viewer
+    from planner.targets import Job, Targets
+    from planner.verify.partial import Partial
+    from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
 MAX_PROGRAM_BYTES = 20_000_000
 """Programs are read up to this size."""
+
+
+def ready() -> None:
+    """Import what planning, proof and report need, Drake among it: a second of work, which a process that is
+    to plan later may do early. Ctrl-C waits for its end: an import that is interrupted may swallow it."""
+    with unhurried():
+        from planner import plans  # noqa: F401
+        from planner.motion import solve  # noqa: F401
+        from planner.post import write  # noqa: F401
+        from planner.report import output  # noqa: F401
+        from planner.verify import partial, prove  # noqa: F401
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,6 +76,9 @@ class Outcome:
 
     def save(self, folder: str | Path, progress: Progress | None = None) -> None:
         """Write the result folder: programs only if verified, plan, report, replay, simulated part."""
+        from planner import plans
+        from planner.report import output
+
         tell = progress or _silent
         tell("report", 0.0)
         files: dict[str, str | bytes] = dict(output.files(self.problem, self.plan, self.proof))
@@ -80,6 +91,8 @@ class Outcome:
     def show(self, browser: bool = True) -> Viewer:
         """The replay in Meshcat on this machine: a notebook shows what this returns; ``browser`` opens a tab,
         too. Raises ``TandemError`` (``report.replay_failed``) where Meshcat cannot start."""
+        from planner.report import output
+
         viewer = output.show(self.problem, self.plan)
         if browser:
             webbrowser.open(viewer.url)
@@ -106,6 +119,8 @@ def _read(document: Document) -> Problem:
     try:
         return problem_file.build(document, processes.readers())
     except TandemError as error:
+        from planner.forming.support.clearance import wider_mm
+
         raise TandemError(size_advice.advised(document, error.issues, _changed, wider_mm)) from None
 
 
@@ -148,6 +163,8 @@ def save(problem: Problem | spec.Problem, path: str | Path, overwrite: bool = Fa
 
 def _changed(document: Document, far: bool) -> list[Issue]:
     """Issues of a changed problem before motion, and with ``far`` of a first look at that too."""
+    from planner.motion import solve
+
     problem = problem_file.build(document, processes.readers())
     targets = _targets(problem, processes.jobs(problem))
     found = [*_stands(problem), *(issue for item in targets for issue in item.issues)]
@@ -168,6 +185,11 @@ def plan(problem: Problem | spec.Problem, progress: Progress | None = None) -> O
     """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible."""
     problem, tell = built(problem), progress or _silent
     tell("targets", 0.0)
+    ready()
+    from planner.motion import solve
+    from planner.post import write
+    from planner.verify import prove
+
     jobs = processes.jobs(problem)
     targets = _targets(problem, jobs)
     claims = processes.claims(problem, jobs)
@@ -197,6 +219,10 @@ def check(problem: Problem | spec.Problem) -> tuple[Issue, ...]:
         problem = built(problem)
     except TandemError as error:
         return error.issues
+    ready()
+    from planner.motion import solve
+    from planner.post import write
+
     notes = _notes(problem)
     try:
         targets = _targets(problem, processes.jobs(problem))
@@ -227,6 +253,8 @@ def _targets(problem: Problem, jobs: Sequence[Job[Any]]) -> list[Targets]:
 
 def _stands(problem: Problem) -> list[Issue]:
     """What is to be told of what the blocks stand on."""
+    from planner.cell import support
+
     return list(judged(support.issues(problem), problem.accept))
 
 
@@ -253,6 +281,9 @@ def _notes(problem: Problem) -> tuple[Issue, ...]:
 def verify(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Proof:
     """Prove programs from their text and the problem alone."""
     problem = built(problem)
+    ready()
+    from planner.verify import prove
+
     return prove.prove(problem, processes.claims(problem), programs)
 
 
@@ -262,7 +293,11 @@ _PROGRAM_SUFFIXES = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src",
 
 def read_partly(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Partial:
     """How much of programs of any origin is read and proven, for the cell of ``problem``."""
-    return partial.read_partly(built(problem), programs)
+    problem = built(problem)
+    ready()
+    from planner.verify import partial
+
+    return partial.read_partly(problem, programs)
 
 
 def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
@@ -284,6 +319,8 @@ def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
 
 
 def _text(path: Path) -> str:
+    from planner.verify.programs import program_text
+
     try:
         if path.stat().st_size <= MAX_PROGRAM_BYTES:
             text = program_text.decode(path.read_bytes(), path.name)
@@ -316,6 +353,9 @@ def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str
     """Write the report alone, for a problem that was refused or has no plan; removes what an older run
     left.
     """
+    ready()
+    from planner.report import output
+
     write_folder(Path(folder), {"report.html": output.failure(problem, issues)}, RESULT)
 
 
@@ -328,6 +368,9 @@ def _with_margins(
     made: Plan, problem: Problem, programs: Mapping[str, str], proof: Proof
 ) -> Mapping[str, str]:
     """The proven programs with the proof's margins in their headers, which must change comments alone."""
+    from planner.post import write
+    from planner.verify import result
+
     final = write.programs(made, problem, result.text(proof))
     if not result.same_program(programs, final):
         raise TandemError(

@@ -65,8 +65,11 @@ def _answer(answers: TextIO, kind: str, content: object) -> None:
 
 def _planning() -> Solve:
     """All that planning needs; importing it takes longer than many a job."""
+    from planner import pipeline
     from planner.batch.run import solve
     from planner.cell import plant
+
+    pipeline.ready()
 
     models = plant.keep_models()
 

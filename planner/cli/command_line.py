@@ -64,26 +64,27 @@ def plan(
         output: folder for programs, report, replay and plan.
         sign: an Ed25519 key of OpenSSH, by which the result is signed if it is verified.
     """
-    pipeline = _pipeline()
-
     started = time.perf_counter()
-    try:
-        key = None if sign is None else statement.read_private_key(sign)
-        pipeline.claim_output(output, problem)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    try:
-        loaded = pipeline.load(problem)
-    except TandemError as error:
-        pipeline.save_failure(None, error.issues, output)
-        return _refused(error, BAD_INPUT)
-    try:
-        with _progress() as progress:
+    with _progress() as progress:
+        progress("reading", 0.0)  # before what is imported for it
+        pipeline = _pipeline()
+        try:
+            key = None if sign is None else statement.read_private_key(sign)
+            pipeline.claim_output(output, problem)
+        except TandemError as error:
+            return _refused(error, BAD_INPUT)
+        try:
+            loaded = pipeline.load(problem)
+        except TandemError as error:
+            pipeline.save_failure(None, error.issues, output)
+            return _refused(error, BAD_INPUT)
+        progress("reading", 1.0)
+        try:
             outcome = pipeline.plan(loaded, progress)
             outcome.save(output, progress)
-    except TandemError as error:
-        pipeline.save_failure(loaded, error.issues, output)
-        return _refused(error, _infeasible_code(error))
+        except TandemError as error:
+            pipeline.save_failure(loaded, error.issues, output)
+            return _refused(error, _infeasible_code(error))
     _print_issues(outcome.issues)
     _summary(outcome, output, time.perf_counter() - started)
     if key is not None and not _signed(output, loaded, outcome.proof, key):
@@ -363,7 +364,8 @@ def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 def _pipeline() -> ModuleType:
-    """The pipeline, imported when a command needs it: Drake takes a second, and talks unasked.
+    """The pipeline, imported when a command needs it: it takes half a second, and Drake, which it imports
+    for planning, talks unasked.
 
     The arrays are small: threads of the linear algebra only get in each other's way, and their number must
     not change a plan. NumPy reads these when it is loaded; who sets them keeps what was set.
