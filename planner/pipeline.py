@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner import processes, spec
+from planner.batch import worker
 from planner.files import RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.problem import Problem
@@ -23,9 +24,11 @@ from planner.reading.strict_yaml import Document
 
 if TYPE_CHECKING:
     from planner.plans import Plan
+    from planner.report.cell_picture import Picture
     from planner.report.replay import Viewer
     from planner.targets import Job, Targets
     from planner.verify.partial import Partial
+    from planner.verify.prove import Begin
     from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
@@ -46,12 +49,16 @@ def ready() -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """A plan, its programs and their proof. ``programs`` is empty unless the proof holds."""
+    """A plan, its programs and their proof. ``programs`` is empty unless the proof holds; ``pictures`` of the
+    report are there where a second process has drawn them."""
 
     problem: Problem
     plan: Plan
     proof: Proof
     programs: Mapping[str, str]
+    pictures: tuple[tuple[str, Picture], ...] | None = dataclasses.field(
+        default=None, repr=False, compare=False, kw_only=True
+    )
 
     def __repr__(self) -> str:
         passed = sum(rule.passed for rule in self.proof.rules)
@@ -81,7 +88,7 @@ class Outcome:
 
         tell = progress or _silent
         tell("report", 0.0)
-        files: dict[str, str | bytes] = dict(output.files(self.problem, self.plan, self.proof))
+        files: dict[str, str | bytes] = dict(output.files(self.problem, self.plan, self.proof, self.pictures))
         files |= plans.dump(self.plan)
         files |= {f"problem/{name}": text for name, text in problem_file.bundle(self.problem).items()}
         files |= {f"programs/{name}": text for name, text in self.programs.items()}
@@ -181,13 +188,24 @@ def _contained() -> Iterator[None]:
 
 
 @_contained()
-def plan(problem: Problem | spec.Problem, progress: Progress | None = None) -> Outcome:
-    """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible."""
+def plan(problem: Problem | spec.Problem, progress: Progress | None = None, processes: int = 1) -> Outcome:
+    """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible.
+
+    With ``processes=2`` a second process draws the report's pictures and looks at rules of the proof beside
+    this one, with 150 to 350 MB of memory of its own; what comes out is the same byte by byte.
+    """
     problem, tell = built(problem), progress or _silent
+    with worker.beginning(processes) as begin:
+        return _planned(problem, tell, begin, processes > 1)
+
+
+def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outcome:
+    """What :func:`plan` gives; ``begin`` begins what another process may do, with ``draw`` the pictures."""
     tell("targets", 0.0)
     ready()
     from planner.motion import solve
     from planner.post import write
+    from planner.report import output
     from planner.verify import prove
 
     jobs = processes.jobs(problem)
@@ -201,15 +219,17 @@ def plan(problem: Problem | spec.Problem, progress: Progress | None = None) -> O
     slow = [issue for job, motion in driven for issue in job.driven(motion.targets, motion.time)]
     if has_errors(slow):
         raise TandemError(slow)
+    drawn = begin(output.pictures, problem, made) if draw else None
     issues = (*_stands(problem), *made.issues)
     made = dataclasses.replace(made, issues=aggregate([*issues, *_unused(problem, issues)]))
     tell("programs", 0.0)
     made = dataclasses.replace(made, issues=(*made.issues, *write.notes(made, problem)))
     programs = write.programs(made, problem)
     tell("proof", 0.0)
-    proof = prove.prove(problem, claims, programs)
+    proof = prove.prove(problem, claims, programs, begin)
     tell("proof", 1.0)
-    return Outcome(problem, made, proof, _with_margins(made, problem, programs, proof) if proof.ok else {})
+    final = _with_margins(made, problem, programs, proof) if proof.ok else {}
+    return Outcome(problem, made, proof, final, pictures=None if drawn is None else tuple(drawn))
 
 
 @_contained()
@@ -278,13 +298,19 @@ def _notes(problem: Problem) -> tuple[Issue, ...]:
 
 
 @_contained()
-def verify(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Proof:
-    """Prove programs from their text and the problem alone."""
+def verify(problem: Problem | spec.Problem, programs: Mapping[str, str], processes: int = 1) -> Proof:
+    """Prove programs from their text and the problem alone; ``processes`` as for :func:`plan`."""
     problem = built(problem)
+    with worker.beginning(processes) as begin:
+        return _proven(problem, programs, begin)
+
+
+def _proven(problem: Problem, programs: Mapping[str, str], begin: Begin) -> Proof:
+    """The proof of programs; ``begin`` begins what another process may do."""
     ready()
     from planner.verify import prove
 
-    return prove.prove(problem, processes.claims(problem), programs)
+    return prove.prove(problem, processes.claims(problem), programs, begin)
 
 
 _PROGRAM_SUFFIXES = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src", ".dat", ".sub"})

@@ -80,7 +80,7 @@ def plan(
             return _refused(error, BAD_INPUT)
         progress("reading", 1.0)
         try:
-            outcome = pipeline.plan(loaded, progress)
+            outcome = pipeline.plan(loaded, progress, _processes())
             outcome.save(output, progress)
         except TandemError as error:
             pipeline.save_failure(loaded, error.issues, output)
@@ -139,7 +139,7 @@ def verify(
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     try:
-        proof = pipeline.verify(loaded, programs)
+        proof = pipeline.verify(loaded, programs, _processes())
     except TandemError as error:
         return _refused(error, NOT_PROVEN)
     foreign = problem is not None and not proof.read
@@ -377,6 +377,12 @@ def _pipeline() -> ModuleType:
 
     logging.getLogger("drake").setLevel(logging.WARNING)
     return pipeline
+
+
+def _processes() -> int:
+    """Processes for one plan: two where there are two cores for this one."""
+    able = getattr(os, "sched_getaffinity", None)  # not on every system
+    return min(2, len(able(0)) if able is not None else os.cpu_count() or 1)
 
 
 def _infeasible_code(error: TandemError) -> int:
