@@ -26,14 +26,15 @@ class Severity(StrEnum):
 @dataclasses.dataclass(frozen=True)
 class Remedy:
     """A change that was tried and helps: ``move_mm`` in the world of an obstacle, the stock or the base of an
-    arm, ``home_deg``, an arm's posture at home, or ``size_mm`` of a block; ``name`` is the obstacle's or the
-    arm's."""
+    arm, ``home_deg``, an arm's posture at home, ``size_mm`` of a block, or ``clearance_mm``; ``name`` is the
+    obstacle's or the arm's, else that of the field."""
 
-    what: Literal["obstacle", "stock", "base", "home", "size"]
+    what: Literal["obstacle", "stock", "base", "home", "size", "clearance"]
     name: str
     move_mm: tuple[float, float, float] | None = None
     home_deg: tuple[float, ...] | None = None
     size_mm: tuple[float, ...] | None = None
+    clearance_mm: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """The whole way through: problem -> targets -> plan -> programs -> proof -> files. This file is the house in
 one page.
+
+Who only reads a problem waits for no Drake: what motion, proof and report need is imported where they begin.
 """
 
 from __future__ import annotations
@@ -9,41 +11,54 @@ import dataclasses
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from planner import plans, processes, spec
-from planner.cell import support
-from planner.files import RESULT, claim_folder, is_file, write_folder, write_whole
-from planner.forming.support.clearance import wider_mm
+from planner import processes, spec
+from planner.batch import worker
+from planner.files import RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
-from planner.motion import solve
-from planner.plans import Plan
-from planner.post import write
 from planner.problem import Problem
 from planner.reading import problem as problem_file
 from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document
-from planner.report import output
-from planner.report.replay import Viewer
-from planner.targets import Job, Targets
-from planner.verify import partial, prove, result
-from planner.verify.partial import Partial
-from planner.verify.programs import program_text
-from planner.verify.result import Proof
+
+if TYPE_CHECKING:
+    from planner.plans import Plan
+    from planner.report.cell_picture import Picture
+    from planner.report.replay import Viewer
+    from planner.targets import Job, Targets
+    from planner.verify.partial import Partial
+    from planner.verify.prove import Begin
+    from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
 MAX_PROGRAM_BYTES = 20_000_000
 """Programs are read up to this size."""
 
 
+def ready() -> None:
+    """Import what planning, proof and report need, Drake among it: a second of work, which a process that is
+    to plan later may do early. Ctrl-C waits for its end: an import that is interrupted may swallow it."""
+    with unhurried():
+        from planner import plans  # noqa: F401
+        from planner.motion import solve  # noqa: F401
+        from planner.post import write  # noqa: F401
+        from planner.report import output  # noqa: F401
+        from planner.verify import partial, prove  # noqa: F401
+
+
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """A plan, its programs and their proof. ``programs`` is empty unless the proof holds."""
+    """A plan, its programs and their proof. ``programs`` is empty unless the proof holds; ``pictures`` of the
+    report are there where a second process has drawn them."""
 
     problem: Problem
     plan: Plan
     proof: Proof
     programs: Mapping[str, str]
+    pictures: tuple[tuple[str, Picture], ...] | None = dataclasses.field(
+        default=None, repr=False, compare=False, kw_only=True
+    )
 
     def __repr__(self) -> str:
         passed = sum(rule.passed for rule in self.proof.rules)
@@ -68,9 +83,12 @@ class Outcome:
 
     def save(self, folder: str | Path, progress: Progress | None = None) -> None:
         """Write the result folder: programs only if verified, plan, report, replay, simulated part."""
+        from planner import plans
+        from planner.report import output
+
         tell = progress or _silent
         tell("report", 0.0)
-        files: dict[str, str | bytes] = dict(output.files(self.problem, self.plan, self.proof))
+        files: dict[str, str | bytes] = dict(output.files(self.problem, self.plan, self.proof, self.pictures))
         files |= plans.dump(self.plan)
         files |= {f"problem/{name}": text for name, text in problem_file.bundle(self.problem).items()}
         files |= {f"programs/{name}": text for name, text in self.programs.items()}
@@ -80,6 +98,8 @@ class Outcome:
     def show(self, browser: bool = True) -> Viewer:
         """The replay in Meshcat on this machine: a notebook shows what this returns; ``browser`` opens a tab,
         too. Raises ``TandemError`` (``report.replay_failed``) where Meshcat cannot start."""
+        from planner.report import output
+
         viewer = output.show(self.problem, self.plan)
         if browser:
             webbrowser.open(viewer.url)
@@ -106,6 +126,8 @@ def _read(document: Document) -> Problem:
     try:
         return problem_file.build(document, processes.readers())
     except TandemError as error:
+        from planner.forming.support.clearance import wider_mm
+
         raise TandemError(size_advice.advised(document, error.issues, _changed, wider_mm)) from None
 
 
@@ -148,6 +170,8 @@ def save(problem: Problem | spec.Problem, path: str | Path, overwrite: bool = Fa
 
 def _changed(document: Document, far: bool) -> list[Issue]:
     """Issues of a changed problem before motion, and with ``far`` of a first look at that too."""
+    from planner.motion import solve
+
     problem = problem_file.build(document, processes.readers())
     targets = _targets(problem, processes.jobs(problem))
     found = [*_stands(problem), *(issue for item in targets for issue in item.issues)]
@@ -164,10 +188,26 @@ def _contained() -> Iterator[None]:
 
 
 @_contained()
-def plan(problem: Problem | spec.Problem, progress: Progress | None = None) -> Outcome:
-    """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible."""
+def plan(problem: Problem | spec.Problem, progress: Progress | None = None, processes: int = 1) -> Outcome:
+    """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible.
+
+    With ``processes=2`` a second process draws the report's pictures and looks at rules of the proof beside
+    this one, with 150 to 350 MB of memory of its own; what comes out is the same byte by byte.
+    """
     problem, tell = built(problem), progress or _silent
+    with worker.beginning(processes) as begin:
+        return _planned(problem, tell, begin, processes > 1)
+
+
+def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outcome:
+    """What :func:`plan` gives; ``begin`` begins what another process may do, with ``draw`` the pictures."""
     tell("targets", 0.0)
+    ready()
+    from planner.motion import solve
+    from planner.post import write
+    from planner.report import output
+    from planner.verify import prove
+
     jobs = processes.jobs(problem)
     targets = _targets(problem, jobs)
     claims = processes.claims(problem, jobs)
@@ -179,15 +219,17 @@ def plan(problem: Problem | spec.Problem, progress: Progress | None = None) -> O
     slow = [issue for job, motion in driven for issue in job.driven(motion.targets, motion.time)]
     if has_errors(slow):
         raise TandemError(slow)
+    drawn = begin(output.pictures, problem, made) if draw else None
     issues = (*_stands(problem), *made.issues)
     made = dataclasses.replace(made, issues=aggregate([*issues, *_unused(problem, issues)]))
     tell("programs", 0.0)
     made = dataclasses.replace(made, issues=(*made.issues, *write.notes(made, problem)))
     programs = write.programs(made, problem)
     tell("proof", 0.0)
-    proof = prove.prove(problem, claims, programs)
+    proof = prove.prove(problem, claims, programs, begin)
     tell("proof", 1.0)
-    return Outcome(problem, made, proof, _with_margins(made, problem, programs, proof) if proof.ok else {})
+    final = _with_margins(made, problem, programs, proof) if proof.ok else {}
+    return Outcome(problem, made, proof, final, pictures=None if drawn is None else tuple(drawn))
 
 
 @_contained()
@@ -197,6 +239,10 @@ def check(problem: Problem | spec.Problem) -> tuple[Issue, ...]:
         problem = built(problem)
     except TandemError as error:
         return error.issues
+    ready()
+    from planner.motion import solve
+    from planner.post import write
+
     notes = _notes(problem)
     try:
         targets = _targets(problem, processes.jobs(problem))
@@ -227,6 +273,8 @@ def _targets(problem: Problem, jobs: Sequence[Job[Any]]) -> list[Targets]:
 
 def _stands(problem: Problem) -> list[Issue]:
     """What is to be told of what the blocks stand on."""
+    from planner.cell import support
+
     return list(judged(support.issues(problem), problem.accept))
 
 
@@ -250,10 +298,19 @@ def _notes(problem: Problem) -> tuple[Issue, ...]:
 
 
 @_contained()
-def verify(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Proof:
-    """Prove programs from their text and the problem alone."""
+def verify(problem: Problem | spec.Problem, programs: Mapping[str, str], processes: int = 1) -> Proof:
+    """Prove programs from their text and the problem alone; ``processes`` as for :func:`plan`."""
     problem = built(problem)
-    return prove.prove(problem, processes.claims(problem), programs)
+    with worker.beginning(processes) as begin:
+        return _proven(problem, programs, begin)
+
+
+def _proven(problem: Problem, programs: Mapping[str, str], begin: Begin) -> Proof:
+    """The proof of programs; ``begin`` begins what another process may do."""
+    ready()
+    from planner.verify import prove
+
+    return prove.prove(problem, processes.claims(problem), programs, begin)
 
 
 _PROGRAM_SUFFIXES = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src", ".dat", ".sub"})
@@ -262,7 +319,11 @@ _PROGRAM_SUFFIXES = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src",
 
 def read_partly(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Partial:
     """How much of programs of any origin is read and proven, for the cell of ``problem``."""
-    return partial.read_partly(built(problem), programs)
+    problem = built(problem)
+    ready()
+    from planner.verify import partial
+
+    return partial.read_partly(problem, programs)
 
 
 def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
@@ -284,6 +345,8 @@ def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
 
 
 def _text(path: Path) -> str:
+    from planner.verify.programs import program_text
+
     try:
         if path.stat().st_size <= MAX_PROGRAM_BYTES:
             text = program_text.decode(path.read_bytes(), path.name)
@@ -316,6 +379,9 @@ def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str
     """Write the report alone, for a problem that was refused or has no plan; removes what an older run
     left.
     """
+    ready()
+    from planner.report import output
+
     write_folder(Path(folder), {"report.html": output.failure(problem, issues)}, RESULT)
 
 
@@ -328,6 +394,9 @@ def _with_margins(
     made: Plan, problem: Problem, programs: Mapping[str, str], proof: Proof
 ) -> Mapping[str, str]:
     """The proven programs with the proof's margins in their headers, which must change comments alone."""
+    from planner.post import write
+    from planner.verify import result
+
     final = write.programs(made, problem, result.text(proof))
     if not result.same_program(programs, final):
         raise TandemError(

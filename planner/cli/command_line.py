@@ -64,26 +64,27 @@ def plan(
         output: folder for programs, report, replay and plan.
         sign: an Ed25519 key of OpenSSH, by which the result is signed if it is verified.
     """
-    pipeline = _pipeline()
-
     started = time.perf_counter()
-    try:
-        key = None if sign is None else statement.read_private_key(sign)
-        pipeline.claim_output(output, problem)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    try:
-        loaded = pipeline.load(problem)
-    except TandemError as error:
-        pipeline.save_failure(None, error.issues, output)
-        return _refused(error, BAD_INPUT)
-    try:
-        with _progress() as progress:
-            outcome = pipeline.plan(loaded, progress)
+    with _progress() as progress:
+        progress("reading", 0.0)  # before what is imported for it
+        pipeline = _pipeline()
+        try:
+            key = None if sign is None else statement.read_private_key(sign)
+            pipeline.claim_output(output, problem)
+        except TandemError as error:
+            return _refused(error, BAD_INPUT)
+        try:
+            loaded = pipeline.load(problem)
+        except TandemError as error:
+            pipeline.save_failure(None, error.issues, output)
+            return _refused(error, BAD_INPUT)
+        progress("reading", 1.0)
+        try:
+            outcome = pipeline.plan(loaded, progress, _processes())
             outcome.save(output, progress)
-    except TandemError as error:
-        pipeline.save_failure(loaded, error.issues, output)
-        return _refused(error, _infeasible_code(error))
+        except TandemError as error:
+            pipeline.save_failure(loaded, error.issues, output)
+            return _refused(error, _infeasible_code(error))
     _print_issues(outcome.issues)
     _summary(outcome, output, time.perf_counter() - started)
     if key is not None and not _signed(output, loaded, outcome.proof, key):
@@ -138,7 +139,7 @@ def verify(
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     try:
-        proof = pipeline.verify(loaded, programs)
+        proof = pipeline.verify(loaded, programs, _processes())
     except TandemError as error:
         return _refused(error, NOT_PROVEN)
     foreign = problem is not None and not proof.read
@@ -363,7 +364,8 @@ def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 def _pipeline() -> ModuleType:
-    """The pipeline, imported when a command needs it: Drake takes a second, and talks unasked.
+    """The pipeline, imported when a command needs it: it takes half a second, and Drake, which it imports
+    for planning, talks unasked.
 
     The arrays are small: threads of the linear algebra only get in each other's way, and their number must
     not change a plan. NumPy reads these when it is loaded; who sets them keeps what was set.
@@ -375,6 +377,12 @@ def _pipeline() -> ModuleType:
 
     logging.getLogger("drake").setLevel(logging.WARNING)
     return pipeline
+
+
+def _processes() -> int:
+    """Processes for one plan: two where there are two cores for this one."""
+    able = getattr(os, "sched_getaffinity", None)  # not on every system
+    return min(2, len(able(0)) if able is not None else os.cpu_count() or 1)
 
 
 def _infeasible_code(error: TandemError) -> int:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import trimesh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -56,6 +55,8 @@ def read_mesh(path: Path, unit: float) -> TriangleMesh:
         )
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise _refuse("mesh.unreadable", path, f"got '{path.suffix}', read are OBJ, STL and PLY; convert it")
+    import trimesh  # half a second that problems without meshes do not wait for
+
     try:
         data = path.read_bytes()
         if path.suffix.lower() == ".obj":

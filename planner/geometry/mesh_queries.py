@@ -10,7 +10,6 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-import trimesh
 from scipy.spatial import HalfspaceIntersection, KDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -192,6 +191,8 @@ def outer_hull(points: FloatArray) -> TriangleMesh:
 
     Raises ``ValueError`` for points in one plane.
     """
+    import trimesh  # slow to import
+
     try:
         hull = trimesh.convex.convex_hull(points)
     except Exception as error:  # qhull tells flat points by an error of its own

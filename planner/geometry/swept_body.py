@@ -240,8 +240,8 @@ def _count(corners: FloatArray, size: float) -> int:
     # so large triangles would be too many alone: their pieces are like them, and four times as many
     halves = np.maximum(np.ceil(np.log2(longest / size / 16.0)), 0.0)
     few = [
-        len(small_pieces(one[None], size * 2.0**half, ANY_NUMBER)[0]) * 4.0**half
-        for one, half in zip(some, halves, strict=True)
+        len(small_pieces(some[halves == half], size * 2.0**half, ANY_NUMBER)[0]) * 4.0**half
+        for half in np.unique(halves)
     ]
     return int(np.ceil(np.sum(few) * len(corners) / len(some)))
 

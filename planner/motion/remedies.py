@@ -83,6 +83,11 @@ FAR_TRIED: Final = 5
 FAR_APART_M: Final = 0.2
 """so far [m] apart."""
 
+CLEARANCE_STEP_MM: Final = 0.5
+"""Clearances that are tried are multiples of this [mm]."""
+MOST_CLEARANCES: Final = 5
+"""Clearances that are tried at most."""
+
 Plans = Callable[[Problem], bool]
 
 
@@ -109,6 +114,11 @@ def advised(
         told = dataclasses.replace(
             issues[first], hint=f"{_sentence(found)} (tried: it opens the way)", remedy=found
         )
+    room = _Trial(problem, targets[operation], operation, issues[first].index or 0, plans)
+    widest = room.clearances(issues[first]) if code == "collision" else None
+    if widest is not None:
+        also = f"{told.hint}; or {_sentence(widest)}"
+        told = dataclasses.replace(told, hint=also, remedy=told.remedy or widest)
     return [told if k == first else issue for k, issue in enumerate(issues)]
 
 
@@ -120,6 +130,9 @@ def applied(problem: Problem, remedy: Remedy) -> Problem:
         place = stock.place.copy()
         place[:3, 3] += shift
         return dataclasses.replace(problem, stock=dataclasses.replace(stock, place=place))
+    if remedy.clearance_mm is not None:
+        settings = dataclasses.replace(problem.settings, clearance=MM * remedy.clearance_mm)
+        return dataclasses.replace(problem, settings=settings)
     if remedy.what == "obstacle":
         moved = (_moved(o, shift) if o.name == remedy.name else o for o in cell.obstacles)
         return dataclasses.replace(problem, cell=dataclasses.replace(cell, obstacles=tuple(moved)))
@@ -135,6 +148,8 @@ def applied(problem: Problem, remedy: Remedy) -> Problem:
 
 
 def _sentence(remedy: Remedy) -> str:
+    if remedy.clearance_mm is not None:
+        return f"take clearance_mm: {remedy.clearance_mm:g}, the widest that works of those tried"
     if remedy.home_deg is not None:
         return f"take home_deg [{', '.join(f'{a:.4g}' for a in remedy.home_deg)}] for arm {remedy.name}"
     move = remedy.move_mm or (0.0, 0.0, 0.0)
@@ -248,6 +263,28 @@ class _Trial:
                 good = moves[score >= FAR_SHARE * score.max()]
                 return np.asarray(good[np.argsort(np.linalg.norm(good, axis=1), kind="stable")])
         return np.zeros((0, 3))
+
+    def clearances(self, issue: Issue) -> Remedy | None:
+        """The widest clearance with which the whole job is planned: what the best posture leaves where paths
+        end, or a step less, or where that is too much elsewhere, halved between until work runs out.
+
+        Not where curves of spline blocks need room besides, which the clearance here has in it.
+        """
+        best, wanted = issue.value or 0.0, self._problem.settings.clearance / MM
+        if not 0.0 < best < wanted or self._problem.cell.controller.path == "spline":
+            return None
+        low, high, found = 0, int(best / CLEARANCE_STEP_MM) + 1, None
+        for number in range(MOST_CLEARANCES):
+            value = high - 1 if number < 2 else (low + high) // 2
+            if not low < value < high:
+                break
+            remedy = Remedy("clearance", "clearance_mm", clearance_mm=value * CLEARANCE_STEP_MM)
+            changed = applied(self._problem, remedy)
+            if self._opens(changed, remedy) and self._plans(changed):
+                low, found = value, remedy
+            else:
+                high = value
+        return found
 
     @property
     def _stock_moves(self) -> bool:

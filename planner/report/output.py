@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -156,9 +156,20 @@ def _background(plan: Plan | None, extra: Extra) -> list[Section]:
     return out
 
 
-def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
+def pictures(problem: Problem, plan: Plan) -> Iterator[tuple[str, Picture]]:
+    """The pictures of the cell that the report shows, with their titles."""
+    yield from cell_picture.setup_pictures(_cell_model(problem, plan), problem, plan)
+
+
+def files(
+    problem: Problem,
+    plan: Plan,
+    proof: Proof | None,
+    drawn: Sequence[tuple[str, Picture]] | None = None,
+) -> dict[str, str]:
     """``report.html``, ``replay.html``, and with a proof ``proof.json`` and ``simulated_part.obj``, by name.
 
+    ``drawn``: what :func:`pictures` gives, where that is done already.
     Where Meshcat cannot start there is no replay, and the report says so.
     """
     model = _cell_model(problem, plan)
@@ -168,7 +179,9 @@ def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
         out["replay.html"] = replay.document(model, problem, plan, proof)
     except TandemError as error:
         issues = error.issues
-    extra = Extra(cell_picture.setup_pictures(model, problem, plan), model.pairs_filtered, issues=issues)
+    if drawn is None:
+        drawn = cell_picture.setup_pictures(model, problem, plan)
+    extra = Extra(drawn, model.pairs_filtered, issues=issues)
     out["report.html"] = render(problem, plan, proof, extra)
     if proof is not None:
         out["proof.json"] = _verdict(proof, accepted(plan.issues))

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
-import trimesh
 
 from planner.geometry.arrays import FloatArray, Shape, from_parts
 from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange
@@ -188,6 +187,7 @@ def _forming_solid(head: FormingHead, tcp: FloatArray) -> Shape:
     points = np.concatenate(
         [np.column_stack([r * ring, np.full(len(ring), -back)]) for back, r in outline if r > 0.0]
     )
+    import trimesh  # slow to import
 
     hull = trimesh.convex.convex_hull(points)
     return Shape("mesh", (), tcp, np.asarray(hull.vertices), np.asarray(hull.faces, dtype=np.int64))

@@ -109,6 +109,10 @@ class Context:
         self.untold = untold
         self.claims: tuple[Claim, ...] = tuple(claim for group in claims.values() for claim in group)
 
+    def __getstate__(self) -> dict[str, object]:
+        """For another process, in which claims have other identities."""
+        return {name: value for name, value in vars(self).items() if name != "_setup_of"}
+
     # ---- claims ----
 
     @property

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 
@@ -138,21 +138,21 @@ WIRE_RULES: tuple[Rule[[Context, tuple[Wire, ...]], Outcome], ...] = (
     wire.feed,
     straight_wire.bow,
     straight_wire.rulings,
-    cut_part.part,
     straight_wire.slit,
 )
 """Rules about wires."""
 OTHER_RULES: tuple[Rule[..., Any], ...] = (
+    cut_part.surface,
+    straight_wire.kerf,
+    part_file.part_file,
+    cut_part.ridges,
+    cut_part.part,
     robot_motion.kinematics,
     clearance.bodies,
     clearance.step_apart,
     clearance.wire_bodies,
-    cut_part.surface,
-    straight_wire.kerf,
-    cut_part.ridges,
-    part_file.part_file,
 )
-"""Rules about any motion that ask the most time."""
+"""Rules about any motion that ask the most time; another process may look at the last five of them."""
 FORMING_RULES: tuple[Rule[[Context, Forming], Outcome], ...] = (
     forming_part.forming_part,
     forming_claims.forming_claims,
@@ -221,6 +221,27 @@ PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
 """The rules that prove each kind of claim."""
 
 
+Found = TypeVar("Found")
+
+
+class Begin(Protocol):
+    """Begins a call of a generator function and gives back what it yields: perhaps from another process,
+    which then works it out from now on."""
+
+    def __call__(self, work: Callable[..., Iterator[Found]], *arguments: Any) -> Iterator[Found]:
+        """What ``work`` yields for ``arguments``."""
+
+
+def at_once(work: Callable[..., Iterator[Found]], *arguments: Any) -> Iterator[Found]:
+    """Works out a call in this process, where it is asked for."""
+    return work(*arguments)
+
+
+MOST_SENT_SAMPLES: Final = 500_000
+"""Samples of motions at most that go to another process [-]: 100 MB for two arms. For more, as forming jobs
+of an hour have, the copy costs more memory than it gains time: rules on bodies take a tenth of theirs."""
+
+
 def unproven(claims: Mapping[str, tuple[Claim, ...]]) -> list[Issue]:
     """What is claimed of an operation though no rule proves it, and operations of which nothing is claimed;
     ``claims`` by the operation's name."""
@@ -242,10 +263,11 @@ def unproven(claims: Mapping[str, tuple[Claim, ...]]) -> list[Issue]:
 @dataclasses.dataclass
 class Prover:
     """Proves programs of one problem. Keeps the Drake models of its setups between proofs, which then start
-    at once."""
+    at once. ``begin``: what begins rules that no other rule waits for."""
 
     problem: Problem
     claims: Mapping[str, tuple[Claim, ...]]
+    begin: Begin = at_once
     _models: dict[int, CellModel] = dataclasses.field(default_factory=dict)
     _worked_out: tuple[Mapping[str, tuple[Claim, ...]], tuple[Issue, ...]] | None = None
 
@@ -260,6 +282,10 @@ class Prover:
             if (first_error and run.broken) or last in run.results:
                 break
         return run.proof()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For another process, which has models of its own and begins nothing elsewhere."""
+        return {**vars(self), "begin": at_once, "_models": {}}
 
     def model(self, context: Context, index: int = 0) -> CellModel:
         """The cell of a setup, by its index, with block and bases where the text has them."""
@@ -299,7 +325,22 @@ class Prover:
             return
         yield from self._physics(context, run)
 
+    def _of_bodies(self, context: Context) -> Iterator[Any]:
+        """What rules on the cell's bodies find."""
+        models = functools.cache(functools.partial(self.model, context))
+        yield robot_motion.kinematics(context, models)
+        yield clearance.bodies(context, models)
+        yield clearance.step_apart(context, models)
+
+    def _of_wires(self, context: Context, wires: tuple[Wire, ...]) -> Iterator[Any]:
+        """What rules on wires find that ask the most time."""
+        yield cut_part.part(context, wires)
+        models = functools.cache(functools.partial(self.model, context))
+        yield clearance.wire_bodies(context, models, wires)
+
     def _physics(self, context: Context, run: _Run) -> Iterator[None]:
+        begin = self.begin if len(context.motion.time) <= MOST_SENT_SAMPLES else at_once
+        of_bodies = begin(self._of_bodies, context)
         forming = run.forming = Forming(context)
         for form_rule in FORMING_RULES:
             run.add(form_rule.code, form_rule(context, forming))
@@ -316,6 +357,7 @@ class Prover:
             yield
         wires = all_wires(context)
         run.wires = wires
+        of_wires = begin(self._of_wires, context, wires) if wires else self._of_wires(context, wires)
         for rule in WIRE_RULES:
             run.add(rule.code, rule(context, wires))
             yield
@@ -331,15 +373,16 @@ class Prover:
         run.add("verify.ridge", cut_part.ridges(context, wires))
         yield
         run.faces = (*cut_part.with_end_error(context, wires, run.faces), *formed, *milled)
-        models = functools.cache(functools.partial(self.model, context))
-        run.add("verify.kinematics", robot_motion.kinematics(context, models))
+        run.add("verify.part", next(of_wires))
         yield
-        outcome, run.looks, run.clearance = clearance.bodies(context, models)
+        run.add("verify.kinematics", next(of_bodies))
+        yield
+        outcome, run.looks, run.clearance = next(of_bodies)
         run.add("verify.clearance", outcome)
         yield
-        run.add("verify.step_apart", clearance.step_apart(context, models))
+        run.add("verify.step_apart", next(of_bodies))
         yield
-        outcome, run.wire_clearance = clearance.wire_bodies(context, models, wires)
+        outcome, run.wire_clearance = next(of_wires)
         run.add("verify.wire_clearance", outcome)
         yield
 
@@ -397,14 +440,20 @@ class _Run:
         )
 
 
-def prove(problem: Problem, claims: Mapping[str, tuple[Claim, ...]], programs: Mapping[str, str]) -> Proof:
+def prove(
+    problem: Problem,
+    claims: Mapping[str, tuple[Claim, ...]],
+    programs: Mapping[str, str],
+    begin: Begin = at_once,
+) -> Proof:
     """Prove programs from their text.
 
-    ``claims`` {operation: claims} follow from the problem; ``programs`` {file name: text}. What is wrong
+    ``claims`` {operation: claims} follow from the problem; ``programs`` {file name: text}. ``begin``: where
+    rules are looked at that wait for no other; the proof is the same wherever that is. What is wrong
     with the programs is in the proof; raises ``TandemError`` for programs so long that they are not looked at
     (verify.duration), and for claims that no rule proves (claims.unproven, claims.none).
     """
     refused = unproven(claims)
     if refused:
         raise TandemError(refused)
-    return Prover(problem, claims).prove(programs)
+    return Prover(problem, claims, begin).prove(programs)

@@ -21,7 +21,7 @@ from planner.motion.search.reach import Grid, Rungs, reach, sample
 from planner.motion.solve import solve
 from planner.problem import Obstacle, Problem, Settings
 from planner.targets import Targets
-from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, problem, two_arms
+from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, one_arm, problem, s_curve, two_arms
 
 STEP = np.deg2rad(30.0)
 SEEDS = [s if s < 12 else pytest.param(s, marks=pytest.mark.long) for s in range(64)]
@@ -175,6 +175,25 @@ def test_the_change_that_is_named_opens_the_way() -> None:
     assert Issue.from_dict(json.loads(json.dumps(issue.to_dict()))) == issue
     plan = solve(followed(job, issue.remedy), [targets])
     assert plan.operations[0].metrics["clearance_mm"] >= 10.0
+
+
+def test_the_widest_clearance_that_works_is_named() -> None:
+    """The tool ends 15 mm above its tip, all the way along a plate that is 3 mm above the tip: 12 mm apart,
+    of which the planner wants to be sure."""
+    cell, _ = s_curve(400)
+    _, targets = one_arm(24)
+    plate = box("plate", (0.3, 0.8, 0.02), (0.5, 0.0, 0.303 - 0.01))
+    far = from_parts(np.eye(3), np.array([-5.0, 0.0, 0.0]))
+    job = problem(dataclasses.replace(cell, obstacles=(plate,)), targets, far, Settings(clearance=0.02))
+    issue = refused(job, targets)
+    assert issue.code == "motion.collision"
+    assert issue.value == pytest.approx(12.0, abs=1e-3)
+    assert str(issue.hint).endswith("; or take clearance_mm: 11.5, the widest that works of those tried")
+    plan = solve(dataclasses.replace(job, settings=Settings(clearance=0.0115)), [targets])
+    assert plan.operations[0].metrics["clearance_mm"] == pytest.approx(12.0, abs=1e-3)
+    bow = dataclasses.replace(cell.controller, path="spline")
+    curved = dataclasses.replace(job, cell=dataclasses.replace(job.cell, controller=bow))
+    assert "clearance_mm: " not in str(refused(curved, targets).hint)
 
 
 def test_where_no_change_helps_what_was_tried_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

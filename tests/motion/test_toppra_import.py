@@ -1,5 +1,5 @@
-"""What times no path loads no pictures, and timing leaves Python's modules as they are: seen in processes of
-their own."""
+"""What times no path loads no pictures, what only reads a problem loads no Drake, and timing leaves modules
+of Python as they are: seen in processes of their own, by what they have loaded, never by how long it took."""
 
 from __future__ import annotations
 
@@ -7,21 +7,53 @@ import subprocess
 import sys
 from pathlib import Path
 
-SLOW = "[n for n in sys.modules if n.split('.')[0] in ('matplotlib', 'toppra')]"
+import pytest
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
 
 
-def _run(code: str) -> str:
+def _loaded(code: str, packages: tuple[str, ...]) -> set[str]:
+    """Which of ``packages`` a process has loaded that ran ``code``."""
+    code = f"import sys; {code}; print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return done.stdout.strip()
+    names = done.stderr.splitlines()[-1].split()
+    return {one for one in packages if any(f"{name}.".startswith(f"{one}.") for name in names)}
 
 
 def test_motion_loads_the_solver_where_it_is_asked_for() -> None:
-    assert _run(f"import sys, planner.motion.solve; print({SLOW})") == "[]"
-    assert "toppra.algorithm" in _run(f"import sys, planner.motion.trajectory.toppra_solver; print({SLOW})")
+    slow = ("matplotlib", "toppra")
+    assert not _loaded("import planner.motion.solve", slow)
+    assert "toppra" in _loaded("import planner.motion.trajectory.toppra_solver", slow)
 
 
 def test_check_loads_no_pictures() -> None:
-    problem = Path(__file__).parents[2] / "problems" / "engrave" / "problem.yaml"
-    code = "import sys; from planner import pipeline; "
-    code += f"found = pipeline.check(pipeline.load({str(problem)!r})); print({SLOW})"
-    assert _run(code) == "[]"
+    problem = PROBLEMS / "engrave" / "problem.yaml"
+    code = f"from planner import pipeline; found = pipeline.check(pipeline.load({str(problem)!r}))"
+    assert not _loaded(code, ("matplotlib", "toppra"))
+
+
+PLANNING = ("pydrake", "planner.cell", "planner.motion", "planner.post", "planner.verify", "planner.report")
+"""What plans, proves and draws, and loads Drake for that."""
+
+
+@pytest.mark.parametrize("name", ["wing", "column_capital"])
+def test_a_problem_is_read_without_what_plans_it(name: str) -> None:
+    """The wing and the capital, as a user loads them; no part of theirs is a mesh."""
+    assert not _loaded(f"import planner; planner.load({name!r})", (*PLANNING, "trimesh", "matplotlib"))
+
+
+def test_the_command_begins_with_little() -> None:
+    """The first message of any command waits for what is imported with its module; the catalogue is read
+    without what a problem needs."""
+    heavy = (
+        *PLANNING,
+        "trimesh",
+        "scipy",
+        "shapely",
+        "pydantic",
+        "planner.pipeline",
+        "fastapi",
+        "sqlalchemy",
+    )
+    assert not _loaded("import planner.cli.command_line", heavy)
+    assert not _loaded("from planner.cli.command_line import robots; robots()", heavy)

@@ -239,9 +239,9 @@ def _planned(path: Path) -> Verdict:
     written: dict[str, str] = {}
     own = prove.prove
 
-    def watched(problem: Problem, claims: Any, programs: Mapping[str, str]) -> Proof:
+    def watched(problem: Problem, claims: Any, programs: Mapping[str, str], *begin: Any) -> Proof:
         written.update(programs)
-        return own(problem, claims, programs)
+        return own(problem, claims, programs, *begin)
 
     prove.prove = watched
     try:

@@ -1,0 +1,180 @@
+"""A second process for one plan: what it works out is what is worked out here, it is never needed, and it is
+gone when its parent is."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner import pipeline
+from planner.batch.worker import SMALL_BYTES, Second, beginning
+from planner.issues import Issue, TandemError
+from planner.report import output
+from planner.verify.prove import prove
+from tests import small_problem
+from tests.verify import small_job, straight_job
+
+
+class Told(Second):
+    """Knows which calls were worked out there."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.done: list[bool] = []
+
+    def _asked(self, parts: Sequence[Any]) -> tuple[bool, tuple[Any, ...]]:
+        answer = super()._asked(parts)
+        self.done.append(answer[0])
+        return answer
+
+
+@pytest.fixture(scope="module")
+def second() -> Iterator[Told]:
+    with Told() as process:
+        yield process
+
+
+def arrays(given: np.ndarray) -> Iterator[object]:
+    """Arrays of all kinds, and where they come from."""
+    yield os.getpid()
+    yield given[::2]
+    yield np.asfortranarray(given)
+    yield {"one": given.sum(), "labels": np.array(["a", "bc"]), "none": np.zeros((0, 3))}
+
+
+def refuses(parent: int) -> Iterator[object]:
+    yield "not lost"
+    raise TandemError(Issue("verify.duration", f"refused in {os.getpid()} of {parent}"))
+
+
+def gives_up(parent: int) -> Iterator[object]:
+    if os.getpid() != parent:
+        raise SystemExit("as Drake does where a condition of its own fails")
+    yield "here"
+
+
+def is_killed(parent: int) -> Iterator[object]:
+    if os.getpid() != parent:
+        os.kill(os.getpid(), signal.SIGKILL)
+    yield "here"
+
+
+def gives_no_pickle(parent: int) -> Iterator[object]:
+    yield (lambda: parent) if os.getpid() != parent else "here"
+
+
+def test_results_come_back_as_they_are(second: Told) -> None:
+    given = np.random.default_rng(3).normal(size=(SMALL_BYTES // 8, 3))
+    first, again = (second.begin(arrays, given) for _ in range(2))
+    pid, *found = first
+    assert pid == next(again) != os.getpid()
+    _, *wanted = arrays(given)
+    for got, want in zip(found[:2], wanted[:2], strict=True):
+        assert isinstance(got, np.ndarray) and isinstance(want, np.ndarray)
+        assert got.tobytes() == want.tobytes()
+        assert got.flags.writeable
+    assert str(found[2]) == str(wanted[2])
+
+
+def test_what_fails_there_is_raised_as_it_is_here(second: Told) -> None:
+    found = second.begin(refuses, os.getpid())
+    assert next(found) == "not lost"
+    with pytest.raises(TandemError, match=f"refused in {os.getpid()} of {os.getpid()}"):
+        next(found)
+    for work in (gives_up, gives_no_pickle):
+        assert list(second.begin(work, os.getpid())) == ["here"]
+    assert list(second.begin(lambda: iter(["here"]))) == ["here"]
+
+
+def test_a_process_that_is_killed_is_not_missed() -> None:
+    with Second() as process:
+        calls = [process.begin(work, os.getpid()) for work in (is_killed, is_killed, gives_up)]
+        assert [list(call) for call in calls] == [["here"]] * 3
+
+
+@pytest.mark.parametrize("settings", [{}, {"clearance": 0.3}])
+@pytest.mark.parametrize("job", [small_job, straight_job])
+def test_the_proof_is_the_same(second: Told, job: ModuleType, settings: dict[str, float]) -> None:
+    """As text, byte by byte; also where more clearance is wanted than there is, with the same issues in the
+    same order: those rules are looked at in the second process."""
+    given = job.problem(**settings), job.claims(), job.programs()
+    second.done.clear()
+    one, two = prove(*given), prove(*given, second.begin)
+    assert second.done == [True, True]
+    assert bool(settings) == ("verify.clearance" in {issue.code for issue in one.issues})
+    assert output._verdict(one, ()) == output._verdict(two, ())
+    assert one.part_obj == two.part_obj
+    assert list(one.series) == list(two.series)
+    for name, values in one.series.items():
+        assert np.asarray(values).tobytes() == np.asarray(two.series[name]).tobytes(), name
+
+
+def test_a_result_is_the_same(tmp_path: Path) -> None:
+    """All files but the times that are measured; planned in a thread, as programs of others do."""
+    problem = pipeline.load(small_problem.write(tmp_path))
+
+    def planned(processes: int) -> None:
+        pipeline.plan(problem, processes=processes).save(tmp_path / str(processes))
+
+    for processes in (1, 2):
+        thread = threading.Thread(target=planned, args=(processes,))
+        thread.start()
+        thread.join()
+    one, two = ({p.relative_to(f): p for p in f.rglob("*.*")} for f in (tmp_path / "1", tmp_path / "2"))
+    assert one.keys() == two.keys()
+    for name in one.keys() - {Path("plan.json"), Path("report.html")}:
+        assert one[name].read_bytes() == two[name].read_bytes(), name
+    pictures = [
+        re.findall(r"data:image/png;base64,[^\"]*", f[Path("report.html")].read_text()) for f in (one, two)
+    ]
+    assert pictures[0] == pictures[1] != []
+
+
+def test_there_is_a_process_at_least() -> None:
+    with pytest.raises(ValueError, match="got 0 processes"), beginning(0):
+        pass
+
+
+PARENT = """
+import os, sys, time
+from planner.batch.worker import beginning
+from tests.batch.test_second_process import sleeps
+with beginning(2) as begin:
+    call = begin(sleeps)
+    print(begin.__self__._process.pid, flush=True)
+    next(call)
+"""
+
+
+def sleeps() -> Iterator[object]:
+    time.sleep(600.0)
+    yield None
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_it_ends_with_its_parent(number: signal.Signals) -> None:
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    assert parent.stdout is not None
+    pid = int(parent.stdout.readline())
+    assert Path(f"/proc/{pid}").exists()
+    parent.send_signal(number)
+    parent.communicate(timeout=30)
+    for _ in range(200):
+        if not Path(f"/proc/{pid}").exists():
+            return
+        time.sleep(0.05)
+    pytest.fail("the second process is still there")
