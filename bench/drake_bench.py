@@ -107,11 +107,12 @@ def program_row(name: str, operation: OperationPlan) -> dict[str, Any]:
     told, stages = operation.metrics, operation.metrics["stages"]
     note = f"not taken: {told.get('program_reason')}"
     if told["program_used"]:
+        before = told["trajopt_cost"] / (1.0 - told["program_gain"])
         note = (
-            f"taken, cost {told['trajopt_cost'] / (1.0 - told['program_gain']):.4g} -> {told['trajopt_cost']:.4g}, "
-            f"acceleration {told['program_acceleration_share']:.3f}, jerk {told['program_jerk_share']:.3f} of the "
-            f"banded path's; {told['program_rounds']} programs by {told['program_solver']}, "
-            f"{told['program_asked']} targets measured; wall time"
+            f"taken, cost {before:.4g} -> {told['trajopt_cost']:.4g}, acceleration "
+            f"{told['program_acceleration_share']:.3f}, jerk {told['program_jerk_share']:.3f} of the banded "
+            f"path's; {told['program_rounds']} programs by {told['program_solver']}, {told['program_asked']} "
+            "targets measured; wall time"
         )
     return {
         "name": f"Drake program, {name}, {operation.name}: {operation.targets.count} targets",

@@ -233,7 +233,6 @@ def _programmed(
         return seed, {**told, "program_reason": "there is no optimised path to start from"}
     branch, before = found.path.branch, seed.path
     within, rows = targets, np.zeros(targets.count, dtype=np.bool_)
-    everywhere = ~rows
     budget = max(avoid.asked, LEAST_BUDGET)
     duration, stop = np.diff(seed.timed[1].time), seed.timed[0].stop
     for reach, width in PROGRAM_CORRIDORS:
@@ -244,15 +243,15 @@ def _programmed(
         told |= {"program_solver": made.solver, "program_reason": made.reason}
         if made.path is None:
             break
-        bad = _bad_moves(scene, targets, dense(scene, targets, branch, made.path.q), everywhere)
+        bad = np.zeros(0, dtype=np.intp)
+        for share in PROGRAM_SHARES:
+            driven, told["program_reason"], bad = _driven(scene, targets, branch, seed, made.path, share)
+            if driven is not None:
+                return driven, {**told, **_gains(seed, driven), "program_used": True}
+            if len(bad):
+                break
         if not len(bad):
-            for share in PROGRAM_SHARES:
-                driven = _driven(scene, targets, branch, seed, made.path, share)
-                told["program_reason"] = driven if isinstance(driven, str) else _worse(seed, driven)
-                if isinstance(driven, _Driven) and not told["program_reason"]:
-                    return driven, {**told, **_gains(seed, driven), "program_used": True}
             break
-        told["program_reason"] = "its moves come too near to something"
         rows |= trajopt.targets_around(targets.count, bad, reach)
         within = trajopt.narrowed_freedoms(targets, trajopt.unwrapped(targets, before.values), rows, width)
     return seed, told
@@ -260,26 +259,29 @@ def _programmed(
 
 def _driven(
     scene: Scene, targets: Targets, branch: Mapping[str, int], seed: _Driven, path: Improved, share: float
-) -> _Driven | str:
+) -> tuple[_Driven | None, str, IndexArray]:
     """A path so far on the way from the one that it was made from to the one that Drake's program gave, with
-    its clock; or why it cannot be driven."""
+    its clock; else None, why it is not taken, and the moves that come too near to something."""
     problem, before = trajopt.PathProblem(scene, targets, branch, None), seed.path
-    start = trajopt.unwrapped(targets, before.values)
+    start, none = trajopt.unwrapped(targets, before.values), np.zeros(0, dtype=np.intp)
     values = start + share * (path.values - start)
     joints = problem.joints(values, problem.stack(before.q))
     if joints is None:
-        return "it loses its branch or a margin"
+        return None, "it loses its branch or a margin", none
     q = problem.split(joints)
     samples = dense(scene, targets, branch, q)
-    if len(_bad_moves(scene, targets, samples, np.ones(targets.count, dtype=np.bool_))):
-        return "its moves come too near to something"
+    bad = _bad_moves(scene, targets, samples, np.ones(targets.count, dtype=np.bool_))
+    if len(bad):
+        return None, "its moves come too near to something", bad
     cost = path_cost(scene, targets, values, q)
     try:
         timed = _clock(scene, targets, samples)
         move_limits.require(scene, timed[0], samples, timed[1].time)
     except TandemError as error:
-        return f"it cannot be driven: {error.issues[0].message}"
-    return _Driven(dataclasses.replace(before, values=values, q=q, cost=cost), samples, timed)
+        return None, f"it cannot be driven: {error.issues[0].message}", none
+    driven = _Driven(dataclasses.replace(before, values=values, q=q, cost=cost), samples, timed)
+    reason = _worse(seed, driven)
+    return (None if reason else driven), reason, none
 
 
 def _gains(seed: _Driven, driven: _Driven) -> dict[str, float]:
