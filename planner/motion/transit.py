@@ -8,6 +8,7 @@ pose.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Mapping
 from typing import Final
@@ -28,7 +29,7 @@ from planner.geometry.arrays import (
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.motion.planning_scene import TRANSIT_KIND, Scene
-from planner.motion.rrt import connect, way_free
+from planner.motion.rrt import Places, Rooms, Task, blocked_places, connect, shortened, travel
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.subsampling import subset
 from planner.motion.trajectory.hinges import levers
@@ -259,6 +260,12 @@ PAIR_RANGE_M = 0.2
 FINE_STEP_M = 1e-3
 """How far [m] one joint may carry the tool between two postures of the last look at a way."""
 
+NEAR_M = 0.1
+"""Bodies [m] that have more room than this do not count in one round of making a way shorter."""
+
+SAME_TRAVEL_RAD = 1e-6
+"""A way that is longer than the straight line by less [rad] is as short as can be."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Ways:
@@ -374,32 +381,120 @@ def _ways(
 
 def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray) -> FloatArray | None:
     """Waypoints (M, 6) of one arm from home to ``goal`` with the others where they stand; None if there is no
-    way."""
+    way.
+
+    A way around something is made shorter where that can be; what is as short as the straight line stays.
+    """
     chain = scene.chains[arm]
-    hard = scene.settings.joint_margin
-
-    def free(points: FloatArray) -> BoolArray:
-        ok = chain.limit_margin(points) >= min(hard, 0.0)
-        if scene.model is None:
-            return ok
-        rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in standing.items()} | {arm: points}
-        return ok & clearance.free(scene.model, rows, scene.settings.clearance)
-
-    def sure(points: FloatArray, half: FloatArray) -> BoolArray:
-        if scene.model is None:  # joints within their limits at both ends of a line are so on all of it
-            return np.ones(len(points), dtype=bool)
-        rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in standing.items()} | {arm: points}
-        room = clearance.at_least(scene.model, rows, PAIR_RANGE_M) - scene.settings.clearance
-        return np.asarray(half @ levers(scene.model, arm) < room)
-
-    robot = chain.robot
+    hard, robot = scene.settings.joint_margin, chain.robot
+    moving = _Moving(scene, standing, (arm,))
     for step in POSTURE_STEPS_RAD:
         way = connect(
-            chain.home, goal, free, robot.lower + hard, robot.upper - hard, step, scene.settings.seed
+            chain.home, goal, moving.free, robot.lower + hard, robot.upper - hard, step, scene.settings.seed
         )
-        if way is None or way_free(way, free, FINE_STEP_M / robot.reach, sure):
-            return way
+        if way is None:
+            return None
+        if not len(moving.blocked(way).move):
+            return moving.shorter(way)
     return None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Moving:
+    """The room of ``arms`` that move at once, while the others stand at joints ``standing``. Points (B, D)
+    are the joints of all that move, one arm's after the other's."""
+
+    scene: Scene
+    standing: Mapping[str, FloatArray]
+    arms: tuple[str, ...]
+
+    def joints(self, points: FloatArray) -> dict[str, FloatArray]:
+        """Joints {arm: (B, 6)} of all arms."""
+        rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in self.standing.items()}
+        return rows | {arm: points[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self.arms)}
+
+    def free(self, points: FloatArray) -> BoolArray:
+        """(B,) whether joints are within their limits and bodies keep clear."""
+        scene, ok = self.scene, np.ones(len(points), dtype=bool)
+        rows = self.joints(points)
+        for arm in self.arms:
+            ok &= scene.chains[arm].limit_margin(rows[arm]) >= min(scene.settings.joint_margin, 0.0)
+        return ok if scene.model is None else ok & clearance.free(scene.model, rows, scene.settings.clearance)
+
+    def sure(self, points: FloatArray, half: FloatArray) -> BoolArray:
+        """(B,) whether bodies keep clear for sure while joints go up to ``half`` (B, D) from points either
+        way."""
+        model, wanted = self.scene.model, self.scene.settings.clearance
+        if model is None:  # joints within their limits at both ends of a line are so on all of it
+            return np.ones(len(points), dtype=bool)
+        rows, far = self.joints(points), self.carried(half)
+        ok = np.asarray(far < clearance.at_least(model, rows, PAIR_RANGE_M) - wanted)
+        left = np.flatnonzero(~ok & (far < PAIR_RANGE_M - wanted))
+        found = clearance.least(model, {a: q[left] for a, q in rows.items()}, PAIR_RANGE_M)
+        ok[left] = far[left] < found.distance - wanted
+        return ok
+
+    def carried(self, change: FloatArray) -> FloatArray:
+        """How much nearer (B,) [m] two bodies come at most while joints change by (B, D)."""
+        return np.asarray(change @ self.lever)
+
+    @functools.cached_property
+    def lever(self) -> FloatArray:
+        """How far (D,) [m/rad] each joint can carry a point at most."""
+        model = self.scene.model
+        if model is None:
+            return np.ones(6 * len(self.arms))
+        return np.concatenate([levers(model, arm) for arm in self.arms])
+
+    def blocked(self, way: FloatArray) -> Places:
+        """Where a way is not free at the last look."""
+        step = FINE_STEP_M / max(self.scene.chains[arm].robot.reach for arm in self.arms)
+        return blocked_places(way, self.free, step, self.sure)
+
+    def near(self, points: FloatArray) -> Rooms:
+        """The room [m] of bodies within :data:`NEAR_M` of what they keep, and of the axes of parallel-rod
+        arms."""
+        model = self.scene.model
+        row, room, slope = [np.zeros(0, dtype=np.intp)], [np.zeros(0)], [np.zeros((0, points.shape[1]))]
+        if model is not None:
+            wanted = self.scene.settings.clearance
+            columns = np.concatenate([6 * model.arms.index(arm) + np.arange(6) for arm in self.arms])
+            found = clearance.gradients_at(model, model.stack(self.joints(points)), wanted + NEAR_M)
+            row.append(np.repeat(np.arange(len(found)), [len(near.distance) for near in found]))
+            room += [near.distance - wanted for near in found]
+            slope += [near.gradient[:, columns] for near in found]
+        for k, arm in enumerate(self.arms):
+            rod = self.scene.chains[arm].robot.coupling
+            if rod is None:
+                continue
+            margin = max(self.scene.settings.joint_margin, 0.0)
+            axis3 = points[:, 6 * k + 1] + points[:, 6 * k + 2]
+            for sign, limit in ((1.0, rod.axis3_lower), (-1.0, rod.axis3_upper)):
+                row.append(np.arange(len(points)))
+                room.append(sign * (axis3 - limit) - margin)
+                own = np.zeros((len(points), points.shape[1]))
+                own[:, [6 * k + 1, 6 * k + 2]] = sign
+                slope.append(own)
+        return Rooms(np.concatenate(row), np.concatenate(room), np.concatenate(slope))
+
+    def shorter(self, way: FloatArray) -> FloatArray:
+        """A way of less travel, or the way itself."""
+        direct = travel(way[[0, -1]])
+        if len(way) < 3 or travel(way) <= direct + SAME_TRAVEL_RAD:
+            return way
+        found = shortened(way, self.task)
+        if found is None or travel(found) > travel(way):
+            return way
+        return found
+
+    @property
+    def task(self) -> Task:
+        """What ways of these arms are made shorter in."""
+        hard = self.scene.settings.joint_margin
+        robots = [self.scene.chains[arm].robot for arm in self.arms]
+        lower = np.concatenate([robot.lower + hard for robot in robots])
+        upper = np.concatenate([robot.upper - hard for robot in robots])
+        return Task(self.near, self.blocked, lower, upper, self.lever)
 
 
 def _blocked(

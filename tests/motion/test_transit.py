@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 
-from planner.cell import plant
+from planner.cell import clearance, plant
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import from_parts, inverse
 from planner.issues import TandemError
-from planner.motion import transit
+from planner.motion import rrt, transit
 from planner.motion.operation import plan_operation
 from planner.motion.planning_scene import Scene
 from planner.motion.rrt import connect, way_free
@@ -92,6 +93,88 @@ def test_a_straight_line_that_is_free_is_the_way() -> None:
     way = connect(np.zeros(2), np.array([0.3, 0.3]), wall, np.zeros(2), np.ones(2), 0.02, seed=0)
     assert way is not None
     assert len(way) == 2
+
+
+RADIUS = 0.2
+"""Of a disc about (0.5, 0) that a point has to go around."""
+
+
+def around_a_disc(looked: list[int]) -> rrt.Task:
+    def room(points: np.ndarray) -> np.ndarray:
+        looked.append(len(points))
+        return np.asarray(np.linalg.norm(points - [0.5, 0.0], axis=1) - RADIUS)
+
+    def near(points: np.ndarray) -> rrt.Rooms:
+        away = points - [0.5, 0.0]
+        slope = away / np.linalg.norm(away, axis=1)[:, None]
+        return rrt.Rooms(np.arange(len(points)), room(points), slope)
+
+    def blocked(way: np.ndarray) -> rrt.Places:
+        return rrt.blocked_places(way, lambda points: room(points) > 0.0, 1e-3)
+
+    return rrt.Task(near, blocked, np.full(2, -2.0), np.full(2, 2.0), np.ones(2))
+
+
+def test_the_shortest_way_around_a_disc_goes_aside_by_its_radius_and_back() -> None:
+    """By the sum of both coordinates: 1 along, and once the radius each way, with the reserve at most."""
+    detour = np.array([[0.0, 0.0], [0.1, 0.9], [0.8, 0.7], [1.2, 0.3], [1.0, 0.0]])
+    looked: list[int] = []
+    task = around_a_disc(looked)
+    found = rrt.shortened(detour, task)
+    assert found is not None
+    assert len(found) - 1 <= rrt.MOST_MOVES
+    assert np.array_equal(found[[0, -1]], detour[[0, -1]])
+    assert 1.0 + 2.0 * RADIUS < rrt.travel(found) < 1.0 + 2.0 * RADIUS + 0.02
+    share = np.linspace(0.0, 1.0, 1500)[:, None]
+    for a, b in itertools.pairwise(found):
+        assert (np.linalg.norm(a + share * (b - a) - [0.5, 0.0], axis=1) > RADIUS).all()
+    most = rrt.ROUNDS + rrt.LAST_LOOKS * (rrt.REPAIR_ROUNDS + 2)
+    assert len(looked) < 3 * most * rrt.MOST_MOVES
+    again = rrt.shortened(detour, around_a_disc([]))
+    assert again is not None
+    assert np.array_equal(found, again)
+
+
+def test_a_way_of_no_length_and_a_missing_solver_have_no_shorter_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = around_a_disc([])
+    point = np.zeros((2, 2))
+    still = rrt.shortened(point, task)
+    assert still is None or rrt.travel(still) == 0.0
+    monkeypatch.setattr(rrt, "solver", lambda: None)
+    assert rrt.shortened(np.array([[0.0, 0.0], [0.5, 1.0], [1.0, 0.0]]), task) is None
+
+
+def test_a_way_around_a_post_is_shorter_than_the_tree_s_and_drake_sees_it_clear() -> None:
+    """The distances of the looks are Drake's own, from another code than the planner's."""
+    scene, _ = pair(20)
+    home = {arm: chain.home for arm, chain in scene.chains.items()}
+    goal = home["left"] + np.deg2rad([75.0, 20.0, 10.0, 30.0, 20.0, -40.0])
+    x, y, _ = scene.chains["left"].pose(0.5 * (home["left"] + goal))[:3, 3]
+    scene, _ = pair(20, (box("post", (0.05, 0.05, 1.5), (x, y, 0.75)),))
+    assert scene.model is not None
+    moving = transit._Moving(scene, home, ("left",))
+    robot = scene.chains["left"].robot
+    tree = connect(home["left"], goal, moving.free, robot.lower, robot.upper, np.deg2rad(3.0), 0)
+    assert tree is not None
+    way = transit._way(scene, home, "left", goal)
+    assert way is not None
+    assert len(tree) > 2
+    assert rrt.travel(way) < rrt.travel(tree)
+    assert len(way) - 1 <= rrt.MOST_MOVES
+    for a, b in itertools.pairwise(way):
+        q = home | {"left": a + np.linspace(0.0, 1.0, 1500)[:, None] * (b - a)}
+        rows = {arm: np.broadcast_to(v, (1500, 6)) for arm, v in q.items()}
+        found = clearance.witness(scene.model, rows, 0.05)
+        assert found.distance.min(initial=0.05) >= scene.settings.clearance
+    assert np.array_equal(way, transit._way(scene, home, "left", goal))
+
+
+def test_a_way_to_home_itself_is_no_way() -> None:
+    scene, _ = pair(20)
+    home = {arm: chain.home for arm, chain in scene.chains.items()}
+    way = transit._way(scene, home, "left", home["left"])
+    assert way is not None
+    assert rrt.travel(way) == 0.0
 
 
 def test_arms_enter_and_leave_free_of_everything() -> None:
