@@ -334,7 +334,8 @@ def _slopes(
     in rows (M,) of q."""
     out = np.zeros((len(row), 6 * len(model.arms)))
     for k, arm in enumerate(model.arms):
-        count = np.array([[model.joints_of(arm, body) for body in pair] for pair in names], dtype=np.intp)
+        known = {body: model.joints_of(arm, body) for body in dict.fromkeys(itertools.chain(*names))}
+        count = np.array([[known[one], known[other]] for one, other in names], dtype=np.intp)
         joint = np.arange(6)
         moved = (joint < count.reshape(-1, 2, 1)).astype(np.float64)
         frames = model.bases[arm] @ link_frames(model.robots[arm], q[arm])[:, :6]

@@ -101,7 +101,7 @@ def way_free(way: FloatArray, free: Free, step: float, sure: Sure | None = None)
     ``sure`` tells of points (B, D) and how far (B, D) the coordinates go from there either way whether (B,)
     all of that is free for sure; there nothing is looked at, elsewhere halves are asked about.
     """
-    return not len(blocked_places(way, free, step, sure).move)
+    return not len(blocked_places(way, free, step, sure, every=False).move)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,6 +115,11 @@ class Places:
         """These and the other ones."""
         return Places(np.append(self.move, other.move), np.append(self.share, other.share))
 
+    def thinned(self, count: int) -> Places:
+        """At most so many of them, evenly."""
+        some = np.unique(np.linspace(0, len(self.move) - 1, min(count, len(self.move))).astype(np.intp))
+        return Places(self.move[some], self.share[some])
+
     def points(self, way: FloatArray) -> FloatArray:
         """The points (P, D) there of a way (M, D)."""
         start, end = way[self.move], way[self.move + 1]
@@ -125,26 +130,37 @@ NOWHERE: Final = Places(np.zeros(0, dtype=np.intp), np.zeros(0))
 """No places."""
 
 
-def blocked_places(way: FloatArray, free: Free, step: float, sure: Sure | None = None) -> Places:
-    """Where the lines are not free, as :func:`way_free` finds it: the places of the first looks that fail."""
+def blocked_places(
+    way: FloatArray, free: Free, step: float, sure: Sure | None = None, every: bool = True
+) -> Places:
+    """Where the lines are not free, as :func:`way_free` finds it: all places where looks fail, of which there
+    is one wherever a line is halved, too; or not ``every`` one, but those of the first that do."""
     move = np.arange(len(way) - 1)
     low, high = np.zeros(len(move)), np.ones(len(move))
+    out = NOWHERE
     while len(move):
         middle = 0.5 * (low + high)
         points = Places(move, middle).points(way)
         half = 0.5 * (high - low)[:, None] * np.abs(way[move + 1] - way[move])
         open_ = np.ones(len(move), dtype=bool) if sure is None else ~sure(points, half)
         fine = half.max(axis=1) <= step
-        look = np.flatnonzero(open_ & fine)
+        look, last = np.flatnonzero(open_), np.flatnonzero(open_ & fine)
         if len(look):
-            asked = Places(np.tile(move[look], 2), np.append(middle[look], high[look]))
+            asked = Places(np.append(move[look], move[last]), np.append(middle[look], high[last]))
             bad = ~free(asked.points(way))
-            if bad.any():
-                return Places(asked.move[bad], asked.share[bad])
+            out = out.and_also(Places(asked.move[bad], asked.share[bad]))
+            if len(out.move) and not every:
+                break
         split = open_ & ~fine
         move = np.tile(move[split], 2)
         low, high = np.append(low[split], middle[split]), np.append(middle[split], high[split])
-    return NOWHERE
+        if len(out.move) > MOST_BLOCKED:
+            break
+    return out
+
+
+MOST_BLOCKED: Final = 200
+"""Places of a way that are not free after which no others are looked for."""
 
 
 class _Tree:
@@ -215,20 +231,22 @@ MOST_MOVES: Final = 8
 """Straight lines of a shortened way at most, unless it had more before."""
 LOOK_SPACING_M: Final = 0.05
 """Way [m] between the places at which an optimised line is looked at in each round."""
-MOST_LOOKS: Final = 60
-"""Such places of one line at most."""
+MOST_LOOKS: Final = 80
+"""Such places of a way, about, at most."""
 RESERVE_M: Final = 1e-3
 """More than the room that is asked for [m], so that what lies between two looks keeps that."""
 RESERVE_SHARE: Final = 0.5
 """Near an end whose own room is less no more than this share of it is asked for beyond."""
 RESERVE_SLOPE: Final = 0.1
 """How fast [m/m] what is asked for grows from there."""
-ROUNDS: Final = 20
+ROUNDS: Final = 12
 """Quadratic programs before the first last look at most."""
 REPAIR_ROUNDS: Final = 5
 """Quadratic programs between two last looks at most."""
 LAST_LOOKS: Final = 8
 """Last looks at a way from one seed at most: so often places that fail are fed back."""
+FED_BACK: Final = 30
+"""Places that fail in a last look and are looked at in all later rounds, at most."""
 TRUST_RAD: Final = 0.25
 """How far [rad] a coordinate goes in the first round; halved when a round makes things worse."""
 LEAST_TRUST_RAD: Final = 2e-3
@@ -247,11 +265,11 @@ SAME_POINT: Final = 1e-9
 @dataclasses.dataclass(frozen=True)
 class Task:
     """What a way is made shorter in. ``near``: what there is of room, [m]; ``blocked``: where a way is not
-    free after all; ``lower``, ``upper`` (D,) of the corners; ``lever`` (D,) [m/rad]: how far a coordinate
-    carries anything at most."""
+    free after all, every place or the first ones; ``lower``, ``upper`` (D,) of the corners; ``lever`` (D,)
+    [m/rad]: how far a coordinate carries anything at most."""
 
     near: Near
-    blocked: Callable[[FloatArray], Places]
+    blocked: Callable[[FloatArray, bool], Places]
     lower: FloatArray
     upper: FloatArray
     lever: FloatArray
@@ -281,10 +299,10 @@ def shortened(way: FloatArray, task: Task) -> FloatArray | None:
     now, also = _padded(way, task.lever), NOWHERE
     for number in range(LAST_LOOKS):
         now = _optimised(now, also, task, program, REPAIR_ROUNDS if number else ROUNDS)
-        bad = task.blocked(now)
+        bad = task.blocked(now, True)
         if not len(bad.move):
             return _with_fewer_corners(now, task)
-        also = also.and_also(bad)
+        also = also.and_also(bad.thinned(FED_BACK))
     return None
 
 
@@ -303,7 +321,7 @@ def _with_fewer_corners(way: FloatArray, task: Task) -> FloatArray:
     while k < len(out) - 1:
         straight = out[[k - 1, k + 1]]
         same = bool(np.abs(out[k] - straight).max(axis=1).min() < SAME_POINT)
-        if same or not len(task.blocked(straight).move):
+        if same or not len(task.blocked(straight, False).move):
             out = np.delete(out, k, axis=0)
         else:
             k += 1
@@ -329,7 +347,8 @@ class _Looked:
 def _look(way: FloatArray, also: Places, task: Task, weight: FloatArray, ends: float) -> _Looked:
     """Looks at a way; ``ends``: the least room at its ends [m]."""
     length = np.abs(np.diff(way, axis=0)) @ task.lever
-    count = np.clip(np.ceil(length / LOOK_SPACING_M), 2, MOST_LOOKS).astype(np.intp)
+    spacing = max(LOOK_SPACING_M, float(length.sum()) / MOST_LOOKS)
+    count = np.maximum(np.ceil(length / spacing), 2.0).astype(np.intp)
     move = np.repeat(np.arange(len(count)), count)
     share = np.concatenate([(np.arange(n) + 0.5) / n for n in count.tolist()])
     corner = np.arange(len(count) - 1)

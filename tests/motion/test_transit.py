@@ -109,8 +109,8 @@ def around_a_disc(looked: list[int]) -> rrt.Task:
         slope = away / np.linalg.norm(away, axis=1)[:, None]
         return rrt.Rooms(np.arange(len(points)), room(points), slope)
 
-    def blocked(way: np.ndarray) -> rrt.Places:
-        return rrt.blocked_places(way, lambda points: room(points) > 0.0, 1e-3)
+    def blocked(way: np.ndarray, every: bool) -> rrt.Places:
+        return rrt.blocked_places(way, lambda points: room(points) > 0.0, 1e-3, None, every)
 
     return rrt.Task(near, blocked, np.full(2, -2.0), np.full(2, 2.0), np.ones(2))
 
@@ -156,9 +156,8 @@ def test_a_way_around_a_post_is_shorter_than_the_tree_s_and_drake_sees_it_clear(
     robot = scene.chains["left"].robot
     tree = connect(home["left"], goal, moving.free, robot.lower, robot.upper, np.deg2rad(3.0), 0)
     assert tree is not None
-    way = transit._way(scene, home, "left", goal)
-    assert way is not None
     assert len(tree) > 2
+    way = moving.shorter(tree)
     assert rrt.travel(way) < rrt.travel(tree)
     assert len(way) - 1 <= rrt.MOST_MOVES
     for a, b in itertools.pairwise(way):
@@ -166,7 +165,7 @@ def test_a_way_around_a_post_is_shorter_than_the_tree_s_and_drake_sees_it_clear(
         rows = {arm: np.broadcast_to(v, (1500, 6)) for arm, v in q.items()}
         found = clearance.witness(scene.model, rows, 0.05)
         assert found.distance.min(initial=0.05) >= scene.settings.clearance
-    assert np.array_equal(way, transit._way(scene, home, "left", goal))
+    assert np.array_equal(way, moving.shorter(tree))
 
 
 def test_a_way_to_home_itself_is_no_way() -> None:
