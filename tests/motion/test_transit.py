@@ -191,6 +191,55 @@ def test_arms_enter_and_leave_free_of_everything() -> None:
         standing[arm] = found.q[arm][0]
 
 
+def test_synchronised_arms_go_at_once_no_farther_and_faster_and_drake_sees_them_clear() -> None:
+    scene, targets = pair(40)
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    alone = transit.both_ways(scene, targets, found.q)
+    at_once = transit.both_ways(scene, targets, found.q, synchronised=True)
+    assert scene.model is not None
+    for one, both, row in zip(alone, at_once, (0, -1), strict=True):
+        assert not one.together
+        assert both.together
+        assert len({len(way) for way in both.way.values()}) == 1
+        assert max(len(way) for way in both.way.values()) - 1 <= rrt.MOST_MOVES
+        far = [sum(rrt.travel(way) for way in ways.way.values()) for ways in (one, both)]
+        assert far[1] <= far[0] + 1e-9
+        whole = np.concatenate([both.way[arm] for arm in both.order], axis=1)
+        pace = sum(transit._Moving(scene, {}, (arm,)).pace(way) for arm, way in one.way.items())
+        assert transit._Moving(scene, {}, both.order).pace(whole) < 0.65 * pace
+        for arm, way in both.way.items():
+            ends = (scene.chains[arm].home, found.q[arm][row])
+            assert np.array_equal(way[[0, -1]], ends if row == 0 else ends[::-1])
+        for a, b in itertools.pairwise(range(len(whole))):
+            share = np.linspace(0.0, 1.0, 1500)[:, None]
+            rows = {arm: way[a] + share * (way[b] - way[a]) for arm, way in both.way.items()}
+            least = clearance.witness(scene.model, rows, 0.05).distance.min()
+            assert least >= scene.settings.clearance
+
+
+def test_one_arm_and_arms_that_are_not_synchronised_go_alone() -> None:
+    cell, targets = two_arms(), arc_wire(9)
+    model = plant.build(cell, block(SIZE, HIGH), HIGH)
+    by_signals = dataclasses.replace(cell, controller=dataclasses.replace(cell.controller, sync="handshake"))
+    plan = plan_operation("job", cell, targets, Settings(), HIGH, model)
+    assert plan.together == ("entry", "exit")
+    assert plan_operation("job", by_signals, targets, Settings(), HIGH, model).together == ()
+
+
+def test_arms_of_which_one_is_at_its_target_already_go_at_once_all_the_same() -> None:
+    scene, targets = pair(20)
+    home = {arm: chain.home for arm, chain in scene.chains.items()}
+    still = transit.Ways({arm: np.stack([q, q]) for arm, q in home.items()}, targets.arms)
+    assert transit._improved(scene, still, synchronised=True) is not None
+    assert not transit._improved(scene, still, synchronised=True).together  # nothing to gain
+    goal = home["left"] + np.deg2rad([5.0, 0.0, 0.0, 0.0, 0.0, 10.0])
+    one = dataclasses.replace(still, way={**still.way, "left": np.stack([home["left"], goal])})
+    found = transit._improved(scene, one, synchronised=True)
+    for arm, way in found.way.items():
+        assert np.array_equal(way, one.way[arm])
+
+
 def test_a_hand_in_a_box_at_home_is_refused() -> None:
     scene, _ = pair(20)
     hand = scene.chains["left"].pose(scene.chains["left"].home)[:3, 3]
