@@ -42,7 +42,8 @@ class OperationPlan:
     ``values`` (N, F) of the freedoms, ``time`` (N,) [s] from the first target. ``entry`` and ``exit`` {arm:
     (M, 6)} are joint waypoints from home to the first target and from the last one back home; arms run them
     one after the other in the order ``order`` (entry) and its reverse (exit), each with the others standing
-    still. ``metrics``: figures by name (costs, margins, clearances, stage times), for reports.
+    still, but for those that ``together`` names ("entry", "exit"): there all arms go at once, in as many
+    synchronised moves. ``metrics``: figures by name (costs, margins, clearances, stage times), for reports.
     """
 
     name: str
@@ -55,6 +56,7 @@ class OperationPlan:
     order: tuple[str, ...]
     metrics: Mapping[str, Any] = dataclasses.field(repr=False)
     issues: tuple[Issue, ...] = ()
+    together: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -172,8 +172,8 @@ PLAIN: Final = Sentence("{text}")
 # ---- before anything moves ----
 
 NO_WIRE: Final = Sentence(
-    "Is there NO wire between the arms? Each arm now goes alone to home and to its first position. "
-    "Take off what joins them, see that their ways are clear, then press OK."
+    "Is there NO wire between the arms? Each arm now goes home alone, then to its first position, alone or "
+    "at once with the other one. Take off what joins them, see that their ways are clear, then press OK."
 )
 """Where a wire will join the arms."""
 READY: Final = Sentence("Is the stock in place and the way of each arm clear? Press OK to start.")

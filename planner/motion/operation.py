@@ -98,7 +98,9 @@ def plan_operation(
     if scene.model is not None and not program.solvers():
         issues.append(_no_solver())
     watch.lap("timing")
-    ways, leaves = transit.both_ways(scene, targets, better.q)
+    families = {scene.chains[arm].robot.family for arm in targets.arms}
+    synchronised = cell.controller.sync == "multimove" and families == {"ABB"}
+    entering, leaving = transit.both_ways(scene, targets, better.q, synchronised)
     watch.lap("entry")
     metrics = {
         "stages": watch.laps,
@@ -128,9 +130,10 @@ def plan_operation(
         q=better.q,
         values=better.values,
         time=ticks.time,
-        entry=ways.way,
-        exit=leaves,
-        order=ways.order,
+        entry=entering.way,
+        exit=leaving.way,
+        order=entering.order,
+        together=tuple(name for name, ways in (("entry", entering), ("exit", leaving)) if ways.together),
         metrics=metrics,
         issues=aggregate(issues),
     )

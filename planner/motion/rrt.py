@@ -1,18 +1,24 @@
 """A free way between two points: the straight line, some coordinates after the others, or a tree from either
-end, shortened.
+end; then made shorter by optimisation of its corners.
 
-Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000. Seeded, so
-the same question has the same answer.
+The search: Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA
+2000. Seeded, so the same question has the same answer. The optimisation: sequential convex programming with a
+trust region and an exact penalty, after Schulman et al., "Motion planning with sequential convex optimization
+and convex collision checking", IJRR 2014; its steps are quadratic programs by Drake's `MathematicalProgram`.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
+from pydrake.solvers import ClarabelSolver, MathematicalProgram, OsqpSolver, SolverInterface
+from scipy import sparse
 
-from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 
 Free = Callable[[FloatArray], BoolArray]
 Sure = Callable[[FloatArray, FloatArray], BoolArray]
@@ -95,20 +101,66 @@ def way_free(way: FloatArray, free: Free, step: float, sure: Sure | None = None)
     ``sure`` tells of points (B, D) and how far (B, D) the coordinates go from there either way whether (B,)
     all of that is free for sure; there nothing is looked at, elsewhere halves are asked about.
     """
-    starts, ends = way[:-1], way[1:]
-    while len(starts):
-        middle, half = 0.5 * (starts + ends), 0.5 * np.abs(ends - starts)
-        open_ = np.ones(len(starts), dtype=bool) if sure is None else ~sure(middle, half)
+    return not len(blocked_places(way, free, step, sure, every=False).move)
+
+
+@dataclasses.dataclass(frozen=True)
+class Places:
+    """Places of a way: on the lines ``move`` (P,) between waypoints, at ``share`` (P,) of them."""
+
+    move: IndexArray
+    share: FloatArray
+
+    def and_also(self, other: Places) -> Places:
+        """These and the other ones."""
+        return Places(np.append(self.move, other.move), np.append(self.share, other.share))
+
+    def thinned(self, count: int) -> Places:
+        """At most so many of them, evenly."""
+        some = np.unique(np.linspace(0, len(self.move) - 1, min(count, len(self.move))).astype(np.intp))
+        return Places(self.move[some], self.share[some])
+
+    def points(self, way: FloatArray) -> FloatArray:
+        """The points (P, D) there of a way (M, D)."""
+        start, end = way[self.move], way[self.move + 1]
+        return np.asarray(start + self.share[:, None] * (end - start))
+
+
+NOWHERE: Final = Places(np.zeros(0, dtype=np.intp), np.zeros(0))
+"""No places."""
+
+
+def blocked_places(
+    way: FloatArray, free: Free, step: float, sure: Sure | None = None, every: bool = True
+) -> Places:
+    """Where the lines are not free, as :func:`way_free` finds it: all places where looks fail, of which there
+    is one wherever a line is halved, too; or not ``every`` one, but those of the first that do."""
+    move = np.arange(len(way) - 1)
+    low, high = np.zeros(len(move)), np.ones(len(move))
+    out = NOWHERE
+    while len(move):
+        middle = 0.5 * (low + high)
+        points = Places(move, middle).points(way)
+        half = 0.5 * (high - low)[:, None] * np.abs(way[move + 1] - way[move])
+        open_ = np.ones(len(move), dtype=bool) if sure is None else ~sure(points, half)
         fine = half.max(axis=1) <= step
-        look = open_ & fine
-        if look.any() and not free(np.concatenate([middle[look], ends[look]])).all():
-            return False
+        look, last = np.flatnonzero(open_), np.flatnonzero(open_ & fine)
+        if len(look):
+            asked = Places(np.append(move[look], move[last]), np.append(middle[look], high[last]))
+            bad = ~free(asked.points(way))
+            out = out.and_also(Places(asked.move[bad], asked.share[bad]))
+            if len(out.move) and not every:
+                break
         split = open_ & ~fine
-        starts, ends = (
-            np.concatenate([starts[split], middle[split]]),
-            np.concatenate([middle[split], ends[split]]),
-        )
-    return True
+        move = np.tile(move[split], 2)
+        low, high = np.append(low[split], middle[split]), np.append(middle[split], high[split])
+        if len(out.move) > MOST_BLOCKED:
+            break
+    return out
+
+
+MOST_BLOCKED: Final = 200
+"""Places of a way that are not free after which no others are looked for."""
 
 
 class _Tree:
@@ -160,3 +212,234 @@ def _shorten(way: FloatArray, free: Free, step: float, rng: np.random.Generator)
         if j - i > 1 and _line_free(points[i], points[j], free, step):
             del points[i + 1 : j]
     return np.array(points)
+
+
+@dataclasses.dataclass(frozen=True)
+class Rooms:
+    """What there is of room at points (B, D): R values ``room`` (R,), each at one of them, ``row`` (R,), with
+    its ``slope`` (R, D) by the coordinates. A point is free where all are at least 0; wide ones may be left
+    out."""
+
+    row: IndexArray
+    room: FloatArray
+    slope: FloatArray
+
+
+Near = Callable[[FloatArray], Rooms]
+
+MOST_MOVES: Final = 8
+"""Straight lines of a shortened way at most, unless it had more before."""
+LOOK_SPACING_M: Final = 0.05
+"""Way [m] between the places at which an optimised line is looked at in each round."""
+MOST_LOOKS: Final = 80
+"""Such places of a way, about, at most."""
+RESERVE_M: Final = 1e-3
+"""More than the room that is asked for [m], so that what lies between two looks keeps that."""
+RESERVE_SHARE: Final = 0.5
+"""Near an end whose own room is less no more than this share of it is asked for beyond."""
+RESERVE_SLOPE: Final = 0.1
+"""How fast [m/m] what is asked for grows from there."""
+ROUNDS: Final = 12
+"""Quadratic programs before the first last look at most."""
+REPAIR_ROUNDS: Final = 5
+"""Quadratic programs between two last looks at most."""
+LAST_LOOKS: Final = 8
+"""Last looks at a way from one seed at most: so often places that fail are fed back."""
+FED_BACK: Final = 30
+"""Places that fail in a last look and are looked at in all later rounds, at most."""
+TRUST_RAD: Final = 0.25
+"""How far [rad] a coordinate goes in the first round; halved when a round makes things worse."""
+LEAST_TRUST_RAD: Final = 2e-3
+"""No round goes less far [rad]."""
+LEAST_GAIN: Final = 5e-4
+"""A round that gains less, as a share of the cost, is the last."""
+EVENNESS: Final = 0.02
+"""Weight of squared lengths of the lines beside the travel: of ways with the same travel straight and even
+ones."""
+ROOM_PRICE: Final = 1e3
+"""Price [rad/m] of room that lacks: 1 mm is worth more than any detour."""
+SAME_POINT: Final = 1e-9
+"""Waypoints [rad] nearer than this are one."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """What a way is made shorter in. ``near``: what there is of room, [m]; ``blocked``: where a way is not
+    free after all, every place or the first ones; ``lower``, ``upper`` (D,) of the corners; ``lever`` (D,)
+    [m/rad]: how far a coordinate carries anything at most."""
+
+    near: Near
+    blocked: Callable[[FloatArray, bool], Places]
+    lower: FloatArray
+    upper: FloatArray
+    lever: FloatArray
+
+
+def travel(way: FloatArray) -> float:
+    """Sum over all coordinates of how far they go along waypoints (M, D)."""
+    return float(np.abs(np.diff(way, axis=0)).sum())
+
+
+def solver() -> SolverInterface | None:
+    """The solver of quadratic programs: Clarabel, else OSQP, None where this Drake has neither."""
+    found = (one for one in (ClarabelSolver(), OsqpSolver()) if one.available() and one.enabled())
+    return next(found, None)
+
+
+def shortened(way: FloatArray, task: Task) -> FloatArray | None:
+    """A way (K, D) of less travel between the ends of ``way`` (M, D), free as ``task.blocked`` finds it and
+    without corners that it can do without; None where none was found. ``way`` itself need not be free.
+
+    The work is bounded by :data:`LAST_LOOKS`, :data:`ROUNDS`, :data:`REPAIR_ROUNDS` and the looks that a line
+    has; the same way has the same answer.
+    """
+    program = solver()
+    if program is None or len(way) < 2:
+        return None
+    now, also = _padded(way, task.lever), NOWHERE
+    for number in range(LAST_LOOKS):
+        now = _optimised(now, also, task, program, REPAIR_ROUNDS if number else ROUNDS)
+        bad = task.blocked(now, True)
+        if not len(bad.move):
+            return _with_fewer_corners(now, task)
+        also = also.and_also(bad.thinned(FED_BACK))
+    return None
+
+
+def _padded(way: FloatArray, lever: FloatArray) -> FloatArray:
+    """The way with its longest lines halved until there are :data:`MOST_MOVES`."""
+    out = way
+    while len(out) <= MOST_MOVES:
+        k = int(np.argmax(np.abs(np.diff(out, axis=0)) @ lever))
+        out = np.insert(out, k + 1, 0.5 * (out[k] + out[k + 1]), axis=0)
+    return out
+
+
+def _with_fewer_corners(way: FloatArray, task: Task) -> FloatArray:
+    """The way without corners between whose neighbours the straight line is free."""
+    out, k = way, 1
+    while k < len(out) - 1:
+        straight = out[[k - 1, k + 1]]
+        same = bool(np.abs(out[k] - straight).max(axis=1).min() < SAME_POINT)
+        if same or not len(task.blocked(straight, False).move):
+            out = np.delete(out, k, axis=0)
+        else:
+            k += 1
+    return out
+
+
+def _cost(way: FloatArray, weight: FloatArray) -> float:
+    step = np.diff(way, axis=0)
+    return travel(way) + EVENNESS * len(step) * float(np.sum((step * weight) ** 2))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Looked:
+    """A way with what there is of room at places of it beyond what is asked for, and its merit."""
+
+    way: FloatArray
+    places: Places
+    rooms: Rooms
+    wanting: FloatArray
+    merit: float
+
+
+def _look(way: FloatArray, also: Places, task: Task, weight: FloatArray, ends: float) -> _Looked:
+    """Looks at a way; ``ends``: the least room at its ends [m]."""
+    length = np.abs(np.diff(way, axis=0)) @ task.lever
+    spacing = max(LOOK_SPACING_M, float(length.sum()) / MOST_LOOKS)
+    count = np.maximum(np.ceil(length / spacing), 2.0).astype(np.intp)
+    move = np.repeat(np.arange(len(count)), count)
+    share = np.concatenate([(np.arange(n) + 0.5) / n for n in count.tolist()])
+    corner = np.arange(len(count) - 1)
+    places = Places(move, share).and_also(Places(corner, np.ones(len(corner)))).and_also(also)
+    rooms = task.near(places.points(way))
+    start = np.append(0.0, np.cumsum(length))
+    gone = (start[:-1][places.move] + places.share * length[places.move])[rooms.row]
+    aside = np.minimum(gone, start[-1] - gone)
+    asked = np.minimum(RESERVE_M, RESERVE_SHARE * max(ends, 0.0) + RESERVE_SLOPE * aside)
+    wanting = asked - rooms.room
+    worst = np.zeros(len(count))
+    np.maximum.at(worst, places.move[rooms.row], wanting)
+    merit = _cost(way, weight) + ROOM_PRICE * float(worst.sum())
+    return _Looked(way, places, rooms, wanting, merit)
+
+
+def _optimised(
+    way: FloatArray, also: Places, task: Task, program: SolverInterface, rounds: int
+) -> FloatArray:
+    """The way with its corners moved so that cost and lacking room become least, near where they were."""
+    weight = task.lever / task.lever.max()
+    ends = task.near(way[[0, -1]])
+    best = _look(way, also, task, weight, float(ends.room.min(initial=np.inf)))
+    trust = TRUST_RAD
+    for _ in range(rounds):
+        moved = _step(best, task, weight, trust, program)
+        if moved is None:
+            break
+        tried = _look(moved, also, task, weight, float(ends.room.min(initial=np.inf)))
+        gain = best.merit - tried.merit
+        if gain > 0.0:
+            best = tried
+        if gain < LEAST_GAIN * best.merit:
+            trust *= 0.5
+            if trust < LEAST_TRUST_RAD:
+                break
+    return best.way
+
+
+def _step(
+    looked: _Looked, task: Task, weight: FloatArray, trust: float, program: SolverInterface
+) -> FloatArray | None:
+    """The way after one quadratic program about it, None where that has no solution.
+
+    Unknowns: the inner corners x, of each line what each coordinate travels t >= |step|, and of each line the
+    room s >= 0 that lacks most on it.
+    """
+    way, rooms, places = looked.way, looked.rooms, looked.places
+    lines, width = len(way) - 1, way.shape[1]
+    inner = (lines - 1) * width
+    count = inner + lines * width + lines
+    steps = sparse.kron(sparse.diags([1.0, -1.0], [0, -1], shape=(lines, lines - 1)), sparse.eye(width))
+    fixed = np.zeros((lines, width))
+    fixed[0], fixed[-1] = fixed[0] - way[0], fixed[-1] + way[-1]
+    travelled, none = sparse.eye(lines * width), sparse.csc_matrix((lines * width, lines))
+    row = rooms.row
+    k, share = places.move[row], places.share[row]
+    at = np.arange(len(row))
+    lacking = sparse.csc_matrix((np.ones(len(row)), (at, k)), shape=(len(row), lines))
+    parts = []
+    for corner, part in ((k - 1, 1.0 - share), (k, share)):
+        own = np.flatnonzero((corner >= 0) & (corner < lines - 1))
+        columns = corner[own, None] * width + np.arange(width)
+        values = part[own, None] * rooms.slope[own]
+        index = (np.repeat(own, width), columns.ravel())
+        parts.append(sparse.csc_matrix((values.ravel(), index), shape=(len(row), inner)))
+    slope = parts[0] + parts[1]
+    here = slope @ way[1:-1].ravel()
+    blocks: list[list[Any]] = [
+        [-steps, travelled, none],
+        [steps, travelled, none],
+        [slope, sparse.csc_matrix((len(row), lines * width)), lacking],
+    ]
+    matrix = sparse.bmat(blocks, format="csc")
+    least = np.concatenate([fixed.ravel(), -fixed.ravel(), looked.wanting + here])
+    square = sparse.diags(np.tile(weight**2, lines))
+    stiff = 2.0 * EVENNESS * lines * (steps.T @ square @ steps)
+    pull = 2.0 * EVENNESS * lines * (steps.T @ square @ fixed.ravel())
+    problem = MathematicalProgram()
+    unknown = problem.NewContinuousVariables(count)
+    problem.AddLinearConstraint(matrix, least, np.full(len(least), np.inf), unknown)
+    lower = np.maximum(way[1:-1] - trust, np.minimum(task.lower, way[1:-1])).ravel()
+    upper = np.minimum(way[1:-1] + trust, np.maximum(task.upper, way[1:-1])).ravel()
+    problem.AddBoundingBoxConstraint(lower, upper, unknown[:inner])
+    problem.AddBoundingBoxConstraint(0.0, np.inf, unknown[inner:])
+    problem.AddQuadraticCost(stiff.toarray(), pull, unknown[:inner], is_convex=True)
+    problem.AddLinearCost(np.ones(lines * width), unknown[inner : inner + lines * width])
+    problem.AddLinearCost(np.full(lines, ROOM_PRICE), unknown[inner + lines * width :])
+    result = program.Solve(problem)
+    if not result.is_success():
+        return None
+    out = way.copy()
+    out[1:-1] = np.clip(result.GetSolution(unknown[:inner]), lower, upper).reshape(lines - 1, width)
+    return out

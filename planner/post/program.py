@@ -39,10 +39,12 @@ TIME_DECIMALS = 5
 
 @dataclasses.dataclass(frozen=True)
 class Joints:
-    """The arm goes alone to the joints ``q`` (6,) [rad, serial], straight in joint space, and stops."""
+    """The arm goes to the joints ``q`` (6,) [rad, serial], straight in joint space, and stops: alone, or in a
+    synchronised block by the move ``id`` at once with the other arms."""
 
     q: FloatArray
     place: str
+    id: int | None = None
 
 
 @dataclasses.dataclass(frozen=True)

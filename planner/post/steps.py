@@ -192,14 +192,22 @@ class _Builder:
             self._setup(setup)
         for arm, carry in loads.items():
             self.steps[arm].append(carry)
-        for arm in plan.order:
-            steps = _joints((homes[arm], *plan.entry[arm], plan.q[arm][0]), "entry")
-            steps[-1] = Joints(plan.q[arm][0], "start")
-            from_home = number > 0 or opened
-            self._alone(arm, steps[1:] if from_home else steps, f"{arm} stands at its first target")
+        from_home = number > 0 or opened
+        if "entry" in plan.together:
+            for arm in () if from_home else plan.order:
+                self._alone(arm, [Joints(homes[arm], "entry")], f"{arm} stands at home")
+            ways = {arm: (homes[arm], *plan.entry[arm], plan.q[arm][0]) for arm in plan.order}
+            self._at_once(ways, "entry", "start")
+        else:
+            for arm in plan.order:
+                steps = _joints((homes[arm], *plan.entry[arm], plan.q[arm][0]), "entry")
+                steps[-1] = Joints(plan.q[arm][0], "start")
+                self._alone(arm, steps[1:] if from_home else steps, f"{arm} stands at its first target")
         self._actions(targets, -1, keep)
         self._blocks(number, targets, keep, segments, meets, duration)
-        for arm in reversed(plan.order):
+        if "exit" in plan.together:
+            self._at_once({arm: (plan.q[arm][-1], *plan.exit[arm], homes[arm]) for arm in plan.order}, "exit")
+        for arm in reversed(plan.order) if "exit" not in plan.together else ():
             steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
             self._alone(arm, steps[1:], f"{arm} is home again")
         ids = np.arange(1, len(keep) + 1)
@@ -234,6 +242,24 @@ class _Builder:
         if steps:
             self.steps[arm] += steps
             self._meet(reached, sum(step.action.seconds for step in steps if isinstance(step, Do)))
+
+    def _at_once(self, ways: Mapping[str, Sequence[FloatArray]], place: str, last: str | None = None) -> None:
+        """All arms through their stations, move by move, in a synchronised block, from the first one on; what
+        they reach ``last`` has a name of its own. Of stations that are one place for all arms the later one
+        counts."""
+        rows = np.stack([np.stack(ways[arm]) for arm in ways], axis=1)
+        goes = np.abs(np.diff(rows, axis=0)).max(axis=(1, 2)) >= SAME_JOINTS
+        if not goes.any():
+            return
+        begun = np.logical_or.accumulate(goes)
+        rows = rows[1:][begun & np.append(goes[1:], True)]
+        self.blocks += 1
+        for k, arm in enumerate(ways):
+            names = [place] * (len(rows) - 1) + [last or place]
+            steps = [
+                Joints(row[k], name, i) for i, (row, name) in enumerate(zip(rows, names, strict=True), 1)
+            ]
+            self.steps[arm] += [SyncOn(self.blocks), *steps, SyncOff(self.blocks)]
 
     def _actions(self, targets: Targets, row: int, keep: IntArray) -> None:
         """Actions from the target of this row to before that of the next one; row -1 is the first target."""

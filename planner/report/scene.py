@@ -320,9 +320,14 @@ def track(problem: Problem, plan: Plan, keys: int) -> Track:
         setup = setups[scene.setup_index(problem, index)]
         if setup.steps and setup.operations[0] == index:
             _setup_pause(rows, setup, index, here)
-        here = _own_ways(rows, problem, index, operation.entry, operation.order, here, Segment("entry"))
+        goes = {
+            name: _ways_at_once if name in operation.together else _own_ways for name in ("entry", "exit")
+        }
+        here = goes["entry"](rows, problem, index, operation.entry, operation.order, here, Segment("entry"))
         here = _operation_rows(rows, setup, plan, index, operation, here)
-        here = _own_ways(rows, problem, index, operation.exit, operation.order[::-1], here, Segment("exit"))
+        here = goes["exit"](
+            rows, problem, index, operation.exit, operation.order[::-1], here, Segment("exit")
+        )
     if not rows.time:
         _append(rows, 0, np.zeros(1), {arm: q[None] for arm, q in here.items()}, None, (Segment("home"),))
     time = np.concatenate(rows.time)
@@ -365,6 +370,29 @@ def _own_ways(
         _append(rows, index, time, q, None, (segment,) * len(time))
         here = {**here, name: path[-1]}
     return here
+
+
+def _ways_at_once(
+    rows: _Rows,
+    problem: Problem,
+    index: int,
+    paths: Mapping[str, FloatArray],
+    order: tuple[str, ...],
+    here: dict[str, FloatArray],
+    segment: Segment,
+) -> dict[str, FloatArray]:
+    """The arms' ways, all at once, at a modest pace of the arm that takes longest from point to point."""
+    ways = {name: np.concatenate([here[name][None], paths[name]]) for name in order}
+    step = np.zeros(len(ways[order[0]]) - 1)
+    for name, path in ways.items():
+        robot = robots.robot(problem.cell.arm(name).robot)
+        own = np.max(np.abs(np.diff(path, axis=0)) / (ENTRY_PACE * robot.velocity), axis=1)
+        step = np.maximum(step, own)
+    time = rows.end() + np.concatenate([[0.0], np.cumsum(step)])
+    _append(
+        rows, index, time, {**{a: q[None] for a, q in here.items()}, **ways}, None, (segment,) * len(time)
+    )
+    return {**here, **{name: path[-1] for name, path in ways.items()}}
 
 
 def _operation_rows(

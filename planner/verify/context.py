@@ -327,7 +327,7 @@ class Context:
                 continue
             if not any(stage.moves(task.name) for task in self.job.tasks):
                 continue
-            if not stage.synchronised:
+            if not stage.synchronised or stage.is_way:
                 fresh = True
                 continue
             if fresh:
@@ -364,7 +364,7 @@ class Context:
             stage = self.job.stages[number]
             for task in self.job.tasks:
                 steps = list(stage.steps[task.name])
-                if not stage.synchronised:
+                if not stage.synchronised or stage.is_way:
                     alone = [i for i, step in enumerate(steps) if isinstance(step, MoveStep)]
                     if alone and number == phase.first:
                         steps = steps[alone[-1] + 1 :]

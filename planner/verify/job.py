@@ -147,6 +147,13 @@ class Stage:
         return self._moves[task]
 
     @functools.cached_property
+    def is_way(self) -> bool:
+        """Whether it is synchronised for a way that all arms go at once, each by joints: nothing may join
+        them there, and no work is done."""
+        moves = [move for task in self.steps for move in self._moves[task]]
+        return self.synchronised and not self.ends and bool(moves) and all(move.by_joints for move in moves)
+
+    @functools.cached_property
     def _moves(self) -> dict[str, tuple[MoveStep, ...]]:
         return {
             task: tuple(step for step in steps if isinstance(step, MoveStep))

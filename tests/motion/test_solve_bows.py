@@ -260,5 +260,5 @@ def test_a_path_begins_and_ends_where_the_arms_can_come_one_by_one(
     for arm in targets.arms:
         np.testing.assert_array_equal(ways.way[arm][0], scene.chains[arm].home)
         np.testing.assert_array_equal(ways.way[arm][-1], found.q[arm][0])
-        np.testing.assert_array_equal(back[arm][0], found.q[arm][-1])
-        np.testing.assert_array_equal(back[arm][-1], scene.chains[arm].home)
+        np.testing.assert_array_equal(back.way[arm][0], found.q[arm][-1])
+        np.testing.assert_array_equal(back.way[arm][-1], scene.chains[arm].home)

@@ -110,6 +110,21 @@ def test_a_change_of_setup_is_shown_at_home_with_what_is_to_be_done(two: tuple[P
     assert min(at for at, _ in run.stops) >= run.time[0]
 
 
+def test_arms_that_go_at_once_do_so_in_the_replay(held: tuple[Problem, Plan]) -> None:
+    problem, plan = held
+    (one,) = plan.operations
+    at_once = dataclasses.replace(plan, operations=(dataclasses.replace(one, together=("entry", "exit")),))
+    alone, both = track(problem, plan, 600), track(problem, at_once, 600)
+    assert both.time[-1] < alone.time[-1]
+    for run, together in ((alone, False), (both, True)):
+        goes = [np.abs(np.diff(run.q[arm], axis=0)).max(axis=1) > 1e-9 for arm in one.order]
+        entering = np.array([str(label) == "entry" for label in run.segment])[1:]
+        shared = int((goes[0] & goes[1] & entering).sum())  # alone, one keyframe may hold a hand-over
+        assert (shared > 1) == together
+    for arm, way in one.exit.items():
+        np.testing.assert_allclose(both.q[arm][-1], way[-1], atol=0.01)  # times are rounded
+
+
 def test_a_held_block_moves_with_its_holder(held: tuple[Problem, Plan]) -> None:
     problem, plan = held
     run = track(problem, plan, 600)

@@ -332,7 +332,8 @@ class _Task:
             case Joints():
                 name = self.stations.of(step, operation + 1)
                 tool = self.tools.of(self.task.operations[operation].arm.tool)
-                return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED_NAME},fine,{tool};"]
+                ident = "" if step.id is None else f"\\ID:={step.id}"
+                return [f"MoveAbsJ {name}{ident}\\NoEOffs,{ENTRY_SPEED_NAME},fine,{tool};"]
             case Meet(number, reached, seconds) if self.partner is not None:
                 steps = self.partner.meet(number, seconds)
                 return [*comment(f"Meeting: {reached}"), *partner_lines(self.partner, steps)]

@@ -316,14 +316,15 @@ def zone_kind(context: Context) -> Outcome:
 
 @rule("verify.move_time")
 def move_time(context: Context) -> Outcome:
-    """Every move of a block states its time, in KRL by its speeds, and both moves of a pair the same."""
+    """Every move of a block states its time, in KRL by its speeds, and both moves of a pair the same; but the
+    joint moves of a way, which state their speeds, and of a pair take the time of the slower one."""
     worst = 0.0
     issues = [
         at_step("verify.move_time", "a move in a block has no \\T above 0", task, move)
-        for _, moves in _blocks(context)
+        for stage, moves in _blocks(context)
         for task in context.job.tasks
         for move in moves[task.name]
-        if move.time is None or move.time <= 0.0
+        if not stage.is_way and (move.time is None or move.time <= 0.0)
     ]
     issues += [
         at_step("verify.move_time", _too_short(move.time), task, move)
@@ -421,7 +422,7 @@ def wire_alone(context: Context) -> Outcome:
             lone = [
                 at_step("verify.wire_alone", message, task, moves[0], hint)
                 for number, stage, task, moves in context.moves()
-                if not stage.synchronised and runs and runs[0][0] < number < runs[-1][-1]
+                if (not stage.synchronised or stage.is_way) and runs and runs[0][0] < number < runs[-1][-1]
             ]
             issues += lone[:1] or [Issue("verify.wire_alone", message, hint=hint)]
     return Outcome(tuple(issues))
@@ -433,6 +434,7 @@ def _moves_with_power(context: Context) -> list[Issue]:
     issues, on = [], set[str]()
     for number, stage in enumerate(context.job.stages):
         setup = context.setup_claims[context.spans.of_stage[number]]
+        lone = not stage.synchronised or stage.is_way
         for task in context.job.tasks:
             edged = task.arm.name in setup.straight or bool(setup.mills(task.arm.name))
             for step in stage.steps[task.name]:
@@ -441,7 +443,7 @@ def _moves_with_power(context: Context) -> list[Issue]:
                     on = on | {name} if step.value else on - {name}
                 if not isinstance(step, MoveStep) or not on:
                     continue
-                alone = not stage.synchronised and (bool(setup.joined) or not edged)
+                alone = lone and (bool(setup.joined) or not edged)
                 if alone or (not setup.joined and step.by_joints):
                     how = "alone" if alone else "by joints"
                     message = f"an arm moves {how} while {', '.join(sorted(on))} is on"

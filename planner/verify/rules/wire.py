@@ -264,6 +264,7 @@ def moving(context: Context, phase: Phase) -> tuple[int, int]:
         i
         for i, (number, _, step) in enumerate(context.mounted_steps(phase))
         if context.job.stages[number].synchronised
+        and not context.job.stages[number].is_way
         and not isinstance(step, MessageStep | SignalStep | WaitStep)
     ]
     return (synchronised[0], synchronised[-1]) if synchronised else (0, 0)

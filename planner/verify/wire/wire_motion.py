@@ -74,7 +74,7 @@ def wires(context: Context) -> tuple[Wire, ...]:
 def samples(context: Context, phase: Phase) -> IntArray:
     """Samples of the motion while the wire of a phase is moved."""
     stages = context.motion.stage
-    synchronised = np.array([stage.synchronised for stage in context.job.stages])
+    synchronised = np.array([stage.synchronised and not stage.is_way for stage in context.job.stages])
     return np.flatnonzero((stages >= phase.first) & (stages <= phase.last) & synchronised[stages])
 
 

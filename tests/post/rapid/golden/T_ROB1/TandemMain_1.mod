@@ -13,9 +13,9 @@ MODULE TandemMain_1
     SingArea\Off;
     SetDO doWirePower,0;
     UIMsgBox\Header:="Tandem","Is there NO wire between the arms? Each arm now goes"
-        \MsgLine2:="alone to home and to its first position. Take off what"
-        \MsgLine3:="joins them, see that their ways are clear, then press"
-        \MsgLine4:="OK."
+        \MsgLine2:="home alone, then to its first position, alone or at"
+        \MsgLine3:="once with the other one. Take off what joins them, see"
+        \MsgLine4:="that their ways are clear, then press OK."
         \Buttons:=btnOK\Icon:=iconInfo;
     operation_1;
   ERROR
