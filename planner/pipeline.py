@@ -192,7 +192,7 @@ def plan(problem: Problem | spec.Problem, progress: Progress | None = None, proc
     """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible.
 
     With ``processes=2`` a second process draws the report's pictures and looks at rules of the proof beside
-    this one, with 150 to 350 MB of memory of its own; what comes out is the same byte by byte.
+    this one, with 300 to 550 MB of memory of its own; what comes out is the same byte by byte.
     """
     problem, tell = built(problem), progress or _silent
     with worker.beginning(processes) as begin:

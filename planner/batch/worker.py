@@ -137,8 +137,9 @@ def _work_out() -> None:
 class Second:
     """A second process for one plan, which works out calls while this one goes on; a context manager.
 
-    What a call yields is what it yields here, bit by bit. One that fails there, that cannot be told, or whose
-    process is ended, is worked out here, where it raises what it raises. One thread enters and leaves it.
+    What a call yields is what it yields here, bit by bit. One that fails there, that cannot be told, whose
+    process is ended, or that is not begun when it is asked for, since the machine has other things to do, is
+    worked out here, where it raises what it raises. One thread enters and leaves it.
     """
 
     def __init__(self) -> None:
@@ -189,7 +190,7 @@ class Second:
     def _answered(
         told: Future[tuple[bool, tuple[Any, ...]]], work: Callable[..., Iterator[Result]], arguments: Any
     ) -> Iterator[Result]:
-        done, found = told.result()
+        done, found = (False, ()) if told.cancel() else told.result()
         yield from found if done else work(*arguments)
 
 
