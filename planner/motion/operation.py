@@ -387,7 +387,8 @@ def _no_solver() -> Issue:
     names = " nor ".join(program.solver_name(kind) for kind in program.SOLVERS)
     return Issue(
         "motion.solver",
-        f"this build of Drake has neither {names}, one of which improves the path; the banded result is used",
+        f"this build of Drake has neither {names}, which make paths smoother and ways home shorter; those "
+        "that were found without them are used",
         severity=Severity.NOTE,
         hint="install drake from its own wheels (pip install drake)",
     )

@@ -15,10 +15,11 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
-from pydrake.solvers import ClarabelSolver, MathematicalProgram, OsqpSolver, SolverInterface
+from pydrake.solvers import MathematicalProgram, SolverInterface
 from scipy import sparse
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.motion.trajectory.program import solvers
 
 Free = Callable[[FloatArray], BoolArray]
 Sure = Callable[[FloatArray, FloatArray], BoolArray]
@@ -280,12 +281,6 @@ def travel(way: FloatArray) -> float:
     return float(np.abs(np.diff(way, axis=0)).sum())
 
 
-def solver() -> SolverInterface | None:
-    """The solver of quadratic programs: Clarabel, else OSQP, None where this Drake has neither."""
-    found = (one for one in (ClarabelSolver(), OsqpSolver()) if one.available() and one.enabled())
-    return next(found, None)
-
-
 def shortened(way: FloatArray, task: Task) -> FloatArray | None:
     """A way (K, D) of less travel between the ends of ``way`` (M, D), free as ``task.blocked`` finds it and
     without corners that it can do without; None where none was found. ``way`` itself need not be free.
@@ -293,12 +288,12 @@ def shortened(way: FloatArray, task: Task) -> FloatArray | None:
     The work is bounded by :data:`LAST_LOOKS`, :data:`ROUNDS`, :data:`REPAIR_ROUNDS` and the looks that a line
     has; the same way has the same answer.
     """
-    program = solver()
-    if program is None or len(way) < 2:
+    ready = solvers()
+    if not ready or len(way) < 2:
         return None
     now, also = _padded(way, task.lever), NOWHERE
     for number in range(LAST_LOOKS):
-        now = _optimised(now, also, task, program, REPAIR_ROUNDS if number else ROUNDS)
+        now = _optimised(now, also, task, ready[0], REPAIR_ROUNDS if number else ROUNDS)
         bad = task.blocked(now, True)
         if not len(bad.move):
             return _with_fewer_corners(now, task)

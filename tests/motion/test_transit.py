@@ -140,7 +140,7 @@ def test_a_way_of_no_length_and_a_missing_solver_have_no_shorter_way(monkeypatch
     point = np.zeros((2, 2))
     still = rrt.shortened(point, task)
     assert still is None or rrt.travel(still) == 0.0
-    monkeypatch.setattr(rrt, "solver", lambda: None)
+    monkeypatch.setattr(rrt, "solvers", list)
     assert rrt.shortened(np.array([[0.0, 0.0], [0.5, 1.0], [1.0, 0.0]]), task) is None
 
 

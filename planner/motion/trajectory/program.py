@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from pydrake.solvers import ClarabelSolver, MathematicalProgram, OsqpSolver
+from pydrake.solvers import ClarabelSolver, MathematicalProgram, OsqpSolver, SolverInterface
 from scipy.sparse import csc_matrix
 
 from planner.cell.plant import CellModel, quiet
@@ -79,7 +79,7 @@ class Programmed:
     asked: int = 0
 
 
-def solvers() -> list[Any]:
+def solvers() -> list[SolverInterface]:
     """The solvers that this build of Drake has, in the order in which they are asked."""
     return [solver for solver in (kind() for kind in SOLVERS) if solver.available() and solver.enabled()]
 
@@ -160,7 +160,7 @@ class _Search:
         ]
         self.trust = np.array(spans)
 
-    def run(self, ready: Sequence[Any], budget: int) -> Programmed:
+    def run(self, ready: Sequence[SolverInterface], budget: int) -> Programmed:
         """Rounds until little is gained, by the first solver that is ``ready`` and solves."""
         before, rounds, used, reason = self.look.cost, 0, "", "the banded result cannot be bettered"
         while rounds < MOST_ROUNDS and self._asked() < budget:
@@ -222,7 +222,7 @@ class _Search:
         found = {arm: self.scene.chains[arm].pose(q[arm]) for arm in q}
         return all(float(np.abs(found[arm] - wanted[arm])[:, :3, 3].max()) <= EXACT for arm in q)
 
-    def _solved(self, ready: Sequence[Any]) -> tuple[FloatArray | None, str]:
+    def _solved(self, ready: Sequence[SolverInterface]) -> tuple[FloatArray | None, str]:
         """The program's step (N, F) by the first solver that has one, None for none, and the solver."""
         program, unknowns = self._program()
         name = ""
