@@ -201,7 +201,7 @@ CODES: Final[dict[str, Code]] = {
     "post.spline": Code("KRL programs have spline blocks, which were not seen on a controller"),
     "post.spline_left": Code("moves that could not be put into spline blocks stay straight ones"),
     "post.krl_size": Code("KRL programs are too long for some controllers"),
-    "post.plan": Code("a plan has times or joints that no program can carry out"),
+    "post.plan": Code("a plan has times, joints or ways that no program can carry out"),
     "post.action": Code("an action of the process is at a target where the motion does not stop"),
     "post.name": Code(
         "a segment, tool or signal has a name that the language refuses, or that another has", given=True

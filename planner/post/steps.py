@@ -161,7 +161,7 @@ class _Builder:
     ) -> dict[str, OperationProgram]:
         """The operation's program for each task; ``loads``: what arms carry from its beginning on."""
         targets = plan.targets
-        _check(plan)
+        _check(plan, self.handshake is None)
         frames = _frames(plan, setup)
         written = _written(plan, frames, place)
         keep = _kept(written)
@@ -314,14 +314,25 @@ def _joints(stations: Sequence[FloatArray], place: str) -> list[Step]:
     return steps
 
 
-def _check(plan: OperationPlan) -> None:
-    """Issues for times, shapes and actions that no program can express."""
+def _check(plan: OperationPlan, one_controller: bool) -> None:
+    """Issues for times, shapes, ways and actions that no program can express; ``one_controller`` moves all
+    arms."""
     targets = plan.targets
     issues = []
     rows = [plan.time, *plan.q.values()]
     if any(len(row) != targets.count or not np.isfinite(row).all() for row in rows):
         message = (
             f"operation {plan.name}: times and joints must be finite and one row a target ({targets.count})"
+        )
+        issues.append(Issue("post.plan", message, hint="plan the job again"))
+    for name in plan.together:
+        way = {"entry": plan.entry, "exit": plan.exit}.get(name, {})
+        counts = {len(way[arm]) for arm in plan.order if arm in way}
+        if one_controller and set(plan.order) == set(way) and len(way) > 1 and len(counts) == 1:
+            continue
+        message = (
+            f"operation {plan.name}: the arms cannot go the way {name!r} at once; that needs one MultiMove "
+            "controller for both, and as many waypoints of each arm"
         )
         issues.append(Issue("post.plan", message, hint="plan the job again"))
     for action in targets.actions:

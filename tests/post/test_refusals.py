@@ -10,7 +10,7 @@ import pytest
 from planner.claims.vocabulary import Segment
 from planner.issues import TandemError
 from planner.targets import Action
-from tests.post import synthetic
+from tests.post import krl_job, synthetic
 from tests.post.reading import programs
 
 
@@ -59,6 +59,20 @@ def test_times_that_do_not_go_on(small, time):
 def test_joints_that_are_not_finite(small):
     q = {arm: np.where(np.arange(9)[:, None] == 4, np.nan, v) for arm, v in small[0].operations[0].q.items()}
     assert refused(changed(small[0], q=q), small[1]) == {"post.plan"}
+
+
+@pytest.mark.parametrize("together", [("entry",), ("entry", "exit"), ("elsewhere",)])
+def test_ways_at_once_that_no_program_can_go(small, together):
+    way = {arm: path[: 1 + k] for k, (arm, path) in enumerate(small[0].operations[0].entry.items())}
+    assert refused(changed(small[0], together=together, entry=way), small[1]) == {"post.plan"}
+
+
+@pytest.mark.parametrize("models", [("irb140",) * 2, ("kr10_r1100", "irb140"), ("kr10_r1100",) * 2])
+def test_ways_at_once_of_two_controllers(models):
+    plan, problem = krl_job.two(models)
+    programs(plan, problem)
+    assert refused(changed(plan, together=("entry",)), problem) == {"post.plan"}
+    assert refused(changed(plan, together=("exit",)), problem) == {"post.plan"}
 
 
 @pytest.mark.parametrize("at", [4, -1, 9])
