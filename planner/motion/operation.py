@@ -41,6 +41,8 @@ PROGRAM_SHARES: Final = (1.0, 0.5, 0.25)
 """Where its clock makes a path of the program worse in anything, the path so far on the way is tried."""
 LEAST_BUDGET: Final = 128
 """Targets whose distances Drake's program may ask for at least; else as many as were asked for before it."""
+LEAST_PROGRAM_GAIN: Final = 1e-3
+"""A path of Drake's program costs less by this share at least, or the one that it was made from stays."""
 SLOWER_SHARE: Final = 1.002
 """A path of Drake's program takes at most so many times as long as the one that it was made from."""
 
@@ -297,8 +299,8 @@ def _gains(seed: _Driven, driven: _Driven) -> dict[str, float]:
 
 def _worse(seed: _Driven, driven: _Driven) -> str:
     """In what a driven path is worse than the one that it was made from, empty where in nothing."""
-    if not driven.path.cost < seed.path.cost:
-        return "it costs no less"
+    if not driven.path.cost < (1.0 - LEAST_PROGRAM_GAIN) * seed.path.cost:
+        return f"it costs less by not even {100.0 * LEAST_PROGRAM_GAIN:g} %"
     peaks = zip(("acceleration", "jerk"), seed.peaks(), driven.peaks(), strict=True)
     for name, before, after in peaks:
         if after > program.PEAK_SHARE * before:

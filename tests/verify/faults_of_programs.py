@@ -102,10 +102,10 @@ def _every_other_call(old: Any) -> Any:
 
 
 def _first_alone(old: Any) -> Any:
-    """Nobody waits for the other arm to stand at its first target."""
+    """Nobody waits for the other arm to stand at home, nor at its first target."""
 
     def meet(self: Any, reached: str, seconds: float = 0.0) -> None:
-        if "first target" not in reached:
+        if "first target" not in reached and "at home" not in reached:
             old(self, reached, seconds)
 
     return meet
