@@ -103,7 +103,8 @@ def optimise(
     (N - 1,) [s], with stops ``stop`` (N,). ``avoid`` measures the distances, at ``budget`` targets before
     the last round at most.
 
-    Moves between targets are the caller's to look at.
+    The first and the last target stay as they are: arms come there from home, and go home from there. Moves
+    between targets are the caller's to look at.
     """
     if targets.count > MOST_TARGETS:
         return Programmed(None, f"{targets.count} targets, the program is for {MOST_TARGETS} at most")
@@ -232,6 +233,7 @@ class _Search:
                 found = solver.Solve(program)
             step = np.asarray(found.GetSolution(unknowns.ravel())).reshape(unknowns.shape)
             if found.is_success() and np.isfinite(step).all():
+                step[[0, -1]] = 0.0  # solvers meet bounds to a tolerance
                 return step * self.trust, name
         return None, name
 
@@ -248,6 +250,7 @@ class _Search:
         _add_cost(program, unknowns, blocks, slope)
         low, high = (problem.lower - values) / self.trust, (problem.upper - values) / self.trust
         low, high = np.clip(low, -1.0, 0.0), np.clip(high, 0.0, 1.0)
+        low[[0, -1]] = high[[0, -1]] = 0.0  # where ways from and to home are known to be, or not to be
         flat = unknowns.ravel()
         program.AddBoundingBoxConstraint(low.ravel(), high.ravel(), flat)
         rows = _Linear(values.shape)
