@@ -252,6 +252,7 @@ def _programmed(
         for share in PROGRAM_SHARES:
             driven, told["program_reason"], bad = _driven(scene, targets, branch, seed, made.path, share)
             if driven is not None:
+                del told["program_reason"]
                 return driven, {**told, **_gains(seed, driven), "program_used": True}
             if len(bad):
                 break
