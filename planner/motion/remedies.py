@@ -114,8 +114,10 @@ def advised(
         told = dataclasses.replace(
             issues[first], hint=f"{_sentence(found)} (tried: it opens the way)", remedy=found
         )
-    room = _Trial(problem, targets[operation], operation, issues[first].index or 0, plans)
-    widest = room.clearances(issues[first]) if code == "collision" else None
+    widest = None
+    if code == "collision":  # with work of its own, whatever was tried before
+        room = _Trial(problem, targets[operation], operation, issues[first].index or 0, plans)
+        widest = room.clearances(issues[first])
     if widest is not None:
         also = f"{told.hint}; or {_sentence(widest)}"
         told = dataclasses.replace(told, hint=also, remedy=told.remedy or widest)

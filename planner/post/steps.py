@@ -207,9 +207,10 @@ class _Builder:
         self._blocks(number, targets, keep, segments, meets, duration)
         if "exit" in plan.together:
             self._at_once({arm: (plan.q[arm][-1], *plan.exit[arm], homes[arm]) for arm in plan.order}, "exit")
-        for arm in reversed(plan.order) if "exit" not in plan.together else ():
-            steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
-            self._alone(arm, steps[1:], f"{arm} is home again")
+        else:
+            for arm in reversed(plan.order):
+                steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
+                self._alone(arm, steps[1:], f"{arm} is home again")
         ids = np.arange(1, len(keep) + 1)
         return {
             arm: OperationProgram(

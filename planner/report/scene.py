@@ -320,14 +320,12 @@ def track(problem: Problem, plan: Plan, keys: int) -> Track:
         setup = setups[scene.setup_index(problem, index)]
         if setup.steps and setup.operations[0] == index:
             _setup_pause(rows, setup, index, here)
-        goes = {
-            name: _ways_at_once if name in operation.together else _own_ways for name in ("entry", "exit")
-        }
-        here = goes["entry"](rows, problem, index, operation.entry, operation.order, here, Segment("entry"))
+        alone = [(arm,) for arm in operation.order]
+        first = [operation.order] if "entry" in operation.together else alone
+        last = [operation.order] if "exit" in operation.together else alone[::-1]
+        here = _ways(rows, problem, index, operation.entry, first, here, Segment("entry"))
         here = _operation_rows(rows, setup, plan, index, operation, here)
-        here = goes["exit"](
-            rows, problem, index, operation.exit, operation.order[::-1], here, Segment("exit")
-        )
+        here = _ways(rows, problem, index, operation.exit, last, here, Segment("exit"))
     if not rows.time:
         _append(rows, 0, np.zeros(1), {arm: q[None] for arm, q in here.items()}, None, (Segment("home"),))
     time = np.concatenate(rows.time)
@@ -348,51 +346,31 @@ def _setup_pause(rows: _Rows, setup: Setup, index: int, here: Mapping[str, Float
     _append(rows, index, np.array([start, middle + 0.5 * SETUP_PAUSE_S]), q, None, (SETUP_SEGMENT,) * 2)
 
 
-def _own_ways(
+def _ways(
     rows: _Rows,
     problem: Problem,
     index: int,
     paths: Mapping[str, FloatArray],
-    order: tuple[str, ...],
+    groups: Sequence[tuple[str, ...]],
     here: dict[str, FloatArray],
     segment: Segment,
 ) -> dict[str, FloatArray]:
-    """The arms' own ways, one after the other, at a modest pace."""
-    for name in order:
-        path = paths.get(name, np.zeros((0, 6)))
-        if len(path) == 0:
+    """The arms' ways, one group after the other, at a modest pace; arms of one group go at once, from point
+    to point as the one that takes longest."""
+    for group in groups:
+        own = {name: paths[name] for name in group if len(paths.get(name, ()))}
+        if not own:
             continue
-        robot = robots.robot(problem.cell.arm(name).robot)
-        path = np.concatenate([here[name][None], path])
-        step = np.max(np.abs(np.diff(path, axis=0)) / (ENTRY_PACE * robot.velocity), axis=1)
-        time = rows.end() + np.concatenate([[0.0], np.cumsum(step)])
-        q = {**{a: q[None] for a, q in here.items()}, name: path}
+        own = {name: np.concatenate([here[name][None], path]) for name, path in own.items()}
+        steps = []
+        for name, path in own.items():
+            robot = robots.robot(problem.cell.arm(name).robot)
+            steps.append(np.max(np.abs(np.diff(path, axis=0)) / (ENTRY_PACE * robot.velocity), axis=1))
+        time = rows.end() + np.concatenate([[0.0], np.cumsum(np.max(steps, axis=0))])
+        q = {**{a: q[None] for a, q in here.items()}, **own}
         _append(rows, index, time, q, None, (segment,) * len(time))
-        here = {**here, name: path[-1]}
+        here = {**here, **{name: path[-1] for name, path in own.items()}}
     return here
-
-
-def _ways_at_once(
-    rows: _Rows,
-    problem: Problem,
-    index: int,
-    paths: Mapping[str, FloatArray],
-    order: tuple[str, ...],
-    here: dict[str, FloatArray],
-    segment: Segment,
-) -> dict[str, FloatArray]:
-    """The arms' ways, all at once, at a modest pace of the arm that takes longest from point to point."""
-    ways = {name: np.concatenate([here[name][None], paths[name]]) for name in order}
-    step = np.zeros(len(ways[order[0]]) - 1)
-    for name, path in ways.items():
-        robot = robots.robot(problem.cell.arm(name).robot)
-        own = np.max(np.abs(np.diff(path, axis=0)) / (ENTRY_PACE * robot.velocity), axis=1)
-        step = np.maximum(step, own)
-    time = rows.end() + np.concatenate([[0.0], np.cumsum(step)])
-    _append(
-        rows, index, time, {**{a: q[None] for a, q in here.items()}, **ways}, None, (segment,) * len(time)
-    )
-    return {**here, **{name: path[-1] for name, path in ways.items()}}
 
 
 def _operation_rows(
