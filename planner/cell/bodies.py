@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -107,6 +108,12 @@ def extent(solid: Solid) -> FloatArray:
     long = shape.size[1] if len(shape.size) > 1 else 0.0
     caps = 0.0 if shape.kind == "cylinder" else 2.0 * shape.size[0]
     return np.array([2.0 * shape.size[0], 2.0 * shape.size[0], long + caps])
+
+
+def corners(solid: Solid) -> FloatArray:
+    """Corners (8, 3) [m] of the box of :func:`extent`."""
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    return np.asarray(0.5 * extent(solid) * signs)
 
 
 def signed_distance(solid: Solid, points: FloatArray) -> FloatArray:
@@ -209,12 +216,13 @@ def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> d
     A link's frame is parallel to the base at the controller's zero pose, as in the URDF; the tool's is the
     flange.
     """
-    upright = np.swapaxes(link_frames(robot, np.zeros(6))[:6, :3, :3], -1, -2)
+    links = link_frames(robot, np.concatenate([q, np.zeros((1, 6))]))
+    upright = np.swapaxes(links[-1, :6, :3, :3], -1, -2)
     turn = np.zeros((7, 4, 4))
     turn[:, 3, 3] = 1.0
     turn[:6, :3, :3] = upright
     turn[6] = np.eye(4)
-    frames = base @ link_frames(robot, q) @ turn
+    frames = base @ links[:-1] @ turn
     out = {f"{arm}/link_{i + 1}": frames[:, i] for i in range(6)}
     out[f"{arm}/tool"] = frames[:, 6]
     out[f"{arm}/base_link"] = base[None]

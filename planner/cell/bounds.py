@@ -8,6 +8,7 @@ table, bases) stay boxes. Pairs that no bound settles are measured (:mod:`planne
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -60,6 +61,16 @@ class Bounds:
         """The same without the pairs of bodies in ``ignore``."""
         if not ignore:
             return self
+        if ignore not in self._among:
+            self._among[ignore] = self._without(ignore)
+        return self._among[ignore]
+
+    @functools.cached_property
+    def _among(self) -> dict[frozenset[frozenset[str]], Bounds]:
+        """What :meth:`among` has given."""
+        return {}
+
+    def _without(self, ignore: frozenset[frozenset[str]]) -> Bounds:
         first = [[frozenset((self.solids[a].body, self.solids[b].body)) not in ignore] for a, b in self.pairs]
         second = [
             [frozenset((self.solids[a].body, self.boxes[b].body)) not in ignore] for a, b in self.box_pairs
@@ -81,9 +92,7 @@ class Bounds:
         lower, upper = np.full(placed.rows, np.inf), np.full(placed.rows, np.inf)
         boxes = self._near_boxes(placed, limit)
         if both:
-            exact = boxes.some(np.flatnonzero(self.exact[boxes.box]))
-            value = self._on_axis(exact, self.inner[0]).min(axis=1) - self.inner[1][exact.solid]
-            np.minimum.at(upper, exact.row, value)
+            np.minimum.at(upper, boxes.row, self._at_most(boxes))
         row, a, b = self._near(placed.centre, limit, upper > settled)
         if both:
             np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1])
@@ -126,15 +135,65 @@ class Bounds:
 
     def apart(self, poses: Mapping[str, FloatArray], padding: float) -> BoolArray:
         """Whether all solids are farther apart than ``padding`` [m], as (B,), for finite poses."""
-        placed, row, first, second, _ = self._near_pairs(poses, padding + AGREED_M)
+        placed = self._placed(poses)
+        boxes = self._near_boxes(placed, padding + AGREED_M)
+        out = np.ones(placed.rows, dtype=np.bool_)
+        out[boxes.row[self._at_most(boxes) <= padding]] = False
+        row, first, second, _ = self._pairs_within(placed, boxes, padding + AGREED_M, out)
+        return out & self._all_apart(placed, row, first, second, np.full(len(row), padding))
+
+    def stay_apart(
+        self, poses: Mapping[str, FloatArray], padding: float, change: FloatArray, lever: FloatArray
+    ) -> BoolArray:
+        """Whether all solids stay farther apart than ``padding`` [m] for sure while joints change by up to
+        ``change`` (B, D) [rad] either way from finite poses, as (B,). ``lever`` (S + K, D) [m/rad]: how far a
+        joint carries any point of a solid of ``given`` at most, 0 for solids that it does not move.
+
+        What moves both solids of a pair brings them no nearer, so each pair has a room of its own to keep.
+        """
+        placed, count = self._placed(poses), len(self.pairs)
+        pairs = np.concatenate([self.pairs, self.box_pairs + np.array([0, len(self.solids)])])
+        one, other = lever[pairs[:, 0]], lever[pairs[:, 1]]
+        room = padding + change @ np.where((one > 0.0) & (other > 0.0), 0.0, one + other).T
+        a, b = self.pairs.T
+        apart = lengths(placed.centre[:, a] - placed.centre[:, b])
+        over = apart - self.inner[1][a] - self.inner[1][b]
+        sure = np.asarray((over > room[:, :count]).all(axis=1))
+        rows = np.flatnonzero(sure)
+        if not len(rows):
+            return sure
+        placed, room, reach = placed.some(rows), room[rows], self.outer[0] + self.outer[1]
+        row, pair = np.nonzero(apart[rows] < reach[a] + reach[b] + room[:, :count])
+        boxes = self._near_boxes(placed, float(room[:, count:].max(initial=padding)))
+        column = np.zeros((len(self.solids), len(self.boxes)), dtype=np.intp)
+        column[tuple(self.box_pairs.T)] = np.arange(count, len(pairs))
+        own = column[boxes.solid, boxes.box]
+        near = np.flatnonzero(boxes.apart < reach[boxes.solid] + room[boxes.row, own])
+        boxes, own = boxes.some(near), own[near]
+        low = self._apart(placed, room[row, pair], row, a[pair], b[pair])
+        low = np.concatenate([low, self._along_axis(boxes)[0]])
+        row, pair = np.append(row, boxes.row), np.append(pair, own)
+        beyond = low - room[row, pair]
+        order = np.flatnonzero(beyond < AGREED_M)
+        order = order[np.lexsort((beyond[order], row[order]))]
+        row, pair = row[order], pair[order]
+        first, second = pairs[pair].T
+        sure[rows] = self._all_apart(placed, row, first, second, room[row, pair])
+        return sure
+
+    def _all_apart(
+        self, placed: _Placed, row: IndexArray, first: IndexArray, second: IndexArray, room: FloatArray
+    ) -> BoolArray:
+        """Whether all pairs (M,), by row, likely the nearest one of each first, are farther apart than
+        ``room`` (M,) [m], as (B,)."""
         out = np.ones(placed.rows, dtype=np.bool_)
         leading = np.diff(row, prepend=-1) != 0
         for some in (np.flatnonzero(leading), None):
             look = np.flatnonzero(~leading & out[row]) if some is None else some
             if len(look):
                 at, one, other = row[look], first[look], second[look]
-                gap = self._measured(placed, at, one, other, padding)[0]
-                out[at[gap <= padding]] = False
+                gap = self._measured(placed, at, one, other, room[look])[0]
+                out[at[gap <= room[look]]] = False
         return out
 
     def every(
@@ -153,14 +212,21 @@ class Bounds:
         """The solids as they are placed; row, both solids and lower bound (M,) of pairs that may be nearer
         than ``limit``, by row, the least bound of each row first."""
         placed = self._placed(poses)
-        row, first, second = self._near(placed.centre, limit, np.ones(placed.rows, dtype=np.bool_))
         boxes = self._near_boxes(placed, limit)
+        return placed, *self._pairs_within(placed, boxes, limit, np.ones(placed.rows, dtype=np.bool_))
+
+    def _pairs_within(
+        self, placed: _Placed, boxes: _NearBox, limit: float, rows: BoolArray
+    ) -> tuple[IndexArray, IndexArray, IndexArray, FloatArray]:
+        """The pairs of :meth:`_near_pairs` in the ``rows`` (B,) named."""
+        row, first, second = self._near(placed.centre, limit, rows)
+        boxes = boxes if rows.all() else boxes.some(np.flatnonzero(rows[boxes.row]))
         low = np.concatenate([self._apart(placed, limit, row, first, second), self._along_axis(boxes)[0]])
         row, first = np.concatenate([row, boxes.row]), np.concatenate([first, boxes.solid])
         second = np.concatenate([second, boxes.box + len(self.solids)])
         order = np.flatnonzero(low < limit)
         order = order[np.lexsort((low[order], row[order]))]
-        return placed, row[order], first[order], second[order], low[order]
+        return row[order], first[order], second[order], low[order]
 
     def _measured(
         self,
@@ -168,7 +234,7 @@ class Bounds:
         row: IndexArray,
         one: IndexArray,
         other: IndexArray,
-        settled: float | None = None,
+        settled: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Distances (M,) of solids in rows (M,), and their lines, as :func:`distances` has them."""
         first, second = (self._solid_poses(placed, row, which) for which in (one, other))
@@ -210,10 +276,10 @@ class Bounds:
         return way, lengths(way) - size[1][a] - size[1][b]
 
     def _apart(
-        self, placed: _Placed, limit: float, row: IndexArray, a: IndexArray, b: IndexArray
+        self, placed: _Placed, limit: float | FloatArray, row: IndexArray, a: IndexArray, b: IndexArray
     ) -> FloatArray:
         """Lower bounds (M,) of the distances of moving solids: of their outer capsules, and where these are
-        nearer than ``limit``, of their shadows."""
+        nearer than ``limit``, of all or of each (M,), of their shadows."""
         way, gap = self._between(placed, row, a, b, self.outer)
         touch = np.flatnonzero(gap < limit)
         at, first, second = row[touch], a[touch], b[touch]
@@ -289,6 +355,14 @@ class Bounds:
         low[open_] = np.maximum(low[open_], self._to_box(near.some(open_)))
         np.minimum.at(lower, near.row, low)
 
+    def _at_most(self, near: _NearBox) -> FloatArray:
+        """Upper bounds (M,) of distances to boxes, of inner capsules; infinite to what only lies in a box."""
+        out = np.full(len(near.row), np.inf)
+        exact = np.flatnonzero(self.exact[near.box])
+        some = near.some(exact)
+        out[exact] = self._on_axis(some, self.inner[0]).min(axis=1) - self.inner[1][some.solid]
+        return out
+
     def _to_box(self, near: _NearBox) -> FloatArray:
         """Distances (M,) of outer capsules to boxes; only the sign tells of those that overlap."""
         nearest = nearest_to_box(near.place, near.along, self.outer[0][near.solid], near.half)
@@ -326,6 +400,10 @@ class _Placed:
     def rows(self) -> int:
         """Number of rows."""
         return len(self.turns)
+
+    def some(self, rows: IndexArray) -> _Placed:
+        """Some of the rows."""
+        return _Placed(self.turns[rows], self.places[rows], self.centre[rows], self.axis[rows], self.fixed)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -16,11 +16,11 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from planner.cell.bodies import LeastClearance, Solid, extent, signed_distance
+from planner.cell.bodies import LeastClearance, Solid, corners, extent, signed_distance
 from planner.cell.bounds import Bounds
 from planner.cell.kinematics import joint_axes, link_frames
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, lengths, transform
 
 Against = Literal["all", "no_stock"]
 
@@ -175,6 +175,54 @@ def free(
         some = asked[start : start + CONFIGURATIONS_AT_ONCE]
         good[some] = bounds.apart(model.poses(_by_arm(model, rows[some])), padding)
     return good
+
+
+def stay_free(
+    model: CellModel,
+    q: Mapping[str, FloatArray],
+    change: Mapping[str, FloatArray],
+    padding: float,
+    levers: FloatArray,
+    ignore: Pairs = frozenset(),
+) -> BoolArray:
+    """Whether bodies are farther apart than ``padding`` [m] for sure while joints go from q up to ``change``
+    {arm: (B, 6)} [rad] either way, as (B,); arms that it does not name stand. ``levers``: what
+    :func:`solid_levers` gives of the model: no joint carries a point farther than its angle times that.
+    """
+    rows = model.stack(q)
+    far = np.zeros(rows.shape)
+    for arm, angle in change.items():
+        first = 6 * model.arms.index(arm)
+        far[:, first : first + 6] = angle
+    out = np.asarray(np.isfinite(rows).all(axis=1))
+    bounds, asked = model.bounds.among(ignore), np.flatnonzero(out)
+    for start in range(0, len(asked), CONFIGURATIONS_AT_ONCE):
+        some = asked[start : start + CONFIGURATIONS_AT_ONCE]
+        poses = model.poses(_by_arm(model, rows[some]))
+        out[some] = bounds.stay_apart(poses, padding, far[some], levers)
+    return out
+
+
+def solid_levers(model: CellModel) -> FloatArray:
+    """How far (S, nq) [m/rad] joints carry any point of each solid of the model's bounds at most, in all
+    postures: from the joint's axis along the links, then to the solid's farthest corner; about the last joint
+    that moves it, as far as that corner is from its axis."""
+    out = np.zeros((len(model.bounds.given), 6 * len(model.arms)))
+    placed = model.poses({})
+    for i, arm in enumerate(model.arms):
+        frames = model.bases[arm] @ link_frames(model.robots[arm], model.cell.arm(arm).home)
+        origin, axes = frames[:6, :3, 3], joint_axes(model.robots[arm], frames)
+        links = lengths(np.diff(origin, axis=0))
+        links[0] = np.hypot(model.robots[arm].opw.a1, model.robots[arm].opw.b)  # height is along the axis
+        for k, solid in enumerate(model.bounds.given):
+            count = model.joints_of(arm, solid.body)
+            if count:
+                points = transform(placed[solid.body][0] @ solid.shape.pose, corners(solid))
+                points -= origin[count - 1]
+                along = np.cumsum(links[: count - 1][::-1])[::-1]
+                out[k, 6 * i : 6 * i + count - 1] = along + lengths(points).max()
+                out[k, 6 * i + count - 1] = lengths(np.cross(axes[count - 1], points)).max()
+    return out
 
 
 def _by_arm(model: CellModel, rows: FloatArray) -> dict[str, FloatArray]:

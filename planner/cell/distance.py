@@ -88,22 +88,24 @@ def distances(
     second: IndexArray,
     one: FloatArray,
     other: FloatArray,
-    settled: float | None = None,
+    settled: float | FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Distances (M,) [m] of solids ``first`` and ``second`` (M,) at poses (M, 4, 4), unit vectors (M, 3) from
     the second to the first along which they are, and points (M, 3) on these lines.
 
     At most :data:`AGREED_M` below the truth and never above it; where roundings overlap it is the depth below
     zero, and where cores do, a bound of it, with no direction. Where one is only to be held against
-    ``settled`` [m], a lower bound above that, or any number below it, will do.
+    ``settled`` [m], of all or of each (M,), a lower bound above that, or any number below it, will do.
     """
+    enough = None if settled is None else np.broadcast_to(np.asarray(settled), first.shape)
     gap, way, place = np.empty(len(first)), np.zeros((len(first), 3)), np.zeros((len(first), 3))
     segments = cores.segment[first] & cores.segment[second]
     boxed = cores.box[first] & cores.segment[second] | cores.segment[first] & cores.box[second]
     for chosen, kernel in ((segments, _segments), (boxed, _segment_box), (~(segments | boxed), _gjk)):
         at = np.flatnonzero(chosen)
         if len(at):
-            gap[at], way[at], place[at] = kernel(cores, first[at], second[at], one[at], other[at], settled)
+            own = None if enough is None else enough[at]
+            gap[at], way[at], place[at] = kernel(cores, first[at], second[at], one[at], other[at], own)
     return gap - cores.rounding[first] - cores.rounding[second], way, place
 
 
@@ -116,7 +118,7 @@ def _segments(
     second: IndexArray,
     one: FloatArray,
     other: FloatArray,
-    settled: float | None,
+    settled: FloatArray | None,
 ) -> _Found:
     del settled  # closed forms need no search
     along = one[:, :3, 2]
@@ -154,7 +156,7 @@ def _segment_box(
     second: IndexArray,
     one: FloatArray,
     other: FloatArray,
-    settled: float | None,
+    settled: FloatArray | None,
 ) -> _Found:
     del settled  # closed forms need no search
     swap = cores.box[first]
@@ -203,7 +205,7 @@ def _gjk(
     second: IndexArray,
     one: FloatArray,
     other: FloatArray,
-    settled: float | None,
+    settled: FloatArray | None,
 ) -> _Found:
     """Lower bounds of the distance of cores, ways, places; 0 where they overlap."""
     count = len(first)
@@ -251,11 +253,23 @@ def _nearest(corner: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArra
     shares of the corners in it (M, 4), above 0 for those that it lies between, and whether the origin is
     inside (M,)."""
     count = len(corner)
+    share = np.zeros((count, 4))
+    most = int(used.sum(axis=1).max(initial=0))
+    if most < 2:  # as all are in the first step
+        which = used.argmax(axis=1)
+        share[np.arange(count), which] = 1.0
+        return corner[np.arange(count), which], share, np.zeros(count, dtype=np.bool_)
     a, b = corner[:, _EDGES[:, 0]], corner[:, _EDGES[:, 1]]
     edge = b - a
     square = np.einsum("mkc,mkc->mk", edge, edge)
     t = -np.einsum("mkc,mkc->mk", a, edge) / np.where(square > 0.0, square, 1.0)
     edge_good = used[:, _EDGES].all(axis=2) & (t > 0.0) & (t < 1.0) & (square > 0.0)
+    on_edge = a + t[..., None] * edge
+    if most < 3:  # in the second step
+        points, good = np.concatenate([corner, on_edge], axis=1), np.concatenate([used, edge_good], axis=1)
+        best = np.where(good, np.einsum("mkc,mkc->mk", points, points), np.inf).argmin(axis=1)
+        _share_edges(share, best, t)
+        return points[np.arange(count), best], share, np.zeros(count, dtype=np.bool_)
 
     x, y, z = (corner[:, _TRIANGLES[:, k]] for k in range(3))
     opposite = _cross(np.stack([y, z, x]), np.stack([z, x, y]))
@@ -266,21 +280,25 @@ def _nearest(corner: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArra
     on_face = normal * (np.einsum("mkc,mkc->mk", x, normal) / safe)[..., None]
     face_good = used[:, _TRIANGLES].all(axis=2) & (across > 0.0).all(axis=0) & (area > 1e-30)
 
-    points = np.concatenate([corner, a + t[..., None] * edge, on_face], axis=1)
+    points = np.concatenate([corner, on_edge, on_face], axis=1)
     good = np.concatenate([used, edge_good, face_good], axis=1)
     best = np.where(good, np.einsum("mkc,mkc->mk", points, points), np.inf).argmin(axis=1)
-    share = np.zeros((count, 4))
-    rows = np.flatnonzero(best < 4)
-    share[rows, best[rows]] = 1.0
-    rows = np.flatnonzero((best >= 4) & (best < 10))
-    which = best[rows] - 4
-    share[rows[:, None], _EDGES[which]] = np.stack([1.0 - t[rows, which], t[rows, which]], axis=1)
+    _share_edges(share, best, t)
     rows = np.flatnonzero(best >= 10)
     which = best[rows] - 10
     share[rows[:, None], _TRIANGLES[which]] = across[:, rows, which].T
     volumes = np.einsum("mkc,mkc->mk", opposite[2], z) * np.array([1.0, -1.0, 1.0, -1.0])
     inside = used.all(axis=1) & ((volumes > 0.0).all(axis=1) | (volumes < 0.0).all(axis=1))
     return points[np.arange(count), best], share, inside
+
+
+def _share_edges(share: FloatArray, best: IndexArray, t: FloatArray) -> None:
+    """Writes the shares of corners where these or edges, at ``t`` (M, 6) of them, are ``best`` (M,)."""
+    rows = np.flatnonzero(best < 4)
+    share[rows, best[rows]] = 1.0
+    rows = np.flatnonzero((best >= 4) & (best < 10))
+    which = best[rows] - 4
+    share[rows[:, None], _EDGES[which]] = np.stack([1.0 - t[rows, which], t[rows, which]], axis=1)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from planner.catalogue.robots import RobotData
@@ -17,11 +19,14 @@ def link_frames(robot: RobotData, q: FloatArray) -> FloatArray:
     """
     p = robot.opw
     theta = p.signs * np.asarray(q, dtype=np.float64) - p.offsets
-    steps = ((0.0, 0.0, 0.0), (p.a1, p.b, p.c1), (0.0, 0.0, p.c2), (p.a2, 0.0, p.c3), (0.0, 0.0, 0.0))
-    frames = np.zeros((*theta.shape[:-1], 7, 4, 4))
-    pose = np.broadcast_to(np.eye(4), (*theta.shape[:-1], 4, 4))
-    for i, axis in enumerate("zyyzyz"):
-        pose = pose @ _turn(axis, theta[..., i], steps[i] if i < 5 else (0.0, 0.0, 0.0))
+    frames = np.empty((*theta.shape[:-1], 7, 4, 4))
+    turns = _turns(theta)
+    turns[..., 1, :3, 3], turns[..., 2, 2, 3] = (p.a1, p.b, p.c1), p.c2
+    turns[..., 3, 0, 3], turns[..., 3, 2, 3] = p.a2, p.c3
+    pose = turns[..., 0, :, :]
+    frames[..., 0, :, :] = pose
+    for i in range(1, 6):
+        pose = pose @ turns[..., i, :, :]
         frames[..., i, :, :] = pose
     flange = np.eye(4)
     flange[2, 3] = p.c4
@@ -46,20 +51,23 @@ def jacobian(robot: RobotData, q: FloatArray) -> FloatArray:
 def joint_axes(robot: RobotData, frames: FloatArray) -> FloatArray:
     """Unit axes (..., 6, 3) about which the joints turn, by the ``frames`` (..., 6 or more, 4, 4) of the
     links."""
-    axes = np.stack([frames[..., i, :3, "xyz".index(a)] for i, a in enumerate("zyyzyz")], axis=-2)
+    axes = np.stack([frames[..., i, :3, "xyz".index(a)] for i, a in enumerate(AXES)], axis=-2)
     return np.asarray(axes * robot.opw.signs[:, None])
 
 
-def _turn(axis: str, angle: FloatArray, step: tuple[float, float, float]) -> FloatArray:
-    """Translation by ``step``, then rotation about z or y."""
-    c, s = np.cos(angle), np.sin(angle)
-    out = np.zeros((*angle.shape, 4, 4))
+AXES: Final = "zyyzyz"
+"""The axes about which the joints turn."""
+_ABOUT_Z, _ABOUT_Y = (np.array([i for i, axis in enumerate(AXES) if axis == a]) for a in "zy")
+
+
+def _turns(theta: FloatArray) -> FloatArray:
+    """Rotations (..., 6, 4, 4) about :data:`AXES` by angles (..., 6)."""
+    c, s = np.cos(theta), np.sin(theta)
+    out = np.zeros((*theta.shape, 4, 4))
     out[..., 3, 3] = 1.0
-    out[..., :3, 3] = step
-    if axis == "z":
-        out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1] = c, -s, s, c
-        out[..., 2, 2] = 1.0
-    else:
-        out[..., 0, 0], out[..., 0, 2], out[..., 2, 0], out[..., 2, 2] = c, s, -s, c
-        out[..., 1, 1] = 1.0
+    out[..., 0, 0] = c
+    for joints, other, rest, sign in ((_ABOUT_Z, 1, 2, -1.0), (_ABOUT_Y, 2, 1, 1.0)):
+        out[..., joints, other, other] = c[..., joints]
+        out[..., joints, rest, rest] = 1.0
+        out[..., joints, 0, other], out[..., joints, other, 0] = sign * s[..., joints], -sign * s[..., joints]
     return out

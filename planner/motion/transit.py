@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from planner.cell import clearance
+from planner.cell.clearance import Pairs
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import (
     BoolArray,
@@ -263,9 +264,6 @@ def _insert(targets: Targets, ways: Mapping[int, list[FloatArray]]) -> Targets:
 POSTURE_STEPS_RAD = np.deg2rad([3.0, 1.0, 0.3])
 """Distances [rad] between the postures that a search looks at; finer where its way is not free in between."""
 
-PAIR_RANGE_M = 0.2
-"""Bodies [m] farther apart than this are not told from each other at the last look at a way."""
-
 FINE_STEP_M = 1e-3
 """How far [m] one joint may carry the tool between two postures of the last look at a way."""
 
@@ -448,11 +446,33 @@ class _Moving:
 
     def free(self, points: FloatArray) -> BoolArray:
         """(B,) whether joints are within their limits and bodies keep clear."""
-        scene, ok = self.scene, np.ones(len(points), dtype=bool)
+        scene, ok = self.scene, np.full(len(points), self.rest_free)
         rows = self.joints(points)
         for arm in self.arms:
             ok &= scene.chains[arm].limit_margin(rows[arm]) >= min(scene.settings.joint_margin, 0.0)
-        return ok if scene.model is None else ok & clearance.free(scene.model, rows, scene.settings.clearance)
+        if scene.model is None or not ok.any():
+            return ok
+        return ok & clearance.free(scene.model, rows, scene.settings.clearance, self.resting)
+
+    @functools.cached_property
+    def resting(self) -> Pairs:
+        """Pairs of bodies that none of the arms moves."""
+        model = self.scene.model
+        if model is None:
+            return frozenset()
+        still = {s.body for s in model.solids if not any(model.joints_of(a, s.body) for a in self.arms)}
+        return frozenset(map(frozenset, itertools.combinations(sorted(still), 2)))
+
+    @functools.cached_property
+    def rest_free(self) -> bool:
+        """Whether the others keep clear of one another and of what is fixed where they stand."""
+        model = self.scene.model
+        if model is None:
+            return True
+        moved = frozenset(map(frozenset, itertools.combinations({s.body for s in model.solids}, 2)))
+        stand = {arm: q[None] for arm, q in self.standing.items()}
+        wanted = self.scene.settings.clearance
+        return bool(clearance.free(model, stand, wanted, moved - self.resting).all())
 
     def sure(self, points: FloatArray, half: FloatArray) -> BoolArray:
         """(B,) whether bodies keep clear for sure while joints go up to ``half`` (B, D) from points either
@@ -460,17 +480,16 @@ class _Moving:
         model, wanted = self.scene.model, self.scene.settings.clearance
         if model is None:  # joints within their limits at both ends of a line are so on all of it
             return np.ones(len(points), dtype=bool)
-        rows, far = self.joints(points), self.carried(half)
-        ok = np.asarray(far < clearance.at_least(model, rows, PAIR_RANGE_M) - wanted)
-        left = np.flatnonzero(~ok & (far < PAIR_RANGE_M - wanted))
-        left = left[clearance.free(model, {a: q[left] for a, q in rows.items()}, wanted)]
-        found = clearance.least(model, {a: q[left] for a, q in rows.items()}, PAIR_RANGE_M)
-        ok[left] = far[left] < found.distance - wanted
-        return ok
+        if not self.rest_free:
+            return np.zeros(len(points), dtype=bool)
+        change = {arm: half[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self.arms)}
+        rows = self.joints(points)
+        return clearance.stay_free(model, rows, change, wanted, self.solid_levers, self.resting)
 
-    def carried(self, change: FloatArray) -> FloatArray:
-        """How much nearer (B,) [m] two bodies come at most while joints change by (B, D)."""
-        return np.asarray(change @ self.lever)
+    @functools.cached_property
+    def solid_levers(self) -> FloatArray:
+        """What :func:`clearance.solid_levers` gives of the model."""
+        return np.zeros(0) if self.scene.model is None else clearance.solid_levers(self.scene.model)
 
     @functools.cached_property
     def lever(self) -> FloatArray:
@@ -493,7 +512,9 @@ class _Moving:
         if model is not None:
             wanted = self.scene.settings.clearance
             columns = np.concatenate([6 * model.arms.index(arm) + np.arange(6) for arm in self.arms])
-            found = clearance.gradients_at(model, model.stack(self.joints(points)), wanted + NEAR_M)
+            found = clearance.gradients_at(
+                model, model.stack(self.joints(points)), wanted + NEAR_M, self.resting
+            )
             row.append(np.repeat(np.arange(len(found)), [len(near.distance) for near in found]))
             room += [near.distance - wanted for near in found]
             slope += [near.gradient[:, columns] for near in found]

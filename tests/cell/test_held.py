@@ -6,10 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from pydrake.multibody.tree import JacobianWrtVariable
 
 from planner.cell import clearance, plant
-from planner.cell.bodies import own_shapes
-from planner.geometry.arrays import Shape, from_rpy, inverse
+from planner.cell.bodies import corners, own_shapes
+from planner.geometry.arrays import Shape, from_rpy, inverse, transform
 from planner.problem import Arm, Cell, Controller, Stock
 from planner.tooling import bow, gripper_plate
 from tests.cell.cells import BLOCK, UP, alone, random_joints
@@ -122,3 +123,44 @@ def test_a_held_block_needs_a_holder_and_no_support(held: plant.CellModel) -> No
     with pytest.raises(KeyError):
         plant.build(held.cell, dataclasses.replace(held.stock, held_by="nobody"), np.eye(4))
     assert np.allclose(inverse(GRIP) @ GRIP, np.eye(4))
+
+
+def test_joints_carry_no_corner_of_a_solid_faster_than_their_lever_by_drake_s_jacobian(
+    held: plant.CellModel,
+) -> None:
+    """Of all solids, those of the bow, its wire and the held block among them, and most nearly as fast."""
+    rng = np.random.default_rng(4)
+    lever = clearance.solid_levers(held)
+    fastest = np.zeros(lever.shape)
+    for _ in range(60):
+        context = held.checker.UpdatePositions(rng.uniform(-2.5, 2.5, 12))
+        for k, solid in enumerate(held.bounds.given):
+            points = transform(solid.shape.pose, corners(solid)).T
+            world = held.plant.world_frame()
+            found = held.plant.CalcJacobianTranslationalVelocity(
+                context, JacobianWrtVariable.kQDot, held.body(solid.body).body_frame(), points, world, world
+            )
+            speed = np.linalg.norm(found.reshape(points.shape[1], 3, -1), axis=1)
+            fastest[k] = np.maximum(fastest[k], speed.max(axis=0))
+    assert np.all(fastest <= lever + 1e-9)
+    assert np.all((fastest > 1e-9) == (lever > 0.0))
+    share = fastest[lever > 0.0] / lever[lever > 0.0]
+    assert share.min() > 0.2 and np.median(share) > 0.9
+
+
+def test_what_is_sure_to_stay_free_is_free_by_drake_however_the_joints_go(held: plant.CellModel) -> None:
+    """And nothing is sure where one of those postures is not free."""
+    rng = np.random.default_rng(5)
+    q, size = random_joints(6, 300), rng.uniform(0.0, 0.12, 300)[:, None]
+    change = {arm: size * rng.uniform(0.0, 1.0, (300, 6)) for arm in q}
+    lever = clearance.solid_levers(held)
+    sure = clearance.stay_free(held, q, change, 0.01, lever)
+    assert 20 < sure.sum() < 280
+    for sign in (0.0, -1.0, 1.0):
+        there = {arm: q[arm] + sign * change[arm] * rng.choice([-1.0, 1.0], (300, 6)) for arm in q}
+        far = clearance.witness(held, {arm: rows[sure] for arm, rows in there.items()}, 0.05).distance
+        assert far.min() > 0.01
+    standing = clearance.stay_free(held, q, {"left": change["left"]}, 0.01, lever)
+    assert np.all(standing[sure]) and standing.sum() > sure.sum()
+    still = clearance.stay_free(held, q, {}, 0.01, lever)
+    np.testing.assert_array_equal(still, clearance.free(held, q, 0.01))
