@@ -15,10 +15,10 @@ from unittest import mock
 import numpy as np
 
 from planner import pipeline, processes
-from planner.motion import solve, transit
+from planner.motion import solve, ways
 from planner.motion.planning_scene import Scene
 from planner.motion.rrt import travel
-from planner.motion.transit import Ways, _Moving
+from planner.motion.ways import Ways, _Moving
 from planner.problem import Problem
 from planner.targets import Job
 
@@ -46,7 +46,7 @@ def run() -> list[dict[str, Any]]:
 def _ways(name: str) -> Iterator[dict[str, Any]]:
     """Plans a job and takes notes of each of its ways before and after they are improved."""
     out: list[dict[str, Any]] = []
-    improved = transit._improved
+    improved = ways._improved
 
     def noted(scene: Scene, ways: Ways, synchronised: bool) -> Ways:
         start = time.process_time()
@@ -62,7 +62,7 @@ def _ways(name: str) -> Iterator[dict[str, Any]]:
 
     problem: Problem = pipeline.load(PROBLEMS / f"{name}.yaml")
     jobs: list[Job[Any]] = list(processes.jobs(problem))
-    with mock.patch.object(transit, "_improved", noted):
+    with mock.patch.object(ways, "_improved", noted):
         solve.solve(problem, [job.targets() for job in jobs])
     yield from out
 

@@ -14,7 +14,7 @@ from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError, aggregate
-from planner.motion import diagnosis, transit
+from planner.motion import diagnosis, transit, ways
 from planner.motion.planning_scene import Scene
 from planner.motion.search import path_search
 from planner.motion.search.ladder_search import Found, speed_limits
@@ -72,7 +72,7 @@ def plan_operation(
     """
     scene = Scene.of(cell, targets.arms, stock_pose, settings, model, bases)
     watch = _Watch()
-    transit.require_home(scene, targets)
+    ways.require_home(scene, targets)
     targets = path_search.with_aims(scene, targets)
     targets, found = _path(scene, targets, watch)
     avoid = _avoid(scene, targets)
@@ -102,7 +102,7 @@ def plan_operation(
     watch.lap("timing")
     families = {scene.chains[arm].robot.family for arm in targets.arms}
     synchronised = cell.controller.sync == "multimove" and families == {"ABB"}
-    entering, leaving = transit.both_ways(scene, targets, better.q, synchronised)
+    entering, leaving = ways.both_ways(scene, targets, better.q, synchronised)
     watch.lap("entry")
     metrics = {
         "stages": watch.laps,
@@ -135,7 +135,7 @@ def plan_operation(
         entry=entering.way,
         exit=leaving.way,
         order=entering.order,
-        together=tuple(name for name, ways in (("entry", entering), ("exit", leaving)) if ways.together),
+        together=tuple(name for name, way in (("entry", entering), ("exit", leaving)) if way.together),
         metrics=metrics,
         issues=aggregate(issues),
     )

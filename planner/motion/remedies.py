@@ -18,7 +18,7 @@ from planner.cell.bodies import own_shapes
 from planner.geometry.arrays import FloatArray, Shape, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Remedy, TandemError
-from planner.motion import transit
+from planner.motion import ways
 from planner.motion.placement import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
@@ -319,9 +319,9 @@ class _Trial:
             changed = applied(self._problem, remedy)
             scene = self._scene(changed)
             try:
-                transit.require_home(scene, self._job)
+                ways.require_home(scene, self._job)
                 if isinstance(found, Found):
-                    transit.both_ways(scene, self._job, found.q)
+                    ways.both_ways(scene, self._job, found.q)
             except TandemError:
                 continue
             self._whole -= 1
@@ -374,7 +374,7 @@ class _Trial:
         if not self._may_pass(changed, scene):
             return False
         try:
-            transit.require_home(scene, self._job)
+            ways.require_home(scene, self._job)
         except TandemError:
             return False
         return isinstance(self._find(scene), Found)

@@ -19,7 +19,7 @@ from planner.files import versions
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.units import MM
 from planner.issues import Issue, Remedy, TandemError, aggregate
-from planner.motion import diagnosis, remedies, transit
+from planner.motion import diagnosis, remedies, ways
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search, Trace
 from planner.motion.planning_scene import Scene
@@ -302,7 +302,7 @@ def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         for job in jobs:
             scene = Scene.of(setup.cell, job.arms, away, problem.settings, model.with_stock(away))
-            transit.require_home(scene, job)
+            ways.require_home(scene, job)
 
 
 def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, list[Issue]]:
@@ -343,7 +343,7 @@ def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list
         for job in jobs:
             scene = Scene.of(setup.cell, job.arms, stand.place, problem.settings, model)
             try:
-                transit.require_home(scene, job)
+                ways.require_home(scene, job)
             except TandemError as error:
                 out += error.issues
     return list(aggregate(out))
@@ -421,7 +421,7 @@ def _no_path(
             scene = Scene.of(setup.cell, job.arms, place.stock, problem.settings, placed, place.bases)
             at[0] = at[0] if out else index
             try:
-                transit.require_home(scene, job)
+                ways.require_home(scene, job)
             except TandemError as error:  # as the plan does, which asks for this first
                 out += error.issues
                 continue
@@ -430,7 +430,7 @@ def _no_path(
                 out += diagnosis.no_path(scene, job, grid, found)
                 continue
             try:
-                transit.require_home(scene, job)
+                ways.require_home(scene, job)
             except TandemError as error:
                 out += error.issues
     return out

@@ -14,7 +14,7 @@ from planner.cell import clearance, plant
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray, from_parts, from_rpy, interpolate, inverse
 from planner.issues import TandemError
-from planner.motion import diagnosis, transit
+from planner.motion import diagnosis, ways
 from planner.motion.operation import plan_operation
 from planner.motion.planning_scene import Scene, cutting
 from planner.motion.search.ladder_search import Blocked, Found
@@ -246,7 +246,7 @@ def test_a_path_begins_and_ends_where_the_arms_can_come_one_by_one(
     _, found = find_path(scene, targets)
     assert isinstance(found, Found)
     ends = {arm: q[[0, -1]] for arm, q in found.q.items()}
-    assert transit.ends_free(scene, ends).all()
+    assert ways.ends_free(scene, ends).all()
     first = {arm: q[0] for arm, q in ends.items()}
     inward = [
         dataclasses.replace(arm, home=first["right" if arm.name == "left" else "left"]) for arm in cell.arms
@@ -255,10 +255,10 @@ def test_a_path_begins_and_ends_where_the_arms_can_come_one_by_one(
     there = scene_of(crowded, stock, targets, place)
     alone = clearance.free(there.model, {"right": ends["right"]}, 0.01)  # type: ignore[arg-type]
     other = clearance.free(there.model, {"left": ends["left"]}, 0.01)  # type: ignore[arg-type]
-    assert np.array_equal(transit.ends_free(there, ends), alone | other)
-    ways, back = transit.both_ways(scene, targets, found.q)
+    assert np.array_equal(ways.ends_free(there, ends), alone | other)
+    entering, back = ways.both_ways(scene, targets, found.q)
     for arm in targets.arms:
-        np.testing.assert_array_equal(ways.way[arm][0], scene.chains[arm].home)
-        np.testing.assert_array_equal(ways.way[arm][-1], found.q[arm][0])
+        np.testing.assert_array_equal(entering.way[arm][0], scene.chains[arm].home)
+        np.testing.assert_array_equal(entering.way[arm][-1], found.q[arm][0])
         np.testing.assert_array_equal(back.way[arm][0], found.q[arm][-1])
         np.testing.assert_array_equal(back.way[arm][-1], scene.chains[arm].home)

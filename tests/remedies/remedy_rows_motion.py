@@ -12,7 +12,7 @@ import numpy as np
 from planner import pipeline, processes
 from planner.geometry.units import MM
 from planner.issues import Issue
-from planner.motion import transit
+from planner.motion import ways
 from planner.motion.operation import plan_operation
 from planner.motion.search.ladder_search import Found, search
 from planner.motion.search.reach import sample
@@ -60,7 +60,7 @@ def enter(folder: Path, data: Any) -> list[Issue]:
         assert isinstance(way, Found)
         spot = scene.chains["left"].pose(way.q["left"][0])[:3, 3]
         crates = (box("crate", (0.05, 0.05, 0.05), tuple(spot)),) if data["crate"] else ()
-        transit.entry(pair(20, crates)[0], targets, way.q)
+        ways.both_ways(pair(20, crates)[0], targets, way.q)
         return []
 
     return found(work)

@@ -23,7 +23,7 @@ from planner.motion.search.ladder_search import Blocked, Dead, Found, speed_limi
 from planner.motion.search.reach import Grid, Reach, Rungs, reach
 from planner.motion.search.subsampling import Coordinates, Level, levels, subset
 from planner.motion.trajectory.joint_path import dense
-from planner.motion.transit import ends_free
+from planner.motion.ways import ends_free
 from planner.targets import Targets
 
 RUNG_COUNTS: Final = (48, 96)

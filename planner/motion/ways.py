@@ -1,0 +1,409 @@
+"""Ways of arms from home to the first target, and home from the last one.
+
+Each arm goes alone while the others stand, or all of them at once where one controller moves them and that is
+no farther and faster. Ways are free of everything at and between all places; of those that are found, corners
+are moved until they are shorter.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import numpy as np
+
+from planner.cell import clearance
+from planner.cell.clearance import Pairs
+from planner.geometry.arrays import BoolArray, FloatArray, log_rotation
+from planner.geometry.units import MM
+from planner.issues import Issue, TandemError
+from planner.motion.planning_scene import Scene
+from planner.motion.rrt import (
+    MOST_MOVES,
+    Places,
+    Rooms,
+    Task,
+    blocked_places,
+    connect,
+    shortened,
+    travel,
+)
+from planner.motion.trajectory.hinges import levers
+from planner.targets import Targets
+
+POSTURE_STEPS_RAD = np.deg2rad([3.0, 1.0, 0.3])
+"""Distances [rad] between the postures that a search looks at; finer where its way is not free in between."""
+
+FINE_STEP_M = 1e-3
+"""How far [m] one joint may carry the tool between two postures of the last look at a way."""
+
+NEAR_M = 0.1
+"""Bodies [m] that have more room than this do not count in one round of making a way shorter."""
+
+SAME_TRAVEL_RAD = 1e-6
+"""A way that is longer than the straight line by less [rad] is as short as can be."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Ways:
+    """Joint waypoints {arm: (M, 6)} with both ends, and the order in which the arms go. ``together``: they go
+    at once, from each waypoint to the next in one move, and have as many."""
+
+    way: dict[str, FloatArray]
+    order: tuple[str, ...]
+    together: bool = False
+
+
+def both_ways(
+    scene: Scene, targets: Targets, q: Mapping[str, FloatArray], synchronised: bool = False
+) -> tuple[Ways, Ways]:
+    """Ways from home to the first target and from the last one home, in the first order of arms that has
+    both; where the arms are ``synchronised`` those of all of them at once, if there are such ones.
+
+    Raises :class:`TandemError` (``motion.entry``) with the closest bodies where no order has.
+    """
+    failed: TandemError | None = None
+    for order in itertools.permutations(targets.arms):
+        try:
+            entering = _ways(scene, targets, q, 0, order)
+            leaving = _ways(scene, targets, q, targets.count - 1, order)
+        except TandemError as error:
+            failed = failed or error
+            continue
+        entering, leaving = (_improved(scene, ways, synchronised) for ways in (entering, leaving))
+        return entering, _backwards(leaving)
+    raise failed or ValueError("targets without arms have no way in")
+
+
+def _improved(scene: Scene, ways: Ways, synchronised: bool) -> Ways:
+    """The ways of all arms at once where they are synchronised and there are such ones, or else each arm's
+    own made shorter."""
+    at_once = _at_once(scene, ways) if synchronised and len(ways.order) > 1 else ways
+    if at_once.together:
+        return at_once
+    standing = {arm: scene.chains[arm].home for arm in ways.order}
+    own = {}
+    for arm in ways.order:
+        own[arm] = _Moving(scene, dict(standing), (arm,)).shorter(ways.way[arm])
+        standing[arm] = ways.way[arm][-1]
+    return dataclasses.replace(ways, way=own)
+
+
+def _backwards(ways: Ways) -> Ways:
+    """Ways home of ways from there; they are gone in the reverse of the order."""
+    return dataclasses.replace(ways, way={arm: way[::-1].copy() for arm, way in ways.way.items()})
+
+
+def ends_free(scene: Scene, q: Mapping[str, FloatArray]) -> BoolArray:
+    """(B,) whether arms can stand at joints {arm: (B, 6)} one after the other in some order, the rest being
+    at home."""
+    count = len(next(iter(q.values())))
+    if scene.model is None or len(q) < 2:
+        return np.ones(count, dtype=bool)
+    out = np.zeros(count, dtype=bool)
+    for order in itertools.permutations(q):
+        ok = np.ones(count, dtype=bool)
+        for there in range(1, len(order)):
+            home = {arm: np.broadcast_to(scene.chains[arm].home, (count, 6)) for arm in order[there:]}
+            part = {arm: q[arm] for arm in order[:there]} | home
+            ok &= clearance.free(scene.model, part, scene.settings.clearance)
+        out |= ok
+    return out
+
+
+def require_home(scene: Scene, targets: Targets) -> None:
+    """Raises :class:`TandemError` (``motion.home``) where the arms are too near something while all are at
+    home."""
+    if scene.model is None:
+        return
+    q = {arm: scene.chains[arm].home[None] for arm in targets.arms}
+    if clearance.free(scene.model, q, scene.settings.clearance).all():
+        return
+    found = clearance.least(scene.model, q, 0.2)
+    pair, distance = found.pair[0], float(found.distance[0]) / MM
+    said = f"{distance:.1f} mm apart" if distance > 0.0 else f"{-distance:.1f} mm inside of one another"
+    raise TandemError(
+        Issue(
+            "motion.home",
+            f"at home {pair[0]} and {pair[1]} are {said}, allowed is "
+            f"{scene.settings.clearance / MM:.1f} mm apart at least",
+            bodies=pair,
+            value=distance,
+            limit=scene.settings.clearance / MM,
+            unit="mm",
+            hint="choose another home posture (home_deg), such as with axis 2 drawn back or axis 1 turned "
+            "away, or move what is in the way",
+        )
+    )
+
+
+def _ways(
+    scene: Scene,
+    targets: Targets,
+    q: Mapping[str, FloatArray],
+    row: int,
+    order: tuple[str, ...],
+) -> Ways:
+    """Ways of arms that go in that order from home to a target. Raises :class:`TandemError`
+    (``motion.entry``) where one has none."""
+    standing = {arm: scene.chains[arm].home for arm in targets.arms}
+    ways: dict[str, FloatArray] = {}
+    for arm in order:
+        goal = q[arm][row]
+        way = _way(scene, standing, arm, goal)
+        if way is None:
+            raise TandemError(_blocked(scene, targets, standing, arm, goal, row))
+        ways[arm] = way
+        standing[arm] = goal
+    return Ways(ways, order)
+
+
+def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray) -> FloatArray | None:
+    """Waypoints (M, 6) of one arm from home to ``goal`` with the others where they stand; None if there is no
+    way."""
+    chain = scene.chains[arm]
+    hard, robot = scene.settings.joint_margin, chain.robot
+    moving = _Moving(scene, standing, (arm,))
+    for step in POSTURE_STEPS_RAD:
+        way = connect(
+            chain.home, goal, moving.free, robot.lower + hard, robot.upper - hard, step, scene.settings.seed
+        )
+        if way is None:
+            return None
+        if not len(moving.blocked(way, False).move):
+            return way
+    return None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Moving:
+    """The room of ``arms`` that move at once, while the others stand at joints ``standing``. Points (B, D)
+    are the joints of all that move, one arm's after the other's."""
+
+    scene: Scene
+    standing: Mapping[str, FloatArray]
+    arms: tuple[str, ...]
+
+    def joints(self, points: FloatArray) -> dict[str, FloatArray]:
+        """Joints {arm: (B, 6)} of all arms."""
+        rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in self.standing.items()}
+        return rows | {arm: points[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self.arms)}
+
+    def free(self, points: FloatArray) -> BoolArray:
+        """(B,) whether joints are within their limits and bodies keep clear."""
+        scene, ok = self.scene, np.full(len(points), self.rest_free)
+        rows = self.joints(points)
+        for arm in self.arms:
+            ok &= scene.chains[arm].limit_margin(rows[arm]) >= min(scene.settings.joint_margin, 0.0)
+        if scene.model is None or not ok.any():
+            return ok
+        return ok & clearance.free(scene.model, rows, scene.settings.clearance, self.resting)
+
+    @functools.cached_property
+    def resting(self) -> Pairs:
+        """Pairs of bodies that none of the arms moves."""
+        model = self.scene.model
+        if model is None:
+            return frozenset()
+        still = {s.body for s in model.solids if not any(model.joints_of(a, s.body) for a in self.arms)}
+        return frozenset(map(frozenset, itertools.combinations(sorted(still), 2)))
+
+    @functools.cached_property
+    def rest_free(self) -> bool:
+        """Whether the others keep clear of one another and of what is fixed where they stand."""
+        model = self.scene.model
+        if model is None:
+            return True
+        moved = frozenset(map(frozenset, itertools.combinations({s.body for s in model.solids}, 2)))
+        stand = {arm: q[None] for arm, q in self.standing.items()}
+        wanted = self.scene.settings.clearance
+        return bool(clearance.free(model, stand, wanted, moved - self.resting).all())
+
+    def sure(self, points: FloatArray, half: FloatArray) -> BoolArray:
+        """(B,) whether bodies keep clear for sure while joints go up to ``half`` (B, D) from points either
+        way."""
+        model, wanted = self.scene.model, self.scene.settings.clearance
+        if model is None:  # joints within their limits at both ends of a line are so on all of it
+            return np.ones(len(points), dtype=bool)
+        if not self.rest_free:
+            return np.zeros(len(points), dtype=bool)
+        change = {arm: half[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self.arms)}
+        rows = self.joints(points)
+        return clearance.stay_free(model, rows, change, wanted, self.solid_levers, self.resting)
+
+    @functools.cached_property
+    def solid_levers(self) -> FloatArray:
+        """What :func:`clearance.solid_levers` gives of the model."""
+        return np.zeros(0) if self.scene.model is None else clearance.solid_levers(self.scene.model)
+
+    @functools.cached_property
+    def lever(self) -> FloatArray:
+        """How far (D,) [m/rad] each joint can carry a point at most."""
+        model = self.scene.model
+        if model is None:
+            return np.ones(6 * len(self.arms))
+        return np.concatenate([levers(model, arm) for arm in self.arms])
+
+    def blocked(self, way: FloatArray, every: bool) -> Places:
+        """Where a way is not free at the last look, at ``every`` place or the first ones."""
+        step = FINE_STEP_M / max(self.scene.chains[arm].robot.reach for arm in self.arms) / len(self.arms)
+        return blocked_places(way, self.free, step, self.sure, every)
+
+    def near(self, points: FloatArray) -> Rooms:
+        """The room [m] of bodies within :data:`NEAR_M` of what they keep, and of the axes of parallel-rod
+        arms."""
+        model = self.scene.model
+        row, room, slope = [np.zeros(0, dtype=np.intp)], [np.zeros(0)], [np.zeros((0, points.shape[1]))]
+        if model is not None:
+            wanted = self.scene.settings.clearance
+            columns = np.concatenate([6 * model.arms.index(arm) + np.arange(6) for arm in self.arms])
+            found = clearance.gradients_at(
+                model, model.stack(self.joints(points)), wanted + NEAR_M, self.resting
+            )
+            row.append(np.repeat(np.arange(len(found)), [len(near.distance) for near in found]))
+            room += [near.distance - wanted for near in found]
+            slope += [near.gradient[:, columns] for near in found]
+        for k, arm in enumerate(self.arms):
+            rod = self.scene.chains[arm].robot.coupling
+            if rod is None:
+                continue
+            margin = max(self.scene.settings.joint_margin, 0.0)
+            axis3 = points[:, 6 * k + 1] + points[:, 6 * k + 2]
+            for sign, limit in ((1.0, rod.axis3_lower), (-1.0, rod.axis3_upper)):
+                row.append(np.arange(len(points)))
+                room.append(sign * (axis3 - limit) - margin)
+                own = np.zeros((len(points), points.shape[1]))
+                own[:, [6 * k + 1, 6 * k + 2]] = sign
+                slope.append(own)
+        return Rooms(np.concatenate(row), np.concatenate(room), np.concatenate(slope))
+
+    def shorter(self, way: FloatArray) -> FloatArray:
+        """A way of less travel that takes no longer, or the way itself where there is none, or none is needed
+        since it is as short as the straight line."""
+        direct = travel(way[[0, -1]])
+        if len(way) < 3 or travel(way) <= direct + SAME_TRAVEL_RAD:
+            return way
+        found = shortened(way, self.task)
+        return way if found is None or not _better(self, found, way) else found
+
+    def pace(self, way: FloatArray) -> float:
+        """Time [s] of a way at :data:`PACE_M_S` and :data:`PACE_RAD_S`, of each line that of the slowest
+        arm."""
+        share = np.linspace(0.0, 1.0, PACE_STEPS + 1)[:, None]
+        points = way[:-1, None] + share * np.diff(way, axis=0)[:, None]
+        out = np.zeros(len(way) - 1)
+        for k, arm in enumerate(self.arms):
+            pose = self.scene.chains[arm].pose(points[..., 6 * k : 6 * k + 6])
+            gone = np.linalg.norm(np.diff(pose[..., :3, 3], axis=1), axis=-1).sum(axis=1)
+            turn = np.swapaxes(pose[:, :-1, :3, :3], -1, -2) @ pose[:, 1:, :3, :3]
+            turned = np.linalg.norm(log_rotation(turn), axis=-1).sum(axis=1)
+            out = np.maximum(out, np.maximum(gone / PACE_M_S, turned / PACE_RAD_S))
+        return float(out.sum())
+
+    @property
+    def task(self) -> Task:
+        """What ways of these arms are made shorter in."""
+        hard = self.scene.settings.joint_margin
+        robots = [self.scene.chains[arm].robot for arm in self.arms]
+        lower = np.concatenate([robot.lower + hard for robot in robots])
+        upper = np.concatenate([robot.upper - hard for robot in robots])
+        return Task(self.near, self.blocked, lower, upper, self.lever)
+
+
+LATER: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of the way of the arm that goes first after which the next one starts, tried one after the other."""
+PACE_M_S: Final = 0.25
+"""Speed of tools [m/s] by which times of ways are told apart: that of programs on their ways in and out."""
+PACE_RAD_S: Final = float(np.deg2rad(45.0))
+"""The same of turning [rad/s]."""
+PACE_STEPS: Final = 32
+"""Parts of a joint move whose lengths make up that of the tool's way."""
+
+
+def _at_once(scene: Scene, ways: Ways) -> Ways:
+    """Ways of all arms at once between the same ends, of no more travel and in less time, in at most
+    :data:`MOST_MOVES`; the same ones where there are none."""
+    moving = _Moving(scene, {}, ways.order)
+    before = travel(_overlapped(ways, 1.0))
+    found = next((way for way in _candidates(ways) if not len(moving.blocked(way, False).move)), None)
+    if found is None:
+        return ways
+    if len(found) > 2:
+        shorter = shortened(found, moving.task)
+        if shorter is not None and _better(moving, shorter, found):
+            found = shorter
+    pace = sum(_Moving(scene, {}, (arm,)).pace(way) for arm, way in ways.way.items())
+    if len(found) - 1 > MOST_MOVES or travel(found) > before + SAME_TRAVEL_RAD or moving.pace(found) >= pace:
+        return ways
+    parts = {arm: found[:, 6 * k : 6 * k + 6].copy() for k, arm in enumerate(ways.order)}
+    return Ways(parts, ways.order, together=True)
+
+
+def _better(moving: _Moving, way: FloatArray, before: FloatArray) -> bool:
+    """Whether a way has no more travel than before, and takes no more time."""
+    return travel(way) <= travel(before) and moving.pace(way) <= moving.pace(before)
+
+
+def _candidates(ways: Ways) -> Iterator[FloatArray]:
+    """Ways (M, D) of all arms at once: straight, then each on its own way, the next arm later and later, at
+    last one after the other."""
+    yield np.concatenate([ways.way[arm][[0, -1]] for arm in ways.order], axis=1)
+    for later in LATER:
+        yield _overlapped(ways, later)
+
+
+def _overlapped(ways: Ways, later: float) -> FloatArray:
+    """The ways (M, D) of all arms, each of which starts when the share ``later`` of the one's before is
+    gone."""
+    clocks = []
+    start = 0.0
+    for arm in ways.order:
+        length = np.abs(np.diff(ways.way[arm], axis=0)).max(axis=1)
+        gone = start + np.append(0.0, np.cumsum(length))
+        clocks.append(gone)
+        start += later * (gone[-1] - gone[0])
+    time = np.unique(np.concatenate(clocks))
+    time = time[np.append(True, np.diff(time) > SAME_TRAVEL_RAD)]
+    time[-1] = max(clock[-1] for clock in clocks)
+    parts = [
+        np.stack([np.interp(time, clock, joint) for joint in ways.way[arm].T], axis=1)
+        for arm, clock in zip(ways.order, clocks, strict=True)
+    ]
+    out = np.concatenate(parts, axis=1)
+    out[-1] = np.concatenate([ways.way[arm][-1] for arm in ways.order])
+    return out
+
+
+def _blocked(
+    scene: Scene, targets: Targets, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray, row: int
+) -> Issue:
+    """What stands in the way: the closest bodies at home, at the target, or on the straight line between
+    them."""
+    home, name = scene.chains[arm].home, targets.name(row)
+    line = home + np.linspace(0.0, 1.0, 41)[:, None] * (goal - home)
+    points = np.concatenate([home[None], goal[None], line])
+    rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in standing.items()} | {arm: points}
+    if scene.model is None:
+        raise ValueError("without a model nothing is in the way")
+    found = clearance.least(scene.model, rows, 0.2)
+    ends = [k for k in (0, 1) if found.distance[k] < scene.settings.clearance]
+    worst = ends[0] if ends else found.worst()
+    place = "at home" if worst == 0 else f"at {name}" if worst == 1 else f"between home and {name}"
+    distance = float(found.distance[worst]) / MM
+    return Issue(
+        "motion.entry",
+        f"arm {arm} has no free way from home to {name}: "
+        f"{found.pair[worst][0]} and {found.pair[worst][1]} are {distance:.1f} mm apart {place}, "
+        f"allowed is {scene.settings.clearance / MM:.1f} mm at least",
+        arm=arm,
+        index=row,
+        target=name,
+        bodies=found.pair[worst],
+        value=distance,
+        limit=scene.settings.clearance / MM,
+        unit="mm",
+        hint="choose other home postures (home_deg), such as with axis 1 turned away, or clear the way",
+    )

@@ -1,0 +1,138 @@
+"""Ways of arms from home and back, alone and at once, against Drake's distances."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from planner.cell import clearance, plant
+from planner.issues import TandemError
+from planner.motion import rrt, ways
+from planner.motion.operation import plan_operation
+from planner.motion.rrt import connect
+from planner.motion.search.ladder_search import Found, search
+from planner.motion.search.reach import sample
+from planner.problem import Settings
+from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, pair, two_arms
+
+
+def test_a_way_around_a_post_is_shorter_than_the_tree_s_and_drake_sees_it_clear() -> None:
+    """The distances of the looks are Drake's own, from another code than the planner's."""
+    scene, _ = pair(20)
+    home = {arm: chain.home for arm, chain in scene.chains.items()}
+    goal = home["left"] + np.deg2rad([75.0, 20.0, 10.0, 30.0, 20.0, -40.0])
+    x, y, _ = scene.chains["left"].pose(0.5 * (home["left"] + goal))[:3, 3]
+    scene, _ = pair(20, (box("post", (0.05, 0.05, 1.5), (x, y, 0.75)),))
+    assert scene.model is not None
+    moving = ways._Moving(scene, home, ("left",))
+    robot = scene.chains["left"].robot
+    tree = connect(home["left"], goal, moving.free, robot.lower, robot.upper, np.deg2rad(3.0), 0)
+    assert tree is not None
+    assert len(tree) > 2
+    way = moving.shorter(tree)
+    assert rrt.travel(way) < rrt.travel(tree)
+    assert len(way) - 1 <= rrt.MOST_MOVES
+    for a, b in itertools.pairwise(way):
+        q = home | {"left": a + np.linspace(0.0, 1.0, 1500)[:, None] * (b - a)}
+        rows = {arm: np.broadcast_to(v, (1500, 6)) for arm, v in q.items()}
+        found = clearance.witness(scene.model, rows, 0.05)
+        assert found.distance.min(initial=0.05) >= scene.settings.clearance
+    assert np.array_equal(way, moving.shorter(tree))
+
+
+def test_a_way_to_home_itself_is_no_way() -> None:
+    scene, _ = pair(20)
+    home = {arm: chain.home for arm, chain in scene.chains.items()}
+    way = ways._way(scene, home, "left", home["left"])
+    assert way is not None
+    assert rrt.travel(way) == 0.0
+
+
+def test_arms_enter_and_leave_free_of_everything() -> None:
+    scene, targets = pair(40)
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    entering, leaving = ways.both_ways(scene, targets, found.q)
+    assert scene.model is not None
+    standing = {a: scene.chains[a].home for a in targets.arms}
+    for arm in entering.order:
+        assert np.array_equal(entering.way[arm][0], scene.chains[arm].home)
+        assert np.array_equal(entering.way[arm][-1], found.q[arm][0])
+        assert np.array_equal(leaving.way[arm][0], found.q[arm][-1])
+        standing[arm] = found.q[arm][0]
+
+
+def test_synchronised_arms_go_at_once_no_farther_and_faster_and_drake_sees_them_clear() -> None:
+    scene, targets = pair(40)
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    alone = ways.both_ways(scene, targets, found.q)
+    at_once = ways.both_ways(scene, targets, found.q, synchronised=True)
+    assert scene.model is not None
+    for one, both, row in zip(alone, at_once, (0, -1), strict=True):
+        assert not one.together
+        assert both.together
+        assert len({len(way) for way in both.way.values()}) == 1
+        assert max(len(way) for way in both.way.values()) - 1 <= rrt.MOST_MOVES
+        far = [sum(rrt.travel(way) for way in own.way.values()) for own in (one, both)]
+        assert far[1] <= far[0] + 1e-9
+        whole = np.concatenate([both.way[arm] for arm in both.order], axis=1)
+        pace = sum(ways._Moving(scene, {}, (arm,)).pace(way) for arm, way in one.way.items())
+        assert ways._Moving(scene, {}, both.order).pace(whole) < 0.65 * pace
+        for arm, way in both.way.items():
+            ends = (scene.chains[arm].home, found.q[arm][row])
+            assert np.array_equal(way[[0, -1]], ends if row == 0 else ends[::-1])
+        for a, b in itertools.pairwise(range(len(whole))):
+            share = np.linspace(0.0, 1.0, 1500)[:, None]
+            rows = {arm: way[a] + share * (way[b] - way[a]) for arm, way in both.way.items()}
+            least = clearance.witness(scene.model, rows, 0.05).distance.min()
+            assert least >= scene.settings.clearance
+
+
+def test_one_arm_and_arms_that_are_not_synchronised_go_alone() -> None:
+    cell, targets = two_arms(), arc_wire(9)
+    model = plant.build(cell, block(SIZE, HIGH), HIGH)
+    by_signals = dataclasses.replace(cell, controller=dataclasses.replace(cell.controller, sync="handshake"))
+    plan = plan_operation("job", cell, targets, Settings(), HIGH, model)
+    assert plan.together == ("entry", "exit")
+    assert plan_operation("job", by_signals, targets, Settings(), HIGH, model).together == ()
+
+
+def test_arms_of_which_one_is_at_its_target_already_go_at_once_all_the_same() -> None:
+    scene, targets = pair(20)
+    home = {arm: chain.home for arm, chain in scene.chains.items()}
+    still = ways.Ways({arm: np.stack([q, q]) for arm, q in home.items()}, targets.arms)
+    assert ways._improved(scene, still, synchronised=True) is not None
+    assert not ways._improved(scene, still, synchronised=True).together  # nothing to gain
+    goal = home["left"] + np.deg2rad([5.0, 0.0, 0.0, 0.0, 0.0, 10.0])
+    one = dataclasses.replace(still, way={**still.way, "left": np.stack([home["left"], goal])})
+    found = ways._improved(scene, one, synchronised=True)
+    for arm, way in found.way.items():
+        assert np.array_equal(way, one.way[arm])
+
+
+def test_a_hand_in_a_box_at_home_is_refused() -> None:
+    scene, _ = pair(20)
+    hand = scene.chains["left"].pose(scene.chains["left"].home)[:3, 3]
+    blocked, targets = pair(20, (box("crate", (0.1, 0.1, 0.1), tuple(hand)),))
+    with pytest.raises(TandemError) as caught:
+        ways.require_home(blocked, targets)
+    assert caught.value.issues[0].code == "motion.home"
+    assert "crate" in caught.value.issues[0].bodies
+
+
+def test_a_first_target_inside_a_box_has_no_entry() -> None:
+    scene, targets = pair(20)
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    spot = scene.chains["left"].pose(found.q["left"][0])[:3, 3]
+    blocked, _ = pair(20, (box("crate", (0.05, 0.05, 0.05), tuple(spot)),))
+    with pytest.raises(TandemError) as caught:
+        ways.both_ways(blocked, targets, found.q)
+    issue = caught.value.issues[0]
+    assert issue.code == "motion.entry"
+    assert issue.arm == "left"
+    assert "crate" in issue.bodies
