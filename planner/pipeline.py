@@ -191,8 +191,9 @@ def _contained() -> Iterator[None]:
 def plan(problem: Problem | spec.Problem, progress: Progress | None = None, processes: int = 1) -> Outcome:
     """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible.
 
-    With ``processes=2`` a second process draws the report's pictures and looks at rules of the proof beside
-    this one, with 300 to 550 MB of memory of its own; what comes out is the same byte by byte.
+    With ``processes=2`` a second process plans later setups and ways home, draws the report's pictures and
+    looks at rules of the proof beside this one, with 300 to 550 MB of memory of its own; what comes out is
+    the same byte by byte.
     """
     problem, tell = built(problem), progress or _silent
     with worker.beginning(processes) as begin:
@@ -214,7 +215,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outc
     refused = [*write.refusals(problem, targets), *prove.unproven(claims)]
     if refused:
         raise TandemError(refused)
-    made = solve.solve(problem, targets, tell)
+    made = solve.solve(problem, targets, tell, begin)
     driven = zip(jobs, made.operations, strict=True)
     slow = [issue for job, motion in driven for issue in job.driven(motion.targets, motion.time)]
     if has_errors(slow):

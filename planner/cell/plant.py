@@ -182,6 +182,10 @@ class CellModel:
     robots: Mapping[str, RobotData]
     _shared: _Shared
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For another process, which builds it again: Drake's part of it does not travel."""
+        return build, (self.cell, self.stock, self.stock_pose, dict(self.bases))
+
     @property
     def arms(self) -> tuple[str, ...]:
         """Names of the arms, in the order of q."""

@@ -64,11 +64,13 @@ def plan_operation(
     stock_pose: FloatArray,
     model: CellModel | None = None,
     bases: Mapping[str, FloatArray] | None = None,
+    begin: ways.Begin = ways.here,
 ) -> OperationPlan:
     """The plan of one operation named ``name`` with the stock at ``stock_pose`` (4, 4) in the world.
 
     ``model`` is the cell's collision model at that placement; without it nothing is checked for collisions,
-    which only benchmarks and tests want. Raises :class:`TandemError` with the reasons when there is no plan.
+    which only benchmarks and tests want. ``begin``: where ways from home and back are found beside the rest.
+    Raises :class:`TandemError` with the reasons when there is no plan.
     """
     scene = Scene.of(cell, targets.arms, stock_pose, settings, model, bases)
     watch = _Watch()
@@ -77,6 +79,9 @@ def plan_operation(
     targets, found = _path(scene, targets, watch)
     avoid = _avoid(scene, targets)
     better, kept = _improve(scene, targets, found, avoid, watch)
+    families = {scene.chains[arm].robot.family for arm in targets.arms}
+    synchronised = cell.controller.sync == "multimove" and families == {"ABB"}
+    homeward = ways.BothWays(scene, _ends(targets, better.q), synchronised, begin)
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
         diagnosis.require_moves(scene, targets, found.path.branch, samples)
@@ -100,9 +105,10 @@ def plan_operation(
     if scene.model is not None and not program.solvers():
         issues.append(_no_solver())
     watch.lap("timing")
-    families = {scene.chains[arm].robot.family for arm in targets.arms}
-    synchronised = cell.controller.sync == "multimove" and families == {"ABB"}
-    entering, leaving = ways.both_ways(scene, targets, better.q, synchronised)
+    ends = _ends(targets, better.q)
+    if any(not np.array_equal(homeward.ends[arm], ends[arm]) for arm in targets.arms):
+        homeward = ways.BothWays(scene, ends, synchronised)
+    entering, leaving = homeward.found(targets)
     watch.lap("entry")
     metrics = {
         "stages": watch.laps,
@@ -139,6 +145,11 @@ def plan_operation(
         metrics=metrics,
         issues=aggregate(issues),
     )
+
+
+def _ends(targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Joints {arm: (2, 6)} at the first and the last target."""
+    return {arm: q[arm][[0, -1]] for arm in targets.arms}
 
 
 class _Watch:

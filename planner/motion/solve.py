@@ -7,8 +7,9 @@ for them: the curve between two targets is known within bounds only, and the pro
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -85,8 +86,14 @@ ASIDE_STEP_M: Final = 0.01
 """[m] by whole multiples of this a block is told to be moved out of what it stands in."""
 
 
-def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | None = None) -> Plan:
-    """The plan of all operations of a problem, given the targets of each.
+def solve(
+    problem: Problem,
+    targets: Sequence[Targets],
+    progress: Progress | None = None,
+    begin: ways.Begin = ways.here,
+) -> Plan:
+    """The plan of all operations of a problem, given the targets of each. ``begin``: what begins work that
+    waits for no other, perhaps in another process; the plan is the same wherever that is.
 
     Every setup has a cell and a block of its own. Where the block is not moved between setups, one place is
     found for all of them; bases that may be moved are found with the first place and stay. Raises
@@ -95,7 +102,7 @@ def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | Non
     problem, targets = with_room(problem, targets)
     at = [0]
     try:
-        return _solve(problem, targets, progress or _silent, at)
+        return _solve(problem, targets, progress or _silent, at, begin)
     except TandemError as error:
         raise TandemError(_advised(problem, targets, at[0], error.issues)) from error
 
@@ -115,19 +122,29 @@ def _advised(
     return remedies.advised(problem, targets, operation, issues, plans)
 
 
-def _solve(problem: Problem, targets: Sequence[Targets], tell: Progress, at: list[int]) -> Plan:
+def _solve(
+    problem: Problem,
+    targets: Sequence[Targets],
+    tell: Progress,
+    at: list[int],
+    begin: ways.Begin = ways.here,
+) -> Plan:
     """As :func:`solve`; ``at`` is set to the operation that is planned."""
     tell("cell", 0.0)
     metrics: dict[str, Any] = {"stages": {}}
     bases = {arm.name: arm.base for arm in problem.cell.arms}
     places: list[FloatArray] = []
     operations: list[OperationPlan] = []
-    for stand in setup_groups(problem, targets):
+    stands = setup_groups(problem, targets)
+    begun = _begun(problem, stands, bases, begin)
+    for stand in stands:
         stand = stand if not places else stand.based(bases)
-        place, made = _settle(problem, stand, metrics, tell, at)
-        bases.update(place.bases)
-        places += [place.stock] * len(stand.setups)
-        operations += made
+        calls = begun.get(stand.setups[0].number)
+        settled = _settle(problem, stand, tell, at, begin) if calls is None else _told(calls, at)
+        settled.into(metrics, stand)
+        bases.update(settled.place.bases)
+        places += [settled.place.stock] * len(stand.setups)
+        operations += settled.operations
     tell("motion", 1.0)
     issues = [issue for t in targets for issue in t.issues]
     issues += [issue for operation in operations for issue in operation.issues]
@@ -220,29 +237,86 @@ def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
     return out
 
 
+@dataclasses.dataclass(frozen=True)
+class _Settled:
+    """A place and the plans of all operations of one stand, with the seconds of its ``stages`` and figures of
+    the search for the place, None where there was none."""
+
+    place: Place
+    operations: list[OperationPlan]
+    stages: Mapping[str, float]
+    trace: Mapping[str, Any] | None
+
+    def into(self, metrics: dict[str, Any], stand: Stand) -> None:
+        """Writes its figures among those of the plan."""
+        for stage, seconds in self.stages.items():
+            metrics["stages"][stage] = metrics["stages"].get(stage, 0.0) + seconds
+        if self.trace is not None:
+            name = "placement" if "placement" not in metrics else f"placement_{stand.setups[0].number}"
+            metrics[name] = self.trace
+            metrics[f"{name}_score_deg"] = float(np.rad2deg(self.place.score))
+
+
+def _begun(
+    problem: Problem, stands: Sequence[Stand], bases: Mapping[str, FloatArray], begin: ways.Begin
+) -> dict[int, Iterator[_Settled | _Refused]]:
+    """The stands behind the first one, by the number of their first setup, the last one begun first: whoever
+    waits for them takes up the next one. Empty where bases are to be found first."""
+    if any(arm.base_auto for stand in stands for setup in stand.setups for arm in setup.cell.arms):
+        return {}
+    out = {}
+    for before, stand in reversed(list(itertools.pairwise(stands))):
+        last = before.setups[-1].operations[-1]
+        out[stand.setups[0].number] = begin(_settled, problem, stand.based(bases), last)
+    return out
+
+
+@dataclasses.dataclass(frozen=True)
+class _Refused:
+    """Why a stand has no plan, and the operation that has none."""
+
+    issues: tuple[Issue, ...]
+    operation: int
+
+
+def _settled(problem: Problem, stand: Stand, before: int) -> Iterator[_Settled | _Refused]:
+    """What :func:`_settle` gives or raises, ``before`` being the last operation of the stand before."""
+    at = [before]
+    try:
+        yield _settle(problem, stand, _silent, at)
+    except TandemError as error:
+        yield _Refused(error.issues, at[0])
+
+
+def _told(call: Iterator[_Settled | _Refused], at: list[int]) -> _Settled:
+    """What a stand that was begun has come to; raises and sets ``at`` as :func:`_settle` does."""
+    found = next(call)
+    if isinstance(found, _Refused):
+        at[0] = found.operation
+        raise TandemError(found.issues)
+    return found
+
+
 def _settle(
-    problem: Problem, stand: Stand, metrics: dict[str, Any], tell: Progress, at: list[int]
-) -> tuple[Place, list[OperationPlan]]:
+    problem: Problem, stand: Stand, tell: Progress, at: list[int], begin: ways.Begin = ways.here
+) -> _Settled:
     """A place and the plans of all operations of one stand."""
-    stages = metrics["stages"]
+    stages = {}
     lap = time.perf_counter()
     models = stand.models()
-    stages["cell"] = stages.get("cell", 0.0) + time.perf_counter() - lap
+    stages["cell"] = time.perf_counter() - lap
     if stand.settled:
         place = Place(stand.place, {}, 0.0, 0)
         if found := _inside(problem, stand, models):
             raise TandemError(found)
-        return place, _plan(problem, stand, models, place, tell, at)
+        return _Settled(place, _plan(problem, stand, models, place, tell, at, begin), stages, None)
     _require_home(problem, stand, models)
     tell("placement", 0.0)
     lap = time.perf_counter()
     places, trace = _search(problem, stand).run(stand.each(models))
-    stages["placement"] = stages.get("placement", 0.0) + time.perf_counter() - lap
-    place, operations = _first_that_works(problem, stand, models, places, trace, tell, at)
-    name = "placement" if "placement" not in metrics else f"placement_{stand.setups[0].number}"
-    metrics[name] = trace.metrics(place.number)
-    metrics[f"{name}_score_deg"] = float(np.rad2deg(place.score))
-    return place, operations
+    stages["placement"] = time.perf_counter() - lap
+    place, operations = _first_that_works(problem, stand, models, places, trace, tell, at, begin)
+    return _Settled(place, operations, stages, trace.metrics(place.number))
 
 
 def _search(problem: Problem, stand: Stand) -> Search:
@@ -258,6 +332,7 @@ def _plan(
     place: Place,
     tell: Progress,
     at: list[int],
+    begin: ways.Begin,
 ) -> list[OperationPlan]:
     out = []
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
@@ -266,7 +341,8 @@ def _plan(
             tell("motion", index / len(problem.operations))
             at[0] = index
             name, settings = problem.operations[index].name, problem.settings
-            out.append(plan_operation(name, setup.cell, job, settings, place.stock, placed, place.bases))
+            stock, bases = place.stock, place.bases
+            out.append(plan_operation(name, setup.cell, job, settings, stock, placed, bases, begin))
     return out
 
 
@@ -278,11 +354,12 @@ def _first_that_works(
     trace: Trace,
     tell: Progress,
     at: list[int],
+    begin: ways.Begin,
 ) -> tuple[Place, list[OperationPlan]]:
     reasons: tuple[Issue, ...] = ()
     for place in places[:PLACES_TRIED]:
         try:
-            return place, _plan(problem, stand, models, place, tell, at)
+            return place, _plan(problem, stand, models, place, tell, at, begin)
         except TandemError as error:
             reasons = reasons or error.issues
     raise TandemError([_unplaced(trace, stand), *reasons])

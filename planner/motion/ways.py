@@ -10,8 +10,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Iterator, Mapping
-from typing import Final
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
 
 import numpy as np
 
@@ -57,25 +57,80 @@ class Ways:
     together: bool = False
 
 
-def both_ways(
-    scene: Scene, targets: Targets, q: Mapping[str, FloatArray], synchronised: bool = False
-) -> tuple[Ways, Ways]:
+Begin = Callable[..., Iterator[Any]]
+"""What begins a call of a generator function with its arguments, and gives back what that yields: perhaps
+from another process, which works it out from now on."""
+
+
+def here(work: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
+    """Works a call out in this process, where it is asked for."""
+    return work(*arguments)
+
+
+class BothWays:
     """Ways from home to the first target and from the last one home, in the first order of arms that has
     both; where the arms are ``synchronised`` those of all of them at once, if there are such ones.
 
-    Raises :class:`TandemError` (``motion.entry``) with the closest bodies where no order has.
+    They follow from the joints ``ends`` {arm: (2, 6)} at these targets alone: ``begin`` begins them as soon
+    as those are known, and they are asked for later.
     """
-    failed: TandemError | None = None
-    for order in itertools.permutations(targets.arms):
-        try:
-            entering = _ways(scene, targets, q, 0, order)
-            leaving = _ways(scene, targets, q, targets.count - 1, order)
-        except TandemError as error:
-            failed = failed or error
-            continue
-        entering, leaving = (_improved(scene, ways, synchronised) for ways in (entering, leaving))
-        return entering, _backwards(leaving)
-    raise failed or ValueError("targets without arms have no way in")
+
+    def __init__(
+        self, scene: Scene, ends: Mapping[str, FloatArray], synchronised: bool, begin: Begin = here
+    ) -> None:
+        self.ends, self._scene, self._synchronised = ends, scene, synchronised
+        self._first = self._begun(tuple(ends), begin)
+
+    def _begun(self, order: tuple[str, ...], begin: Begin) -> list[Iterator[Ways | _Stuck]]:
+        """The ways in and out; of two that wait, whoever asks works out the one in beside the other."""
+        scene = dataclasses.replace(self._scene)  # without what it has kept
+        goals = [{arm: q[row] for arm, q in self.ends.items()} for row in (0, 1)]
+        leaving, entering = (begin(_found, scene, goal, order, self._synchronised) for goal in goals[::-1])
+        return [entering, leaving]
+
+    def found(self, targets: Targets) -> tuple[Ways, Ways]:
+        """The ways in and out. Raises :class:`TandemError` (``motion.entry``) with the closest bodies where
+        no order has both."""
+        failed: Issue | None = None
+        for order in itertools.permutations(self.ends):
+            calls = self._first if order == tuple(self.ends) else self._begun(order, here)
+            for call, row in zip(calls, (0, targets.count - 1), strict=True):
+                ways = next(call)
+                if isinstance(ways, _Stuck):
+                    failed = failed or _blocked(self._scene, targets, ways, row)
+                    break
+            else:
+                entering, leaving = (next(call) for call in calls)
+                if not isinstance(entering, _Stuck) and not isinstance(leaving, _Stuck):
+                    return entering, _backwards(leaving)
+        raise ValueError("targets without arms have no way in") if failed is None else TandemError(failed)
+
+
+def both_ways(
+    scene: Scene, targets: Targets, q: Mapping[str, FloatArray], synchronised: bool = False
+) -> tuple[Ways, Ways]:
+    """What :class:`BothWays` finds for paths {arm: (N, 6)} of the targets."""
+    ends = {arm: q[arm][[0, -1]] for arm in targets.arms}
+    return BothWays(scene, ends, synchronised).found(targets)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Stuck:
+    """The arm that has no way to the joints ``goal`` (6,) while all stand at the joints ``standing``."""
+
+    arm: str
+    goal: FloatArray
+    standing: Mapping[str, FloatArray]
+
+
+def _found(
+    scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...], synchronised: bool
+) -> Iterator[Ways | _Stuck]:
+    """The first ways from home to the joints {arm: (6,)}, then what they are improved to."""
+    ways = _ways(scene, goal, order)
+    yield ways
+    if isinstance(ways, Ways):
+        yield _improved(scene, ways, synchronised)
 
 
 def _improved(scene: Scene, ways: Ways, synchronised: bool) -> Ways:
@@ -140,24 +195,16 @@ def require_home(scene: Scene, targets: Targets) -> None:
     )
 
 
-def _ways(
-    scene: Scene,
-    targets: Targets,
-    q: Mapping[str, FloatArray],
-    row: int,
-    order: tuple[str, ...],
-) -> Ways:
-    """Ways of arms that go in that order from home to a target. Raises :class:`TandemError`
-    (``motion.entry``) where one has none."""
-    standing = {arm: scene.chains[arm].home for arm in targets.arms}
+def _ways(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...]) -> Ways | _Stuck:
+    """Ways of arms that go in that order from home to the joints {arm: (6,)}, or which one has none."""
+    standing = {arm: scene.chains[arm].home for arm in goal}
     ways: dict[str, FloatArray] = {}
     for arm in order:
-        goal = q[arm][row]
-        way = _way(scene, standing, arm, goal)
+        way = _way(scene, standing, arm, goal[arm])
         if way is None:
-            raise TandemError(_blocked(scene, targets, standing, arm, goal, row))
+            return _Stuck(arm, goal[arm], standing)
         ways[arm] = way
-        standing[arm] = goal
+        standing[arm] = goal[arm]
     return Ways(ways, order)
 
 
@@ -377,11 +424,10 @@ def _overlapped(ways: Ways, later: float) -> FloatArray:
     return out
 
 
-def _blocked(
-    scene: Scene, targets: Targets, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray, row: int
-) -> Issue:
+def _blocked(scene: Scene, targets: Targets, stuck: _Stuck, row: int) -> Issue:
     """What stands in the way: the closest bodies at home, at the target, or on the straight line between
     them."""
+    arm, goal, standing = stuck.arm, stuck.goal, stuck.standing
     home, name = scene.chains[arm].home, targets.name(row)
     line = home + np.linspace(0.0, 1.0, 41)[:, None] * (goal - home)
     points = np.concatenate([home[None], goal[None], line])

@@ -19,8 +19,10 @@ import numpy as np
 import pytest
 
 from planner import pipeline
+from planner import processes as registry
 from planner.batch.worker import SMALL_BYTES, Second, beginning
 from planner.issues import Issue, TandemError
+from planner.motion import solve, ways
 from planner.report import output
 from planner.verify.prove import prove
 from tests import small_problem
@@ -155,6 +157,38 @@ def test_a_result_is_the_same(tmp_path: Path) -> None:
         re.findall(r"data:image/png;base64,[^\"]*", f[Path("report.html")].read_text()) for f in (one, two)
     ]
     assert pictures[0] == pictures[1] != []
+
+
+AGAIN = "name: again, process: targets, arms: [left], frame: world, setup: {place: {xyz_mm: [450, 0, 20]}}"
+
+
+def test_later_setups_and_ways_home_are_planned_there_as_they_are_here(second: Told, tmp_path: Path) -> None:
+    """Byte by byte; and a setup that has no plan there has none here, with the same issues."""
+    columns, *rows = small_problem.COLUMNS, *small_problem.ROWS
+    far = [row.replace("450,", "950,", 1) for row in rows]
+    (tmp_path / "far.csv").write_text("\n".join([columns, *far]) + "\n")
+    plans, reasons = [], []
+    for name in ("targets.csv", "far.csv"):
+        text = small_problem.PROBLEM + f"  - {{{AGAIN}, file: {name}}}\n"
+        problem = pipeline.load(small_problem.write(tmp_path, text))
+        targets = [job.targets() for job in registry.jobs(problem)]
+        for begin in (ways.here, second.begin):
+            second.done.clear()
+            try:
+                plans.append(solve.solve(problem, targets, begin=begin))
+            except TandemError as error:
+                reasons.append([issue.to_dict() for issue in error.issues])
+        assert second.done == [True] * 3  # the second setup, and the ways out and in of the first one
+    one, two = plans
+    for mine, own in zip(one.operations, two.operations, strict=True):
+        for name in ("q", "entry", "exit"):
+            (rows,), (same,) = getattr(mine, name).values(), getattr(own, name).values()
+            assert rows.tobytes() == same.tobytes()
+        assert mine.time.tobytes() == own.time.tobytes()
+        assert mine.issues == own.issues
+    assert list(one.metrics) == list(two.metrics)
+    assert reasons[0] == reasons[1]
+    assert {reason["code"] for reason in reasons[0]} == {"motion.no_reach"}
 
 
 def test_there_is_a_process_at_least() -> None:
