@@ -203,6 +203,12 @@ def stay_free(
     return out
 
 
+def resting(model: CellModel, arms: Sequence[str]) -> Pairs:
+    """Pairs of bodies that none of the arms moves."""
+    still = {s.body for s in model.solids if not any(model.joints_of(arm, s.body) for arm in arms)}
+    return frozenset(map(frozenset, itertools.combinations(sorted(still), 2)))
+
+
 def solid_levers(model: CellModel) -> FloatArray:
     """How far (S, nq) [m/rad] joints carry any point of each solid of the model's bounds at most, in all
     postures: from the joint's axis along the links, then to the solid's farthest corner; about the last joint
@@ -344,12 +350,10 @@ def gradients_at(model: CellModel, rows: FloatArray, reach: float, ignore: Pairs
     """
     bounds = model.bounds.among(ignore)
     parts = (rows[i : i + CONFIGURATIONS_AT_ONCE] for i in range(0, len(rows), CONFIGURATIONS_AT_ONCE))
-    return [near for part in parts for near in _gradients(model, part, reach, ignore, bounds)]
+    return [near for part in parts for near in _gradients(model, part, reach, bounds)]
 
 
-def _gradients(
-    model: CellModel, rows: FloatArray, reach: float, ignore: Pairs, bounds: Bounds
-) -> Iterator[Near]:
+def _gradients(model: CellModel, rows: FloatArray, reach: float, bounds: Bounds) -> Iterator[Near]:
     q = _by_arm(model, rows)
     row, solids, gap, way, place = bounds.every(model.poses(q), reach)
     index = {name: int(model.body(name).index()) for name in dict.fromkeys(s.body for s in bounds.given)}
@@ -364,7 +368,7 @@ def _gradients(
     slope = _slopes(model, q, row, [s.body for s in bounds.given], solids[some], way[some], place[some])
     for one in np.unique(row[deep]).tolist():
         own = np.flatnonzero(deep & (row == one))
-        _drake_into(model, rows[one], ignore, bodies[own], own, gap, slope)
+        _drake_into(model, rows[one], bodies[own], own, gap, slope)
     for start, end in itertools.pairwise(np.searchsorted(row, np.arange(len(rows) + 1)).tolist()):
         yield Near(gap[start:end], slope[start:end], bodies[start:end])
 
@@ -394,15 +398,13 @@ def _slopes(
 def _drake_into(
     model: CellModel,
     row: FloatArray,
-    ignore: Pairs,
     bodies: IndexArray,
     own: IndexArray,
     gap: FloatArray,
     slope: FloatArray,
 ) -> None:
     """Writes what Drake says of pairs of bodies (K, 2) that overlap into entries ``own`` (K,)."""
-    with _ignored(model, ignore):
-        found = _steady(functools.partial(_clearance, model, 0.0), row)
+    found = _steady(functools.partial(_clearance, model, 0.0), row)  # of pairs that are not asked for, too
     each = zip(
         found.robot_indices(), found.other_indices(), found.distances(), found.jacobians(), strict=True
     )

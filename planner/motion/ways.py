@@ -252,11 +252,7 @@ class _Moving:
     @functools.cached_property
     def resting(self) -> Pairs:
         """Pairs of bodies that none of the arms moves."""
-        model = self.scene.model
-        if model is None:
-            return frozenset()
-        still = {s.body for s in model.solids if not any(model.joints_of(a, s.body) for a in self.arms)}
-        return frozenset(map(frozenset, itertools.combinations(sorted(still), 2)))
+        return frozenset() if self.scene.model is None else clearance.resting(self.scene.model, self.arms)
 
     @functools.cached_property
     def rest_free(self) -> bool:

@@ -175,7 +175,8 @@ class Avoid:
         self._columns = np.concatenate([np.arange(6) + 6 * model.arms.index(arm) for arm in arms])
         self._levers = np.concatenate([levers(model, arm) for arm in arms])
         self._wrist = max(WRIST_LEVER_M, *(_hand(model, arm) for arm in arms if _is_long(model, arm)), 0.0)
-        self._meeting = [pairs for pairs, _ in kinds] or [frozenset()]
+        resting = clearance.resting(model, arms)  # nothing that is done here changes these
+        self._meeting = [pairs | resting for pairs, _ in kinds] or [resting]
         self._kinds = list(kinds)
         self._kind = np.zeros(0, dtype=np.intp)
         local = _local_pairs(model, arms)
