@@ -23,9 +23,9 @@ AXIS_LEVER = 0.05
 """What a turn of the axis by one radian counts as, against ways of the tip [m]."""
 SEARCH_AHEAD = 0.05
 """How far ahead on its way [m] a tool is looked for."""
-WRITTEN_ROUNDING = 1e-6
-"""How far [m] written places may be off what they stand for: the last digit of controllers' decimals, and
-single precision."""
+WRITTEN_ROUNDING = 1e-7
+"""How far [m] written places are off what they stand for: half of the last digit along each axis. A corner
+that is rounded by all that is allowed is off by so much more or less."""
 _PAIRS_AT_ONCE = 200_000
 """Pairs of a place and a piece of a track that are worked on at once."""
 
@@ -120,8 +120,8 @@ def _share_of(off: FloatArray, step: FloatArray) -> FloatArray:
 
 def passing_tolerance(claim: MillsAlong) -> float:
     """How near [m] a tool passes the places of its way: what is rounded within the tolerance of both legs of
-    a corner, which is no less than how near arms are taken to keep to them anyway, is off the corner of 90
-    degrees by the root of two of that; and what written places are rounded by."""
+    a corner, which is no less than how near arms are taken to keep to them anyway, is off the corner by the
+    root of two of that at 90 degrees, and by less elsewhere; and what is written is rounded."""
     return math.sqrt(2.0) * max(claim.tolerance, ACCURACY) + WRITTEN_ROUNDING
 
 
@@ -227,7 +227,7 @@ class _Way:
 
     def _cost(self, apart: float, angle: float) -> float:
         """How far off, of what is allowed."""
-        return max(apart / self.claim.tolerance, angle / self.claim.turn)
+        return max(apart / (self.claim.tolerance + WRITTEN_ROUNDING), angle / self.claim.turn)
 
 
 def _off(tip: Row, axis: Row, place: Row, wanted: Row) -> tuple[float, float]:

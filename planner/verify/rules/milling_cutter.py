@@ -31,7 +31,7 @@ from planner.tooling import Mill
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
 from planner.verify.job import MILL
 from planner.verify.milling import surface_passes
-from planner.verify.milling.following import Followed, allowed, rows_to_check
+from planner.verify.milling.following import WRITTEN_ROUNDING, Followed, allowed, rows_to_check
 from planner.verify.milling.surface_passes import OverFace, Way, within
 from planner.verify.milling.tool_motion import (
     BEND_SHARE,
@@ -345,7 +345,7 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
         share = max(float(off.max()) / claim.tolerance, float(turn.max()) / claim.turn)
         if share > worst:
             worst, limit, where = share, 1.0, str(claim.segment)
-        bad = np.flatnonzero((off > claim.tolerance) | (turn > claim.turn))
+        bad = np.flatnonzero((off > claim.tolerance + WRITTEN_ROUNDING) | (turn > claim.turn))
         for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
             what = (
                 f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve{_line(claim, found, i)} "

@@ -17,21 +17,26 @@ from planner.verify.prove import Prover
 from planner.verify.replay import moves, playback
 from tests.test_sharp_turns import ABB, CELLS, KUKA, MILLED
 
-PHASES = np.linspace(3.7e-3, 4.3e-3, 10)
+PHASES = np.linspace(3.7e-3, 4.3e-3, 12)
 """Times between samples [s]: each puts the samples elsewhere on every corner."""
-CORNERS = ["X0 Y0", "X20 Y0", "X0 Y0", "X20 Y2", "X0 Y0", "X0 Y20", "X20 Y20", "X30 Y10"]
+CORNERS = ["X20 Y0", "X0 Y0", "X20 Y2", "X0 Y0", "X0 Y20", "X20 Y20", "X30 Y10"]
 """A way with turns by 180, 174, 96, 90 and 45 degrees."""
+PLACES = np.clip(np.cumsum(np.random.default_rng(2).normal(0.0, 10.0, (14, 2)), axis=0), -60.0, 60.0)
+ZIGZAG = [*(f"X{x:.3f} Y{y:.3f}" for x, y in PLACES), "X0 Y0", "X20 Y0", "X0 Y0", "X20 Y2", "X0 Y-1"]
+"""One with turns of any size."""
 
 
 class Job:
     """A zigzag that is milled at one feed [mm/min] within a tolerance [mm], and its programs."""
 
-    def __init__(self, folder: Path, cell: tuple[str, str], tolerance: float, feed: float) -> None:
+    def __init__(
+        self, folder: Path, cell: tuple[str, str], tolerance: float, feed: float, way: list[str]
+    ) -> None:
         text = MILLED.replace("CELL", f"{CELLS / cell[0]}.yaml").replace("PLACE", cell[1])
         text = text.replace("TOLERANCE", str(tolerance)).replace("AXIS", "tool_axis: fixed")
         (folder / "problem.yaml").write_text(text)
-        head = ["G21 G90 G94 G17", "S12000 M3 F600", "G0 X-10 Y0 Z20", "G1 Z-3"]
-        lines = [*head, f"X-5 F{feed:g}", *CORNERS, "G0 Z30", "M5", "M30", ""]
+        head = ["G21 G90 G94 G17", "S12000 M3 F1200", "G0 X0 Y0 Z20", "G1 Z-3"]
+        lines = [*head, f"F{feed:g}", *way, "G0 Z30", "M5", "M30", ""]
         (folder / "job.nc").write_text("\n".join(lines))
         problem = planner.load(folder / "problem.yaml")
         self.outcome = planner.plan(problem)
@@ -50,17 +55,17 @@ class Job:
 
 @pytest.fixture(scope="module")
 def fine(tmp_path_factory: pytest.TempPathFactory) -> Job:
-    return Job(tmp_path_factory.mktemp("fine"), ABB, 0.01, 2400)
+    return Job(tmp_path_factory.mktemp("fine"), ABB, 0.01, 2400, CORNERS)
 
 
 @pytest.mark.parametrize(
     ("cell", "tolerance", "feed"),
-    [(ABB, 0.01, 9000), (ABB, 0.1, 9000), (KUKA, 0.01, 2400), (KUKA, 0.03, 300)],
+    [(ABB, 0.01, 9000), (ABB, 0.1, 9000), (KUKA, 0.01, 2400)],
 )
 def test_corners_hold_at_every_phase_of_the_samples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cell: tuple[str, str], tolerance: float, feed: float
 ) -> None:
-    job = Job(tmp_path, cell, tolerance, feed)
+    job = Job(tmp_path, cell, tolerance, feed, ZIGZAG)
     assert job.outcome.verified
     assert job.verdicts(monkeypatch, job.programs) == {(True, True)}
 
