@@ -154,6 +154,10 @@ PIECES_AT_ONCE: Final = 20_000
 """Pieces that are divided at once."""
 TRIED_TRIANGLES: Final = 200
 """Triangles by whose size it is told whether a mesh is to be divided at all."""
+CLOSER_SHARE: Final = 0.25
+"""Where pieces are smaller than this part of coarse ones, these are held against the body itself first."""
+COUNT_SHARE: Final = 0.25
+"""Pieces that are more than this part of the most are counted one by one."""
 ANY_NUMBER: Final = np.iinfo(np.int64).max
 """As many pieces as there are."""
 SAME_DISTANCE: Final = 1e-10
@@ -207,6 +211,45 @@ def places_near(
     ``tip``, ``axis`` (N, 3), and the triangle (P,) of each: the middles of all pieces there, none of which
     has an edge longer than ``size`` [m]. Also how many pieces that takes, about; above ``most`` there are no
     places."""
+    near, owner, count = _pieces_near(corners, tip, axis, body, sight, size, most)
+    if count > most or not len(near):
+        return corners[:0, 0], owner[:0], count
+    places, owners = [corners[:0, 0]], [owner[:0]]
+    for rows in np.array_split(np.arange(len(near)), len(near) // PIECES_AT_ONCE + 1):
+        pieces, own = small_pieces(near[rows], size, ANY_NUMBER)
+        places.append(pieces.mean(axis=1))
+        owners.append(owner[rows][own])
+    found = np.concatenate(places)
+    return found, np.concatenate(owners), len(found)
+
+
+def count_near(
+    corners: FloatArray,
+    tip: FloatArray,
+    axis: FloatArray,
+    body: RoundBody,
+    sight: float,
+    size: float,
+    most: int,
+) -> int:
+    """How many places :func:`places_near` finds; where these are far fewer than ``most``, about."""
+    near, _, count = _pieces_near(corners, tip, axis, body, sight, size, most)
+    if COUNT_SHARE * most < count <= most and len(near):
+        return places_near(corners, tip, axis, body, sight, size, most)[2]
+    return count
+
+
+def _pieces_near(
+    corners: FloatArray,
+    tip: FloatArray,
+    axis: FloatArray,
+    body: RoundBody,
+    sight: float,
+    size: float,
+    most: int,
+) -> tuple[FloatArray, IntArray, int]:
+    """Coarse pieces (P, 3, 3) of triangles that may be within ``sight``, the triangle (P,) of each, and how
+    many fine ones they are, about, as in :func:`places_near`."""
     centre, reach = _around(tip, axis, body, sight)
     owner = np.arange(len(corners))
     kept = _within(corners, centre, reach)
@@ -219,16 +262,22 @@ def places_near(
         near, owner = near[kept], owner[own][kept]
         if len(near) > most:
             break
-    count = _count(near, size)
-    if count > most or not len(near):
-        return corners[:0, 0], owner[:0], count
-    places, owners = [corners[:0, 0]], [owner[:0]]
-    for rows in np.array_split(np.arange(len(near)), len(near) // PIECES_AT_ONCE + 1):
-        pieces, own = small_pieces(near[rows], size, ANY_NUMBER)
-        places.append(pieces.mean(axis=1))
-        owners.append(owner[rows][own])
-    found = np.concatenate(places)
-    return found, np.concatenate(owners), len(found)
+    if len(near) and size < CLOSER_SHARE * COARSE_PIECE:
+        kept = _closer(near, tip, axis, body, sight)
+        near, owner = near[kept], owner[kept]
+    return near, owner, _count(near, size)
+
+
+def _closer(
+    corners: FloatArray, tip: FloatArray, axis: FloatArray, body: RoundBody, sight: float
+) -> BoolArray:
+    """Which triangles (T, 3, 3) may come within ``sight`` [m] of the body itself: those whose middles are as
+    far from it as their corners from these, and no more."""
+    middle = corners.mean(axis=1)
+    size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
+    reach = sight + float(size.max())
+    away, _ = least_distances(middle, tip, axis, body, reach, reach)
+    return np.asarray(away - size < sight)
 
 
 def _count(corners: FloatArray, size: float) -> int:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, corner_normals
-from planner.geometry.swept_body import RoundBody, least_distances, places_near
+from planner.geometry.swept_body import RoundBody, count_near, least_distances, places_near
 from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.milling.cutter_contact import CREASE_ANGLE
@@ -199,7 +199,7 @@ def _gouges(work: Work, one: Done, face: Face) -> list[Issue]:
         )
         narrow = max(EDGE_SPACING * one.tolerance, FINEST_SPACING)
         for edge in _edges(section):
-            some = places_near(corners, tips, axes, edge.round, SIGHT_DISTANCE, narrow, MOST_FACE_POINTS)[2]
+            some = count_near(corners, tips, axes, edge.round, SIGHT_DISTANCE, narrow, MOST_FACE_POINTS)
             count, size = max((count, size), (some, narrow))
         if count > MOST_FACE_POINTS:
             out.append(_too_large(one, face, section, count, size))

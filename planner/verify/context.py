@@ -298,10 +298,11 @@ class Context:
         return np.eye(4) if self.places[0] is None else self.places[0]
 
     def stock_poses(self, index: int, rows: IntArray) -> FloatArray:
-        """The block's frame in the world (S, 4, 4) at samples of setup ``index``; a holder moves it."""
+        """The block's frame in the world (S, 4, 4) at samples of setup ``index``, or at instants between
+        samples by their rows in :class:`Looks`; a holder moves it."""
         held = self.holder(index)
         if held is not None and held.arm in self.motion.tcp:
-            return np.asarray(self.motion.tcp[held.arm][rows] @ held.grip)
+            return np.asarray(self.motion.poses(held.arm, rows) @ held.grip)
         place = self.places[index]
         return np.tile(np.eye(4) if place is None else place, (len(rows), 1, 1))
 

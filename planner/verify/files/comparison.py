@@ -28,7 +28,7 @@ from planner.verify.files.sheets import SheetFace
 from planner.verify.forming.face import Face, least_gap
 from planner.verify.forming.state import Forming
 from planner.verify.forming.swept import swept
-from planner.verify.milling.tool_motion import SIGHT_DISTANCE, Milling, solids, sweep
+from planner.verify.milling.tool_motion import BEND_SHARE, SIGHT_DISTANCE, Milling, solids, sweep
 from planner.verify.wire.cut_surface import Sweep, distance_to_sweep
 
 _SAME_MOMENT_FACTOR: Final = 1.3
@@ -381,7 +381,7 @@ def off_cutter(milling: Milling, one: Made, places: Samples) -> FloatArray:
     track = milling.track(one.index, one.claim.arm, labels)
     solid = solids(one.claim.cutter)[0]
     step = float(np.clip(np.sqrt(0.4 * solid.radius * one.tolerance), 0.3e-3, 3e-3))
-    tip, axis, _ = track.spaced(step)
+    tip, axis, _ = track.spaced(step, BEND_SHARE * one.tolerance)
     off, _ = sweep(places.points, tip, axis, solid)
     # the cutter's axis has to be on the outer side
     heights = np.linspace(min(solid.radius, solid.end), solid.end, _AXIS_PLACES)

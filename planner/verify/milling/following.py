@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.claims.milling import MillsAlong
 from planner.geometry.arrays import FloatArray, IntArray
+from planner.verify.replay.moves import ACCURACY
 
 Row = list[float]
 
@@ -22,12 +23,17 @@ AXIS_LEVER = 0.05
 """What a turn of the axis by one radian counts as, against ways of the tip [m]."""
 SEARCH_AHEAD = 0.05
 """How far ahead on its way [m] a tool is looked for."""
+WRITTEN_ROUNDING = 1e-7
+"""How far [m] written places are off what they stand for: half of the last digit along each axis. A corner
+that is rounded by all that is allowed is off by so much more or less."""
+_PAIRS_AT_ONCE = 200_000
+"""Pairs of a place and a piece of a track that are worked on at once."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Followed:
     """Of T samples: how far the tip is ``off`` its way (T,) [m] and the axis ``turn`` (T,) [rad] off the one
-    that is wanted there; ``missed``: how many places of the way no sample and no move between two passes.
+    that is wanted there; ``missed``: how many places of the way the motion does not pass.
     ``at`` (T,) [m]: how far along the way each sample is, places being ``along`` (K,) [m], turns with
     ``AXIS_LEVER``; it never falls."""
 
@@ -38,33 +44,85 @@ class Followed:
     along: FloatArray
 
 
-def follow(claim: MillsAlong, tip: FloatArray, axis: FloatArray) -> Followed:
-    """How the samples ``tip``, ``axis`` (T, 3) follow the claimed way.
+def follow(claim: MillsAlong, tip: FloatArray, axis: FloatArray, some: IntArray | None = None) -> Followed:
+    """How the track ``tip``, ``axis`` (N, 3), which goes straight from sample to sample, follows the claimed
+    way by its samples ``some`` (T,), else by all.
 
-    Each sample is put on the first stretch of the way from where the sample before is that it keeps the
+    Each of them is put on the first stretch of the way from where the one before is that it keeps the
     tolerances to, or as far along the stretches that follow as it keeps them without a break and nears the
     way. One that keeps them to none counts by the nearest, and the next goes on from where this one began.
-    Every place that is passed over must be near the move between both samples.
+    Every place that is passed over must be near the track between both samples, or the next ones beside
+    them: on a corner the place may be nearer to the leg that the tool has left.
     """
     way = _Way(claim)
-    count = len(tip)
+    rows = np.arange(len(tip)) if some is None else some
+    count = len(rows)
     off, turn, at = np.empty(count), np.empty(count), np.empty(count)
+    passed = np.zeros(len(claim.tip), dtype=np.int64)
     stretch, share = 0, 0.0
-    missed = way.skipped(tip[:1], axis[:1], -1, 0, _step(tip[:2], axis[:2]))
-    tips, axes = tip.tolist(), axis.tolist()
+    tips, axes = tip[rows].tolist(), axis[rows].tolist()
     for i in range(count):
         near = way.put(tips[i], axes[i], stretch, share)
         off[i], turn[i] = near.apart, near.angle
         if near.cost > 1.0:
             at[i] = way.at(stretch, share)
             continue
-        if near.stretch > stretch:
-            pair = [max(i - 1, 0), i]
-            missed += way.skipped(tip[pair], axis[pair], stretch, near.stretch)
+        passed[stretch + 1 : near.stretch + 1] = i
         stretch, share = near.stretch, near.share
         at[i] = way.at(stretch, share)
-    missed += way.skipped(tip[-1:], axis[-1:], stretch, len(way.step), _step(tip[-2:], axis[-2:]))
+    passed[stretch + 1 :] = count
+    # a tool that turns back sharply stays on the stretch that it leaves until it is off that
+    waits = np.flatnonzero(np.append(True, np.diff(at) > 0.0))
+    since = waits[np.searchsorted(waits, np.maximum(passed - 1, 0), side="right") - 1]
+    low = rows[np.maximum(since - 1, 0)]
+    high = rows[np.minimum(passed + 1, count - 1)]
+    missed = int((_passes(claim, tip, axis, low, high) > 1.0).sum())
     return Followed(off, turn, missed, at, np.array(way.along))
+
+
+def _passes(
+    claim: MillsAlong, tip: FloatArray, axis: FloatArray, low: IntArray, high: IntArray
+) -> FloatArray:
+    """How near (K,) the track ``tip``, ``axis`` (N, 3) comes to each place of a way between its samples
+    ``low`` and ``high`` (K,), of what is allowed. It is looked for by the tip and by the axis, of which one
+    may stand still."""
+    out = np.empty(len(low))
+    number = np.maximum(high - low, 1)
+    ends = np.cumsum(number)
+    last = len(tip) - 1
+    start = 0
+    while start < len(low):
+        stop = max(start + 1, int(np.searchsorted(ends, ends[start] + _PAIRS_AT_ONCE)))
+        count = number[start:stop]
+        first = np.cumsum(count) - count
+        place = np.repeat(np.arange(start, stop), count)
+        piece = low[place] + np.arange(len(place)) - np.repeat(first, count)
+        after = np.minimum(piece + 1, last)
+        step, lean = tip[after] - tip[piece], axis[after] - axis[piece]
+        by_tip = _share_of(claim.tip[place] - tip[piece], step)
+        by_axis = _share_of(claim.axis[place] - axis[piece], lean)
+        best = np.full(len(place), np.inf)
+        for share in (by_tip, by_axis):
+            apart = np.linalg.norm(tip[piece] + share * step - claim.tip[place], axis=1)
+            chord = np.linalg.norm(axis[piece] + share * lean - claim.axis[place], axis=1)
+            cost = np.maximum(apart / passing_tolerance(claim), chord / claim.turn)
+            best = np.minimum(best, cost)
+        out[start:stop] = np.minimum.reduceat(best, first)
+        start = stop
+    return out
+
+
+def _share_of(off: FloatArray, step: FloatArray) -> FloatArray:
+    """Shares (M, 1) of steps (M, 3) that are nearest to what is ``off`` (M, 3) their beginnings."""
+    square = np.maximum((step * step).sum(axis=1), 1e-30)
+    return np.asarray(np.clip((off * step).sum(axis=1) / square, 0.0, 1.0)[:, None])
+
+
+def passing_tolerance(claim: MillsAlong) -> float:
+    """How near [m] a tool passes the places of its way: what is rounded within the tolerance of both legs of
+    a corner, which is no less than how near arms are taken to keep to them anyway, is off the corner by the
+    root of two of that at 90 degrees, and by less elsewhere; and what is written is rounded."""
+    return math.sqrt(2.0) * max(claim.tolerance, ACCURACY) + WRITTEN_ROUNDING
 
 
 def rows_to_check(tip: FloatArray, axis: FloatArray, tolerance: float) -> IntArray:
@@ -78,12 +136,6 @@ def rows_to_check(tip: FloatArray, axis: FloatArray, tolerance: float) -> IntArr
     # the first sample behind each mark; the last one before it, too, where the next is farther on than that
     marks = np.diff(number)
     return np.flatnonzero(np.append(True, marks > 0.0) | np.append(marks > 1.0, True))
-
-
-def _step(tip: FloatArray, axis: FloatArray) -> float:
-    """Way [m] between two samples, by tip or by lever."""
-    ways = np.linalg.norm(tip[-1] - tip[0]), AXIS_LEVER * np.linalg.norm(axis[-1] - axis[0])
-    return float(max(ways))
 
 
 class _Near(NamedTuple):
@@ -175,30 +227,7 @@ class _Way:
 
     def _cost(self, apart: float, angle: float) -> float:
         """How far off, of what is allowed."""
-        return max(apart / self.claim.tolerance, angle / self.claim.turn)
-
-    def skipped(self, tip: FloatArray, axis: FloatArray, before: int, after: int, slack: float = 0.0) -> int:
-        """How many of the places behind ``before`` up to ``after`` the move between samples (2, 3), or one
-        sample (1, 3), does not come near to; ``slack`` [m] more is allowed."""
-        places, axes = self.tip[before + 1 : after + 1], self.axis[before + 1 : after + 1]
-        if not len(places):
-            return 0
-        way = tip[-1] - tip[0]
-        share = np.clip((places - tip[0]) @ way / max(float(way @ way), 1e-24), 0.0, 1.0)
-        apart = np.linalg.norm(tip[0] + share[:, None] * way - places, axis=1)
-        turned = np.minimum(*(_apart(tip[i], axis[i], places, axes)[1] for i in (0, -1)))
-        own = float(_apart(tip[0], axis[0], tip[-1:], axis[-1:])[1][0])
-        allowed = 2.0 * self.claim.turn + own + slack / AXIS_LEVER
-        return int(((apart > 2.0 * self.claim.tolerance + slack) | (turned > allowed)).sum())
-
-
-def _apart(
-    tip: FloatArray, axis: FloatArray, tips: FloatArray, axes: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """How far [m] and [rad] a sample is off places (K, 3) and axes (K, 3); angles by the chord, which is
-    exact for small ones too."""
-    chord = np.linalg.norm(axes - axis, axis=1)
-    return np.linalg.norm(tips - tip, axis=1), 2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0))
+        return max(apart / (self.claim.tolerance + WRITTEN_ROUNDING), angle / self.claim.turn)
 
 
 def _off(tip: Row, axis: Row, place: Row, wanted: Row) -> tuple[float, float]:

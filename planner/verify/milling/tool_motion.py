@@ -33,21 +33,30 @@ TRACK_LEVER = 0.15
 """A point so far behind the tip [m] counts, with the tip, for the way between places."""
 
 
+BEND_SHARE = 0.1
+"""Part of a tolerance that straight lines between places may leave the way by, where it bends."""
+_MOST_BENDS = 64
+"""Rounds at most in which places are added at bends, one between two places each."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Track:
-    """T samples of one arm in some segments: ``rows`` (T,) of the motion, ``tip``, ``axis`` (T, 3) [m] of the
-    TCP and against its z axis, from tip to spindle, in the block's frame; ``joined`` (T - 1,): the next row
-    is the next sample; ``label`` (T,) of the move under way."""
+    """T places of one arm in some segments, as near to one another as samples are, and on corners:
+    ``rows`` (T,) of the motion's samples, the last ones before; ``tip``, ``axis`` (T, 3) [m] of the TCP and
+    against its z axis, from tip to spindle, in the block's frame; ``joined`` (T - 1,): the tool goes on to
+    the next place; ``label`` (T,) of the move under way; ``time`` (T,) [s]."""
 
     rows: IntArray
     tip: FloatArray
     axis: FloatArray
     joined: BoolArray
     label: NDArray[np.str_]
+    time: FloatArray
 
-    def spaced(self, step: float) -> Spaced:
+    def spaced(self, step: float, bend: float = np.inf) -> Spaced:
         """Tips and axes (M, 3), and rows (M,) of the motion, at places at most ``step`` [m] apart along the
-        way of tip and shank, which goes straight between samples."""
+        way of tip and shank, which goes straight between the track's own. Of these there are so many more
+        that straight lines between places leave none out by more than ``bend`` [m]: a corner is one."""
         if not len(self.rows):
             return self.tip, self.axis, self.rows
         ends = np.stack([self.tip, self.tip + TRACK_LEVER * self.axis], axis=1)
@@ -55,6 +64,8 @@ class Track:
         along = np.concatenate([[0.0], np.cumsum(np.where(self.joined, way, 0.0))])
         marks = np.arange(0.0, along[-1], step)
         at = np.unique(np.concatenate([marks, along[np.append(True, ~self.joined)], along[-1:]]))
+        if np.isfinite(bend):
+            at = _with_bends(ends, along, at, bend)
         # where the way is longer than the step from sample to sample, places lie between these
         to = np.clip(np.searchsorted(along, at, side="left"), 0, len(along) - 1)
         back = np.maximum(to - 1, 0)
@@ -66,6 +77,39 @@ class Track:
         tip, axis = np.concatenate([tip, self.tip[first]]), np.concatenate([axis, self.axis[first]])
         rows = np.concatenate([self.rows[to], self.rows[first]])
         return tip, axis / np.linalg.norm(axis, axis=1, keepdims=True), rows
+
+
+def _with_bends(ends: FloatArray, along: FloatArray, at: FloatArray, bend: float) -> FloatArray:
+    """Places ``at`` (M,) on the way ``along`` (T,) of ``ends`` (T, 2, 3), and those of T, one between two
+    places in each round, that are farther than ``bend`` [m] off the straight lines between them."""
+    left = np.arange(len(along))
+    for _ in range(_MOST_BENDS):
+        # lines begin behind a jump, where two of T are as far along as each other, and end before one
+        low = np.clip(np.searchsorted(along, at[:-1], side="right") - 1, 0, len(along) - 2)
+        high = np.clip(np.searchsorted(along, at[1:], side="left"), 1, len(along) - 1)
+        start = _between(ends, along, low, at[:-1])
+        line = _between(ends, along, high - 1, at[1:]) - start
+        own = np.searchsorted(at, along[left], side="left") - 1
+        inner = (own >= 0) & (along[left] < at[np.minimum(own + 1, len(at) - 1)])
+        left, own = left[inner], own[inner]
+        off = ends[left] - start[own]
+        share = (off * line[own]).sum(axis=2) / np.maximum((line[own] ** 2).sum(axis=2), 1e-24)
+        apart = np.linalg.norm(off - np.clip(share, 0.0, 1.0)[..., None] * line[own], axis=2).max(axis=1)
+        far = np.isin(own, own[apart > bend])
+        left, own, apart = left[far], own[far], apart[far]
+        if not len(left):
+            return at
+        order = np.lexsort((apart, own))
+        worst = order[np.append(np.diff(own[order]) > 0, True)]
+        at = np.union1d(at, along[left[worst]])
+    return at
+
+
+def _between(ends: FloatArray, along: FloatArray, low: IntArray, at: FloatArray) -> FloatArray:
+    """Ends (M, 2, 3) at places ``at`` (M,) of the way between its places ``low`` (M,) and the next ones."""
+    share = (at - along[low]) / np.maximum(along[low + 1] - along[low], 1e-12)
+    share = np.clip(share, 0.0, 1.0)[:, None, None]
+    return np.asarray(ends[low] + share * (ends[low + 1] - ends[low]))
 
 
 def in_block(track: Track, length: float, radius: float, stock: Stock) -> BoolArray:
@@ -95,7 +139,7 @@ class Milling:
             if isinstance(claim, MillsSurface | MillsAlong | MillsFlank | MillsOver | SparesPart)
         )
         self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
-        self._spaced: dict[tuple[int, str, tuple[str, ...], float], Spaced] = {}
+        self._spaced: dict[tuple[int, str, tuple[str, ...], float, float], Spaced] = {}
         self._followed: dict[tuple[int, int], tuple[IntArray, Followed]] = {}
 
     @property
@@ -172,31 +216,30 @@ class Milling:
         track = self.track(index, claim.arm, (claim.segment.key,))
         if key not in self._followed and len(track.rows):
             some = rows_to_check(track.tip, track.axis, claim.tolerance)
-            self._followed[key] = some, follow(claim, track.tip[some], track.axis[some])
+            self._followed[key] = some, follow(claim, track.tip, track.axis, some)
         return self._followed.get(key)
 
-    def spaced(self, index: int, arm: str, labels: tuple[str, ...], step: float) -> Spaced:
-        """Places along :meth:`track`, as :meth:`Track.spaced` has them: each face is held against them."""
-        key = (index, arm, labels, step)
+    def spaced(self, index: int, arm: str, labels: tuple[str, ...], step: float, tolerance: float) -> Spaced:
+        """Places along :meth:`track`, as :meth:`Track.spaced` has them, with the bends that count at a
+        ``tolerance`` [m]: each face is held against them."""
+        key = (index, arm, labels, step, tolerance)
         if key not in self._spaced:
-            self._spaced[key] = self.track(index, arm, labels).spaced(step)
+            self._spaced[key] = self.track(index, arm, labels).spaced(step, BEND_SHARE * tolerance)
         return self._spaced[key]
 
     def _track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
         context, motion = self.context, self.context.motion
-        names = motion.node_label
-        chosen = np.isin(names, labels)[motion.node] & (context.sample_setup == index)
+        names, looks = motion.node_label, motion.looks
+        chosen = np.isin(names, labels)[looks.node] & (context.sample_setup[looks.sample] == index)
         rows = np.flatnonzero(during(chosen))
+        sample = looks.sample[rows]
         if arm not in motion.tcp or not len(rows):
             none = np.zeros((0, 3))
-            return Track(rows[:0], none, none, np.zeros(0, bool), np.zeros(0, "<U1"))
-        poses, node = motion.tcp[arm][rows], motion.node[rows]
-        # a segment that begins from rest begins at the written target; samples may miss that moment
-        rests = ~chosen[rows] & motion.node_stop[node] & np.isfinite(motion.node_tcp[arm][node, 0, 0])
-        poses[rests] = motion.node_tcp[arm][node[rests]]
-        seen = inverse(context.stock_poses(index, rows)) @ poses
+            return Track(sample, none, none, np.zeros(0, bool), np.zeros(0, "<U1"), np.zeros(0))
+        seen = inverse(context.stock_poses(index, looks.row[rows])) @ motion.poses(arm, looks.row[rows])
         joined = (np.diff(rows) == 1) & chosen[rows[1:]]
-        return Track(rows, seen[:, :3, 3], -seen[:, :3, 2], joined, names[motion.node[rows]])
+        label = names[looks.node[rows]]
+        return Track(sample, seen[:, :3, 3], -seen[:, :3, 2], joined, label, looks.time[rows])
 
 
 SIGHT_DISTANCE = 3e-3

@@ -81,6 +81,32 @@ class Fault:
 
 
 @dataclasses.dataclass(frozen=True)
+class Instants:
+    """C instants between samples, in order: on the corners that a straight line from sample to sample would
+    cut off, and where a segment ends.
+
+    ``time`` (C,) [s], ``sample`` (C,) the last sample before, ``node`` (C,) the move under way as an index
+    into the nodes, ``tcp`` {arm: C poses} in the world.
+    """
+
+    time: FloatArray
+    sample: IntArray
+    node: IntArray
+    tcp: Mapping[str, Poses]
+
+
+@dataclasses.dataclass(frozen=True)
+class Looks:
+    """S samples and C instants between them together, by their time: ``row`` (S + C,) of a sample as it is,
+    of an instant S more; ``sample`` (S + C,) itself or the last one before; ``time`` [s], ``node``."""
+
+    row: IntArray
+    sample: IntArray
+    time: FloatArray
+    node: IntArray
+
+
+@dataclasses.dataclass(frozen=True)
 class Motion:
     """S samples and K nodes (targets) of the whole job.
 
@@ -88,7 +114,7 @@ class Motion:
     {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: S poses} in the world. Nodes: ``node_sample`` (K,) the
     sample at which the move ends, ``node_segment``, ``node_stop``, ``node_stage``, ``node_ids``,
     ``node_line`` {arm: (K,)}, ``node_conf_q`` {arm: (K, 6)} what confdata alone select (NaN where the arm
-    has no such target).
+    has no such target). ``between``: where arms are between samples, where that matters.
     """
 
     time: FloatArray
@@ -108,6 +134,7 @@ class Motion:
     node_conf_ok: Mapping[str, BoolArray]
     step_time: tuple[tuple[float, int, str, Step], ...]
     faults: tuple[Fault, ...]
+    between: Instants
 
     def speed(self, arm: str) -> FloatArray:
         """Joint speeds (S, 6) [rad/s] of an arm by finite differences; not kept, for long motions have many
@@ -117,6 +144,27 @@ class Motion:
     def acceleration(self, arm: str) -> FloatArray:
         """Joint accelerations (S, 6) [rad/s^2] of an arm, as :meth:`speed`."""
         return differences(self.time, self.q[arm], 2)
+
+    @functools.cached_property
+    def looks(self) -> Looks:
+        """Samples and instants between them."""
+        own, count = self.between, len(self.time)
+        row = np.insert(np.arange(count), own.sample + 1, count + np.arange(len(own.time)))
+        sample = np.concatenate([np.arange(count), own.sample])
+        time, node = np.concatenate([self.time, own.time]), np.concatenate([self.node, own.node])
+        return Looks(row, sample[row], time[row], node[row])
+
+    def poses(self, arm: str, rows: IntArray) -> FloatArray:
+        """TCP poses (M, 4, 4) in the world at rows (M,) of samples, or of instants as :class:`Looks` has
+        them."""
+        count = len(self.time)
+        late = rows >= count
+        if not late.any():
+            return self.tcp[arm][rows]
+        out = np.empty((len(rows), 4, 4))
+        out[~late] = self.tcp[arm][rows[~late]]
+        out[late] = self.between.tcp[arm][rows[late] - count]
+        return out
 
     @functools.cached_property
     def node_label(self) -> NDArray[np.str_]:

@@ -70,8 +70,18 @@ def time_law_of(
     """
     count = len(duration)
     times = np.concatenate([[0.0], np.cumsum(duration)])
+    rate_in, rate_out = end_rates(duration, length, stop)
+    window = np.zeros(count + 1)
+    inner = np.minimum(reach[1:-1, 0] * duration[:-1], reach[1:-1, 1] * duration[1:])
+    inner = np.maximum(inner, room[1:-1])
+    window[1:-1] = np.where(stop[1:-1], 0.0, np.minimum(inner, 0.5 * np.minimum(duration[:-1], duration[1:])))
+    return TimeLaw(times, rate_in, rate_out, window)
+
+
+def end_rates(duration: FloatArray, length: FloatArray, stop: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Speeds (N,) in which N moves begin and end, of their means: as :func:`time_law_of` has them."""
     speed = length / duration
-    rate_in, rate_out = np.ones(count), np.ones(count)
+    rate_in, rate_out = np.ones(len(duration)), np.ones(len(duration))
     first, last = stop[:-1], stop[1:]
     ahead = np.concatenate([speed[1:], speed[-1:]]) / np.maximum(speed, 1e-12)
     behind = np.concatenate([speed[:1], speed[:-1]]) / np.maximum(speed, 1e-12)
@@ -80,11 +90,44 @@ def time_law_of(
     starts, ends = first & ~last, last & ~first
     rate_out[starts] = np.clip(ahead[starts], 1.0, 2.0)
     rate_in[ends] = np.clip(behind[ends], 1.0, 2.0)
-    window = np.zeros(count + 1)
-    inner = np.minimum(reach[1:-1, 0] * duration[:-1], reach[1:-1, 1] * duration[1:])
-    inner = np.maximum(inner, room[1:-1])
-    window[1:-1] = np.where(stop[1:-1], 0.0, np.minimum(inner, 0.5 * np.minimum(duration[:-1], duration[1:])))
-    return TimeLaw(times, rate_in, rate_out, window)
+    return rate_in, rate_out
+
+
+CHORD_ERROR = np.array([1e-6, 1e-5])
+"""How far [m], [rad] a straight line from sample to sample may be off the motion: a tenth of
+:data:`ACCURACY` and of :data:`ACCURACY_TURN`."""
+
+
+def corner_times(law: TimeLaw, deltas: Sequence[FloatArray], step: float) -> FloatArray:
+    """Times (C,) [s] of stops, and at corners that a straight line between samples ``step`` [s] apart would
+    cut off by more than ``CHORD_ERROR``: the corner, and where it is rounded places on the rounding so near
+    to one another that lines between them are off by no more.
+
+    ``deltas``: steps (N, 6) of each arm's moves, by way [m] and by turning [rad]. A corner at which the
+    velocity changes by v is off the line by v step / 4, or where it is rounded over the time 2 h by
+    v step^2 / 16 h; the rounding is v h / 4 off the corner, and n lines along it by an n^2-th of that.
+    Corners that are within a step of each other count together.
+    """
+    duration, at, half = np.diff(law.times), law.times[1:-1], law.window[1:-1]
+    first = np.searchsorted(at, at - step, side="left")
+    last = np.searchsorted(at, at + step, side="right")
+    line = np.minimum(0.25 * step, step**2 / (16.0 * np.maximum(half, 1e-9)))
+    line = np.where(last - first > 1, 0.25 * step, line)
+    off, stray = np.zeros(len(at)), np.zeros(len(at))
+    for delta in deltas:
+        before, after = (rate / duration for rate in (law.rate_out, law.rate_in))
+        change = after[1:, None] * delta[1:] - before[:-1, None] * delta[:-1]
+        size = (np.linalg.norm(change.reshape(-1, 2, 3), axis=2) / CHORD_ERROR).max(axis=1, initial=0.0)
+        summed = np.append(0.0, np.cumsum(size))
+        off = np.maximum(off, (summed[last] - summed[first]) * line)
+        stray = np.maximum(stray, 0.25 * size * half)
+    stops = (law.rate_out[:-1] == 0.0) & (law.rate_in[1:] == 0.0)
+    nodes = np.flatnonzero((off > 1.0) | stops)
+    count = 2 * np.ceil(0.5 * np.sqrt(stray[nodes])).astype(np.int64)
+    node, lines = np.repeat(nodes, count + 1), np.repeat(count, count + 1)
+    place = np.arange(len(node)) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
+    share = np.where(lines > 0, 2.0 * place / np.maximum(lines, 1) - 1.0, 0.0)
+    return np.asarray(at[node] + share * half[node])
 
 
 def offsets(law: TimeLaw, delta: FloatArray, at: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -247,9 +290,10 @@ def make_law(
     starts: Sequence[FloatArray],
     joints: Sequence[FloatArray],
     stop: BoolArray,
-) -> TimeLaw:
-    """The time law of the moves: the slowest of the arms sets each move's time, the smallest zone the
-    rounding. ``starts`` (4, 4) are each row's TCP in the frame of its poses, ``joints`` (6,) its angles."""
+) -> tuple[TimeLaw, tuple[FloatArray, ...]]:
+    """The time law of the moves, and each arm's steps (N, 6) by way [m] and turning [rad]: the slowest of the
+    arms sets each move's time, the smallest zone the rounding. ``starts`` (4, 4) are each row's TCP in the
+    frame of its poses, ``joints`` (6,) its angles."""
     count = len(rows[0].moves)
     duration, length = np.zeros(count), np.zeros(count)
     reach = np.full((count + 1, 2), _MOST_CORNER_SHARE)
@@ -268,13 +312,15 @@ def make_law(
         reach[1:-1, 1] = np.minimum(reach[1:-1, 1], _share(zone[:-1], angle[:-1], step[1:], turn[1:]))
     duration = np.maximum(duration, 1e-4)
     room = np.full(count + 1, np.inf)
-    for (
-        delta,
-        accuracy,
-    ) in deltas:  # a rounding of half width h strays from the corner by h |change of speed| / 4
-        change = _sideways(delta / duration[:, None])
+    rate_in, rate_out = end_rates(duration, length, stop)
+    for delta, accuracy in deltas:
+        # a rounding of half width h strays from the corner by h |change of speed| / 4
+        speed = delta / duration[:, None]
+        change = _sideways(rate_out[:-1, None] * speed[:-1], rate_in[1:, None] * speed[1:])
         room[1:-1] = np.minimum(room[1:-1], 4.0 * accuracy / np.maximum(change, 1e-12))
-    return time_law_of(duration, length, stop, np.clip(reach, 0.0, _MOST_CORNER_SHARE), room)
+    law = time_law_of(duration, length, stop, np.clip(reach, 0.0, _MOST_CORNER_SHARE), room)
+    ways, turns = deltas[::2], deltas[1::2]
+    return law, tuple(np.concatenate([a, b], axis=1) for (a, _), (b, _) in zip(ways, turns, strict=True))
 
 
 def _durations(row: Row, start: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
@@ -314,16 +360,15 @@ def _behind(row: Row, i: int, start: FloatArray) -> FloatArray:
     return np.asarray(q if np.isfinite(q).all() else here)
 
 
-def _sideways(speed: FloatArray) -> FloatArray:
-    """Change (N - 1,) of speeds (N, 3) across the path; a change along it does not leave the path, unless it
-    turns back."""
-    before, after = speed[:-1], speed[1:]
-    size = np.maximum(np.linalg.norm(speed, axis=1), 1e-12)
+def _sideways(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Change (M,) of speeds across the path, from ``before`` to ``after`` (M, 3); a change along it does not
+    leave the path, unless it turns back."""
+    size = np.maximum(np.stack([np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)]), 1e-12)
     along = dots(before, after)
     whole = np.linalg.norm(after - before, axis=1)
     cross = np.linalg.norm(np.cross(before, after), axis=1)
-    across = cross / np.minimum(size[:-1], size[1:])
-    still = np.minimum(size[:-1], size[1:]) < 1e-9
+    across = cross / size.min(axis=0)
+    still = size.min(axis=0) < 1e-9
     return np.asarray(np.where((along < 0.0) | still, whole, np.minimum(across, whole)))
 
 

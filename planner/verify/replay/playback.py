@@ -25,7 +25,7 @@ from planner.verify.job import JobText, Stage, TaskText
 from planner.verify.programs.program_text import segment_of_name
 from planner.verify.programs.steps import Step
 from planner.verify.replay import arm_model, inverse_kinematics, moves
-from planner.verify.replay.motion import Fault, Motion, Poses
+from planner.verify.replay.motion import Fault, Instants, Motion, Poses
 from planner.verify.replay.moves import Row, between, dwell_time, make_law, make_row, needs_standstill
 
 SAMPLE_TIME = 0.004
@@ -67,6 +67,7 @@ class _Player:
         self.faults: list[Fault] = []
         self.tools = {arm.name: arm.tool.tcp for arm in self.arms}
         self.tcp: dict[str, list[Poses]] = {arm.name: [] for arm in self.arms}
+        self.between: dict[str, list[Poses]] = {arm.name: [] for arm in self.arms}
 
     def run(self) -> Motion:
         for number, stage in enumerate(self.job.stages):
@@ -98,6 +99,12 @@ class _Player:
             node_conf_ok={name: p[f"conf_ok/{name}"] for name in names},
             step_time=tuple(self.events),
             faults=tuple(self.faults),
+            between=Instants(
+                p["between/time"],
+                p["between/sample"],
+                p["between/node"],
+                {name: Poses.joined(self.between.pop(name)) for name in names},
+            ),
         )
 
     def _add(self, key: str, value: np.ndarray) -> None:
@@ -113,17 +120,21 @@ class _Player:
         self._add("time", np.zeros(1))
         for key in ("stage", "node", "node_sample", "node_stage", "node_ids"):
             self._add(key, np.zeros(1, dtype=np.int64))
+        self._add("between/time", np.zeros(0))
+        for key in ("between/sample", "between/node"):
+            self._add(key, np.zeros(0, dtype=np.int64))
         self._add("node_stop", np.ones(1, dtype=bool))
         self._add("node_duration", np.zeros(1))
         self.segments.append(Segment(""))
         for arm in self.arms:
-            self._hold(arm, 1, 1)
+            self._hold(arm, 1, 1, 0)
 
-    def _hold(self, arm: Arm, samples: int, nodes: int) -> None:
-        """Rows of an arm that stands still."""
+    def _hold(self, arm: Arm, samples: int, nodes: int, between: int) -> None:
+        """Rows of an arm that stands still: samples, nodes, and instants between samples."""
         q = self.q[arm.name]
         self._add(f"q/{arm.name}", np.tile(q, (samples, 1)))
         self.tcp[arm.name].append(Poses.of(np.tile(self._tcp(arm, q), (samples, 1, 1))))
+        self.between[arm.name].append(Poses.of(np.tile(self._tcp(arm, q), (between, 1, 1))))
         self._add(f"line/{arm.name}", np.zeros(nodes, dtype=np.int64))
         self._add(f"conf_q/{arm.name}", np.full((nodes, 6), np.nan))
         self._add(f"conf_ok/{arm.name}", np.ones(nodes, dtype=bool))
@@ -198,7 +209,8 @@ class _Player:
                 )
             stop[change] = True
         joints = [self.q[row.task.arm.name] for row in rows]
-        law = make_law(rows, [self._start(row, q) for row, q in zip(rows, joints, strict=True)], joints, stop)
+        starts = [self._start(row, q) for row, q in zip(rows, joints, strict=True)]
+        law, deltas = make_law(rows, starts, joints, stop)
         duration = np.diff(law.times)
         total = float(law.times[-1])
         if not self.clock + total <= LONGEST_MOTION:
@@ -226,17 +238,26 @@ class _Player:
         self._add("node_stage", np.full(count, number, dtype=np.int64))
         self._add("node_ids", np.array([move.id or 0 for move in rows[0].moves], dtype=np.int64))
         self._add("node_duration", duration)
-        self.segments += [segment_of_name(move.procedure) for move in rows[0].moves]
+        own = [segment_of_name(move.procedure) for move in rows[0].moves]
+        self.segments += own
+        changes = 1 + np.flatnonzero([a != b for a, b in itertools.pairwise(own)])
+        looks = np.concatenate([law.times[changes], moves.corner_times(law, deltas, float(at[1] - at[0]))])
+        looks = np.setdiff1d(looks, at)
+        look_move = np.clip(np.searchsorted(law.times, looks, side="left") - 1, 0, count - 1)
+        self._add("between/time", start + looks + shift[look_move])
+        self._add("between/sample", first + np.searchsorted(at, looks) - 1)
+        self._add("between/node", self.nodes + look_move)
         by_arm = {row.task.arm.name: row for row in rows}
         before = dict(self.q)
         for arm in sorted(self.arms, key=lambda arm: self._rank(by_arm.get(arm.name))):
             played = by_arm.get(arm.name)
             if played is None:
-                self._hold(arm, len(at), count)
+                self._hold(arm, len(at), count, len(looks))
             elif played.carrier is None:
-                self._play(played, law, at)
+                self._play(played, law, at, looks)
             else:
-                self._play(played, law, at, self._carried(played, by_arm.get(played.carrier), before))
+                carrier = by_arm.get(played.carrier)
+                self._play(played, law, at, looks, self._carried(played, carrier, before, look_move))
         self.nodes += count
         self.clock = start + total + float(shift[-1]) + SAMPLE_TIME
 
@@ -253,8 +274,11 @@ class _Player:
         flange = self.bases[row.carrier] @ self.robots[row.carrier].flange(self.q[row.carrier])
         return np.asarray(inverse(flange @ row.ride) @ here)
 
-    def _carried(self, row: Row, carrier: Row | None, before: Mapping[str, FloatArray]) -> _Carried:
-        """The frame that carries a row's work: at the last samples of its arm, at the start and at nodes."""
+    def _carried(
+        self, row: Row, carrier: Row | None, before: Mapping[str, FloatArray], look_move: IntArray
+    ) -> _Carried:
+        """The frame that carries a row's work: at the last samples of its arm, at the start, at nodes, and at
+        instants between samples, when the moves ``look_move`` (C,) are under way."""
         name = str(row.carrier)
         machine, base = self.robots[name], self.bases[name]
         samples = base @ machine.flange(self.parts[f"q/{name}"][-1]) @ row.ride
@@ -263,7 +287,11 @@ class _Player:
             nodes = np.tile(start, (len(row.moves), 1, 1))
         else:
             nodes = carrier.flanges() @ row.ride
-        return _Carried(samples, start, nodes)
+        tool = (
+            np.tile(self.tools[name], (len(look_move), 1, 1)) if carrier is None else carrier.tool[look_move]
+        )
+        looks = self.between[name][-1][:] @ inverse(tool) @ row.ride
+        return _Carried(samples, start, nodes, looks)
 
     def _events(
         self, number: int, movers: list[TaskText], logic_steps: Mapping[str, list[list[Step]]], at: FloatArray
@@ -275,7 +303,15 @@ class _Player:
                     self.events.append((float(at[i]) + own, number, task.name, step))
                     own += dwell_time([step])
 
-    def _play(self, row: Row, law: moves.TimeLaw, at: FloatArray, carried: _Carried | None = None) -> None:
+    def _play(
+        self,
+        row: Row,
+        law: moves.TimeLaw,
+        at: FloatArray,
+        looks: FloatArray,
+        carried: _Carried | None = None,
+    ) -> None:
+        """The motion of one arm in a stage at times ``at`` (S,), and where it is at ``looks`` (C,)."""
         name = row.task.arm.name
         world = row.pose if carried is None else carried.nodes @ row.pose
         begin = (
@@ -287,7 +323,7 @@ class _Player:
         q = np.empty((len(at), 6))
         edges = [0, *(np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1), count]
         here = self.q[name]
-        tcp = Poses.empty(len(at))
+        tcp, seen = Poses.empty(len(at)), Poses.empty(len(looks))
         conf_q, conf_ok = np.full((count, 6), np.nan), np.ones(count, dtype=bool)
         for a, b in itertools.pairwise(edges):
             inside = (
@@ -301,8 +337,11 @@ class _Player:
                 law.times[a : b + 1], law.rate_in[a:b], law.rate_out[a:b], _ends_closed(law.window[a : b + 1])
             )
             when = np.minimum(at[inside], law.times[b])
+            looked = np.flatnonzero((looks > law.times[a]) & (looks <= law.times[b]))
             if row.joint[a]:
                 nodes = np.concatenate([here[None], row.q[a:b]])
+                at_node, xi = moves.offsets(part, np.diff(nodes, axis=0), looks[looked])
+                seen[looked] = row.base @ row.robot.flange(nodes[at_node] + xi) @ row.tool[a]
                 at_node, xi = moves.offsets(part, np.diff(nodes, axis=0), when)
                 q[inside] = nodes[at_node] + xi
                 tcp[inside] = row.base @ row.robot.flange(q[inside]) @ row.tool[a]
@@ -313,6 +352,9 @@ class _Player:
                 )
                 branch = moves.branches_on_way(row, a, b, here)
                 nodes, delta = moves.samples_on_way(row, a, b, first)
+                for some, moments in moves.chunks(looked, looks[looked]):
+                    path = moves.poses_on_way(part, nodes, delta, moments)
+                    seen[some] = path if carried is None else carried.between[some] @ path
                 end = here
                 for some, moments in moves.chunks(np.flatnonzero(inside), when):
                     path = moves.poses_on_way(part, nodes, delta, moments)
@@ -345,6 +387,7 @@ class _Player:
             here = q[-1]
         self._add(f"q/{name}", q)
         self.tcp[name].append(tcp)
+        self.between[name].append(seen)
         self._add(f"line/{name}", np.array([move.line for move in row.moves], dtype=np.int64))
         self._add(f"conf_q/{name}", conf_q)
         self._add(f"conf_ok/{name}", conf_ok)
@@ -366,11 +409,12 @@ class _Player:
 @dataclasses.dataclass(frozen=True)
 class _Carried:
     """A carried frame in the world: at the samples (S, 4, 4), at the start (4, 4), at the targets
-    (N, 4, 4)."""
+    (N, 4, 4), at instants between samples (C, 4, 4)."""
 
     samples: FloatArray
     start: FloatArray
     nodes: FloatArray
+    between: FloatArray
 
 
 def _up_to(at: FloatArray, times: FloatArray) -> IntArray:

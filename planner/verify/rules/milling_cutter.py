@@ -31,9 +31,10 @@ from planner.tooling import Mill
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
 from planner.verify.job import MILL
 from planner.verify.milling import surface_passes
-from planner.verify.milling.following import Followed, allowed, rows_to_check
+from planner.verify.milling.following import WRITTEN_ROUNDING, Followed, allowed, rows_to_check
 from planner.verify.milling.surface_passes import OverFace, Way, within
 from planner.verify.milling.tool_motion import (
+    BEND_SHARE,
     MOST_FACE_POINTS,
     SIGHT_DISTANCE,
     Milling,
@@ -175,7 +176,7 @@ def over(context: Context, milling: Milling) -> tuple[list[Issue], float, str]:
             if not len(milling.track(index, claim.arm, labels).rows):
                 issues.append(Issue(MILL_PATH, f"{segment} is not milled", field=str(segment)))
                 continue
-            tip, axis, rows = milling.spaced(index, claim.arm, labels, FACE_STEP)
+            tip, axis, rows = milling.spaced(index, claim.arm, labels, FACE_STEP, claim.tolerance)
             for asked, off in face.off(tip, axis).items():
                 if off.max() > worst:
                     worst, where = float(off.max()), str(segment)
@@ -241,7 +242,7 @@ def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
     labels = tuple(segment.key for segment in claim.segments)
     track = milling.track(index, claim.arm, labels)
     solid = solids(claim.cutter)[0]
-    tip, axis, _ = track.spaced(_step(solid, claim.tolerance))
+    tip, axis, _ = track.spaced(_step(solid, claim.tolerance), BEND_SHARE * claim.tolerance)
     off, _ = sweep(points, tip, axis, solid)
     known = off < SIGHT_DISTANCE
     share = float(area[known & (np.abs(off) <= claim.tolerance)].sum() / max(float(area.sum()), 1e-30))
@@ -279,7 +280,7 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
             if sharp and not near:
                 continue
             step = rim_step(claim.tolerance) if sharp else _GOUGE_SPACING * _step(solid, claim.tolerance)
-            tip, axis, rows = milling.spaced(index, claim.arm, labels, step)
+            tip, axis, rows = milling.spaced(index, claim.arm, labels, step, claim.tolerance)
             points = claim.vertices[:1]
             if near:
                 size = rim_size if sharp else functools.partial(round_size, solid.radius)
@@ -344,7 +345,7 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
         share = max(float(off.max()) / claim.tolerance, float(turn.max()) / claim.turn)
         if share > worst:
             worst, limit, where = share, 1.0, str(claim.segment)
-        bad = np.flatnonzero((off > claim.tolerance) | (turn > claim.turn))
+        bad = np.flatnonzero((off > claim.tolerance + WRITTEN_ROUNDING) | (turn > claim.turn))
         for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
             what = (
                 f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve{_line(claim, found, i)} "
@@ -421,7 +422,7 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
         track = milling.track(index, arm, (claim.segment.key,)) if arm else None
         if track is None or not len(track.joined):
             continue
-        time = np.diff(motion.time[track.rows])
+        time = np.diff(track.time)
         speed = np.linalg.norm(np.diff(track.tip, axis=0), axis=1) / np.maximum(time, 1e-6)
         speed = np.where(track.joined, speed, 0.0)
         there = _there(milling, index, claim.segment, len(speed) + 1)
@@ -484,7 +485,7 @@ def spindle(context: Context, milling: Milling) -> Outcome:
                 what = f"{arm.name} mills in setup {index + 1}, which claims no spindle"
                 issues.append(at_sample("verify.spindle", what, motion, arm.name, int(track.rows[inside[0]])))
             for claim in claims:
-                on = _on_for(context, claim.signal, motion.time[track.rows[inside]])
+                on = _on_for(context, claim.signal, track.time[inside])
                 for i in np.flatnonzero(on < claim.heat_up - 1e-6)[:1]:
                     got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
                     what = f"the cutter is in the block and {claim.signal} is {got} on; wanted: "

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from planner.claims.claim import SparesPart
 from planner.claims.vocabulary import Segment
 from planner.tooling import Cutter
-from planner.verify.milling.tool_motion import Milling, Track, signed, solids
+from planner.verify.milling.tool_motion import BEND_SHARE, Milling, Track, signed, solids
 from planner.verify.rules.milling_cutter import _GOUGE_SPACING, _step, mill_gouge
 
 BEHIND = np.array([[0.06, 0.06], [0.1, 0.06], [0.1, 0.03], [0.3, 0.03]])
@@ -26,7 +26,7 @@ def _track() -> Track:
     axis = np.stack([1.3 * np.sin(7.0 * t), 1.2 * np.cos(4.0 * t), np.ones_like(t)], axis=1)
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     rows = np.arange(len(t))
-    return Track(rows, tip, axis, np.ones(len(t) - 1, bool), np.full(len(t), "mill/wall"))
+    return Track(rows, tip, axis, np.ones(len(t) - 1, bool), np.full(len(t), "mill/wall"), 0.1 * rows)
 
 
 def _spared(vertices: Any) -> SparesPart:
@@ -47,7 +47,7 @@ def _told(claim: SparesPart, track: Track) -> list[Any]:
     milling: Any = SimpleNamespace(
         spared=((0, claim),),
         track=lambda *_: track,
-        spaced=lambda *given: track.spaced(given[-1]),
+        spaced=lambda *given: track.spaced(given[-2], BEND_SHARE * given[-1]),
         mounted=lambda *_: CUTTER,
         _places={},
     )
@@ -62,7 +62,7 @@ def test_the_flat_nose_of_a_leaning_holder_is_named() -> None:
     deep."""
     track = _track()
     holder = solids(CUTTER)[2]
-    tip, axis, _ = track.spaced(_GOUGE_SPACING * _step(holder, TOLERANCE))
+    tip, axis, _ = track.spaced(_GOUGE_SPACING * _step(holder, TOLERANCE), BEND_SHARE * TOLERANCE)
     rng = np.random.default_rng(5)
     some = rng.integers(0, len(tip), 2400)
     beside = np.cross(axis[some], rng.normal(size=(2400, 3)))
