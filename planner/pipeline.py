@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from planner.report.cell_picture import Picture
     from planner.report.replay import Viewer
     from planner.targets import Job, Targets
+    from planner.verify.context import Begin
     from planner.verify.partial import Partial
-    from planner.verify.prove import Begin
     from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
@@ -227,6 +227,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outc
     made = dataclasses.replace(made, issues=(*made.issues, *write.notes(made, problem)))
     programs = write.programs(made, problem)
     tell("proof", 0.0)
+    worker.give_back()  # of a long job motion leaves more than 100 MB, beside which the proof would count
     proof = prove.prove(problem, claims, programs, begin)
     tell("proof", 1.0)
     final = _with_margins(made, problem, programs, proof) if proof.ok else {}

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, Self, TextIO, TypeVar
 if TYPE_CHECKING:
     from planner.batch.job import Done
     from planner.issues import Issue
-    from planner.verify.prove import Begin
+    from planner.verify.context import Begin
 
     OnProgress = Callable[[str, float], None]
     OnIssues = Callable[[Sequence[Issue]], None]
@@ -203,7 +203,7 @@ def beginning(processes: int) -> Iterator[Begin]:
     if processes < 1:
         raise ValueError(f"got {processes} processes, at least one has to plan")
     if processes == 1:
-        from planner.verify.prove import at_once
+        from planner.verify.context import at_once
 
         yield at_once
         return
@@ -248,6 +248,11 @@ def _received(stream: Any) -> Any:
 def _tidy() -> None:
     """Give memory of the last job back, so that it is not counted as the next one's."""
     gc.collect()
+    give_back()
+
+
+def give_back() -> None:
+    """Give the memory that is free inside this process back to the machine."""
     with suppress(AttributeError):  # a libc that has no malloc_trim
         ctypes.CDLL(None).malloc_trim(0)
 

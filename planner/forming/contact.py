@@ -41,6 +41,10 @@ _PAIRS_AT_ONCE: Final = 200_000
 """Pairs of a ball and a piece of the face that are worked on at once."""
 _MOST_PAIRS: Final = 3_000_000
 """Balls are looked at in two halves where there would be more pairs than this, to bound memory."""
+_COUNTED_STRIDE: Final = 16
+"""Every so many of the points are looked at first to see how many pairs there may be."""
+_FEW_SHARE: Final = 0.5
+"""Pairs are not counted where that says that they are fewer than this share of what is allowed."""
 _MOST_PIECES: Final = 150_000
 """Pieces at most into which triangles of about one size are divided."""
 
@@ -123,6 +127,9 @@ class Face:
             rows = order[start : start + 4000]
             some = points[rows]
             for i, f in self._pairs(some, bound[rows]):
+                # no face is nearer than its plane, which a touch more than rounding is allowed for
+                beyond = np.abs(dots(some[i], self.normals[f]) - self._offset[f]) > bound[rows[i]] + 1e-9
+                i, f = i[~beyond], f[~beyond]
                 weights = closest_on_triangles(some[i], *self._ends(f))
                 foot = np.einsum("nk,nkd->nd", weights, self._corners[f])
                 apart = np.linalg.norm(some[i] - foot, axis=1)
@@ -243,12 +250,9 @@ class Face:
 
     def _pairs(self, points: FloatArray, reach: FloatArray) -> Iterator[tuple[IntArray, IntArray]]:
         """Indices of points and of faces that may be as near as ``reach`` (N,) to each other, in chunks."""
-        mine = cKDTree(points)
         most = [float(reach.max()) + float(size.max()) for _, _, size in self._trees]
-        many = sum(
-            int(mine.count_neighbors(tree, far)) for (tree, _, _), far in zip(self._trees, most, strict=True)
-        )
-        if many > _MOST_PAIRS and len(points) > 1:  # a large ball on a fine mesh
+        mine = cKDTree(points)
+        if self._many(points, mine, most) and len(points) > 1:  # a large ball on a fine mesh
             half = len(points) // 2
             for first, part in ((0, slice(None, half)), (half, slice(half, None))):
                 for i, f in self._pairs(points[part], reach[part]):
@@ -260,6 +264,15 @@ class Face:
             for start in range(0, len(found), _PAIRS_AT_ONCE):
                 part = found[start : start + _PAIRS_AT_ONCE]
                 yield part["i"], owner[part["j"]]
+
+    def _many(self, points: FloatArray, mine: cKDTree, most: list[float]) -> bool:
+        """Whether points (N, 3), the tree ``mine``, and pieces nearer than ``most`` [m], one a tree, are more
+        than ``_MOST_PAIRS`` pairs: they are counted where a few of the points say that they may be."""
+        some = cKDTree(points[::_COUNTED_STRIDE])
+        each = tuple((tree, far) for (tree, _, _), far in zip(self._trees, most, strict=True))
+        if _COUNTED_STRIDE * sum(int(some.count_neighbors(*one)) for one in each) < _FEW_SHARE * _MOST_PAIRS:
+            return False
+        return sum(int(mine.count_neighbors(*one)) for one in each) > _MOST_PAIRS
 
 
 def _first_least(group: IntArray, value: FloatArray) -> IntArray:

@@ -22,7 +22,7 @@ from planner.motion.search.path_search import find_path
 from planner.motion.trajectory import joint_path, move_limits, program, trajopt
 from planner.motion.trajectory.hinges import Avoid
 from planner.motion.trajectory.joint_path import Dense, clear, dense, tcp_ways
-from planner.motion.trajectory.timing import Clock, Limits, TimingError, least_times
+from planner.motion.trajectory.timing import Clock, Limits, TimedPiece, TimingError, least_times
 from planner.motion.trajectory.trajopt import Improved, improve, path_cost
 from planner.plans import OperationPlan
 from planner.problem import Cell, Settings
@@ -345,6 +345,7 @@ def _joined(
     ``timed``, as they are before."""
     kept = np.arange(targets.count)
     some, path = targets, better
+    known: dict[bytes, TimedPiece] = {}
     for _ in range(JOINING_ROUNDS):
         fewer = move_limits.joined(targets, better.values, timed[1].time, kept)
         if len(fewer) == len(kept):
@@ -354,9 +355,9 @@ def _joined(
         if any(np.isnan(q).any() for q in looked.q.values()):
             break
         kept, some, path, samples = fewer, new, way, looked
-        timed = _clock(scene, some, samples)
+        timed = _clock(scene, some, samples, known=known)
     if move_limits.short(some, path.values, timed[1].time).any():
-        timed = _clock(scene, some, samples, move_limits.slowed)
+        timed = _clock(scene, some, samples, move_limits.slowed, known)
     return some, path, timed
 
 
@@ -365,8 +366,10 @@ def _clock(
     targets: Targets,
     samples: Dense,
     slowed: Callable[[Targets, FloatArray], FloatArray] | None = None,
+    known: dict[bytes, TimedPiece] | None = None,
 ) -> Timed:
-    """The targets with the stops that they have after all, their clock, and how far [m] it is off the way."""
+    """The targets with the stops that they have after all, their clock, and how far [m] it is off the way;
+    ``known``: pieces of the clock that were worked out before."""
     settings = scene.settings
     speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
     strength = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
@@ -376,7 +379,7 @@ def _clock(
     try:
         rounded = functools.partial(joint_path.corner_shares, scene, targets, samples)
         limits = Limits(speed, settings.acceleration_fraction * strength, least, rounded(least))
-        targets, path, ticks = move_limits.clocked_with_stops(scene, targets, samples, limits, rounded)
+        targets, path, ticks = move_limits.clocked_with_stops(scene, targets, samples, limits, rounded, known)
     except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"
         hint = "a joint may jump there: look at the branch and the margins, or move the stock"

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from typing import Generic, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
@@ -78,6 +78,22 @@ class Rule(Generic[P, R_co]):
 def rule(code: str, *proves: type) -> Callable[[Callable[P, R_co]], Rule[P, R_co]]:
     """Makes a function a rule of that code, which proves claims of those kinds."""
     return lambda look: Rule(code, proves, look)
+
+
+Found = TypeVar("Found")
+
+
+class Begin(Protocol):
+    """Begins a call of a generator function and gives back what it yields: perhaps from another process,
+    which then works it out from now on."""
+
+    def __call__(self, work: Callable[..., Iterator[Found]], *arguments: Any) -> Iterator[Found]:
+        """What ``work`` yields for ``arguments``."""
+
+
+def at_once(work: Callable[..., Iterator[Found]], *arguments: Any) -> Iterator[Found]:
+    """Works out a call in this process, where it is asked for."""
+    return work(*arguments)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -198,10 +214,10 @@ class Context:
         """Which setup is in force at which stage."""
         return setup_text.spans(self.setups, self.job)
 
-    @cached_property
+    @property
     def sample_setup(self) -> IntArray:
-        """Index (S,) of the setup in force at each sample of the motion."""
-        return np.asarray(self.spans.of_stage[self.motion.stage])
+        """Index (S,) of the setup in force at each sample of the motion; not kept, as there are many."""
+        return np.asarray(self.spans.of_stage[self.motion.node_stage][self.motion.node])
 
     @cached_property
     def _setup_of(self) -> dict[int, int]:

@@ -10,22 +10,24 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, Protocol, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 
 from planner.cell.plant import CellModel, build
 from planner.claims.claim import Claim, OneOf
+from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.problem import Problem
 from planner.verify import result
-from planner.verify.context import Context, Outcome, Rule
+from planner.verify.context import Begin, Context, Outcome, Rule, at_once
 from planner.verify.forming import swept
 from planner.verify.forming.state import Forming
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.tool_motion import Milling
 from planner.verify.programs.operator_dialogue import chosen_groups
+from planner.verify.replay.clearance_samples import Measured
 from planner.verify.result import CutFace, Proof, RuleResult
 from planner.verify.rules import (
     block_support,
@@ -221,25 +223,9 @@ PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
 """The rules that prove each kind of claim."""
 
 
-Found = TypeVar("Found")
-
-
-class Begin(Protocol):
-    """Begins a call of a generator function and gives back what it yields: perhaps from another process,
-    which then works it out from now on."""
-
-    def __call__(self, work: Callable[..., Iterator[Found]], *arguments: Any) -> Iterator[Found]:
-        """What ``work`` yields for ``arguments``."""
-
-
-def at_once(work: Callable[..., Iterator[Found]], *arguments: Any) -> Iterator[Found]:
-    """Works out a call in this process, where it is asked for."""
-    return work(*arguments)
-
-
 MOST_SENT_SAMPLES: Final = 500_000
 """Samples of motions at most that go to another process [-]: 100 MB for two arms. For more, as forming jobs
-of an hour have, the copy costs more memory than it gains time: rules on bodies take a tenth of theirs."""
+of an hour have, the copy costs more memory than it gains time: of these only the looks at clearance go."""
 
 
 def unproven(claims: Mapping[str, tuple[Claim, ...]]) -> list[Issue]:
@@ -289,12 +275,16 @@ class Prover:
 
     def model(self, context: Context, index: int = 0) -> CellModel:
         """The cell of a setup, by its index, with block and bases where the text has them."""
-        setup = context.setups[index]
-        place = context.places[index]
+        return self._model(context.places, context.bases, index)
+
+    def _model(
+        self, places: Sequence[FloatArray | None], bases: Mapping[str, FloatArray], index: int
+    ) -> CellModel:
+        setup, place = self.problem.setups[index], places[index]
         place = np.eye(4) if place is None else place
         if index not in self._models:
-            self._models[index] = build(setup.cell, setup.stock, place, context.bases)
-        return self._models[index].with_stock(place).with_bases(context.bases)
+            self._models[index] = build(setup.cell, setup.stock, place, bases)
+        return self._models[index].with_stock(place).with_bases(bases)
 
     def _steps(self, context: Context, run: _Run) -> Iterator[None]:
         """Runs the rules one after the other and hands control back behind each."""
@@ -325,12 +315,22 @@ class Prover:
             return
         yield from self._physics(context, run)
 
-    def _of_bodies(self, context: Context) -> Iterator[Any]:
-        """What rules on the cell's bodies find."""
+    def _of_bodies(self, context: Context, begun: clearance.Begun | None = None) -> Iterator[Any]:
+        """What rules on the cell's bodies find; ``begun``: what is measured at the looks, if it is begun."""
         models = functools.cache(functools.partial(self.model, context))
         yield robot_motion.kinematics(context, models)
-        yield clearance.bodies(context, models)
+        yield clearance.bodies(context, models, begun)
         yield clearance.step_apart(context, models)
+
+    def _measured(
+        self,
+        places: Sequence[FloatArray | None],
+        bases: Mapping[str, FloatArray],
+        looks: Sequence[clearance.Looks],
+    ) -> Iterator[Measured | None]:
+        """What is measured at looks at clearance, with blocks and bases there."""
+        models = functools.cache(functools.partial(self._model, places, bases))
+        yield from clearance.measured(models, looks, self.problem.settings.clearance)
 
     def _of_wires(self, context: Context, wires: tuple[Wire, ...]) -> Iterator[Any]:
         """What rules on wires find that ask the most time."""
@@ -339,13 +339,19 @@ class Prover:
         yield clearance.wire_bodies(context, models, wires)
 
     def _physics(self, context: Context, run: _Run) -> Iterator[None]:
-        begin = self.begin if len(context.motion.time) <= MOST_SENT_SAMPLES else at_once
-        of_bodies = begin(self._of_bodies, context)
-        forming = run.forming = Forming(context)
+        if len(context.motion.time) <= MOST_SENT_SAMPLES:
+            begin, of_bodies = self.begin, self.begin(self._of_bodies, context)
+        else:
+            begin, looks = at_once, clearance.looks(context)
+            found = self.begin(self._measured, context.places, context.bases, looks)
+            of_bodies = self._of_bodies(context, (looks, found))
+        forming = run.forming = Forming(context, self.begin)
+        passes = [swept.Swept.of(one) for one in forming.formed]
+        envelopes = (self.begin if passes else at_once)(swept.envelopes, passes)
         for form_rule in FORMING_RULES:
             run.add(form_rule.code, form_rule(context, forming))
             yield
-        outcome, formed = forming_tool.formed(context, forming)
+        outcome, formed = forming_tool.formed(context, forming, envelopes)
         run.add("verify.formed", outcome)
         yield
         milling = Milling(context)

@@ -24,9 +24,10 @@ from planner.batch.worker import SMALL_BYTES, Second, beginning
 from planner.issues import Issue, TandemError
 from planner.motion import solve, ways
 from planner.report import output
+from planner.verify import prove as verify_prove
 from planner.verify.prove import prove
 from tests import small_problem
-from tests.verify import small_job, straight_job
+from tests.verify import forming_job, small_job, straight_job
 
 
 class Told(Second):
@@ -136,6 +137,24 @@ def test_the_proof_is_the_same(second: Told, job: ModuleType, settings: dict[str
     assert list(one.series) == list(two.series)
     for name, values in one.series.items():
         assert np.asarray(values).tobytes() == np.asarray(two.series[name]).tobytes(), name
+
+
+def test_the_proof_of_a_long_motion_is_the_same(second: Told, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one too long to be sent whole only the looks at clearance go, with what a ball sweeps and what is
+    inside of the heads; also where more clearance is wanted than there is."""
+    monkeypatch.setattr(verify_prove, "MOST_SENT_SAMPLES", 0)
+    for settings in ({}, {"clearance": 0.3}):
+        given = forming_job.problem(**settings), forming_job.claims(), forming_job.programs(24)
+        second.done.clear()
+        one, two = prove(*given), prove(*given, second.begin)
+        assert second.done
+        assert all(second.done)
+        assert bool(settings) == ("verify.clearance" in {issue.code for issue in one.issues})
+        assert one.surfaces
+        assert output._verdict(one, ()) == output._verdict(two, ())
+        assert one.part_obj == two.part_obj
+        for name, values in one.series.items():
+            assert np.asarray(values).tobytes() == np.asarray(two.series[name]).tobytes(), name
 
 
 def test_a_result_is_the_same(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import speed_limits
 from planner.motion.search.subsampling import subset
 from planner.motion.trajectory.joint_path import MOST_RAMP, Dense, JointPath, joint_path
-from planner.motion.trajectory.timing import RESERVE, SHORTEST, Clock, Limits, settled
+from planner.motion.trajectory.timing import RESERVE, SHORTEST, Clock, Limits, TimedPiece, settled
 from planner.targets import Targets
 
 LEAST_SPEED_SHARE: Final = 0.82
@@ -225,18 +225,20 @@ def clocked_with_stops(
     samples: Dense,
     limits: Limits,
     rounded: Callable[[FloatArray], FloatArray],
+    known: dict[bytes, TimedPiece] | None = None,
 ) -> tuple[Targets, JointPath, Clock]:
-    """The path and its clock, and the targets with the stops that are worth it. Raises
+    """The path and its clock, and the targets with the stops that are worth it; ``known`` as for
+    :func:`planner.motion.trajectory.timing.clock`. Raises
     :class:`planner.motion.trajectory.timing.TimingError`."""
     path = joint_path(scene, targets, samples, limits.speed)
-    ticks = settled(path, limits, rounded)
+    ticks = settled(path, limits, rounded, known)
     for _ in range(STOP_ROUNDS):
         sharp = _sharp_corners(targets, ticks, limits)
         if not sharp.any():
             break
         other = dataclasses.replace(targets, stop=targets.stop | sharp)
         way = joint_path(scene, other, samples, limits.speed)
-        again = settled(way, limits, rounded)
+        again = settled(way, limits, rounded, known)
         if again.time[-1] > WORTH_STOPPING_SHARE * ticks.time[-1]:
             break
         targets, path, ticks = other, way, again

@@ -9,6 +9,7 @@ benchmarks, too.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Callable, Mapping
 from typing import Final
 
@@ -164,11 +165,16 @@ class TimingError(ArithmeticError):
         super().__init__(f"no timing for the piece that ends at target {index}")
 
 
-def settled(path: JointPath, limits: Limits, rounded: Callable[[FloatArray], FloatArray]) -> Clock:
+def settled(
+    path: JointPath,
+    limits: Limits,
+    rounded: Callable[[FloatArray], FloatArray],
+    known: dict[bytes, TimedPiece] | None = None,
+) -> Clock:
     """The clock of :func:`clock`, again where its own times leave the corners less room than the limits have:
     ``rounded`` gives the shares (N,) for the times (N,) [s] of the moves to all targets."""
     for left in reversed(range(ROOM_ROUNDS)):
-        ticks = clock(path, limits)
+        ticks = clock(path, limits, known)
         room = np.minimum(rounded(np.diff(ticks.time, prepend=0.0)), limits.rounded)
         if left == 0 or not np.any(ticks.asked * limits.rounded > ROOM_SHARE * room):
             break
@@ -176,12 +182,20 @@ def settled(path: JointPath, limits: Limits, rounded: Callable[[FloatArray], Flo
     return ticks
 
 
-def clock(path: JointPath, limits: Limits) -> Clock:
-    """Times of all targets, at rest at stops. Raises :class:`TimingError`."""
+def clock(path: JointPath, limits: Limits, known: dict[bytes, TimedPiece] | None = None) -> Clock:
+    """Times of all targets, at rest at stops. Raises :class:`TimingError`.
+
+    ``known``: pieces that were timed before, to which those are added that are not among them: of a path that
+    was changed at a few places most are the same.
+    """
     least = LEAST_GRID if len(path.pieces) <= MANY_PIECES else MANY_GRID
-    pieces = [
-        _piece(piece.spline, piece.knots, limits, piece.first, piece.last, least) for piece in path.pieces
-    ]
+    known = {} if known is None else known
+    pieces = []
+    for one in path.pieces:
+        key = _key(one.spline, one.knots, limits, one.first, one.last, least)
+        if key not in known:
+            known[key] = _piece(one.spline, one.knots, limits, one.first, one.last, least)
+        pieces.append(known[key])
     time, hardest = np.zeros((2, path.count))
     speeds, accelerations = [0.0], [0.0]
     for piece, (at, asked, profile, _) in zip(path.pieces, pieces, strict=True):
@@ -220,9 +234,23 @@ class Profile:
         return float(speed.max()), float(acceleration.max())
 
 
+TimedPiece = tuple[FloatArray, FloatArray, Profile, str]
+"""What :func:`_piece` gives."""
+
+
+def _key(spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, last: int, least: int) -> bytes:
+    """A digest of all numbers that :func:`_piece` looks at."""
+    own = limits.least_time[first + 1 : last + 1], limits.rounded[first + 1 : last]
+    arrays = (spline.x, spline.c, knots, *own, limits.speed, limits.acceleration)
+    out = hashlib.sha256(repr((least, [part.shape for part in arrays])).encode())
+    for part in arrays:
+        out.update(np.ascontiguousarray(part).tobytes())
+    return out.digest()
+
+
 def _piece(
     spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, last: int, least: int = LEAST_GRID
-) -> tuple[FloatArray, FloatArray, Profile, str]:
+) -> TimedPiece:
     """Times of the targets ``first`` to ``last`` of one piece, which lie at the path positions ``knots``, and
     the shares of the accelerations that the corners at its inner ones ask for."""
     steps = np.diff(knots)
@@ -238,7 +266,7 @@ def _piece(
     weaker = np.ones(len(knots) - 2)
     held: CornerLimits | None = None
     rounds = 0
-    slower: tuple[FloatArray, FloatArray, Profile, str] | None = None
+    slower: TimedPiece | None = None
     while True:
         profile, used = parameterise(spline, grid, bound, speed, acceleration, held)
         if profile is None:

@@ -27,7 +27,7 @@ from planner.verify.files import Samples, on_triangles
 from planner.verify.files.sheets import SheetFace
 from planner.verify.forming.face import Face, least_gap
 from planner.verify.forming.state import Forming
-from planner.verify.forming.swept import swept
+from planner.verify.forming.swept import Swept, swept
 from planner.verify.milling.tool_motion import BEND_SHARE, SIGHT_DISTANCE, Milling, solids, sweep
 from planner.verify.wire.cut_surface import Sweep, distance_to_sweep
 
@@ -413,7 +413,7 @@ def off_sheet(forming: Forming, sheet: SheetFace, thickness: float, shifted: boo
         here = points + rise
         if shifted:
             here = here + np.array([0.0, 0.0, _shift(claim.vertices[claim.faces], sheet.face.corners + rise)])
-        found = swept(one, here) - claim.radius
+        found = swept(Swept.of(one), here) - claim.radius
         near = one.face.nearest(here)
         # where the face that is claimed is not the read one, its steps and what balls reach of it say nothing
         found[near.apart > ON_FACE + NOISE_TOLERANCES * sheet.tolerance] = np.nan

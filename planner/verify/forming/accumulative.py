@@ -178,7 +178,7 @@ class Way:
         if len(way.rows) < 2:
             return np.zeros(0, dtype=np.int64)
         parts = pieces(way, LOOK_CHORD_SHARE * self.claim.tolerance)
-        step = np.linalg.norm(np.diff(way.centre, axis=0), axis=2).max(axis=1)
+        step = np.linalg.norm(np.diff(way.centre[:], axis=0), axis=2).max(axis=1)
         passed = np.floor(np.concatenate([[0.0], np.cumsum(step)]) / LOOK_STEP)
         looked = np.flatnonzero(np.diff(passed, prepend=0.0) > 0.0)
         rows = np.unique(np.concatenate([parts.first, parts.last, looked]))
@@ -193,7 +193,7 @@ class Way:
     @cached_property
     def all_centres(self) -> FloatArray:
         """The same at all rows of the track, ways in and out too (T, 2, 3)."""
-        return np.asarray(self.track.centre * self._up)
+        return np.asarray(self.track.centre[:] * self._up)
 
     def axis(self, column: int) -> FloatArray:
         """The z axes (T, 3) of a tool at all rows of the track."""

@@ -164,7 +164,7 @@ _SEED_SIZE = 0.003
 """Triangles are divided into pieces no smaller than this [m] to find the nearest ones."""
 _MOST_SEEDS = 150_000
 """Such pieces at most."""
-_POINTS_AT_ONCE = 10_000
+_POINTS_AT_ONCE = 3_000
 """Points, or segments, that are held against the face at once."""
 
 
@@ -379,6 +379,15 @@ def least_gap(face: Face, points: FloatArray, normals: FloatArray, radius: float
 
 def centres(face: Face, points: FloatArray, normals: FloatArray, radius: float, side: int) -> FloatArray:
     """The nearest centres (N, 3) [m] to ``points`` (N, 3) of balls that cut into a face nowhere."""
+    out = np.empty((len(points), 3))
+    for begin in range(0, len(points), _POINTS_AT_ONCE):
+        some = slice(begin, begin + _POINTS_AT_ONCE)
+        out[some] = _centres(face, points[some], normals[some], radius, side)
+    return out
+
+
+def _centres(face: Face, points: FloatArray, normals: FloatArray, radius: float, side: int) -> FloatArray:
+    """As :func:`centres`, of not too many points at once."""
     found = points + side * radius * normals
     rows = np.arange(len(points))
     # each plane as its unit normal, and how far along it a centre is at least

@@ -7,7 +7,9 @@ the same way as few straight pieces from which it is off by no more than a state
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Iterator
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,15 +17,57 @@ from planner.claims.claim import Claim
 from planner.claims.forming import FormsByTable, FormsPart, FormsSheet, SheetState, ToolGap
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse, lengths
-from planner.verify.context import Context
+from planner.verify.context import Begin, Context, at_once
 from planner.verify.forming.face import Face, Nearest, left_by
 from planner.verify.forming.shapes import PartShapes, in_order
-from planner.verify.replay.motion import Poses, during
+from planner.verify.replay.motion import Poses, Rows, during
 
 _BLOCK_SAMPLES = 32
 """Samples of a way that are bounded as one."""
-_SAMPLES_AT_ONCE = 65_536
+SAMPLES_AT_ONCE = 65_536
 """Samples that are worked on at once."""
+
+
+class ByRow(Protocol):
+    """What has vectors (3,) for T rows, such as an array (T, 3), or works out those that are indexed."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, some: Any, /) -> FloatArray: ...
+
+
+@dataclasses.dataclass(frozen=True)
+class WorkedOut:
+    """Vectors (3,) for ``count`` rows that ``at`` works out where they are indexed."""
+
+    count: int
+    at: Callable[[Rows], FloatArray]
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, some: Rows) -> FloatArray:
+        return self.at(some)
+
+
+class Centres:
+    """The TCPs of some arms as an array (T, A, 3) [m] in the sheet's frame, of which only what is indexed is
+    worked out: of all samples of an hour it would take as much memory as the motion has for them."""
+
+    def __init__(self, rows: IntArray, poses: tuple[Poses, ...], back: FloatArray) -> None:
+        self._rows, self._poses, self._back = rows, poses, back
+        self.shape = (len(rows), len(poses), 3)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, some: Rows | tuple[Rows, int]) -> FloatArray:
+        """Of rows ``some`` all arms, or the one named behind them."""
+        chosen, column = some if isinstance(some, tuple) else (some, None)
+        if column is None:
+            return np.stack([self[chosen, k] for k in range(len(self._poses))], axis=-2)
+        back = self._back if len(self._back) == 1 else self._back[chosen]
+        place = self._poses[column].place[self._rows[chosen]]
+        return _turned(back, place) + back[:, :3, 3]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,16 +81,35 @@ class Track:
 
     arms: tuple[str, ...]
     rows: IntArray
-    centre: FloatArray
+    centre: FloatArray | Centres
     own: BoolArray
     joined: BoolArray
     poses: tuple[Poses, ...]
     back: FloatArray
 
-    def axis(self, column: int) -> FloatArray:
-        """The z axes (T, 3) of one arm's TCP in the sheet's frame; not kept, for long tracks have many
-        rows."""
-        return _turned(self.back, self.poses[column].z[self.rows])
+    def centres(self, column: int) -> WorkedOut:
+        """The TCPs (T, 3) [m] of one arm in the sheet's frame."""
+        return WorkedOut(len(self.rows), lambda some: self.centre[some, column])
+
+    def axes(self, column: int) -> WorkedOut:
+        """The z axes (T, 3) of one arm's TCP in the sheet's frame."""
+        return WorkedOut(len(self.rows), lambda some: self.axis(column, some))
+
+    def axis(self, column: int, some: Rows = slice(None)) -> FloatArray:
+        """The z axes (K, 3) of one arm's TCP in the sheet's frame, at rows ``some`` (K,), else at all; not
+        kept, for long tracks have many rows."""
+        back = self.back if len(self.back) == 1 else self.back[some]
+        return _turned(back, self.poses[column].z[self.rows[some]])
+
+    def turning(self, column: int) -> FloatArray:
+        """How far (T - 1,) the axis of one arm goes from each row to the next, as the way of a unit vector's
+        end."""
+        out = np.zeros(max(len(self.rows) - 1, 0))
+        for begin in range(0, len(out), SAMPLES_AT_ONCE):
+            end = min(begin + SAMPLES_AT_ONCE, len(out))
+            step = np.diff(self.axis(column, slice(begin, end + 1)), axis=0)
+            out[begin:end] = np.linalg.norm(step, axis=1)
+        return out
 
 
 def track(context: Context, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:
@@ -58,16 +121,14 @@ def track(context: Context, segment: Segment, index: int, arms: tuple[str, ...])
     rows = np.flatnonzero(during((chosen[motion.node]) & (context.sample_setup == index)))
     if any(arm not in motion.tcp for arm in arms):
         rows = rows[:0]
-    back = np.zeros((0, 4, 4))
-    if len(rows):
-        moved = context.holder(index) is not None
-        back = inverse(context.stock_poses(index, rows if moved else rows[:1]))
-    centre = np.empty((len(rows), len(arms), 3))
-    for k, arm in enumerate(arms):
-        if len(rows):
-            centre[:, k] = _turned(back, motion.tcp[arm].place[rows]) + back[:, :3, 3]
-    poses = tuple(motion.tcp[arm] for arm in arms if len(rows))
-    return Track(arms, rows, centre, own[motion.node[rows]], np.diff(rows) == 1, poses, back)
+    joined = np.diff(rows) == 1
+    if not len(rows):
+        none = np.zeros((0, len(arms), 3))
+        return Track(arms, rows, none, own[motion.node[rows]], joined, (), np.zeros((0, 4, 4)))
+    moved = context.holder(index) is not None
+    back = inverse(context.stock_poses(index, rows if moved else rows[:1]))
+    poses = tuple(motion.tcp[arm] for arm in arms)
+    return Track(arms, rows, Centres(rows, poses, back), own[motion.node[rows]], joined, poses, back)
 
 
 def _turned(back: FloatArray, directions: FloatArray) -> FloatArray:
@@ -121,7 +182,7 @@ def pieces(way: Track, within: float) -> Pieces:
     return Pieces(first, last, within + most, 2.0 * within + between)
 
 
-def _off(centre: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+def _off(centre: FloatArray | Centres, first: IntArray, last: IntArray) -> FloatArray:
     """How far (K,) [m] the rows between two are off the straight way between these."""
     out = np.zeros(len(first))
     for some in np.array_split(np.arange(len(first)), max(1, len(first) // 4000)):
@@ -138,55 +199,75 @@ def _off(centre: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
     return out
 
 
-def _bend(centre: FloatArray, joined: BoolArray) -> FloatArray:
+def _bend(centre: FloatArray | Centres, joined: BoolArray) -> FloatArray:
     """How far (T - 1,) [m] ``centre`` (T, A, 3) may be off the straight way between two samples (`_corner`):
     what its second differences at both are across that way; changes of speed make no bend."""
-    before, behind = np.zeros((2, len(centre) - 1, centre.shape[1]))
-    for begin, end in _parts(len(centre)):
-        step = np.diff(centre[begin - 1 : end + 1], axis=0)
+    out = np.zeros(len(centre) - 1)
+    for some, here in _steps(len(centre)):
+        step = np.diff(centre[some], axis=0)
         along = step / np.maximum(lengths(step), 1e-12)[..., None]
         second = np.diff(step, axis=0)
+        before, behind = np.zeros((2, *step.shape[:2]))
         # what one corner between two samples makes at either is across one and the same way only so
-        for out, row, way in ((behind, slice(begin - 1, end - 1), 0), (before, slice(begin, end), 1)):
-            across = along[way : way + len(second)]
-            out[row] = lengths(second - dots(second, across)[..., None] * across)
-    return np.asarray(_corner(before, behind, joined).max(axis=1))
+        for one, ways, way in ((behind[:-1], along[:-1], second), (before[1:], along[1:], second)):
+            one[:] = lengths(way - dots(way, ways)[..., None] * ways)
+        out[here.kept] = _corner(before[here.own], behind[here.own], joined, here.kept).max(axis=1)
+    return out
 
 
-def _stretch(centre: FloatArray, joined: BoolArray) -> FloatArray:
+def _stretch(centre: FloatArray | Centres, joined: BoolArray) -> FloatArray:
     """By how much (T - 1,) [m] the distance d of the first two of ``centre`` (T, A, 3) may be off that on
     straight ways between two samples: by a deviation along their line whole, by one of e across it by
     e^2 / 2 d. Zero for one alone."""
+    out = np.zeros(len(centre) - 1)
     if centre.shape[1] < 2:
-        return np.zeros(len(centre) - 1)
-    line = np.zeros((len(centre), 1))
-    across, apart = np.zeros_like(line), np.full_like(line, np.inf)
-    for begin, end in _parts(len(centre)):
-        way = centre[begin - 1 : end + 1, 0] - centre[begin - 1 : end + 1, 1]
+        return out
+    for some, here in _steps(len(centre)):
+        both = centre[some]
+        way = both[:, 0] - both[:, 1]
+        line, across = np.zeros((2, len(way), 1))
+        apart = np.full((len(way), 1), np.inf)
         second, length = np.diff(way, n=2, axis=0), lengths(way[1:-1])
         own = dots(second, way[1:-1]) / np.maximum(length, 1e-12)
-        line[begin:end, 0] = np.abs(own)
-        across[begin:end, 0] = np.sqrt(np.maximum(dots(second, second) - own**2, 0.0))
-        apart[begin:end, 0] = length
-    aside = _corner(across[:-1], across[1:], joined)[:, 0]
-    least = np.minimum(apart[1:, 0], apart[:-1, 0])
-    along = _corner(line[:-1], line[1:], joined)[:, 0]
-    return np.asarray(along + aside**2 / np.maximum(2.0 * (least - aside), 1e-6))
+        line[1:-1, 0] = np.abs(own)
+        across[1:-1, 0] = np.sqrt(np.maximum(dots(second, second) - own**2, 0.0))
+        apart[1:-1, 0] = length
+        aside = _corner(across[:-1][here.own], across[1:][here.own], joined, here.kept)[:, 0]
+        least = np.minimum(apart[1:, 0], apart[:-1, 0])[here.own]
+        along = _corner(line[:-1][here.own], line[1:][here.own], joined, here.kept)[:, 0]
+        out[here.kept] = along + aside**2 / np.maximum(2.0 * (least - aside), 1e-6)
+    return out
 
 
-def _parts(count: int) -> list[tuple[int, int]]:
-    """Rows from 1 to ``count`` - 1, so many at once."""
-    return [
-        (begin, min(begin + _SAMPLES_AT_ONCE, count - 1)) for begin in range(1, count - 1, _SAMPLES_AT_ONCE)
-    ]
+@dataclasses.dataclass(frozen=True)
+class _Here:
+    """Steps of a track that are worked out together: ``kept`` of all steps, ``own`` of those looked at."""
+
+    kept: slice
+    own: slice
 
 
-def _corner(before: FloatArray, behind: FloatArray, joined: BoolArray) -> FloatArray:
-    """What one sharp corner anywhere between two samples makes (T - 1, A) [m], whose second differences are
-    ``before`` a and ``behind`` b (T - 1, A) there: a b / (a + b). An even bend makes a quarter of that."""
-    a, b = (np.where(joined[:, None], one, 0.0) for one in (before, behind))
-    a[1:][~joined[:-1]] = 0.0  # none is known across a gap
-    b[:-1][~joined[1:]] = 0.0
+def _steps(count: int) -> Iterator[tuple[slice, _Here]]:
+    """Steps between ``count`` samples, so many at once: the samples that are looked at, one more at either
+    end where there is one, and which steps these are."""
+    for begin in range(0, count - 1, SAMPLES_AT_ONCE):
+        end = min(begin + SAMPLES_AT_ONCE, count - 1)
+        first = max(begin - 1, 0)
+        yield (
+            slice(first, min(end + 2, count)),
+            _Here(slice(begin, end), slice(begin - first, end - first)),
+        )
+
+
+def _corner(before: FloatArray, behind: FloatArray, joined: BoolArray, steps: slice) -> FloatArray:
+    """What one sharp corner anywhere between two samples makes (K, A) [m], whose second differences are
+    ``before`` a and ``behind`` b (K, A) there: a b / (a + b). An even bend makes a quarter of that. ``steps``
+    are these of all, which are ``joined`` (T - 1,) where they have a next sample."""
+    own = joined[steps]
+    past = np.concatenate([[True], joined[:-1]])[steps]  # none is known across a gap
+    next_ = np.concatenate([joined[1:], [True]])[steps]
+    a = np.where((own & past)[:, None], before, 0.0)
+    b = np.where((own & next_)[:, None], behind, 0.0)
     return np.asarray(a * b / np.maximum(a + b, 1e-30))
 
 
@@ -287,10 +368,10 @@ TOUCHED_WITHIN = 5e-6
 
 
 class Forming:
-    """The forming of one proof."""
+    """The forming of one proof; ``begin`` begins what another process may work out meanwhile."""
 
-    def __init__(self, context: Context) -> None:
-        self.context = context
+    def __init__(self, context: Context, begin: Begin = at_once) -> None:
+        self.context, self.begin = context, begin
         self._tracks: dict[tuple[str, int, tuple[str, ...]], Track] = {}
         self._faces: list[tuple[float, Face]] = []
         self._balls: dict[tuple[int, int], Balls] = {}

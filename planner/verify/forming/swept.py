@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,7 +20,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengt
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, face_normals
 from planner.geometry.units import MM
 from planner.verify.forming.face import Face, apart, least_gap
-from planner.verify.forming.state import Formed, Forming
+from planner.verify.forming.state import ByRow, Formed, Forming
 from planner.verify.result import CutFace
 from planner.verify.wire.cut_surface import areas, divided, vertex_normals
 
@@ -33,7 +34,31 @@ _NEIGHBOURS = 16
 """Pieces of a way with the nearest middles to a point, of which the nearest is taken."""
 
 
-def envelope(one: Formed) -> CutFace:
+@dataclasses.dataclass(frozen=True)
+class Swept:
+    """A pass as its ball sweeps it: its ``claim`` and ``face``, and the straight pieces from ``start`` to
+    ``end`` (K, 3) [m] of the centre's way while it forms."""
+
+    claim: FormsSheet
+    face: Face
+    start: FloatArray
+    end: FloatArray
+
+    @staticmethod
+    def of(one: Formed) -> Swept:
+        """Of a pass; without its track, which long motions have many samples of."""
+        use = one.track.own[one.pieces.first]
+        ends = (one.track.centre[rows[use], 0] for rows in (one.pieces.first, one.pieces.last))
+        return Swept(one.claim, one.face, *ends)
+
+
+def envelopes(some: Sequence[Swept]) -> Iterator[CutFace]:
+    """The :func:`envelope` of each pass."""
+    for one in some:
+        yield envelope(one)
+
+
+def envelope(one: Swept) -> CutFace:
     """What the swept ball leaves of the walls of a face: how far it stays off (positive) or cuts in at their
     places; of flat parts nothing is said. Where a ball of that size cannot come nearer than the steps leave
     it, what it cannot reach is allowed too."""
@@ -44,6 +69,7 @@ def envelope(one: Formed) -> CutFace:
     parts, owner = divided(walls, max(size, 1e-4))
     area = areas(parts)
     points = parts.mean(axis=1)
+    del parts
     off = swept(one, points) - claim.radius
     allowed = claim.scallop[rows[owner]]
     # where no ball of its size comes nearer, that is what is left there
@@ -80,7 +106,7 @@ def obj(forming: Forming) -> str:
     for one in forming.formed:
         claim = one.claim
         own = np.unique(claim.faces[_walls(claim)])
-        off = swept(one, claim.vertices[own]) - claim.radius
+        off = swept(Swept.of(one), claim.vertices[own]) - claim.radius
         moved = claim.vertices.copy()
         normals = vertex_normals(claim.vertices, claim.faces)[own]
         moved[own] += claim.side * np.where(np.isfinite(off), off, 0.0)[:, None] * normals
@@ -98,10 +124,9 @@ def _walls(claim: FormsSheet) -> BoolArray:
     return np.asarray(~(flat[0] | flat[1]))
 
 
-def swept(one: Formed, points: FloatArray) -> FloatArray:
+def swept(one: Swept, points: FloatArray) -> FloatArray:
     """How near (N,) [m] the ball's centre comes to points (N, 3) while it forms; infinite if never."""
-    use = one.track.own[one.pieces.first]
-    start, end = one.track.centre[one.pieces.first[use], 0], one.track.centre[one.pieces.last[use], 0]
+    start, end = one.start, one.end
     if not len(start):
         return np.full(len(points), np.inf)
     count = np.maximum(np.ceil(np.linalg.norm(end - start, axis=1) / _WALL_STEP).astype(np.int64), 1)
@@ -110,18 +135,20 @@ def swept(one: Formed, points: FloatArray) -> FloatArray:
     way = end - start
     a = start[which] + step[:, None] * way[which]
     b = a + way[which] / count[which][:, None]
-    near = np.asarray(cKDTree(0.5 * (a + b)).query(points, k=min(_NEIGHBOURS, len(a)))[1])
-    near = near.reshape(len(points), -1)
+    tree = cKDTree(0.5 * (a + b))
     best = np.full(len(points), np.inf)
-    for column in near.T:
-        along, rest = b[column] - a[column], points - a[column]
-        share = dots(rest, along) / np.maximum(dots(along, along), 1e-30)
-        apart = np.linalg.norm(rest - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
-        best = np.minimum(best, apart)
+    for begin in range(0, len(points), _ROWS_AT_ONCE):
+        some, found = points[begin : begin + _ROWS_AT_ONCE], best[begin : begin + _ROWS_AT_ONCE]
+        near = np.asarray(tree.query(some, k=min(_NEIGHBOURS, len(a)))[1]).reshape(len(some), -1)
+        for column in near.T:
+            along, rest = b[column] - a[column], some - a[column]
+            share = dots(rest, along) / np.maximum(dots(along, along), 1e-30)
+            apart = np.linalg.norm(rest - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
+            np.minimum(found, apart, out=found)
     return best
 
 
-_SEGMENTS_AT_ONCE = 10_000
+_SEGMENTS_AT_ONCE = 3_000
 """Segments that are worked on at once."""
 
 
@@ -194,6 +221,8 @@ BOUND_SHARE = 0.02
 """Bounds by the nearest place may be too near by this share."""
 _BLOCK_SAMPLES = 128
 """Samples of a way that are bounded as one."""
+_ROWS_AT_ONCE = 65_536
+"""Rows of a track, or places, that are worked on at once."""
 _QUERIES_AT_ONCE = 2000
 """Samples that are asked for their distance at once."""
 
@@ -215,14 +244,24 @@ class HeadWay:
     turn: FloatArray
 
     @staticmethod
-    def of(centre: FloatArray, axis: FloatArray, rise: FloatArray, back: float) -> HeadWay:
+    def of(centre: ByRow, axis: ByRow, rise: FloatArray, back: float) -> HeadWay:
         """Of rows (T, ...), those between which nothing up to ``back`` [m] behind the TCP goes farther than
         half of ``LOOK_STEP``, or single steps that are longer."""
-        slide = np.concatenate([[0.0], np.cumsum(lengths(np.diff(centre, axis=0)) + np.abs(np.diff(rise)))])
-        turn = np.concatenate([[0.0], np.cumsum(lengths(np.diff(axis, axis=0)))])
-        number = np.floor((slide + back * turn) / (0.5 * LOOK_STEP))
-        rows = np.flatnonzero(np.diff(number, prepend=-1.0, append=np.inf)[:-1] != 0)
-        return HeadWay(rows, centre[rows], axis[rows], rise[rows], slide[rows], turn[rows])
+        kept: list[tuple[IntArray, FloatArray, FloatArray]] = []
+        slide, turn, number = 0.0, 0.0, -1.0  # of the row before, which no block has but the first
+        for begin in range(0, len(centre), _ROWS_AT_ONCE):
+            end, before = min(begin + _ROWS_AT_ONCE, len(centre)), max(begin - 1, 0)
+            risen = np.abs(np.diff(rise[before:end]))
+            step = lengths(np.diff(centre[before:end], axis=0)) + risen
+            gone = np.cumsum(np.concatenate([[slide], step]))[begin - before :]
+            step = lengths(np.diff(axis[before:end], axis=0))
+            turned = np.cumsum(np.concatenate([[turn], step]))[begin - before :]
+            numbers = np.floor((gone + back * turned) / (0.5 * LOOK_STEP))
+            some = np.flatnonzero(np.diff(numbers, prepend=number) != 0)
+            kept.append((begin + some, gone[some], turned[some]))
+            slide, turn, number = gone[-1], turned[-1], numbers[-1]
+        rows, gone, turned = (np.concatenate(part) for part in zip(*kept, strict=True))
+        return HeadWay(rows, centre[rows], axis[rows], rise[rows], gone, turned)
 
     def places(self, some: IntArray, back: float) -> FloatArray:
         """Places (M, 3) on the axis ``back`` [m] behind the TCP at some of the rows, as seen from what
@@ -313,6 +352,24 @@ class Head:
             share = np.clip(rest @ way / max(float(way @ way), 1e-30), 0.0, 1.0)
             off = np.minimum(off, lengths(rest - share[:, None] * way))
         return np.where(inside, off, -off)
+
+
+@dataclasses.dataclass(frozen=True)
+class Inside:
+    """What is asked of a head along a way: which of ``points`` (P, 3) are deeper in it than ``need`` [m], of
+    those that are ``there`` as :meth:`Head.into` has it."""
+
+    head: Head
+    points: FloatArray
+    way: HeadWay
+    need: float
+    there: tuple[int, FloatArray] | None = None
+
+
+def insides(some: Sequence[Inside]) -> Iterator[tuple[FloatArray, IntArray]]:
+    """The answer to each question, as :meth:`Head.into` gives it."""
+    for one in some:
+        yield one.head.into(one.points, one.way, one.need, one.there)
 
 
 def _cover(back: FloatArray, radius: FloatArray) -> tuple[tuple[float, float], ...]:

@@ -1,4 +1,4 @@
-"""A replayed motion as arrays, with its many poses in little memory.
+"""A replayed motion as arrays, with its many poses in little memory: an hour has a million samples.
 
 Speeds of a wire across itself come from its shapes at stations and the replay's clock.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims.vocabulary import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.verify.programs.steps import Step
 
 Rows = int | np.integer | slice | IntArray | BoolArray
@@ -21,22 +21,25 @@ Rows = int | np.integer | slice | IntArray | BoolArray
 
 @dataclasses.dataclass(frozen=True)
 class Poses:
-    """S poses as their positions ``place`` and the directions ``x`` and ``z`` of two of their axes (S, 3): y
-    follows. What is indexed comes as (..., 4, 4)."""
+    """S poses as their positions ``place`` and the directions ``z`` of their axes (S, 3), and the angle
+    ``spin`` (S,) [rad] of x about z from the first direction of :func:`_across`. What is indexed comes as
+    (..., 4, 4); x and y are then as they were put in but for rounding."""
 
     place: FloatArray
-    x: FloatArray
     z: FloatArray
+    spin: FloatArray
 
     @staticmethod
     def of(poses: FloatArray) -> Poses:
         """Of poses (S, 4, 4)."""
-        return Poses(poses[:, :3, 3].copy(), poses[:, :3, 0].copy(), poses[:, :3, 2].copy())
+        out = Poses.empty(len(poses))
+        out[:] = poses
+        return out
 
     @staticmethod
     def empty(count: int) -> Poses:
         """Room for ``count`` poses."""
-        return Poses(np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)))
+        return Poses(np.empty((count, 3)), np.empty((count, 3)), np.empty(count))
 
     @staticmethod
     def joined(parts: Iterable[Poses]) -> Poses:
@@ -44,17 +47,20 @@ class Poses:
         some = tuple(parts)
         if len(some) == 1:
             return some[0]
-        place, x, z = (
+        place, z, spin = (
             np.concatenate([getattr(part, field.name) for part in some])
             for field in dataclasses.fields(Poses)
         )
-        return Poses(place, x, z)
+        return Poses(place, z, spin)
 
     def __len__(self) -> int:
         return len(self.place)
 
     def __getitem__(self, rows: Rows) -> FloatArray:
-        place, x, z = self.place[rows], self.x[rows], self.z[rows]
+        place, z = self.place[rows], self.z[rows]
+        spin = np.asarray(self.spin[rows])[..., None]
+        one, other = _across(z)
+        x = np.cos(spin) * one + np.sin(spin) * other
         out = np.zeros((*place.shape[:-1], 4, 4))
         out[..., :3, 0], out[..., :3, 1], out[..., :3, 2] = x, np.cross(z, x), z
         out[..., :3, 3] = place
@@ -62,9 +68,21 @@ class Poses:
         return out
 
     def __setitem__(self, rows: Rows, poses: FloatArray) -> None:
-        self.place[rows] = poses[..., :3, 3]
-        self.x[rows] = poses[..., :3, 0]
-        self.z[rows] = poses[..., :3, 2]
+        x, z = poses[..., :3, 0], poses[..., :3, 2]
+        one, other = _across(z)
+        self.place[rows], self.z[rows] = poses[..., :3, 3], z
+        self.spin[rows] = np.arctan2(dots(x, other), dots(x, one))
+
+
+def _across(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two unit vectors (..., 3) across unit vectors ``z`` (..., 3) and each other, the second one z times the
+    first (Duff and others 2017, Building an orthonormal basis, revisited, listing 3)."""
+    side = np.copysign(1.0, z[..., 2])
+    a = -1.0 / (side + z[..., 2])
+    b = z[..., 0] * z[..., 1] * a
+    one = np.stack([1.0 + side * z[..., 0] ** 2 * a, side * b, -side * z[..., 0]], axis=-1)
+    other = np.stack([b, side + z[..., 1] ** 2 * a, -z[..., 1]], axis=-1)
+    return one, other
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +128,7 @@ class Looks:
 class Motion:
     """S samples and K nodes (targets) of the whole job.
 
-    Samples: ``time`` (S,) [s], ``stage``, ``node`` (S,) the move under way as an index into the nodes, ``q``
+    Samples: ``time`` (S,) [s], ``node`` (S,) the move under way as an index into the nodes, in 32 bits, ``q``
     {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: S poses} in the world. Nodes: ``node_sample`` (K,) the
     sample at which the move ends, ``node_segment``, ``node_stop``, ``node_stage``, ``node_ids``,
     ``node_line`` {arm: (K,)}, ``node_conf_q`` {arm: (K, 6)} what confdata alone select (NaN where the arm
@@ -118,8 +136,7 @@ class Motion:
     """
 
     time: FloatArray
-    stage: IntArray
-    node: IntArray
+    node: NDArray[np.int32]
     q: Mapping[str, FloatArray]
     tcp: Mapping[str, Poses]
     node_sample: IntArray
@@ -136,14 +153,19 @@ class Motion:
     faults: tuple[Fault, ...]
     between: Instants
 
-    def speed(self, arm: str) -> FloatArray:
-        """Joint speeds (S, 6) [rad/s] of an arm by finite differences; not kept, for long motions have many
-        samples."""
-        return differences(self.time, self.q[arm], 1)
+    @property
+    def stage(self) -> IntArray:
+        """The stage (S,) of each sample: that of the move under way; not kept, as there are many samples."""
+        return self.node_stage[self.node]
 
-    def acceleration(self, arm: str) -> FloatArray:
-        """Joint accelerations (S, 6) [rad/s^2] of an arm, as :meth:`speed`."""
-        return differences(self.time, self.q[arm], 2)
+    def speed(self, arm: str, axes: int | slice = slice(None)) -> FloatArray:
+        """Speeds (S, 6) [rad/s] of an arm's joints, or (S,) of one of its ``axes``, by finite differences;
+        not kept, for long motions have many samples."""
+        return differences(self.time, self.q[arm][:, axes], 1)
+
+    def acceleration(self, arm: str, axes: int | slice = slice(None)) -> FloatArray:
+        """Joint accelerations (S, 6) or (S,) [rad/s^2] of an arm, as :meth:`speed`."""
+        return differences(self.time, self.q[arm][:, axes], 2)
 
     @functools.cached_property
     def looks(self) -> Looks:
@@ -182,17 +204,18 @@ class Motion:
 
 
 def differences(time: FloatArray, q: FloatArray, order: int) -> FloatArray:
-    """Speeds (``order`` 1) or accelerations (2) (S, 6) of samples q (S, 6) by central differences on a grid
-    that is nearly even; 0 at the ends."""
-    out = np.zeros_like(q)
+    """Speeds (``order`` 1) or accelerations (2) (S, ...) of samples q (S, ...) by central differences on a
+    grid that is nearly even; 0 at the ends."""
+    out = np.zeros(q.shape)
     if len(time) < 3:
         return out
     step = np.maximum(np.diff(time), 1e-6)
     between = 0.5 * (step[1:] + step[:-1])
-    for axis in range(q.shape[1]):  # one at a time: what is worked out on the way needs memory
-        slope = np.diff(q[:, axis]) / step
+    axes = q.reshape(len(q), -1)
+    for axis, found in enumerate(out.reshape(len(q), -1).T):  # one at a time: it needs memory on the way
+        slope = np.diff(axes[:, axis]) / step
         after, before = slope[1:], slope[:-1]
-        out[1:-1, axis] = (
+        found[1:-1] = (
             np.where(np.abs(after) > np.abs(before), after, before)
             if order == 1
             else (after - before) / between

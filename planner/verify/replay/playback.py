@@ -83,7 +83,6 @@ class _Player:
         names = [arm.name for arm in self.arms]
         return Motion(
             time=p["time"],
-            stage=p["stage"],
             node=p["node"],
             q={name: p[f"q/{name}"] for name in names},
             tcp={name: Poses.joined(self.tcp.pop(name)) for name in names},
@@ -118,7 +117,8 @@ class _Player:
     def _still(self) -> None:
         """One sample at home, so that arrays have a row where nothing moves."""
         self._add("time", np.zeros(1))
-        for key in ("stage", "node", "node_sample", "node_stage", "node_ids"):
+        self._add("node", np.zeros(1, dtype=np.int32))
+        for key in ("node_sample", "node_stage", "node_ids"):
             self._add(key, np.zeros(1, dtype=np.int64))
         self._add("between/time", np.zeros(0))
         for key in ("between/sample", "between/node"):
@@ -231,8 +231,7 @@ class _Player:
         clock = start + at + shift[move]
         first = sum(len(part) for part in self.parts.get("time", []))
         self._add("time", clock)
-        self._add("stage", np.full(len(at), number, dtype=np.int64))
-        self._add("node", self.nodes + move)
+        self._add("node", (self.nodes + move).astype(np.int32))
         self._add("node_sample", first + node_at)
         self._add("node_stop", stop[1:])
         self._add("node_stage", np.full(count, number, dtype=np.int64))

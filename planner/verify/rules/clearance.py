@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from planner.verify.replay.clearance_samples import (
     LEAST_STRIDE,
     MOST_BROKEN,
     SAMPLE_STRIDE,
+    Measured,
     clearance_rows,
     least_distances,
     travel,
@@ -48,10 +49,56 @@ def accepted(wanted: float) -> float:
     return wanted - min(BETWEEN_TARGETS, 0.1 * wanted)
 
 
+@dataclasses.dataclass(frozen=True)
+class Looks:
+    """Samples ``rows`` (K,) of setup ``index`` at which bodies are looked at, but for pairs in ``ignore``,
+    with the joints ``q`` {arm: (K, 6)} there."""
+
+    index: int
+    rows: IntArray
+    ignore: Pairs
+    q: Mapping[str, FloatArray]
+
+
+Begun = tuple[Sequence[Looks], Iterator[Measured | None]]
+"""Looks, and what is measured there, which has been begun."""
+
+
+def looks(context: Context) -> tuple[Looks, ...]:
+    """Where the bodies of all setups are looked at."""
+    return tuple(
+        Looks(index, chosen, ignore, {arm: q[chosen] for arm, q in context.motion.q.items()})
+        for index in range(len(context.setups))
+        for chosen, ignore in _groups(context, index, clearance_rows(context, index))
+    )
+
+
+def measured(models: Models, some: Sequence[Looks], wanted: float) -> Iterator[Measured | None]:
+    """What is measured at each of the looks where a clearance is ``wanted`` [m]; None where the cell's model
+    lacks a body that is to be ignored."""
+    for look in some:
+        model = models(look.index)
+        if _missing(model, look.ignore):
+            yield None
+        else:
+            reach = max(MEASURED_REACH, 1.5 * wanted)
+            yield least_distances(model, look.q, accepted(wanted), reach, look.ignore)
+
+
+def _missing(model: CellModel, ignore: Pairs) -> list[str]:
+    """Bodies of pairs that are to be ignored, which the model has not."""
+    return sorted({name for pair in ignore for name in pair} - {s.body for s in model.solids})
+
+
 @rule("verify.clearance")
-def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearance.LeastClearance]:
+def bodies(
+    context: Context, models: Models, begun: Begun | None = None
+) -> tuple[Outcome, IntArray, clearance.LeastClearance]:
     """Robots, tools, block and obstacles keep apart; a bow's wire passes the block where it cuts. Bodies that
-    stand are not inside of one another: the block and what bears it, bases, obstacles."""
+    stand are not inside of one another: the block and what bears it, bases, obstacles.
+
+    ``begun``: the looks, and what is measured there where that has been begun.
+    """
     wanted = context.problem.settings.clearance
     limit = accepted(wanted)
     issues: list[Issue] = []
@@ -63,20 +110,17 @@ def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearan
         for one, other, deep in clearance.overlaps(models(index)):
             what = f"{one} and {other}, which stand still, are {mm(deep):.1f} mm inside of one another"
             issues.append(Issue("verify.clearance", what, bodies=(one, other), value=-mm(deep), unit="mm"))
-        rows = clearance_rows(context, index)
-        for chosen, ignore in _groups(context, index, rows):
-            model = models(index)
-            missing = {name for pair in ignore for name in pair} - {s.body for s in model.solids}
-            if missing:
-                what = f"the cell's model has no body {sorted(missing)[0]}"
-                issues.append(Issue("verify.clearance", what, hint="state the edge of the bow's tool"))
-                continue
-            q = {arm: q[chosen] for arm, q in context.motion.q.items()}
-            found = least_distances(model, q, limit, max(MEASURED_REACH, 1.5 * wanted), ignore)
-            looked.append(chosen[found.look])
-            distance.append(found.least.distance)
-            pairs += found.least.pair
-            rest = min(rest, found.rest)
+    some = looks(context) if begun is None else begun[0]
+    found = measured(models, some, wanted) if begun is None else begun[1]
+    for look, there in zip(some, found, strict=True):
+        if there is None:
+            what = f"the cell's model has no body {_missing(models(look.index), look.ignore)[0]}"
+            issues.append(Issue("verify.clearance", what, hint="state the edge of the bow's tool"))
+            continue
+        looked.append(look.rows[there.look])
+        distance.append(there.least.distance)
+        pairs += there.least.pair
+        rest = min(rest, there.rest)
     rows = np.concatenate([*looked, np.zeros(0, dtype=np.int64)])
     order = np.argsort(rows, kind="stable")
     rows = rows[order]

@@ -9,6 +9,7 @@ were pulses. The level of the tool is that of the replayed motion.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -16,10 +17,10 @@ from planner.claims.forming import FormingFeed, FormsInOrder, FormsSheet, SheetS
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue
-from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
+from planner.verify.context import FEED_SLACK, Begin, Context, Outcome, at_node, at_sample, mm, rule
 from planner.verify.forming.face import Face
-from planner.verify.forming.state import Formed, Forming, Track, track
-from planner.verify.forming.swept import Head, HeadWay, envelope, least, levels
+from planner.verify.forming.state import SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track, track
+from planner.verify.forming.swept import Head, HeadWay, Inside, insides, least, levels
 from planner.verify.programs.steps import SignalStep
 from planner.verify.result import CutFace
 from planner.verify.wire.cut_surface import divided
@@ -69,14 +70,18 @@ def gouge(context: Context, forming: Forming) -> Outcome:
 
 
 @rule("verify.formed", FormsSheet)
-def formed(context: Context, forming: Forming) -> tuple[Outcome, tuple[CutFace, ...]]:
+def formed(
+    context: Context, forming: Forming, envelopes: Iterator[CutFace]
+) -> tuple[Outcome, tuple[CutFace, ...]]:
     """The forming ball reaches all of a face but a stated share, within the scallop, is off it for no more
-    than a tenth of its way, and nothing is formed that is not claimed."""
+    than a tenth of its way, and nothing is formed that is not claimed.
+
+    ``envelopes``: what the ball leaves of each face.
+    """
     issues = _unclaimed(context, forming)
     faces: list[CutFace] = []
-    for one in forming.formed:
+    for one, face in zip(forming.formed, envelopes, strict=True):
         claim = one.claim
-        face = envelope(one)
         faces.append(face)
         limit = forming.unreached(one)
         if limit is not None and face.unreached > UNREACHED * limit + UNREACHED_SLACK:
@@ -216,7 +221,9 @@ def lean(context: Context, forming: Forming) -> Outcome:
             if not len(rows):
                 continue
             toward = -1.0 if above else 1.0
-            angle = np.arccos(np.clip(toward * way.axis(column)[rows, 2], -1.0, 1.0))
+            parts = np.array_split(rows, len(rows) // SAMPLES_AT_ONCE + 1)
+            upright = np.concatenate([way.axis(column, part)[:, 2] for part in parts])
+            angle = np.arccos(np.clip(toward * upright, -1.0, 1.0))
             k = int(np.argmax(angle))
             if angle[k] - claim.upper > worst:
                 worst, limit = float(angle[k] - claim.upper), claim.upper
@@ -266,28 +273,27 @@ def sheet(context: Context, forming: Forming) -> Outcome:
         way = track(context, state.segment, index, state.arms) if formed is None else formed.track
         if len(way.rows) < 2:
             continue
+        held = state.segment.key in forming.gapped
+        asked: list[tuple[str, float, Iterator[_Depths], list[_Depths]]] = []
         for number, arm in enumerate(state.arms):
             if arm not in way.arms:
                 what = f"{arm} has no program for {state.segment}"
                 issues.append(Issue("verify.sheet", what, field=str(state.segment)))
                 continue
-            held = state.segment.key in forming.gapped
             allowed = state.tolerance if number == 0 else state.other
-            state = dataclasses.replace(state, tolerance=allowed)
-            for deep, row in _all(formed, way, state, number, held):
+            own = dataclasses.replace(state, tolerance=allowed)
+            asked.append((arm, allowed, *_all(formed, way, own, number, held, forming.begin)))
+        for arm, allowed, heads, rest in asked:
+            for deep, row in (*heads, *rest):
                 k = int(np.argmax(deep)) if len(deep) else -1
-                if k >= 0 and deep[k] - state.tolerance > worst:
-                    worst, limit, where = (
-                        float(deep[k]) - state.tolerance,
-                        mm(state.tolerance),
-                        str(state.segment),
-                    )
-                for i in spread(deep > state.tolerance):
+                if k >= 0 and deep[k] - allowed > worst:
+                    worst, limit, where = float(deep[k]) - allowed, mm(allowed), str(state.segment)
+                for i in spread(deep > allowed):
                     what = (
                         f"the tool of {arm} has {mm(deep[i]):.3f} mm of the sheet inside in {state.segment}; "
-                        f"allowed: {mm(state.tolerance):g} mm"
+                        f"allowed: {mm(allowed):g} mm"
                     )
-                    measure = (mm(float(deep[i])), mm(state.tolerance), "mm")
+                    measure = (mm(float(deep[i])), mm(allowed), "mm")
                     sample = int(way.rows[row[i]])
                     issues.append(at_sample("verify.sheet", what, context.motion, arm, sample, measure))
     if limit is None:
@@ -295,41 +301,46 @@ def sheet(context: Context, forming: Forming) -> Outcome:
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
+_Depths = tuple[FloatArray, IntArray]
+"""How deep [m] things are inside a tool, and at which rows of the track."""
+
+
 def _all(
-    one: Formed | None, way: Track, state: SheetState, number: int, held: bool
-) -> list[tuple[FloatArray, IntArray]]:
-    """How deep [m] things are inside a tool, and at which rows of the track; ``held``: two tools hold the
-    sheet between them."""
+    one: Formed | None, way: Track, state: SheetState, number: int, held: bool, begin: Begin
+) -> tuple[Iterator[_Depths], list[_Depths]]:
+    """What is inside a tool: its head, which is begun, and its ball; ``held``: two tools hold the sheet
+    between them."""
     profile = state.heads[number]
     column = way.arms.index(state.arms[number])
-    centre, axis = way.centre[:, column], way.axis(column)
+    centre, axis = way.centres(column), way.axes(column)
     former = number == 0
     whole = Head.of(profile, float(profile[0, 0]))
     still = HeadWay.of(centre, axis, np.zeros(len(centre)), float(profile[-1, 0]))
-    out = [whole.into(state.fixed, still, state.tolerance)]
+    asked = [Inside(whole, state.fixed, still, state.tolerance)]
     if len(state.carried):
         sinking = HeadWay.of(centre, axis, _sunk(way, state), float(profile[-1, 0]))
-        out.append(whole.into(state.carried, sinking, state.tolerance))
+        asked.append(Inside(whole, state.carried, sinking, state.tolerance))
     if one is None:
-        return out
+        return begin(insides, asked), []
     # balls are held against the face exactly: that of the forming tool elsewhere, the other one below
     face = Head.of(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
     level = None if former or not held else levels(one)
-    there = None if level is None else (state.side, _at_rows(one, level)[still.rows])
-    out.append(face.into(_places(one.face if former else one.remaining_face), still, state.tolerance, there))
-    if not former:
-        out += _own_side(one, centre, max(-float(profile[0, 0]), 0.0), state, level)
-    return out
+    there = None if level is None else (state.side, _at_rows(one, level, still.rows))
+    places = _places(one.face if former else one.remaining_face)
+    heads = begin(insides, [*asked, Inside(face, places, still, state.tolerance, there)])
+    if former:
+        return heads, []
+    return heads, _own_side(one, centre, max(-float(profile[0, 0]), 0.0), state, level)
 
 
-def _at_rows(one: Formed, level: FloatArray) -> FloatArray:
-    """What is known at the knots of a pass, at all rows of its track: that of the knot at it or behind it."""
-    rows = np.searchsorted(one.knots, np.arange(len(one.track.rows)))
-    return level[np.minimum(rows, len(level) - 1)]
+def _at_rows(one: Formed, level: FloatArray, some: IntArray) -> FloatArray:
+    """What is known at the knots of a pass, at rows ``some`` (K,) of its track: that of the knot at it or
+    behind it."""
+    return level[np.minimum(np.searchsorted(one.knots, some), len(level) - 1)]
 
 
 def _own_side(
-    one: Formed, centre: FloatArray, ball: float, state: SheetState, level: FloatArray | None
+    one: Formed, centre: ByRow, ball: float, state: SheetState, level: FloatArray | None
 ) -> list[tuple[FloatArray, IntArray]]:
     """How deep [m] the other tool's ball is in the face, and in the flat sheet around it, or on their wrong
     side, with rows of the track. Where ``level`` (K + 1,) [m] at the knots says what of the face is there,
@@ -350,7 +361,7 @@ def _own_side(
     # beyond the border of the face its height over the flat is what is signed
     around = np.abs(np.abs(near.signed) - near.apart) > BESIDE_BORDER
     before = ~one.track.own[one.knots] & (level >= flat)
-    height = state.side * centre[one.knots, 2] - flat
+    height = state.side * centre[one.knots][:, 2] - flat
     deep = np.where(before, ball + height, np.where(around, ball - room, -np.inf))
     between = least(face, one_end, other_end, need, state.side, level[end[doubt]])
     return [(deep, one.knots), (ball - between + off[doubt], last[doubt])]
@@ -360,7 +371,7 @@ def _sunk(way: Track, state: SheetState) -> FloatArray:
     """How far (T,) [m] what is carried has moved along z: by the farthest level that the forming ball's
     surface has reached, from the start."""
     former = way.arms.index(state.arms[0])
-    level = way.centre[:, former, 2] + state.side * float(state.heads[0][0, 0])
+    level = way.centre[:, former][:, 2] + state.side * float(state.heads[0][0, 0])
     if state.side > 0:
         return np.minimum(np.minimum.accumulate(level) - state.start, 0.0)
     return np.maximum(np.maximum.accumulate(level) - state.start, 0.0)
@@ -472,7 +483,7 @@ def _off(context: Context, claim: SinksHolder, way: Track, pulses: list[float]) 
     """How far [m] the clamp is off the tip's lowest level at most, and where by more than a step."""
     motion = context.motion
     rows = np.flatnonzero(way.own)
-    tip = claim.side * (claim.start - way.centre[: rows[-1] + 1, 0, 2]) + claim.radius
+    tip = claim.side * (claim.start - way.centre[: rows[-1] + 1, 0][:, 2]) + claim.radius
     sunk = np.maximum(np.maximum.accumulate(tip), 0.0)[rows]
     now = motion.time[way.rows[rows]]
     at = np.array(pulses)

@@ -159,8 +159,7 @@ def _off_between(line: FloatArray, a: FloatArray, b: FloatArray, up: float) -> F
 
 def _turning(way: Track, knots: IntArray) -> IntArray:
     """The knots and, where the other tool turns in between, rows after each ``LOOK_TURN`` of turning."""
-    axis = way.axis(1)
-    step = np.linalg.norm(np.diff(axis, axis=0), axis=1)
+    step = way.turning(1)
     turned = np.diff(np.floor(np.concatenate([[0.0], np.cumsum(step)]) / LOOK_TURN), prepend=0.0) > 0.0
     return np.unique(np.concatenate([knots, np.flatnonzero(turned & way.own)]))
 
@@ -346,7 +345,7 @@ def opposite(context: Context, forming: Forming) -> Outcome:
             issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
         rows = _turning(way, knots)
         found = face.nearest(way.centre[rows, 0], TOUCHED_WITHIN)
-        aside = _off_directions(way.axis(1)[rows], way, rows, face, found, claim.side, upright=True)
+        aside = _off_directions(way.axis(1, rows), way, rows, face, found, claim.side, upright=True)
         for i in spread(aside > claim.aim):
             what = (
                 f"{claim.arms[1]} points {np.rad2deg(aside[i]):.2f} deg off what lies between the face's "
@@ -396,7 +395,7 @@ def by_table(context: Context, forming: Forming) -> Outcome:
         issues += _conditions(claim, table)
         off, aside, place = way.fitting(table)
         level = way.start - claim.projection + claim.radii[0]
-        high = np.abs(way.centre[:, 0, 2] - level)
+        high = np.abs(way.centre[:, 0][:, 2] - level)
         across = np.hypot(*(way.centre[:, 1] - way.centre[:, 0])[:, :2].T)
         error = np.maximum(np.maximum(off, high), aside - np.sin(TOOL_LINE_TURN) * across)
         error = error + LOOK_ERROR_SHARE * claim.tolerance

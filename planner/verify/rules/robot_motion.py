@@ -75,14 +75,15 @@ def continuity(context: Context) -> Outcome:
                 what = f"the {word} move of {task.arm.name} does not go home by its joints"
                 issues.append(at_step("verify.continuity", what, task, move))
     for arm, q in motion.q.items():
-        step = np.diff(q, axis=0)
-        np.abs(step, out=step)
-        if not len(step):
-            continue
-        worst = max(worst, float(np.rad2deg(step.max())))
-        for i in np.flatnonzero((step > JOINT_JUMP).any(axis=1))[:20]:
-            joint = int(np.argmax(step[i]))
-            message = f"axis {joint + 1} jumps by {np.rad2deg(step[i, joint]):.2f} deg between two samples"
+        jumps = np.zeros(max(len(q) - 1, 0), dtype=bool)
+        for angle in q.T:  # one at a time: a long motion has many samples
+            step = np.abs(np.diff(angle))
+            worst = max(worst, float(np.rad2deg(step.max(initial=0.0))))
+            jumps |= step > JOINT_JUMP
+        for i in np.flatnonzero(jumps)[:20]:
+            steps = np.abs(q[i + 1] - q[i])
+            joint = int(np.argmax(steps))
+            message = f"axis {joint + 1} jumps by {np.rad2deg(steps[joint]):.2f} deg between two samples"
             issues.append(
                 at_sample(
                     "verify.continuity",
@@ -90,7 +91,7 @@ def continuity(context: Context) -> Outcome:
                     context.motion,
                     arm,
                     int(i) + 1,
-                    (float(np.rad2deg(step[i, joint])), float(np.rad2deg(JOINT_JUMP)), "deg"),
+                    (float(np.rad2deg(steps[joint])), float(np.rad2deg(JOINT_JUMP)), "deg"),
                     (f"axis {joint + 1}",),
                 )
             )
@@ -206,18 +207,22 @@ def joint_acceleration(context: Context) -> Outcome:
     )
 
 
-def _rates(context: Context, code: str, word: str, rates: Callable[[str], FloatArray], unit: str) -> Outcome:
+def _rates(
+    context: Context, code: str, word: str, rates: Callable[[str, int | slice], FloatArray], unit: str
+) -> Outcome:
     issues, worst, where = [], 0.0, ""
     for task in context.job.tasks:
         machine, arm = robot(task.arm.robot), task.arm.name
         limit = machine.velocity if word == "speed" else machine.acceleration
-        share = rates(arm)
-        np.abs(share, out=share)
-        share /= limit
-        i, joint = np.unravel_index(int(np.argmax(share)), share.shape)
-        if share[i, joint] > worst:
-            worst, where = float(share[i, joint]), f"{arm} axis {joint + 1}"
-        nodes = np.unique(context.motion.node[(share > 1.0).any(axis=1)])
+        over = np.zeros(len(context.motion.time), dtype=bool)
+        for joint in range(len(limit)):  # one at a time: a long motion has many samples
+            share = np.abs(rates(arm, joint)) / limit[joint]
+            i = int(np.argmax(share))
+            if share[i] > worst:
+                worst, where = float(share[i]), f"{arm} axis {joint + 1}"
+            over |= share > 1.0
+        nodes = np.unique(context.motion.node[over])
+        share = np.abs(rates(arm, slice(None))) / limit if len(nodes) else np.zeros((0, len(limit)))
         for node in nodes[:200]:
             rows = np.flatnonzero(context.motion.node == node)
             k = int(rows[np.argmax(share[rows].max(axis=1))])

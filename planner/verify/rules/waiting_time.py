@@ -285,12 +285,9 @@ def _ways(context: Context, arm: str, lever: float) -> FloatArray:
     motion = context.motion
     rows = motion.node_sample
     before = np.concatenate([[0], rows[:-1]])
-    poses = motion.tcp[arm]
-    way = np.linalg.norm(poses.place[rows] - poses.place[before], axis=1)
-    turn = np.maximum(
-        np.linalg.norm(poses.x[rows] - poses.x[before], axis=1),
-        np.linalg.norm(poses.z[rows] - poses.z[before], axis=1),
-    )
+    step = motion.tcp[arm][rows] - motion.tcp[arm][before]
+    x, z, way = (np.linalg.norm(step[:, :3, axis], axis=1) for axis in (0, 2, 3))
+    turn = np.maximum(x, z)
     return np.asarray(way + lever * turn)
 
 

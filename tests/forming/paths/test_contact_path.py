@@ -6,10 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 
+from planner.forming import contact
 from planner.forming.contact import ContactPath, Pass
 from planner.forming.paths.contact_path import make_path
 from planner.forming.paths.spiral import PathOptions
+from planner.geometry.mesh import TriangleMesh
 from planner.issues import TandemError
 from tests.forming.paths.path_faces import bowl, cone, distance, rings, square_shape
 
@@ -318,3 +321,24 @@ def test_what_cannot_be_a_path_is_refused_by_name() -> None:
     assert code(away, PathOptions()) == {"forming.no_contour"}
     torn = dataclasses.replace(one, faces=np.delete(one.faces, 500, axis=0))
     assert code(torn, PathOptions()) == {"forming.open_contour"}
+
+
+def test_the_nearest_place_is_that_of_another_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As trimesh finds it on all triangles, for places above and below a cone and far beside it; also where
+    pairs are counted, and places are looked at in halves."""
+    one = cone(0.04, 0.02, 0.8, 0.01)
+    low, high = one.vertices.min(axis=0) - 0.02, one.vertices.max(axis=0) + 0.02
+    points = np.random.default_rng(9).uniform(low, high, (80, 3))
+    face = contact.Face(TriangleMesh(one.vertices, one.faces), 0.008)
+    corners = one.vertices[one.faces]
+    each = [trimesh.triangles.closest_point(corners, np.tile(p, (len(corners), 1))) - p for p in points]
+    wanted = np.linalg.norm(each, axis=2).min(axis=1)
+    whole = face.touched(points, 1e-4)
+    row, _, _, place, apart = whole
+    first = np.searchsorted(row, np.arange(len(points)))
+    np.testing.assert_allclose(apart[first], wanted, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(points[row] - place, axis=1), apart, atol=1e-12)
+    assert (apart <= apart[first][row] + 1e-4).all()
+    monkeypatch.setattr(contact, "_MOST_PAIRS", 500)
+    for got, known in zip(face.touched(points, 1e-4), whole, strict=True):
+        assert np.array_equal(got, known)

@@ -15,6 +15,7 @@ from planner.forming.support.opposite import FACING_TURN, Touching, opposite_pat
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.tooling import FormingHead
+from planner.verify.forming import state
 from planner.verify.forming.face import Face
 from planner.verify.forming.state import TOUCHED_WITHIN, Track, pieces
 from planner.verify.rules.forming_two_tools import _off_directions
@@ -349,3 +350,21 @@ def sampled(one: FloatArray, two: FloatArray) -> Track:
     count = len(one)
     joined, own = np.ones(count - 1, dtype=np.bool_), np.ones(count, dtype=np.bool_)
     return Track(("left", "right"), np.arange(count), centre, own, joined, (), np.eye(4)[None])
+
+
+def test_a_track_is_the_same_in_pieces_however_many_samples_are_worked_out_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With gaps between samples too, at the edges of what is worked out at once among them."""
+    rng = np.random.default_rng(5)
+    one = np.cumsum(rng.normal(scale=1e-3, size=(120, 3)), axis=0)
+    way = sampled(one, one - [0.0, 0.0, 11e-3] + rng.normal(scale=1e-4, size=(120, 3)))
+    joined = way.joined.copy()
+    joined[[6, 7, 40, 63]] = False
+    way = dataclasses.replace(way, joined=joined)
+    whole = pieces(way, 1e-5)
+    for count in (1, 2, 7, 64):
+        monkeypatch.setattr(state, "SAMPLES_AT_ONCE", count)
+        parts = pieces(way, 1e-5)
+        for field in dataclasses.fields(whole):
+            assert np.array_equal(getattr(parts, field.name), getattr(whole, field.name)), field.name

@@ -204,3 +204,22 @@ def test_an_arm_stops_at_sharp_corners_only_where_it_may() -> None:
     )
     assert stopped.targets.stop.sum() > 10 and passed.targets.stop.sum() == 2
     assert stopped.time[-1] < 0.8 * passed.time[-1]
+
+
+def test_pieces_that_were_timed_before_are_not_timed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock is the same as without; one whose least times are others is timed anew."""
+    spline = random_path(2, 40)
+    path = JointPath(40, (Piece(0, 39, spline, spline.x),), 0.0)
+    limits = Limits(np.full(12, 3.0), np.full(12, 20.0), np.append(0.0, np.full(39, 0.4)), np.full(40, 0.5))
+    slower = dataclasses.replace(limits, least_time=1.5 * limits.least_time)
+    wanted = [clock(path, one) for one in (limits, slower)]
+    assert wanted[0].time[-1] != wanted[1].time[-1]
+    known: dict[bytes, timing.TimedPiece] = {}
+    first = [clock(path, one, known) for one in (limits, slower)]
+    monkeypatch.setattr(timing, "_piece", None)
+    for one, again, plain in zip((limits, slower), first, wanted, strict=True):
+        for got in (again, clock(path, one, known)):
+            assert np.array_equal(got.time, plain.time)
+            assert np.array_equal(got.asked, plain.asked)
+    with pytest.raises(TypeError):
+        clock(path, dataclasses.replace(limits, rounded=np.full(40, 0.4)), known)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from planner.verify.forming import swept
 from planner.verify.forming.swept import LOOK_STEP, Head, HeadWay
 
 RADIUS, LONG = 0.008, 0.12
@@ -61,3 +64,16 @@ def test_a_disk_flat_on_a_sheet_has_nothing_inside_until_it_dips() -> None:
     deep, rows = head.into(points, way, 5e-5)
     assert set(way.rows[way.rows >= 1000]) == set(rows[deep > 5e-5])
     np.testing.assert_allclose(deep[deep > 5e-5], 4e-4, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 37, 1999])
+def test_looks_are_the_same_however_many_rows_are_worked_out_at_once(
+    monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    centre, axis, up = (part[:2000] for part in _way(6, 0.004))
+    whole = HeadWay.of(centre, axis, up, LONG)
+    assert 100 < len(whole.rows) < 2000
+    monkeypatch.setattr(swept, "_ROWS_AT_ONCE", count)
+    parts = HeadWay.of(centre, axis, up, LONG)
+    for field in dataclasses.fields(whole):
+        assert np.array_equal(getattr(parts, field.name), getattr(whole, field.name)), field.name

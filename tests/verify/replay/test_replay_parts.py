@@ -6,13 +6,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from planner.catalogue import robots
 from planner.cell.kinematics import forward
 from planner.claims.claim import CutsSurface, KerfCurve
 from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import from_parts
 from planner.verify.context import Context
 from planner.verify.replay import arm_model, inverse_kinematics, moves
+from planner.verify.replay.motion import Poses, differences
 from planner.verify.wire.cut_surface import Sweep, closest, cut_face
 from tests.verify import held_job, small_job
 
@@ -178,3 +181,37 @@ def test_the_replay_meets_the_written_targets():
         stops = known[motion.node_stop[known]]
         ends = motion.q[arm][motion.node_sample[stops]]
         assert np.abs(ends[-3] - plan.q[arm][-1]).max() < 1e-6
+
+
+def test_poses_come_back_as_they_were_put_in() -> None:
+    """Rotations of scipy, upright and upside down among them; rows, slices and one alone."""
+    rng = np.random.default_rng(11)
+    about, over = rng.uniform(-np.pi, np.pi, (20, 1)), np.full((20, 1), np.pi)
+    kinds = (
+        Rotation.random(500, random_state=5),
+        *(Rotation.from_euler("zx", np.concatenate([about, turn], axis=1)) for turn in (0.0 * over, over)),
+    )
+    turned = np.concatenate([kind.as_matrix() for kind in kinds])
+    wanted = from_parts(turned, rng.normal(size=(len(turned), 3)))
+    kept = Poses.joined([Poses.of(wanted[:100]), Poses.of(wanted[100:])])
+    np.testing.assert_allclose(kept[:], wanted, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(kept[7], wanted[7], rtol=0.0, atol=1e-15)
+    some = np.array([530, 3, 3])
+    kept[some] = wanted[[1, 2, 2]]
+    np.testing.assert_allclose(kept[some], wanted[[1, 2, 2]], rtol=0.0, atol=1e-15)
+    assert np.array_equal(kept.place[3], wanted[2, :3, 3])
+    assert np.array_equal(kept.z[3], wanted[2, :3, 2])
+
+
+def test_speeds_and_accelerations_are_those_of_each_joint() -> None:
+    """Of a parabola: its derivative, and half a step of acceleration, for the greater of the slopes on both
+    sides counts; its second derivative everywhere."""
+    time = np.linspace(0.0, 1.0, 101)
+    q = np.stack([0.5 * k * time**2 for k in range(6)], axis=1)
+    for axis in (slice(None), 4):
+        rate = np.arange(6)[axis]
+        fast, hard = differences(time, q[:, axis], 1), differences(time, q[:, axis], 2)
+        assert fast.shape == hard.shape == q[:, axis].shape
+        wanted = (time[1:-1] + 0.005).reshape(-1, *np.ones(q[:, axis].ndim - 1, dtype=int)) * rate
+        np.testing.assert_allclose(fast[1:-1], wanted, atol=1e-12)
+        np.testing.assert_allclose(hard[1:-1], np.broadcast_to(rate, hard[1:-1].shape), atol=1e-9)
