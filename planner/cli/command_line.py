@@ -25,9 +25,9 @@ from rich.table import Table
 
 from planner.cli import batch as batch_commands
 from planner.cli import batch as compare_commands
+from planner.cli import forming as forming_commands
 from planner.cli import preparation as align_commands
 from planner.cli import preparation as feature_commands
-from planner.cli import forming as forming_commands
 from planner.cli import preparation as kerf_commands
 from planner.cli import service as service_commands
 from planner.cli import statement

@@ -34,6 +34,8 @@ out = Console(highlight=False, soft_wrap=True)
 
 SUFFIXES = (".csv", ".html")
 """Endings of files that the table or the page are written to."""
+LEAST_TRIANGLES = 300
+"""Triangles of an elastic sheet that say anything at all."""
 MOST_ROWS = 24
 """Rows of a printed table at most."""
 
@@ -52,6 +54,8 @@ class Springback:
     """which forming operation; else the first"""
     most_points: int = 60
     """control points of a pass at most; at least three levels get some"""
+    triangles: int = 4000
+    """of the elastic sheet at most; 1500 take a third of the time and are within a percent"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """what to write: .csv (control points with their curves) or .html (map, curves, clusters)"""
 
@@ -64,16 +68,20 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     if request.output is not None and request.output.suffix.lower() not in SUFFIXES:
         what = f"{request.output.name}: a page is .html, a table .csv; name it so"
         raise TandemError(Issue("output.folder", what, field="output"))
-    if request.most_points < 1:
-        what = f"most_points: got {request.most_points}, allowed 1 at least"
-        raise TandemError(Issue("forming.springback_mode", what, field="most_points", hint="correct it"))
+    for name, value, least in (
+        ("most_points", request.most_points, 1),
+        ("triangles", request.triangles, LEAST_TRIANGLES),
+    ):
+        if value < least:
+            what = f"{name}: got {value}, allowed {least} at least"
+            raise TandemError(Issue("forming.springback_mode", what, field=name, hint="correct it"))
     work = _job(problem, request.operation).planned
     forecast.require_mode(work)
     started = time.perf_counter()
     laid = lay_all(work)
     control = forecast.points(work, laid, request.most_points)
     every = [point for _, rows in control for point in rows]
-    found = forecast.forecast(laid, control, _solved(work, every))
+    found = forecast.forecast(laid, control, _solved(work, every, request.triangles))
     _print(work, found, time.perf_counter() - started)
     if request.output is not None:
         _write(request.output, problem, work, found)
@@ -93,7 +101,7 @@ def _job(problem: Problem, name: str | None) -> FormingJob:
     return chosen[0]
 
 
-def _solved(work: Work, points: Sequence[Point]) -> list[Curve]:
+def _solved(work: Work, points: Sequence[Point], triangles: int) -> list[Curve]:
     """The curves of all points, on all cores: each process works out every so manieth."""
     from planner.batch.worker import Second
     from planner.forming.springback.forecast import curves
@@ -104,8 +112,8 @@ def _solved(work: Work, points: Sequence[Point]) -> list[Curve]:
         begins: list[Callable[..., Iterator[Curve]]] = [
             stack.enter_context(Second()).begin for _ in range(count - 1)
         ]
-        others = [begin(curves, work, points[k + 1 :: count]) for k, begin in enumerate(begins)]
-        shares = [list(curves(work, points[::count])), *(list(other) for other in others)]
+        others = [begin(curves, work, points[k + 1 :: count], triangles) for k, begin in enumerate(begins)]
+        shares = [list(curves(work, points[::count], triangles)), *(list(other) for other in others)]
     found: list[Curve | None] = [None] * len(points)
     for k, share in enumerate(shares):
         found[k::count] = share
@@ -200,7 +208,7 @@ def _page(problem: Problem, work: Work, found: Sequence[PassSpringback]) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class ControlRequest:
-    """Gains of force control of the support and of compensation of the former, for a machine that you measured.
+    """Gains of force control of the support and of compensation of the former, for a machine of yours.
 
     What the loops do with them is run in time: a step of the force, and a gap that changes.
     """

@@ -63,29 +63,50 @@ class SheetMesh:
     zone: IntArray
 
 
+@dataclasses.dataclass(frozen=True)
+class Wall:
+    """A wall of a sheet: ``rings``, closed contours (k, 3) [m] (first point not repeated) from its edge
+    inwards, each inside of the one before as seen from above; the first and the last are level. Around the
+    first there is flange, or another wall's floor, in the last its own floor, on which other walls may begin:
+    those ``inside``, whose first rings are as high."""
+
+    rings: Sequence[FloatArray]
+    inside: Sequence[Wall] = ()
+
+
 def mesh_sheet(
     rings: Sequence[FloatArray], window: FloatArray, triangles: int, places: FloatArray | None = None
 ) -> SheetMesh:
-    """A sheet clamped along a rectangle, formed to ``rings``, of at most ``triangles`` triangles.
+    """A sheet that is clamped along a rectangle and has one wall of these ``rings``, or none.
 
-    ``rings``: closed contours (k, 3) [m] (first point not repeated) from the top edge inwards, each inside of
-    the one before as seen from above; the first and the last are level, the flange lies around the first and
-    a floor in the last. None: a flat sheet at z = 0. ``window`` (2, 2) [m]: least and largest x and y of the
-    clamp. ``places`` (p, 2 or more) [m]: x, y of points that become nodes, on flange, floor or within
-    `OFF_RING` of a ring. Raises ValueError where a ring crosses another or the window, is not level where it
-    has to be, a place is elsewhere, or so few triangles do not do."""
-    outlines = [_counterclockwise(ring) for ring in rings]
-    _check(outlines, window)
-    places = (
+    ``window`` (2, 2) [m]: least and largest x and y of the clamp; otherwise as `mesh_walls`.
+    """
+    low, high = np.asarray(window, dtype=np.float64)
+    outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    return mesh_walls([Wall(rings)] if len(rings) else [], outline, triangles, places)
+
+
+def mesh_walls(
+    walls: Sequence[Wall], outline: FloatArray, triangles: int, places: FloatArray | None = None
+) -> SheetMesh:
+    """A sheet clamped along an ``outline`` (k, 2) [m], with ``walls`` that begin on its flange, of at most so
+    many ``triangles``; without walls a flat one at z = 0.
+
+    ``places`` (p, 2 or more) [m]: x, y of points that become nodes, on flange, floors or within `OFF_RING` of
+    a ring. Raises ValueError where a ring crosses another or the outline, is not level where it has to be, a
+    place is elsewhere, or so few triangles do not do.
+    """
+    some = (
         np.empty((0, 2)) if places is None else np.asarray(places, dtype=np.float64).reshape(len(places), -1)
     )
-    layout = _laid_out(outlines, window, places[:, :2])
-    size = float(np.sqrt(np.prod(window[1] - window[0]) / triangles))
+    frame = shapely.Polygon(_counterclockwise(np.asarray(outline, dtype=np.float64)))
+    layout = _flat(frame, [_Outlines.of(wall) for wall in walls], some[:, :2])
+    size = float(np.sqrt(frame.area / triangles))
     best: SheetMesh | None = None
     why = "none could be made"
     for _ in range(_ROUNDS):
         try:
-            made = _meshed(layout, size)
+            made = _meshed(frame, layout, size)
         except _UnfilledError as unfilled:
             why = str(unfilled)
             size *= _SMALLER
@@ -98,7 +119,7 @@ def mesh_sheet(
         why = f"allow about {count}"
         size *= float(np.sqrt(2.0 * count / ((1.0 + _ENOUGH) * triangles)))
     if best is None:
-        raise ValueError(f"got {triangles} triangles for {len(rings)} rings: {why}")
+        raise ValueError(f"got {triangles} triangles: {why}")
     return best
 
 
@@ -135,24 +156,28 @@ def _area(ring: FloatArray) -> float:
     return 0.5 * float(np.sum(ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]))
 
 
-def _check(outlines: list[FloatArray], window: FloatArray) -> None:
-    box = shapely.box(*window[0], *window[1])
-    outer = box
-    for index, ring in enumerate(outlines):
-        inner = shapely.Polygon(ring[:, :2])
-        if (
-            not inner.is_valid
-            or not outer.buffer(1e-9).contains(inner)
-            or (outer is box and box.touches(inner))
-        ):
-            raise ValueError(
-                f"ring {index}: crosses itself, or is not inside of the one before or the window"
-            )
-        outer = inner
-    for name, level in (("first", outlines[:1]), ("last", outlines[-1:])):
-        if level and np.ptp(level[0][:, 2]) > LEVEL:
-            off = np.ptp(level[0][:, 2])
-            raise ValueError(f"{name} ring: heights differ by {off:.2g} m; allowed {LEVEL:g}")
+@dataclasses.dataclass(frozen=True)
+class _Outlines:
+    """A wall whose ``rings`` run counterclockwise, ``top`` and ``floor`` as polygons."""
+
+    rings: list[FloatArray]
+    top: shapely.Polygon
+    floor: shapely.Polygon
+    inside: list[_Outlines]
+
+    @staticmethod
+    def of(wall: Wall) -> _Outlines:
+        """Raises ValueError as `mesh_walls`."""
+        rings = [_counterclockwise(np.asarray(ring, dtype=np.float64)) for ring in wall.rings]
+        shapes = [shapely.Polygon(ring[:, :2]) for ring in rings]
+        for index, shape in enumerate(shapes):
+            if not shape.is_valid or (index and not shapes[index - 1].buffer(1e-9).contains(shape)):
+                raise ValueError(f"ring {index}: crosses itself, or is not inside of the one before")
+        for name, level in (("first", rings[0]), ("last", rings[-1])):
+            if np.ptp(level[:, 2]) > LEVEL:
+                off = np.ptp(level[:, 2])
+                raise ValueError(f"{name} ring: heights differ by {off:.2g} m; allowed {LEVEL:g}")
+        return _Outlines(rings, shapes[0], shapes[-1], [_Outlines.of(other) for other in wall.inside])
 
 
 def _matched(outlines: list[FloatArray]) -> tuple[FloatArray, IntArray]:
@@ -246,45 +271,71 @@ def _at(ring: FloatArray, place: FloatArray, wanted: FloatArray) -> FloatArray:
 
 
 @dataclasses.dataclass(frozen=True)
+class _Flat:
+    """A flat region, flange or floor, at ``height`` [m]: ``fixed`` (f, 2) points in it that become nodes, and
+    ``walls`` that begin there."""
+
+    height: float
+    fixed: FloatArray
+    walls: list[_Layout]
+
+
+@dataclasses.dataclass(frozen=True)
 class _Layout:
-    """Where meshes of any size agree: matched contours ``around`` (r, PLACES_AROUND, 3), places of
-    ``corners``, ``fixed``: by contour, places on it of points that become nodes, ``floor`` and ``flange`` (.,
-    2): such points there; ``kept``: contours that are rows."""
+    """Where meshes of a wall agree, whatever their size: matched contours ``around`` (r, PLACES_AROUND, 3),
+    places of ``corners``, ``fixed``: by contour, places on it of points that become nodes, ``kept``: contours
+    that are rows, and its ``floor``."""
 
     around: FloatArray
     corners: IntArray
-    box: shapely.Polygon
     fixed: dict[int, list[float]]
-    floor: FloatArray
-    flange: FloatArray
     kept: list[int]
+    floor: _Flat
 
 
-def _laid_out(outlines: list[FloatArray], window: FloatArray, places: FloatArray) -> _Layout:
-    """Which contours are rows, and where the points lie that become nodes."""
-    box = shapely.box(*window[0], *window[1])
-    if not outlines:
-        return _Layout(
-            np.empty((0, PLACES_AROUND, 3)), np.empty(0, np.int64), box, {}, places, places[:0], []
-        )
+def _flat(region: shapely.Polygon, walls: list[_Outlines], places: FloatArray, height: float = 0.0) -> _Flat:
+    """A flat region with the walls that begin on it, and the ``places`` (p, 2) in it or in them."""
+    tops = [wall.top for wall in walls]
+    for index, top in enumerate(tops):
+        others = shapely.union_all([*tops[:index], region.exterior])
+        if not region.contains(top) or others.intersects(top):
+            raise ValueError(f"wall {index}: its first ring is not inside of the window or floor around it")
+    own: list[list[FloatArray]] = [[] for _ in walls]
+    fixed = []
+    for place in places:
+        off = [min(_nearest(ring[:, :2], place)[0] for ring in wall.rings) for wall in walls]
+        point = shapely.Point(place)
+        near = [k for k, wall in enumerate(walls) if wall.top.contains(point) or off[k] <= OFF_RING]
+        if near:
+            own[min(near, key=lambda k: off[k])].append(place)
+        elif region.contains(point):
+            fixed.append(place)
+        else:
+            raise ValueError(f"place ({place[0]:.4g}, {place[1]:.4g}) m: not within the outline of the sheet")
+    layouts = [_laid_out(wall, some) for wall, some in zip(walls, own, strict=True)]
+    level = float(walls[0].rings[0][:, 2].mean()) if walls else height
+    if any(abs(float(wall.rings[0][:, 2].mean()) - level) > LEVEL for wall in walls):
+        raise ValueError("walls: first rings on one flat are not equally high")
+    return _Flat(level, np.array(fixed).reshape(-1, 2), layouts)
+
+
+def _laid_out(wall: _Outlines, places: Sequence[FloatArray]) -> _Layout:
+    """Which contours of a wall are rows, and where the points lie that become nodes."""
+    outlines = wall.rings
     gap = np.array([_gap(*pair) for pair in itertools.pairwise(outlines)])
     rise = np.diff([ring[:, 2].mean() for ring in outlines])
     slope = np.arctan2(rise, gap)
     kept = {0, *(np.flatnonzero(np.abs(np.diff(slope)) > KINK) + 1).tolist(), len(outlines) - 1}
-    top, low = (shapely.Polygon(outlines[k][:, :2]) for k in (0, -1))
     on: dict[int, list[FloatArray]] = {}
-    floor, flange = [], []
+    inner = []
     for place in places:
         off = [_nearest(ring[:, :2], place)[0] for ring in outlines]
         ring = int(np.argmin(off))
-        point = shapely.Point(place)
         if off[ring] <= OFF_RING:
             on.setdefault(ring, []).append(place)
             kept.add(ring)
-        elif low.contains(point):
-            floor.append(place)
-        elif box.contains(point) and not top.contains(point):
-            flange.append(place)
+        elif wall.floor.contains(shapely.Point(place)):
+            inner.append(place)
         else:
             raise ValueError(
                 f"place ({place[0]:.4g}, {place[1]:.4g}) m: {off[ring]:.2g} m from the nearest contour,"
@@ -302,9 +353,12 @@ def _laid_out(outlines: list[FloatArray], window: FloatArray, places: FloatArray
         number[index]: [_nearest(around[number[index], :, :2], point)[1] for point in points]
         for index, points in on.items()
     }
-    flat = [np.array(points).reshape(-1, 2) for points in (floor, flange)]
     rows = sorted(number[index] for index in kept)
-    return _Layout(around, corners, box, fixed, flat[0], flat[1], rows)
+    height = float(outlines[-1][:, 2].mean())
+    floor = _flat(wall.floor, wall.inside, np.array(inner).reshape(-1, 2), height)
+    if abs(floor.height - height) > LEVEL:
+        raise ValueError("walls: a first ring is not as high as the floor it is on")
+    return _Layout(around, corners, fixed, rows, floor)
 
 
 def _nearest(ring: FloatArray, point: FloatArray) -> tuple[float, float]:
@@ -366,59 +420,99 @@ def _band(outer: FloatArray, inner: FloatArray, first: int, second: int) -> IntA
     )
 
 
-def _meshed(layout: _Layout, size: float) -> SheetMesh:
-    """The sheet with elements of a ``size`` [m] on wall and floor."""
+class _Parts:
+    """Nodes and triangles, as they are made."""
 
-    def even(distance: FloatArray) -> FloatArray:
-        return np.full_like(distance, size)
+    def __init__(self, size: float) -> None:
+        self.size = size
+        self.nodes: list[FloatArray] = []
+        self.triangles: list[IntArray] = []
+        self.zones: list[IntArray] = []
+        self._count = 0
 
-    box = layout.box
-    corners_of_box = np.array(box.exterior.coords[:-1])[::-1]
-    if len(layout.around) == 0:
-        rim = _spaced(corners_of_box, lambda points: np.full(len(points), size))
-        points, triangles = _fill(box, rim, layout.floor, even, None)
-        flat_sheet = np.column_stack([points, np.zeros(len(points))])
-        return SheetMesh(flat_sheet, triangles, np.full(len(triangles), FLOOR))
-    rows, fixed = _rows(layout, size)
-    places: list[FloatArray] = []
-    nodes: list[FloatArray] = []
+    def add(self, nodes: FloatArray) -> IntArray:
+        """Add nodes (n, 3); their numbers."""
+        self.nodes.append(nodes)
+        self._count += len(nodes)
+        return np.arange(self._count - len(nodes), self._count)
+
+    def join(self, triangles: IntArray, zone: int) -> None:
+        """Add triangles (m, 3) of nodes' numbers."""
+        self.triangles.append(triangles)
+        self.zones.append(np.full(len(triangles), zone))
+
+
+def _meshed(frame: shapely.Polygon, layout: _Flat, size: float) -> SheetMesh:
+    """The sheet with elements of a ``size`` [m] on walls and floors."""
+    parts = _Parts(size)
+    tops = [_wall(wall, parts) for wall in layout.walls]
+    corners = np.array(frame.exterior.coords[:-1])
+    size_at, zone = _even(size), FLOOR
+    if tops:
+        holes = shapely.union_all([shapely.Polygon(points) for _, points in tops])
+
+        def graded(distance: FloatArray) -> FloatArray:
+            return np.minimum(size + GROWTH * distance, COARSEST * size)
+
+        rim = _spaced(corners, lambda points: graded(shapely.distance(holes, shapely.points(points))))
+        size_at, zone = graded, FLANGE
+    else:
+        rim = _spaced(corners, lambda points: np.full(len(points), size))
+    number = parts.add(np.column_stack([rim, np.full(len(rim), layout.height)]))
+    _filled(frame, (number, rim), tops, layout, size_at, zone, parts)
+    return SheetMesh(
+        np.concatenate(parts.nodes),
+        np.concatenate(parts.triangles).astype(np.int64),
+        np.concatenate(parts.zones),
+    )
+
+
+def _even(size: float) -> Callable[[FloatArray], FloatArray]:
+    """Elements of one ``size`` [m] at any distance."""
+    return lambda distance: np.full_like(distance, size)
+
+
+_Rim = tuple[IntArray, FloatArray]
+"""Numbers (n,) of nodes along a rim, and where they are in plan (n, 2)."""
+
+
+def _wall(layout: _Layout, parts: _Parts) -> _Rim:
+    """Add a wall and its floor; its first row."""
+    rows, fixed = _rows(layout, parts.size)
     number = np.arange(PLACES_AROUND + 1, dtype=np.float64)
+    places: list[FloatArray] = []
+    numbers: list[IntArray] = []
     for row, own in zip(rows, fixed, strict=True):
         ends = np.unique(np.concatenate([layout.corners, own]))
-        places.append(_places(row, ends if len(ends) else np.zeros(1), size))
-        nodes.append(_at(row, number, places[-1]))
-    starts = np.concatenate([[0], np.cumsum([len(row) for row in nodes])])
-    parts = [
-        _band(places[k], places[k + 1], int(starts[k]), int(starts[k + 1])) for k in range(len(rows) - 1)
-    ]
-    zones = [np.full(len(part), WALL) for part in parts]
-    last = nodes[-1][:, :2]
-    points, triangles = _fill(shapely.Polygon(last), last, layout.floor, even, None)
-    parts.append(_renumbered(triangles, len(last), int(starts[-2]), int(starts[-1])))
-    zones.append(np.full(len(triangles), FLOOR))
-    inside = points[len(last) :]
-    first = nodes[0][:, :2]
-    hole = shapely.Polygon(first)
-
-    def graded(distance: FloatArray) -> FloatArray:
-        return np.minimum(size + GROWTH * distance, COARSEST * size)
-
-    rim = _spaced(corners_of_box, lambda points: graded(shapely.distance(hole, shapely.points(points))))
-    points, triangles = _fill(box, np.concatenate([first, rim]), layout.flange, graded, hole)
-    parts.append(_renumbered(triangles, len(first), 0, int(starts[-1]) + len(inside)))
-    zones.append(np.full(len(triangles), FLANGE))
-    outside = points[len(first) :]
-    flat = [
-        np.column_stack([some, np.full(len(some), row[:, 2].mean())])
-        for some, row in ((inside, rows[-1]), (outside, rows[0]))
-    ]
-    whole = np.concatenate([*nodes, *flat])
-    return SheetMesh(whole, np.concatenate(parts).astype(np.int64), np.concatenate(zones))
+        places.append(_places(row, ends if len(ends) else np.zeros(1), parts.size))
+        numbers.append(parts.add(_at(row, number, places[-1])))
+    first = len(parts.nodes) - len(rows)
+    for k in range(len(rows) - 1):
+        parts.join(_band(places[k], places[k + 1], int(numbers[k][0]), int(numbers[k + 1][0])), WALL)
+    top, last = parts.nodes[first][:, :2], parts.nodes[-1][:, :2]
+    tops = [_wall(wall, parts) for wall in layout.floor.walls]
+    rim = (numbers[-1], last)
+    _filled(shapely.Polygon(last), rim, tops, layout.floor, _even(parts.size), FLOOR, parts)
+    return numbers[0], top
 
 
-def _renumbered(triangles: IntArray, shared: int, first: int, new: int) -> IntArray:
-    """Triangles whose first ``shared`` nodes are those from ``first``, and the others from ``new``."""
-    return np.where(triangles < shared, triangles + first, triangles - shared + new)
+def _filled(
+    region: shapely.Polygon,
+    rim: _Rim,
+    tops: Sequence[_Rim],
+    flat: _Flat,
+    size_at: Callable[[FloatArray], FloatArray],
+    zone: int,
+    parts: _Parts,
+) -> None:
+    """Add the triangles of a flat region between its ``rim`` and the ``tops`` of the walls on it."""
+    numbers = np.concatenate([rim[0], *(number for number, _ in tops)])
+    around = np.concatenate([rim[1], *(points for _, points in tops)])
+    holes = shapely.union_all([shapely.Polygon(points) for _, points in tops]) if tops else None
+    points, triangles = _fill(region, around, flat.fixed, size_at, holes)
+    new = points[len(around) :]
+    numbers = np.concatenate([numbers, parts.add(np.column_stack([new, np.full(len(new), flat.height)]))])
+    parts.join(numbers[triangles], zone)
 
 
 def _spaced(polygon: FloatArray, size_at: Callable[[FloatArray], FloatArray]) -> FloatArray:
@@ -440,7 +534,7 @@ def _fill(
     rim: FloatArray,
     fixed: FloatArray,
     size_at: Callable[[FloatArray], FloatArray],
-    hole: shapely.Polygon | None,
+    hole: shapely.Geometry | None,
 ) -> tuple[FloatArray, IntArray]:
     """Points (rim, ``fixed``, others) and triangles of a flat region: rows around its ``hole``, or in its
     rim.
@@ -461,7 +555,10 @@ def _fill(
         if shape.is_empty or distance > across:
             break
         size = float(size_at(np.array([distance]))[0])
-        loops = [np.array(part.exterior.coords[:-1]) for part in shapely.get_parts(shape)]
+        rings = shapely.get_rings(
+            shapely.get_parts(shape)
+        )  # where rows around several holes meet they have holes
+        loops = [np.array(ring.coords[:-1]) for ring in rings]
         new = np.concatenate([_loop(loop, size, 0.5 * (row % 2)) for loop in loops])
         new = new[shapely.contains_xy(region, new[:, 0], new[:, 1])]
         new = new[shapely.distance(region.exterior, shapely.points(new)) > _APART * size]

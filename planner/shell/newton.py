@@ -231,7 +231,7 @@ class Loading:
         if start <= 0.0:
             raise TooFarError
         low, high = (0.0, start), None
-        share = 1.0
+        share, found = 1.0, None
         for _ in range(8):
             try:
                 new = state.moved(share * whole)
@@ -239,6 +239,7 @@ class Loading:
             except TooFarError:
                 share = low[0] + 0.5 * (share - low[0])
                 continue
+            found = share, new, force
             work = float(step @ (wanted - force))
             if abs(work) <= 0.4 * start:
                 return share, new, force
@@ -251,7 +252,9 @@ class Loading:
             # the force grows faster than the step: the root lies between the secant's and the middle
             secant = low[0] + (high[0] - low[0]) * low[1] / (low[1] - high[1])
             share = max(secant, low[0] + 0.1 * (high[0] - low[0]))
-        return share, new, force
+        if found is None:
+            raise TooFarError
+        return found
 
     def _corrected(
         self, factors: SuperLU, pairs: list[tuple[FloatArray, FloatArray, float]], left: FloatArray

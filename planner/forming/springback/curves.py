@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.spatial import cKDTree
 
 from planner.forming.contact import Pass, ToolPath
 from planner.forming.process_plan import Work
@@ -27,7 +28,7 @@ from planner.forming.springback.formed_sheet import thickness, walls
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.shell.element import Sheet
-from planner.shell.mesh import mesh_sheet
+from planner.shell.mesh import mesh_walls
 from planner.shell.newton import LimitLoadError, clamped, curve
 
 LOAD_SHARES: Final = np.array([0.15, 0.35, 0.65, 1.0, 1.4])
@@ -78,6 +79,26 @@ class PassSpringback:
     force: FloatArray
     springback: FloatArray
 
+    def at(self, points: FloatArray) -> FloatArray:
+        """Springback (N,) [m] at places (N, 3) [m] of the contact's path: that of the nearest places in plan
+        of the rings above and below, linear in z between them."""
+        height = np.array([float(ring.point[:, 2].mean()) for ring in self.control.rings])
+        each = np.stack(
+            [
+                value[cKDTree(ring.point[:, :2]).query(points[:, :2])[1]]
+                for ring, value in zip(self.control.rings, self.along(), strict=True)
+            ]
+        )
+        order = np.argsort(height)
+        height, each = height[order], each[order]
+        above = np.clip(np.searchsorted(height, points[:, 2]), 1, max(len(height) - 1, 1))
+        below = above - 1
+        above = np.minimum(above, len(height) - 1)
+        rise = np.where(above > below, height[above] - height[below], 1.0)
+        share = np.clip((points[:, 2] - height[below]) / rise, 0.0, 1.0)
+        rows = np.arange(len(points))
+        return np.asarray((1.0 - share) * each[below, rows] + share * each[above, rows])
+
     def along(self) -> list[FloatArray]:
         """Springback (N,) [m] at the places of each of the control points' rings: linear from one control
         point to the next, along the ring."""
@@ -120,7 +141,8 @@ def solved(work: Work, point: Point, triangles: int = TRIANGLES) -> Curve:
     Raises ``ValueError`` where the sheet as formed cannot be divided into triangles.
     """
     one = work.passes[point.number]
-    made = mesh_sheet(walls(work, point.number, float(point.place[2])), work.sheet.opening, triangles)
+    formed = walls(work, point.number, float(point.place[2]))
+    made = mesh_walls(formed, work.sheet.opening, triangles, point.place[None])
     mesh = Mesh(made.nodes, made.triangles)
     metal = work.sheet.metal
     sheet = Sheet(made.nodes, made.triangles, thickness(work, point.number, mesh), metal.young, metal.poisson)

@@ -14,7 +14,14 @@ import numpy as np
 from planner.forming.contact import Pass, ToolPath
 from planner.forming.process_plan import Work
 from planner.forming.springback.control_points import MOST_POINTS, ControlPoints
-from planner.forming.springback.curves import Curve, PassSpringback, Point, solved, wanted
+from planner.forming.springback.curves import (
+    TRIANGLES,
+    Curve,
+    PassSpringback,
+    Point,
+    solved,
+    wanted,
+)
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
@@ -55,10 +62,10 @@ def points(
     return out
 
 
-def curves(work: Work, some: Sequence[Point]) -> Iterator[Curve]:
+def curves(work: Work, some: Sequence[Point], triangles: int = TRIANGLES) -> Iterator[Curve]:
     """The curves at some points, one after the other: what a process works out."""
     for point in some:
-        yield solved(work, point)
+        yield solved(work, point, triangles)
 
 
 def forecast(
@@ -85,20 +92,19 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
     if most > TOLD:
         at = int(np.nanargmax(worst.springback))
         z = worst.control.point[at, 2] / MM
-        last = worst.control.level == worst.control.level.max()
-        end = float(np.nanmean(worst.springback[last])) / MM
+        mean = float(np.nanmean(worst.springback)) / MM
         out.append(
             Issue(
                 "forming.springback",
                 f"pass {worst.one.name}: when the tool lets go the sheet comes back by up to {most:.2f} mm "
-                f"(at z = {z:.1f} mm, under {worst.force[at]:.0f} N), and by {end:.2f} mm at its last loop: "
-                f"so much too shallow the part will be; allowed without a word are {TOLD:g} mm",
+                f"(at z = {z:.1f} mm, under {worst.force[at]:.0f} N), by {mean:.2f} mm in the mean of its "
+                f"control points: so much too shallow the part will be, {TOLD:g} mm are not told",
                 Severity.WARNING,
                 value=most,
                 limit=TOLD,
                 unit="mm",
-                hint="hold the sheet nearer to the part (opening_mm), or take thicker sheet; state a "
-                "measured force_n and the clamp's border",
+                hint="hold the sheet nearer to the part (opening_mm) or more firmly (clamp: border), take "
+                "thicker sheet, or state a measured force_n",
             )
         )
     for one in found:

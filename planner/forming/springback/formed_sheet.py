@@ -24,7 +24,7 @@ from planner.shell.mesh import Wall
 LEVELS: Final = 24
 """Contours at most of a wall that is cut anew."""
 LEAST_STEP: Final = 0.1 * MM
-"""Contours of a wall are so far apart at least [m]."""
+"""Contours of a wall are so far apart at least [m], and a feature is so deep, or not begun."""
 SAME_PLACE: Final = 1e-6
 """Points of a contour nearer than this [m] are one."""
 EDGE: Final = 0.02 * MM
@@ -41,7 +41,8 @@ def walls(work: Work, number: int, level: float) -> tuple[Wall, ...]:
     earlier = [other for other in before if other.feature == one.feature]
     done = {other.feature for other in before} - {one.feature}
     rings = {feature: _whole(work, feature) for feature in done}
-    rings[one.feature] = _partly(one, earlier, level)
+    if earlier or abs(level - one.start) >= LEAST_STEP:
+        rings[one.feature] = _partly(one, earlier, level)
     return tuple(_placed(work, feature, rings, 0.5 * work.thickness) for feature in _on(work, None, rings))
 
 
