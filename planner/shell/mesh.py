@@ -20,7 +20,7 @@ FLANGE, WALL, FLOOR = 0, 1, 2
 """Where a triangle lies."""
 PLACES_AROUND = 1024
 """Places at which contours are matched to one another."""
-EVEN = 0.3
+EVEN = 0.7
 """Share of a contour's own length in where its places are."""
 CORNER = np.radians(25.0)
 """Turn of a contour [rad] from which it has a corner, along which a mesh line goes down the wall."""
@@ -103,7 +103,7 @@ def mesh_sheet(
 
 
 class _UnfilledError(ValueError):
-    """Elements of a size do not fit into a flat region."""
+    """Elements of a size do not fit."""
 
 
 def cone_rings(top_radius: float, wall_angle: float, depth: float, sides: int = 360) -> list[FloatArray]:
@@ -412,8 +412,11 @@ def _meshed(layout: _Layout, size: float) -> SheetMesh:
         np.column_stack([some, np.full(len(some), row[:, 2].mean())])
         for some, row in ((inside, rows[-1]), (outside, rows[0]))
     ]
-    whole = np.concatenate([*nodes, *flat])
-    return SheetMesh(whole, np.concatenate(parts).astype(np.int64), np.concatenate(zones))
+    whole, joined = np.concatenate([*nodes, *flat]), np.concatenate(parts).astype(np.int64)
+    a, b, c = (whole[joined[:, k], :2] for k in range(3))
+    if np.min((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) <= 0.0:
+        raise _UnfilledError("a wall folds between two rows; give more contours or allow more triangles")
+    return SheetMesh(whole, joined, np.concatenate(zones))
 
 
 def _renumbered(triangles: IntArray, shared: int, first: int, new: int) -> IntArray:
