@@ -20,7 +20,7 @@ FLANGE, WALL, FLOOR = 0, 1, 2
 """Where a triangle lies."""
 PLACES_AROUND = 1024
 """Places at which contours are matched to one another."""
-EVEN = 0.3
+EVEN = 0.7
 """Share of a contour's own length in where its places are."""
 CORNER = np.radians(25.0)
 """Turn of a contour [rad] from which it has a corner, along which a mesh line goes down the wall."""
@@ -124,7 +124,7 @@ def mesh_walls(
 
 
 class _UnfilledError(ValueError):
-    """Elements of a size do not fit into a flat region."""
+    """Elements of a size do not fit."""
 
 
 def cone_rings(top_radius: float, wall_angle: float, depth: float, sides: int = 360) -> list[FloatArray]:
@@ -460,11 +460,11 @@ def _meshed(frame: shapely.Polygon, layout: _Flat, size: float) -> SheetMesh:
         rim = _spaced(corners, lambda points: np.full(len(points), size))
     number = parts.add(np.column_stack([rim, np.full(len(rim), layout.height)]))
     _filled(frame, (number, rim), tops, layout, size_at, zone, parts)
-    return SheetMesh(
-        np.concatenate(parts.nodes),
-        np.concatenate(parts.triangles).astype(np.int64),
-        np.concatenate(parts.zones),
-    )
+    nodes, joined = np.concatenate(parts.nodes), np.concatenate(parts.triangles).astype(np.int64)
+    a, b, c = (nodes[joined[:, k], :2] for k in range(3))
+    if np.min((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) <= 0.0:
+        raise _UnfilledError("a wall folds between two rows; give more contours or allow more triangles")
+    return SheetMesh(nodes, joined, np.concatenate(parts.zones))
 
 
 def _even(size: float) -> Callable[[FloatArray], FloatArray]:

@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 from scipy.sparse.linalg import SuperLU, splu
 
-from planner.geometry.arrays import BoolArray, FloatArray, lengths
+from planner.geometry.arrays import BoolArray, FloatArray, dots, lengths
 from planner.shell.corotation import Assembly, State, TooFarError, at_rest
 from planner.shell.element import Sheet
 from planner.shell.mesh import border_edges
@@ -146,11 +146,23 @@ class Loading:
         return np.array([shares @ state.u for state in self.states(shares, loads)]).reshape(-1, 3)
 
     def states(self, shares: FloatArray, loads: FloatArray) -> list[State]:
-        """The states (k,) under ``loads`` (k, 3) [N], one after the other from rest. Raises
-        LimitLoadError."""
+        """The states (k,) under ``loads`` (k, 3) [N], one after the other from rest.
+
+        Raises LimitLoadError, ValueError for loads or shares that are no numbers or of another shape.
+        """
+        loads = np.asarray(loads, dtype=np.float64)
+        count = len(self.sheet.nodes)
+        if loads.ndim != 2 or loads.shape[1] != 3 or not np.all(np.isfinite(loads)):
+            raise ValueError(
+                f"loads: got shape {loads.shape}, or no numbers; allowed finite forces (k, 3) [N]"
+            )
+        if shares.shape != (count,) or not np.all(np.isfinite(shares)):
+            raise ValueError(
+                f"shares: got shape {shares.shape}, or no numbers; allowed one of each of {count} nodes"
+            )
         found: list[State] = []
         now, at = np.zeros(3), self._rest
-        for load in np.asarray(loads, dtype=np.float64).reshape(-1, 3):
+        for load in loads:
             reached, at = self._reached(at, shares, now, load)
             if reached < 1.0:
                 before = np.array([shares @ state.u for state in found]).reshape(-1, 3)
@@ -187,7 +199,7 @@ class Loading:
         first[:, :3] = shares[:, None] * more
         push = first.reshape(-1)[self.assembly.free]
         work = float(np.sum(first[:, :3] * (end.state.u - at.state.u)))
-        foretold = [float(push @ self._solve(one.factors, push)) for one in (at, end)]
+        foretold = [float(dots(push, self._solve(one.factors, push))) for one in (at, end)]
         if end.unstable or work < 0.0 or work > JUMP * max(foretold) + 1e-15:
             return None
         return end
@@ -216,8 +228,8 @@ class Loading:
             share, state, force = self._searched(state, step, left, wanted)
             change = left - (wanted - force)
             taken = share * step
-            if float(taken @ change) > 0.0:
-                pairs.append((taken, change, 1.0 / float(taken @ change)))
+            if float(dots(taken, change)) > 0.0:
+                pairs.append((taken, change, 1.0 / float(dots(taken, change))))
             left = wanted - force
         return None
 
@@ -227,7 +239,7 @@ class Loading:
         """Share of a step after which the forces left do little work along it, with state and forces
         there."""
         whole = self._whole(step)
-        start = float(step @ left)
+        start = float(dots(step, left))
         if start <= 0.0:
             raise TooFarError
         low, high = (0.0, start), None
@@ -240,7 +252,7 @@ class Loading:
                 share = low[0] + 0.5 * (share - low[0])
                 continue
             found = share, new, force
-            work = float(step @ (wanted - force))
+            work = float(dots(step, wanted - force))
             if abs(work) <= 0.4 * start:
                 return share, new, force
             if work > 0.0:
@@ -263,12 +275,12 @@ class Loading:
         left = left.copy()
         shares = []
         for taken, change, inverse in reversed(pairs):
-            share = inverse * float(taken @ left)
+            share = inverse * float(dots(taken, left))
             left -= share * change
             shares.append(share)
         step = self._solve(factors, left)
         for (taken, change, inverse), share in zip(pairs, reversed(shares), strict=True):
-            step += (share - inverse * float(change @ step)) * taken
+            step += (share - inverse * float(dots(change, step))) * taken
         return step
 
     def _start(self, state: State) -> _At:

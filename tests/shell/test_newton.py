@@ -147,3 +147,11 @@ def test_what_holds_nothing_or_is_nowhere_is_refused() -> None:
         column(sheet, np.array([0.004, 0.004]), 1e-3)
     with pytest.raises(ValueError, match="supports"):
         Loading(sheet, Supports(nothing.fixed[1:], nothing.spring))
+    held = Loading(sheet, clamped(sheet, "sliding"))
+    for shares, loads, told in (
+        (column(sheet, MIDDLE, 1e-3), np.array([0.0, 0.0, -1.0]), "loads"),
+        (column(sheet, MIDDLE, 1e-3), down(np.nan), "loads"),
+        (np.ones(3), down(1.0), "shares"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            held.curve(shares, loads)
