@@ -7,7 +7,17 @@ import pytest
 import shapely
 
 from planner.geometry.arrays import FloatArray, lengths
-from planner.shell.mesh import FLANGE, FLOOR, WALL, SheetMesh, border_edges, cone_rings, mesh_sheet
+from planner.shell.mesh import (
+    FLANGE,
+    FLOOR,
+    WALL,
+    SheetMesh,
+    Wall,
+    border_edges,
+    cone_rings,
+    mesh_sheet,
+    mesh_walls,
+)
 from tests.shell.sheets import WINDOW
 
 
@@ -113,3 +123,39 @@ def test_what_cannot_be_meshed_is_refused() -> None:
         mesh_sheet(PARTS["cone"], WINDOW, 1000, np.array([[0.04, 0.0]]))
     with pytest.raises(ValueError, match="tip"):
         cone_rings(0.05, np.radians(45.0), 0.06)
+
+
+def test_walls_side_by_side_and_on_floors_are_meshed_as_one_sheet() -> None:
+    """The plan's area is that of the clamp's, a circle of 72 sides; each floor has its own height."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    outline = 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
+
+    def placed(x: float, top: float, depth: float, flat: float = 0.0) -> list[FloatArray]:
+        return [np.add(ring, [x, 0.0, flat]) for ring in cone_rings(top, np.radians(45.0), depth, 60)]
+
+    inner = Wall(placed(-0.045, 0.012, 0.005, -0.01))
+    walls = [Wall(placed(-0.045, 0.035, 0.010), [inner]), Wall(placed(0.040, 0.030, 0.015))]
+    places = np.array([[-0.038, 0.0], [0.055, 0.0], [0.0, 0.08], [-0.03, 0.012]])
+    made = mesh_walls(walls, outline, 3000, places)
+    corners = made.nodes[made.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert normal[:, 2].min() > 0.0
+    assert 0.5 * normal[:, 2].sum() == pytest.approx(0.5 * 72 * 0.01 * np.sin(2.0 * np.pi / 72))
+    assert len(made.triangles) <= 3000
+    level = np.ptp(corners[:, :, 2], axis=1) < 1e-12
+    assert set(np.round(corners[level][:, 0, 2], 6)) == {0.0, -0.010, -0.015}
+    for place in places:
+        assert np.linalg.norm(made.nodes[:, :2] - place, axis=1).min() < 2e-4
+
+
+def test_walls_that_touch_or_stand_in_the_air_are_refused() -> None:
+    outline = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    ring = cone_rings(0.030, np.radians(45.0), 0.010, 60)
+    beside = [np.add(each, [0.050, 0.0, 0.0]) for each in ring]
+    with pytest.raises(ValueError, match="not inside"):
+        mesh_walls([Wall(ring), Wall(beside)], outline, 3000)
+    above = [each * [0.3, 0.3, 1.0] for each in ring]
+    with pytest.raises(ValueError, match="as high"):
+        mesh_walls([Wall(ring, [Wall(above)])], outline, 3000)
+    with pytest.raises(ValueError, match="outline"):
+        mesh_walls([Wall(ring)], outline, 3000, np.array([[0.2, 0.0]]))
