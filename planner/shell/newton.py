@@ -28,6 +28,12 @@ PAIRS = 12
 """Corrections of the factors that are remembered, after which the tangent is made anew."""
 CONTRACTION = 0.5
 """Share of the step before that a step may have, twice, before the tangent is made anew."""
+SEARCHES = 8
+"""Shares of a step that are looked at."""
+SEARCHED = 0.4
+"""Work left along a step, over that at its start, with which the search along it ends."""
+SHORTEST = 0.1
+"""Share of the way between two places of the search that the next one is ahead of the first at least."""
 CUTS = 6
 """How often a load is cut in two before it counts as the limit."""
 LEAST_PIVOT = 1e-11
@@ -98,8 +104,9 @@ class LimitLoadError(ArithmeticError):
         self.reached, self.wanted, self.displacements = reached, wanted, displacements
         last, asked = (", ".join(f"{value:.4g}" for value in load) for load in (reached, wanted))
         super().__init__(
-            f"the sheet is in balance up to ({last}) N on the way to a load of ({asked}) N, not beyond: it"
-            " snaps through or buckles; give less load or a thicker sheet"
+            f"no balance was found beyond ({last}) N on the way to a load of ({asked}) N, in steps down to"
+            f" 1/{2**CUTS} of it: it snaps through or buckles there, or bends further than small strains"
+            " allow; give less load, loads in between, or a thicker sheet"
         )
 
 
@@ -237,33 +244,34 @@ class Loading:
         self, state: State, step: FloatArray, left: FloatArray, wanted: FloatArray
     ) -> tuple[float, State, FloatArray]:
         """Share of a step after which the forces left do little work along it, with state and forces
-        there."""
+        there. Raises TooFarError where the step leads away from balance, or no share of it can be taken."""
         whole = self._whole(step)
         start = float(dots(step, left))
         if start <= 0.0:
             raise TooFarError
-        low, high = (0.0, start), None
-        share, found = 1.0, None
-        for _ in range(8):
+        low: tuple[float, float] = (0.0, start)
+        high: tuple[float, float] | None = None
+        found: tuple[float, State, FloatArray] | None = None
+        share = 1.0
+        for _ in range(SEARCHES):
             try:
-                new = state.moved(share * whole)
-                force = self._force(new)
+                state_there = state.moved(share * whole)
+                force = self._force(state_there)
             except TooFarError:
-                share = low[0] + 0.5 * (share - low[0])
+                share = 0.5 * (low[0] + share)
                 continue
-            found = share, new, force
+            found = share, state_there, force
             work = float(dots(step, wanted - force))
-            if abs(work) <= 0.4 * start:
-                return share, new, force
+            if abs(work) <= SEARCHED * start or (work > 0.0 and high is None):
+                break
             if work > 0.0:
-                if high is None:
-                    return share, new, force
                 low = (share, work)
             else:
                 high = (share, work)
-            # the force grows faster than the step: the root lies between the secant's and the middle
-            secant = low[0] + (high[0] - low[0]) * low[1] / (low[1] - high[1])
-            share = max(secant, low[0] + 0.1 * (high[0] - low[0]))
+            if high is not None:
+                # forces grow faster than the step, so that the secant's root is short of the true one
+                root = low[0] + (high[0] - low[0]) * low[1] / (low[1] - high[1])
+                share = max(root, low[0] + SHORTEST * (high[0] - low[0]))
         if found is None:
             raise TooFarError
         return found

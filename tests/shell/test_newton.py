@@ -134,6 +134,15 @@ def test_a_roof_that_snaps_through_names_its_limit_load() -> None:
     assert caught.value.displacements.shape == (2, 3)
 
 
+@pytest.mark.parametrize("force", [1e6, 1e12])
+def test_a_load_beyond_all_bounds_is_no_traceback_of_the_solver(force: float) -> None:
+    sheet = plate(300)
+    with pytest.raises(LimitLoadError, match="no balance was found") as caught:
+        curve(sheet, clamped(sheet, "sliding"), MIDDLE, down(100.0, force))
+    assert -caught.value.reached[2] >= 100.0
+    assert caught.value.displacements.shape == (1, 3)
+
+
 def test_what_holds_nothing_or_is_nowhere_is_refused() -> None:
     sheet = plate(300)
     nothing = Supports(np.zeros((len(sheet.nodes), 6), dtype=bool), np.zeros((len(sheet.nodes), 3)))
