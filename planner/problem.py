@@ -195,7 +195,9 @@ class Part:
 @dataclasses.dataclass(frozen=True)
 class Sheet:
     """What a stock that is a clamped sheet has besides its size: ``metal``, and the ``opening`` (K, 2) [m] of
-    its clamp, a closed convex outline in the sheet's plane about the stock frame's origin.
+    its clamp, a closed convex outline in the sheet's plane about the stock frame's origin. ``border`` [N/m^2]
+    is the stiffness of the clamp's grip in plane, by its length: 0 where the sheet slides, infinite where it
+    does not move.
 
     ``formed`` are the convex solids, in the stock frame, that hold what stands out of the flat sheet once the
     part is formed; bodies of the cell keep clear of them from the beginning.
@@ -203,6 +205,7 @@ class Sheet:
 
     metal: SheetMetal
     opening: FloatArray
+    border: float = 0.0
     formed: tuple[Shape, ...] = ()
 
 

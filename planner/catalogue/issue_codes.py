@@ -449,6 +449,15 @@ CODES: Final[dict[str, Code]] = {
         "the forming force is beyond the payload that a robot has left",
         accepts="the robots press far harder than their payload says",
     ),
+    "control.machine": Code("a field of a machine file is missing, unknown or out of range", given=True),
+    "control.unstable": Code("a gain of force control or of compensation that would swing up"),
+    "control.band": Code("a force that leaves its band at the feed that is wanted"),
+    "control.range": Code("corrections beyond what the controller allows"),
+    "forming.springback": Code(
+        "a formed sheet comes back by more than parts may be off when the tool lets go"
+    ),
+    "forming.springback_mode": Code("springback is asked of what has no model for it", given=True),
+    "forming.limit_load": Code("a formed sheet snaps through or buckles under the force that is expected"),
     "forming.adsif_table": Code(
         "a table of the ADSIF response cannot be read, or a value in it is wrong", given=True
     ),

@@ -25,6 +25,7 @@ from rich.table import Table
 
 from planner.cli import batch as batch_commands
 from planner.cli import batch as compare_commands
+from planner.cli import forming as forming_commands
 from planner.cli import preparation as align_commands
 from planner.cli import preparation as feature_commands
 from planner.cli import preparation as kerf_commands
@@ -266,6 +267,28 @@ def features(request: tyro.conf.OmitArgPrefixes[feature_commands.Features]) -> i
         _print_issues(feature_commands.run_features(request))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def springback(request: tyro.conf.OmitArgPrefixes[forming_commands.Springback]) -> int:
+    """Foretell how far a formed part comes back when the tools let go, before it is formed."""
+    pipeline = _pipeline()
+    try:
+        _print_issues(forming_commands.run_springback(request, pipeline.load(request.problem)))
+    except TandemError as error:
+        return _refused(error, _infeasible_code(error))
+    return DONE
+
+
+@app.command
+def control(request: tyro.conf.OmitArgPrefixes[forming_commands.ControlRequest]) -> int:
+    """Gains of force control and compensation for a machine that you measured, run in time."""
+    pipeline = _pipeline()
+    try:
+        _print_issues(forming_commands.run_control(request, pipeline.load(request.problem)))
+    except TandemError as error:
+        return _refused(error, _infeasible_code(error))
     return DONE
 
 

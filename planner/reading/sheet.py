@@ -7,6 +7,7 @@ into the sheet's frame.
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -42,7 +43,11 @@ CLAMP_BARS: Final = 16
 
 
 class ClampFile(Strict):
-    """The frame that clamps the sheet all around its opening, on both sides."""
+    """The frame that clamps the sheet all around its opening, on both sides.
+
+    ``border``: what the sheet may do in its plane between the bars, which decides on springback: slide, not
+    move, or give way as a spring.
+    """
 
     width_mm: Annotated[float, Field(ge=1, le=1000, description="of its bars, from the opening outwards")] = (
         40.0
@@ -51,6 +56,18 @@ class ClampFile(Strict):
         15.0
     )
     below_mm: Annotated[float, Field(ge=1, le=500, description="and below")] = 40.0
+    border: Annotated[
+        Literal["sliding", "immovable", "spring"], Field(description="of the sheet in its plane")
+    ] = "sliding"
+    spring_n_mm2: Annotated[
+        float | None, Field(gt=0, le=1e6, description="stiffness of the border's spring, by its length")
+    ] = None
+
+    @model_validator(mode="after")
+    def _sprung(self) -> Self:
+        if (self.border == "spring") != (self.spring_n_mm2 is not None):
+            raise ValueError("border: spring and its spring_n_mm2 [N/mm for each mm of border] go together")
+        return self
 
 
 class SheetFile(Strict):
@@ -97,7 +114,11 @@ def stock(spec: SheetFile) -> Stock:
     size = np.array([*spec.size_mm, spec.thickness_mm]) * MM
     fields: dict[str, Any] = {"attitude": lean if pose is None else pose[:3, :3]}
     return Stock(
-        size, pose, **fields, support=_clamp(spec, size), sheet=Sheet(metal, _opening(spec.opening_mm))
+        size,
+        pose,
+        **fields,
+        support=_clamp(spec, size),
+        sheet=Sheet(metal, _opening(spec.opening_mm), _border(spec.clamp)),
     )
 
 
@@ -108,6 +129,12 @@ def _opening(spec: float | tuple[float, float], corners: int = OPENING_CORNERS) 
         return np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
     around = np.linspace(0.0, 2.0 * np.pi, corners, endpoint=False)
     return np.asarray(0.5 * spec * MM * np.stack([np.cos(around), np.sin(around)], axis=1))
+
+
+def _border(clamp: ClampFile) -> float:
+    """Stiffness [N/m^2] of the border in plane."""
+    spring = 0.0 if clamp.spring_n_mm2 is None else clamp.spring_n_mm2 / MM**2
+    return math.inf if clamp.border == "immovable" else spring
 
 
 def _clamp(spec: SheetFile, size: FloatArray) -> tuple[Shape, ...]:

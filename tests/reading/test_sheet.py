@@ -35,6 +35,10 @@ SHEET_FIELDS = [
     ("sheet.stand", "leaning", "stand"),
     ("sheet.place", "here", "place"),
     ("sheet.clamp.width_mm", 0, "width_mm"),
+    ("sheet.clamp.border", "hinged", "border"),
+    ("sheet.clamp", {"border": "spring"}, "clamp"),
+    ("sheet.clamp", {"spring_n_mm2": 40}, "clamp"),
+    ("sheet.clamp", {"border": "spring", "spring_n_mm2": 0}, "spring_n_mm2"),
     ("sheet.colour", "red", "colour"),
     ("part.sheet_mesh.unit", "inch", "unit"),
     ("part.sheet_mesh.face", "left", "face"),
@@ -336,3 +340,19 @@ def test_walls_that_lean_over_are_told_as_that_and_not_as_faces_that_look_to_dif
     )
     errors = [issue for issue in pipeline.check(found) if issue.severity is Severity.ERROR]
     assert [issue.code for issue in errors] == ["forming.undercut"]
+
+
+@pytest.mark.parametrize(
+    ("clamp", "border"),
+    [
+        ({}, 0.0),
+        ({"border": "sliding"}, 0.0),
+        ({"border": "immovable"}, np.inf),
+        ({"border": "spring", "spring_n_mm2": 40.0}, 40e6),
+    ],
+)
+def test_what_the_clamp_does_in_plane(tmp_path: Path, clamp: dict[str, object], border: float) -> None:
+    """40 N/mm for each mm are 40 000 N/m for each mm, 40e6 N/m for each m."""
+    made = load(tmp_path, sheet__clamp=clamp).stock.sheet
+    assert made is not None
+    assert made.border == pytest.approx(border)

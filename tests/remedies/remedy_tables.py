@@ -17,6 +17,26 @@ ELSEWHERE: Final = {
         "verify/milling/test_tool_motion",
         "test_what_is_too_large_is_refused_by_the_planner_first_and_not_proven",
     ),
+    "control.machine": (
+        "loops/test_machine", "test_a_wrong_field_is_named_and_correcting_it_is_enough",
+    ),
+    "control.unstable": (
+        "loops/test_machine", "test_a_gain_that_swings_up_is_refused_and_the_one_advised_is_not",
+    ),
+    "control.band": (
+        "loops/test_machine", "test_a_feed_that_loses_the_band_is_told_and_the_one_advised_keeps_it",
+    ),
+    "control.range": (
+        "loops/test_machine", "test_corrections_beyond_the_range_are_told_and_a_larger_range_ends_it",
+    ),
+    "forming.springback": (
+        "forming/springback/test_springback",
+        "test_a_part_that_comes_back_is_told_and_each_remedy_helps",
+    ),
+    "forming.limit_load": (
+        "forming/springback/test_springback",
+        "test_a_sheet_that_snaps_is_told_by_its_limit_and_less_force_ends_it",
+    ),
     "problem.process_package": (
         "test_processes",
         "test_what_cannot_be_used_is_refused_where_a_problem_names_it",
@@ -77,6 +97,7 @@ NONE: Final = {
     "its test moves the wire by hand",
     "wire.between_targets": "targets are added until the driven wire is on the face: a guard, which no job "
     "is known to meet, with steps of 50 mm and tolerances of 0.05 mm either; its test moves it by hand",
+    "forming.springback_mode": "no other mode is a remedy: what it advises is a test piece of metal",
     "forming.trial": "what it advises is a test piece of metal, and nothing of the user's files is wrong",
     "motion.linear_move": "the search looks at moves too and tells motion.no_path or motion.collision: a "
     "guard, which no job is known to meet; its test takes the joints away by hand",

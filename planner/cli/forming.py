@@ -1,0 +1,305 @@
+"""``tandem springback`` and ``control``: what a sheet and a machine give way by, before anything is formed.
+
+``tandem springback PROBLEM``: how far a formed part comes back when the tools let go.
+``tandem control PROBLEM --machine FILE``: gains of force control and of compensation, and what they keep.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import dataclasses
+import io
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from planner.geometry.units import MM
+from planner.issues import Issue, TandemError
+
+if TYPE_CHECKING:
+    from planner.forming.job import FormingJob
+    from planner.forming.process_plan import Work
+    from planner.forming.springback.curves import Curve, PassSpringback, Point
+    from planner.loops.machine import Found, MachineFile
+    from planner.problem import Problem
+
+out = Console(highlight=False, soft_wrap=True)
+
+SUFFIXES = (".csv", ".html")
+"""Endings of files that the table or the page are written to."""
+LEAST_TRIANGLES = 300
+"""Triangles of an elastic sheet that say anything at all."""
+MOST_ROWS = 24
+"""Rows of a printed table at most."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Springback:
+    """Foretell how far a formed part comes back when the tools let go: by places, forces and levels.
+
+    The sheet as formed at each place is an elastic shell with large displacements. Forces are the operation's
+    force_n, or a formula for one tool.
+    """
+
+    problem: tyro.conf.Positional[Path]
+    """the problem file; or a bundled problem"""
+    operation: str | None = None
+    """which forming operation; else the first"""
+    most_points: int = 60
+    """control points of a pass at most; at least three levels get some"""
+    triangles: int = 4000
+    """of the elastic sheet at most; 1500 take a third of the time and are within a percent"""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """what to write: .csv (control points with their curves) or .html (map, curves, clusters)"""
+
+
+def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
+    """Work out, print and write; warnings come back. Raises `TandemError`."""
+    from planner.forming.process_plan import lay_all
+    from planner.forming.springback import forecast
+
+    if request.output is not None and request.output.suffix.lower() not in SUFFIXES:
+        what = f"{request.output.name}: a page is .html, a table .csv; name it so"
+        raise TandemError(Issue("output.folder", what, field="output"))
+    for name, value, least in (
+        ("most_points", request.most_points, 1),
+        ("triangles", request.triangles, LEAST_TRIANGLES),
+    ):
+        if value < least:
+            what = f"{name}: got {value}, allowed {least} at least"
+            raise TandemError(Issue("forming.springback_mode", what, field=name, hint="correct it"))
+    work = _job(problem, request.operation).planned
+    forecast.require_mode(work)
+    started = time.perf_counter()
+    laid = lay_all(work)
+    control = forecast.points(work, laid, request.most_points)
+    every = [point for _, rows in control for point in rows]
+    found = forecast.forecast(laid, control, _solved(work, every, request.triangles))
+    _print(work, found, time.perf_counter() - started)
+    if request.output is not None:
+        _write(request.output, problem, work, found)
+    return tuple(forecast.issues(found))
+
+
+def _job(problem: Problem, name: str | None) -> FormingJob:
+    from planner import processes
+    from planner.forming.job import FormingJob
+
+    jobs = [job for job in processes.jobs(problem) if isinstance(job, FormingJob)]
+    chosen = [job for job in jobs if name in (None, job.operation.name)]
+    if not chosen:
+        have = ", ".join(job.operation.name for job in jobs) or "none"
+        what = f"{problem.name}: got operation {name or 'of forming'}, forming operations are: {have}"
+        raise TandemError(Issue("forming.no_sheet", what, field="operation"))
+    return chosen[0]
+
+
+def _solved(work: Work, points: Sequence[Point], triangles: int) -> list[Curve]:
+    """The curves of all points, on all cores: each process works out every so manieth."""
+    from planner.batch.worker import Second
+    from planner.forming.springback.forecast import curves
+
+    able = getattr(os, "sched_getaffinity", None)  # not on every system
+    count = max(1, min(len(able(0)) if able is not None else os.cpu_count() or 1, len(points)))
+    with contextlib.ExitStack() as stack:
+        begins: list[Callable[..., Iterator[Curve]]] = [
+            stack.enter_context(Second()).begin for _ in range(count - 1)
+        ]
+        others = [begin(curves, work, points[k + 1 :: count], triangles) for k, begin in enumerate(begins)]
+        shares = [list(curves(work, points[::count], triangles)), *(list(other) for other in others)]
+    found: list[Curve | None] = [None] * len(points)
+    for k, share in enumerate(shares):
+        found[k::count] = share
+    return [curve for curve in found if curve is not None]
+
+
+def _print(work: Work, found: Sequence[PassSpringback], seconds: float) -> None:
+    count = sum(len(one.curves) for one in found)
+    table = Table("pass", "z mm", "points", "wall deg", "force N", "springback mm")
+    rows = [row for one in found for row in _levels(one)]
+    step = -(-len(rows) // MOST_ROWS)
+    for row in rows[::step] if step > 1 else rows:
+        table.add_row(*row)
+    out.print(table)
+    border = work.sheet.border
+    kind = (
+        "slides in its plane"
+        if border == 0.0
+        else "does not move"
+        if border == float("inf")
+        else (f"gives way by a spring of {border * MM**2:g} N/mm for each mm")
+    )
+    force = "force_n of the operation" if work.operation.force_n is not None else "formula for one tool"
+    out.print(f"{count} control points in {seconds:.1f} s; forces: {force}; assumed: the sheet's edge {kind}")
+
+
+def _levels(one: PassSpringback) -> Iterator[tuple[str, ...]]:
+    import numpy as np
+
+    from planner.geometry.units import DEG
+
+    for level in range(len(one.control.rings)):
+        mine = one.control.level == level
+        yield (
+            one.one.name,
+            f"{float(one.control.point[mine, 2].mean()) / MM:.2f}",
+            f"{np.count_nonzero(mine)}",
+            _span(one.control.angle[mine] / DEG, 1),
+            _span(one.force[mine], 0),
+            _span(one.springback[mine] / MM, 2),
+        )
+
+
+def _span(values: Any, digits: int) -> str:
+    low, high = f"{values.min():.{digits}f}", f"{values.max():.{digits}f}"
+    return low if low == high else f"{low} to {high}"
+
+
+def _write(path: Path, problem: Problem, work: Work, found: Sequence[PassSpringback]) -> None:
+    _put(path, _csv(found) if path.suffix.lower() == ".csv" else _page(problem, work, found))
+
+
+def _put(path: Path, made: str) -> None:
+    from planner.files import write_whole
+
+    try:
+        write_whole(path, made)
+    except OSError as error:
+        what = f"{path}: cannot be written ({error.strerror}); choose another place"
+        raise TandemError(Issue("output.folder", what, field="output")) from error
+    out.print(f"written to {path}", markup=False)
+
+
+def _csv(found: Sequence[PassSpringback]) -> str:
+    from planner.forming.springback.forecast import rows
+
+    text, data = io.StringIO(), rows(found)
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(data[0])
+    for row in data:
+        table.writerow([" ".join(map(str, v)) if isinstance(v, list) else v for v in row.values()])
+    return text.getvalue()
+
+
+def _page(problem: Problem, work: Work, found: Sequence[PassSpringback]) -> str:
+    import numpy as np
+
+    from planner.forming.springback import forecast
+    from planner.report import exhibits, markup
+
+    shown = forecast.exhibits(found)
+    block = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]]) * problem.stock.size
+    figures, _ = exhibits.draw(shown, block)
+    sections = (markup.Section("springback", "Springback", (markup.Grid(tuple(figures)),)),)
+    about = markup.Paragraph(
+        "The sheet as formed so far is an elastic shell, loaded where the tool is; nothing of what happens "
+        "when it is unclamped or trimmed is in this."
+    )
+    title = f"Springback of {work.operation.name}"
+    return markup.page(markup.Page(title, f"{problem.name}: {title}", (), about, (), sections))
+
+
+@dataclasses.dataclass(frozen=True)
+class ControlRequest:
+    """Gains of force control of the support and of compensation of the former, for a machine of yours.
+
+    What the loops do with them is run in time: a step of the force, and a gap that changes.
+    """
+
+    problem: tyro.conf.Positional[Path]
+    """the problem file; or a bundled problem"""
+    machine: Path
+    """stiffness, bandwidth and delay of both arms, the sensor, and the wanted force, YAML"""
+    operation: str | None = None
+    """which forming operation; else the first"""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """an .html page to write: both responses over time"""
+
+
+def run_control(request: ControlRequest, problem: Problem) -> tuple[Issue, ...]:
+    """Work out, run, print and write; warnings come back. Raises `TandemError`."""
+    from planner.loops import machine
+
+    if request.output is not None and request.output.suffix.lower() != ".html":
+        what = f"{request.output.name}: a page is .html; name it so"
+        raise TandemError(Issue("output.folder", what, field="output"))
+    file = machine.read_machine(request.machine)
+    operation = _job(problem, request.operation).operation
+    if len(operation.arms) != 2:
+        what = f"{operation.name}: mode {operation.mode} has one arm, force control wants a support beside it"
+        raise TandemError(Issue("control.machine", what, field="operation", hint="take a mode of two arms"))
+    feed = operation.feed_mm_s * MM
+    found = machine.tried(file, feed)
+    _print_control(file, found, feed)
+    if request.output is not None:
+        _put(request.output, _control_page(operation.name, file, found))
+    return tuple(machine.issues(file, found, feed))
+
+
+def _print_control(file: MachineFile, found: Found, feed: float) -> None:
+    from planner.loops.machine import INTERFACES
+
+    machine = file.value()
+    table = Table("figure", "value")
+    for name, value in (
+        ("stiffness of the contact", f"{machine.contact * MM:.0f} N/mm"),
+        ("lags of the support's loop", f"{machine.dead_time(machine.support) * 1e3:.1f} ms"),
+        (
+            "integral gain",
+            f"{found.control.gain * 1e6:.2f} um/(N s), unstable from {found.most_gain * 1e6:.2f}",
+        ),
+        (
+            "loop gain of the compensation",
+            f"{found.control.share * machine.compliance_gain:.2f}, below 1 allowed",
+        ),
+        ("deflection that is left", f"{100.0 * found.left:.0f} % of the former's"),
+        (
+            "step: overshoot, to 90 %",
+            f"{100.0 * found.response.overshoot[0]:.1f} %, {found.response.rise[0]:.2f} s",
+        ),
+        (f"force at {feed / MM:g} mm/s", f"{file.force_n:g} N, off by up to {found.error:.1f} N"),
+        (f"feed for {file.band_n:g} N", f"{found.feed / MM:.3g} mm/s, without noise"),
+        ("correction by compensation", f"{found.correction / MM:.2f} mm"),
+    ):
+        table.add_row(name, value)
+    out.print(table)
+    if file.interface is not None:
+        out.print(f"{file.interface.upper()}: {INTERFACES[file.interface]}", markup=False)
+    out.print(f"assumed: all of {file.name}'s figures, as its file states them", markup=False)
+
+
+def _control_page(name: str, file: MachineFile, found: Found) -> str:
+    import numpy as np
+
+    from planner.report import exhibits, markup
+
+    band = [{"name": f"{sign:+g} N", "value": file.force_n + sign} for sign in (-file.band_n, file.band_n)]
+    shown = {
+        key: {
+            "kind": "curve",
+            "title": title,
+            "x": run.time,
+            "x_label": "time [s]",
+            "y_label": "force [N]",
+            "series": ({"name": "force", "y": run.force[0]}, {"name": "as measured", "y": run.measured[0]}),
+            "limits": band,
+        }
+        for key, title, run in (
+            ("step", "Step of the wanted force", found.step),
+            ("ramp", f"Gap that changes by {found.gap_speed / MM:.3g} mm/s", found.ramp),
+        )
+    }
+    figures, _ = exhibits.draw(shown, np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
+    sections = (markup.Section("control", "Force over time", (markup.Grid(tuple(figures)),)),)
+    about = markup.Paragraph(
+        "A simulation with the figures of the machine's file; nothing was measured here."
+    )
+    title = f"Force control of {name} with {file.name}"
+    return markup.page(markup.Page(title, title, (), about, (), sections))

@@ -1,0 +1,164 @@
+"""Springback of a pass: at each control point the curve of displacement over force, and S along the path.
+
+S is how far the sheet moves, at a place and along z, under the force of the tools there; when they let go it
+comes back by as much, so the part is S too shallow (a dissertation on double-sided forming, section 4.2: S is
+the tool's command less the part after release). What is loaded is the sheet as formed so far, elastic, its
+displacements large: loads of several places must not be added, nor scaled.
+
+The curve itself is used, a monotone cubic through S(0) = 0 (F. N. Fritsch, J. Butland, A method for
+constructing local monotone piecewise cubic interpolants, SIAM Journal on Scientific and Statistical Computing
+5 (1984) 300). S = a F^b is fitted beside it, for people to compare.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial import cKDTree
+
+from planner.forming.contact import Pass, ToolPath
+from planner.forming.process_plan import Work
+from planner.forming.sheet_mechanics import axial_force, scallop_height
+from planner.forming.springback.control_points import ControlPoints, control_points
+from planner.forming.springback.formed_sheet import thickness, walls
+from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.units import MM
+from planner.shell.element import Sheet
+from planner.shell.mesh import mesh_walls
+from planner.shell.newton import LimitLoadError, clamped, curve
+
+LOAD_SHARES: Final = np.array([0.15, 0.35, 0.65, 1.0, 1.4])
+"""Loads of a curve over the force that is expected."""
+TRIANGLES: Final = 4000
+"""Triangles of an elastic sheet at most: within half a percent of five times as many."""
+COLUMN: Final = 3.0 * MM
+"""Width [m] of the square that a tool presses on."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Point:
+    """What is to be solved: pass ``number``, ``place`` (3,) [m] of contact, ``force`` [N] that is
+    expected."""
+
+    number: int
+    place: FloatArray
+    force: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Curve:
+    """Displacement along the tool's way over force: ``force`` (K,) [N], ``springback`` (K,) [m], from 0 and
+    growing. ``snaps``: beyond the last force the sheet has no state in balance near by."""
+
+    force: FloatArray
+    springback: FloatArray
+    snaps: bool
+
+    def at(self, force: float | FloatArray) -> FloatArray:
+        """Springback [m] under ``force`` [N], NaN beyond the last force."""
+        return np.asarray(PchipInterpolator(self.force, self.springback, extrapolate=False)(force))
+
+    def power_law(self) -> tuple[float, float]:
+        """a and b of S = a F^b, with S [m] and F [N], by least squares of the logarithms."""
+        b, log_a = np.polyfit(np.log(self.force[1:]), np.log(self.springback[1:]), 1)
+        return float(np.exp(log_a)), float(b)
+
+
+@dataclasses.dataclass(frozen=True)
+class PassSpringback:
+    """Springback of pass ``one``: at its ``control`` points C ``curves``, the ``force`` (C,) [N] that is
+    expected and the ``springback`` (C,) [m] under it."""
+
+    one: Pass
+    control: ControlPoints
+    curves: tuple[Curve, ...]
+    force: FloatArray
+    springback: FloatArray
+
+    def at(self, points: FloatArray) -> FloatArray:
+        """Springback (N,) [m] at places (N, 3) [m] of the contact's path: that of the nearest places in plan
+        of the rings above and below, linear in z between them."""
+        height = np.array([float(ring.point[:, 2].mean()) for ring in self.control.rings])
+        each = np.stack(
+            [
+                value[cKDTree(ring.point[:, :2]).query(points[:, :2])[1]]
+                for ring, value in zip(self.control.rings, self.along(), strict=True)
+            ]
+        )
+        order = np.argsort(height)
+        height, each = height[order], each[order]
+        above = np.clip(np.searchsorted(height, points[:, 2]), 1, max(len(height) - 1, 1))
+        below = above - 1
+        above = np.minimum(above, len(height) - 1)
+        rise = np.where(above > below, height[above] - height[below], 1.0)
+        share = np.clip((points[:, 2] - height[below]) / rise, 0.0, 1.0)
+        rows = np.arange(len(points))
+        return np.asarray((1.0 - share) * each[below, rows] + share * each[above, rows])
+
+    def along(self) -> list[FloatArray]:
+        """Springback (N,) [m] at the places of each of the control points' rings: linear from one control
+        point to the next, along the ring."""
+        out = []
+        for level, ring in enumerate(self.control.rings):
+            mine = self.control.level == level
+            place, value = self.control.place[mine].astype(np.float64), self.springback[mine]
+            out.append(np.interp(np.arange(len(ring.point)), place, value, period=float(len(ring.point))))
+        return out
+
+
+def wanted(
+    work: Work, laid: Sequence[tuple[Pass, ToolPath]], most: int
+) -> list[tuple[ControlPoints, FloatArray]]:
+    """Control points of each pass of a job, at most ``most``, and the forces (C,) [N] expected there."""
+    out = []
+    for one, path in laid:
+        radius = work.heads[work.former(one)].radius
+        found = control_points(path.contact.point, path.contact.angle, path.contact.loop, radius, most)
+        out.append((found, forces(work, radius, found.angle)))
+    return out
+
+
+def forces(work: Work, radius: float, angle: FloatArray) -> FloatArray:
+    """Forces (N,) [N] along z on walls at ``angle`` (N,) [rad] under a ball of ``radius`` [m]: the user's
+    figure, else the formula of `axial_force`, which knows of no second tool."""
+    op = work.operation
+    if op.force_n is not None:
+        return np.full(len(angle), op.force_n)
+    if op.stepdown_mm is None:
+        ridge = np.full(len(angle), (op.scallop_mm or 0.0) * MM)
+    else:
+        ridge = scallop_height(radius, op.stepdown_mm * MM, np.maximum(angle, 1e-3))
+    return axial_force(work.sheet.metal.tensile_stress, work.thickness, 2.0 * radius, ridge, angle)
+
+
+def solved(work: Work, point: Point, triangles: int = TRIANGLES) -> Curve:
+    """The curve at a point of a pass, on the sheet as formed when the tool is there.
+
+    Raises ``ValueError`` where the sheet as formed cannot be divided into triangles.
+    """
+    one = work.passes[point.number]
+    formed = walls(work, point.number, float(point.place[2]))
+    made = mesh_walls(formed, work.sheet.opening, triangles, point.place[None])
+    mesh = Mesh(made.nodes, made.triangles)
+    metal = work.sheet.metal
+    sheet = Sheet(made.nodes, made.triangles, thickness(work, point.number, mesh), metal.young, metal.poisson)
+    loads = point.force * LOAD_SHARES
+    way = np.array([0.0, 0.0, -float(one.side)])
+    try:
+        moved, snaps = (
+            curve(sheet, clamped(sheet, _border(work)), point.place, loads[:, None] * way, COLUMN),
+            False,
+        )
+    except LimitLoadError as error:
+        moved, snaps = error.displacements, True
+    count = len(moved)
+    return Curve(np.append(0.0, loads[:count]), np.append(0.0, moved @ way), snaps)
+
+
+def _border(work: Work) -> str | float:
+    stiff = work.sheet.border
+    return "sliding" if stiff == 0.0 else "immovable" if np.isinf(stiff) else stiff

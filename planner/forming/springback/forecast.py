@@ -1,0 +1,209 @@
+"""What a forming job springs back by, before anything is formed: curves at control points, issues, exhibits.
+
+Forces are the user's figure or a formula for one tool; what a second tool or a die carries is not known here.
+So this says how much too shallow a part will about be, and where; measured forces say it better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from planner.forming.contact import Pass, ToolPath
+from planner.forming.process_plan import Work
+from planner.forming.springback.control_points import MOST_POINTS, ControlPoints
+from planner.forming.springback.curves import (
+    TRIANGLES,
+    Curve,
+    PassSpringback,
+    Point,
+    solved,
+    wanted,
+)
+from planner.geometry.arrays import FloatArray
+from planner.geometry.units import DEG, MM
+from planner.issues import Issue, Severity, TandemError
+
+MODES: Final = ("spif", "dsif", "dpif_l", "dpif_p", "heat")
+"""Modes of forming in which what is formed springs back as one elastic sheet when the tools let go."""
+WHY_NOT: Final = {
+    "adsif": "in adsif nothing formed is loaded again, and springback acts otherwise",
+    "tpif": "in tpif a die carries the sheet, and no model of that is built in",
+}
+"""Why the other modes have no forecast."""
+TOLD: Final = 0.5
+"""Springback [mm] from which a part is called too shallow: what industry asks of such parts."""
+LEAST_FORCE_SHARE: Final = 0.01
+"""Forces of a pass are at least this share of its largest: where it is flat the formula says 0."""
+CURVES_SHOWN: Final = 8
+"""Curves of a picture at most."""
+
+
+def require_mode(work: Work) -> None:
+    """Raise ``TandemError`` (forming.springback_mode) where a job has no forecast."""
+    mode = work.operation.mode
+    if mode not in MODES:
+        what = f"{work.operation.name}: mode {mode}: {WHY_NOT[mode]}; allowed are {', '.join(MODES)}"
+        hint = "form a test piece and measure it"
+        raise TandemError(Issue("forming.springback_mode", what, field="mode", hint=hint))
+
+
+def points(
+    work: Work, laid: Sequence[tuple[Pass, ToolPath]], most: int = MOST_POINTS
+) -> list[tuple[ControlPoints, list[Point]]]:
+    """Control points of each pass, at most ``most``, and what is to be solved at them."""
+    out = []
+    for number, (control, force) in enumerate(wanted(work, laid, most)):
+        force = np.maximum(force, LEAST_FORCE_SHARE * float(force.max()))
+        rows = [Point(number, place, float(n)) for place, n in zip(control.point, force, strict=True)]
+        out.append((control, rows))
+    return out
+
+
+def curves(work: Work, some: Sequence[Point], triangles: int = TRIANGLES) -> Iterator[Curve]:
+    """The curves at some points, one after the other: what a process works out."""
+    for point in some:
+        yield solved(work, point, triangles)
+
+
+def forecast(
+    laid: Sequence[tuple[Pass, ToolPath]],
+    control: Sequence[tuple[ControlPoints, list[Point]]],
+    found: Sequence[Curve],
+) -> tuple[PassSpringback, ...]:
+    """Springback of each pass, from the ``found`` curves of all points in their order."""
+    out, begun = [], 0
+    for (one, _), (where, rows) in zip(laid, control, strict=True):
+        mine = tuple(found[begun : begun + len(rows)])
+        begun += len(rows)
+        force = np.array([row.force for row in rows])
+        under = np.array([float(curve.at(n)) for curve, n in zip(mine, force, strict=True)])
+        out.append(PassSpringback(one, where, mine, force, under))
+    return tuple(out)
+
+
+def issues(found: Sequence[PassSpringback]) -> list[Issue]:
+    """What of a forecast the user must know: forming.springback, forming.limit_load."""
+    out: list[Issue] = []
+    worst = max(found, key=lambda one: float(np.nanmax(one.springback, initial=0.0)))
+    most = float(np.nanmax(worst.springback, initial=0.0)) / MM
+    if most > TOLD:
+        at = int(np.nanargmax(worst.springback))
+        z = worst.control.point[at, 2] / MM
+        mean = float(np.nanmean(worst.springback)) / MM
+        out.append(
+            Issue(
+                "forming.springback",
+                f"pass {worst.one.name}: when the tool lets go the sheet comes back by up to {most:.2f} mm "
+                f"(at z = {z:.1f} mm, under {worst.force[at]:.0f} N), by {mean:.2f} mm in the mean of its "
+                f"control points: so much too shallow the part will be, {TOLD:g} mm are not told",
+                Severity.WARNING,
+                value=most,
+                limit=TOLD,
+                unit="mm",
+                hint="hold the sheet nearer to the part (opening_mm) or more firmly (clamp: border), take "
+                "thicker sheet, or state a measured force_n",
+            )
+        )
+    for one in found:
+        snaps = np.flatnonzero(np.isnan(one.springback))
+        if len(snaps):
+            reached = one.curves[snaps[0]].force[-1]
+            out.append(
+                Issue(
+                    "forming.limit_load",
+                    f"pass {one.one.name}: at z = {one.control.point[snaps[0], 2] / MM:.1f} mm the sheet "
+                    f"holds {reached:.0f} N, {one.force[snaps[0]]:.0f} N are expected; beyond, it snaps "
+                    f"or buckles",
+                    Severity.WARNING,
+                    value=float(one.force[snaps[0]]),
+                    limit=float(reached),
+                    unit="N",
+                    hint="hold the sheet nearer to the part, form in more passes, or take thicker sheet",
+                )
+            )
+    return out
+
+
+def rows(found: Sequence[PassSpringback]) -> list[dict[str, Any]]:
+    """The forecast as data, a row for each control point: lengths in mm, forces in N, S = a F^b in mm."""
+    out = []
+    for one in found:
+        for k, curve in enumerate(one.curves):
+            a, b = curve.power_law() if len(curve.force) > 2 else (np.nan, np.nan)
+            x, y, z = one.control.point[k] / MM
+            out.append(
+                {
+                    "pass": one.one.name,
+                    "level": int(one.control.level[k]),
+                    "cluster": int(one.control.cluster[k]),
+                    "x_mm": round(float(x), 3) + 0.0,
+                    "y_mm": round(float(y), 3) + 0.0,
+                    "z_mm": round(float(z), 3) + 0.0,
+                    "wall_deg": round(float(one.control.angle[k]) / DEG, 2),
+                    "force_n": round(float(one.force[k]), 1),
+                    "springback_mm": round(float(one.springback[k]) / MM, 4),
+                    "a": float(f"{a / MM:.4g}"),
+                    "b": round(b, 4),
+                    "forces_n": [round(float(n), 1) for n in curve.force],
+                    "displacements_mm": [round(float(s) / MM, 4) for s in curve.springback],
+                }
+            )
+    return out
+
+
+def exhibits(found: Sequence[PassSpringback]) -> dict[str, Any]:
+    """Exhibits by name, in the forms that the report knows."""
+    places = np.concatenate([ring.point for one in found for ring in one.control.rings])
+    value = np.concatenate([part for one in found for part in one.along()]) / MM
+    out: dict[str, Any] = {
+        "springback": {
+            "kind": "heatmap",
+            "title": "How far the sheet comes back when the tool lets go",
+            "points": places,
+            "value": value,
+            "unit": "mm",
+        },
+        "springback_curves": _curves(found),
+        "clusters": _clusters(found),
+    }
+    return out
+
+
+def _curves(found: Sequence[PassSpringback]) -> dict[str, Any]:
+    named = [
+        (f"{one.one.name} z {one.control.point[k, 2] / MM:.1f}", one.curves[k], one.force[k])
+        for one in found
+        for k in range(len(one.curves))
+        if one.control.cluster[k] == 0
+    ]
+    chosen = np.unique(np.linspace(0, len(named) - 1, min(len(named), CURVES_SHOWN)).round().astype(int))
+    series = []
+    for k in chosen:
+        name, curve, _ = named[k]
+        x = np.linspace(0.0, float(curve.force[-1]), 60)
+        series.append({"name": name, "x": x, "y": curve.at(x) / MM})
+    return {
+        "kind": "curve",
+        "title": "Springback over force",
+        "x_label": "force along z [N]",
+        "y_label": "springback [mm]",
+        "series": tuple(series),
+    }
+
+
+def _clusters(found: Sequence[PassSpringback]) -> dict[str, Any]:
+    lines: list[FloatArray] = []
+    number: list[float] = []
+    for one in found:
+        for ring in one.control.rings:
+            for cluster in range(int(ring.label.max()) + 1):
+                inside = np.flatnonzero(ring.label == cluster)
+                gap = np.flatnonzero(np.diff(inside) > 1)
+                inside = np.roll(inside, -(gap[0] + 1)) if len(gap) else inside
+                if len(inside) > 1:
+                    lines.append(ring.point[inside])
+                    number.append(float(cluster))
+    return {"kind": "paths", "title": "Loops by the parts that a control point stands for", "curves": lines}

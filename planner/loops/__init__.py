@@ -1,0 +1,1 @@
+"""Loops that run while a part is formed: force, compliance, and springback from level to level."""

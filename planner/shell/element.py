@@ -1,0 +1,281 @@
+"""Linear stiffness of flat triangles: DKT in bending, a membrane with drilling freedoms or of constant
+strain.
+
+Each triangle is looked at in its own frame: the first corner is the origin, the second lies on x, the third
+above it. Deflections are measured from the plane through the corners, so that three stretches and the turns
+of three corners are all there is: 12 deformations,
+
+    (d x2, d x3, d y3, turn of corner 1 (x, y, z), of corner 2, of corner 3).
+
+Bending (DKT): J.-L. Batoz, K.-J. Bathe, L.-W. Ho, A study of three-node triangular plate bending elements,
+International Journal for Numerical Methods in Engineering 15 (1980) 1771-1812. Rotations of the normal are
+quadratic over the triangle; along each side the rotation in the side's plane is minus the slope of a cubic
+deflection, the one across it is linear.
+
+Membrane ("optimal"): C. A. Felippa, A study of optimal membrane triangles with drilling freedoms, Computer
+Methods in Applied Mechanics and Engineering 192 (2003) 2125-2168, of the ANDES template by C. A. Felippa and
+C. Militello (Computers & Structures 1992). "Constant strain" is the usual triangle of three corners; its
+drilling turns have a weak spring each against the turn of the triangle.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+
+from planner.geometry.arrays import FloatArray, IntArray, dots, lengths, unit
+
+Membrane = Literal["optimal", "constant strain"]
+"""Which membrane: with drilling freedoms of their own, or the triangle of constant strain."""
+
+DRILLING_SPRING = 1e-3
+"""Spring of a corner's drilling turn beside a triangle of constant strain, as a share of shear modulus x
+volume."""
+_BASIC_SHARE = 1.5
+"""alpha_b of the template: how drilling turns enter the part of constant strain (Felippa 2003, table of
+OPT)."""
+_BETA = (1.0, 2.0, 1.0, 0.0, 1.0, -1.0, -1.0, -1.0, -2.0)
+"""beta_1 to beta_9 of the template, by which triangles bend in plane exactly (Felippa 2003, table of OPT)."""
+_LEAST_BETA_0 = 0.01
+"""beta_0 = (1 - 4 nu^2) / 2 at least: it vanishes at nu = 0.5, and with it the drilling stiffness."""
+_STRETCHES = (3, 6, 7)
+"""Which of the nine displacements (u, v, turn) x 3 of a membrane the frame leaves: u2, u3, v3."""
+_DRILLINGS = (2, 5, 8)
+
+
+@dataclasses.dataclass(frozen=True)
+class Sheet:
+    """An elastic sheet without stress: ``nodes`` (n, 3) [m] on its middle face, ``triangles`` (m, 3) of them.
+
+    ``thickness`` (m,) [m]; ``youngs_modulus`` [Pa]; ``poisson`` from 0 to below 0.5. Raises ValueError where
+    a triangle has no area, a node has no triangle, or a figure is out of its range."""
+
+    nodes: FloatArray
+    triangles: IntArray
+    thickness: FloatArray
+    youngs_modulus: float
+    poisson: float
+    membrane: Membrane = "optimal"
+
+    def __post_init__(self) -> None:
+        count = len(self.triangles)
+        if count == 0 or self.thickness.shape != (count,):
+            raise ValueError(
+                f"thickness: got shape {self.thickness.shape} for {count} triangles; give one each"
+            )
+        if not (np.all(np.isfinite(self.nodes)) and np.all(self.thickness > 0.0)):
+            raise ValueError("nodes and thickness: got values that are not finite or not positive")
+        if not (self.youngs_modulus > 0.0 and 0.0 <= self.poisson < 0.5):
+            raise ValueError(
+                f"got E {self.youngs_modulus:g}, nu {self.poisson:g}; allowed E > 0, 0 <= nu < 0.5"
+            )
+        if set(np.unique(self.triangles).tolist()) != set(range(len(self.nodes))):
+            raise ValueError("triangles: each node has to be a corner of one, and each corner a node")
+        a, b, c = (self.nodes[self.triangles[:, k]] for k in range(3))
+        flat = lengths(np.cross(b - a, c - a)) <= 1e-9 * dots(b - a, b - a)
+        if flat.any():
+            raise ValueError(f"triangle {int(np.argmax(flat))} has no area; leave it out")
+
+
+@dataclasses.dataclass(frozen=True)
+class Elements:
+    """What of a sheet does not change as it moves.
+
+    ``frame`` (m, 3, 3): rows are a triangle's axes; ``corner`` (m, 3) its x2, x3, y3 [m]; ``stiffness`` (m,
+    12, 12) over the 12 deformations (stretches [m], turns [rad]), so in N/m, N and Nm; ``area`` (m,) [m^2].
+    """
+
+    frame: FloatArray
+    corner: FloatArray
+    stiffness: FloatArray
+    area: FloatArray
+
+
+def frames(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Axes (m, 3, 3), as rows, and x2, x3, y3 (m, 3) of triangles with corners ``points`` (m, 3, 3)."""
+    one, two = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    x = unit(one)
+    z = unit(np.cross(one, two))
+    y = np.cross(z, x)
+    return np.stack([x, y, z], axis=1), np.stack([dots(x, one), dots(x, two), dots(y, two)], axis=1)
+
+
+def elements(sheet: Sheet) -> Elements:
+    """Frames and stiffness of all triangles of a sheet."""
+    frame, corner = frames(sheet.nodes[sheet.triangles])
+    xy = np.zeros((len(corner), 3, 2))
+    xy[:, 1, 0], xy[:, 2, 0], xy[:, 2, 1] = corner.T
+    elastic = plane_stress(sheet.youngs_modulus, sheet.poisson)
+    if sheet.membrane == "optimal":
+        inplane = optimal_membrane(xy, sheet.thickness, elastic, sheet.poisson)
+    else:
+        shear = sheet.youngs_modulus / (2.0 + 2.0 * sheet.poisson)
+        inplane = constant_strain_membrane(xy, sheet.thickness, elastic, DRILLING_SPRING * shear)
+    bending = dkt_bending(xy, sheet.thickness, elastic)
+    stiffness = np.zeros((len(corner), 12, 12))
+    kept, place = list(_STRETCHES + _DRILLINGS), [0, 1, 2, 5, 8, 11]
+    stiffness[:, np.array(place)[:, None], place] = inplane[:, np.array(kept)[:, None], kept]
+    tilts = [3, 4, 6, 7, 9, 10]
+    stiffness[:, np.array(tilts)[:, None], tilts] = bending
+    return Elements(frame, corner, stiffness, 0.5 * corner[:, 0] * corner[:, 2])
+
+
+def plane_stress(youngs_modulus: float, poisson: float) -> FloatArray:
+    """Stress over strain (3, 3) [Pa] in (xx, yy, shear angle) of an isotropic metal, stress-free across."""
+    share = youngs_modulus / (1.0 - poisson**2)
+    return share * np.array([[1.0, poisson, 0.0], [poisson, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - poisson)]])
+
+
+def dkt_bending(xy: FloatArray, thickness: FloatArray, elastic: FloatArray) -> FloatArray:
+    """Stiffness (m, 6, 6) [Nm] over turns about x and y of each corner, none of which is deflected.
+
+    ``xy`` (m, 3, 2) [m]. The normal turns by (bx, by) = (turn about y, - turn about x); curvatures are bx,x,
+    by,y and bx,y + by,x. At the middle of a side without deflections at its ends the slope along the side is
+    -1/4 of the sum at the ends, the one across it is their mean (Batoz, Bathe and Ho, section 2.3).
+    """
+    count = len(xy)
+    normal = np.zeros((count, 6, 2, 6))  # (bx, by) at corners and middles of sides 12, 23, 31, by turn
+    for corner in range(3):
+        normal[:, corner, 0, 2 * corner + 1] = 1.0
+        normal[:, corner, 1, 2 * corner] = -1.0
+    for side, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
+        along = unit(xy[:, j] - xy[:, i])
+        both = normal[:, i] + normal[:, j]
+        # 1/2 of the sum, and along the side -1/4: 3/4 less
+        projected = along[:, :, None] * along[:, None, :]
+        normal[:, 3 + side] = 0.5 * both - 0.75 * (projected @ both)
+    gradient, area = _area_gradients(xy)
+    out = np.zeros((count, 6, 6))
+    share = thickness**3 / 12.0 * area / 3.0  # of each of the three points that integrate squares exactly
+    for point in ((0.5, 0.5, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5)):
+        slopes = np.swapaxes(_quadratic_slopes(point) @ gradient, 1, 2)
+        change = (slopes @ normal.reshape(count, 6, 12)).reshape(count, 2, 2, 6)  # axis, component, turn
+        curvature = np.stack([change[:, 0, 0], change[:, 1, 1], change[:, 1, 0] + change[:, 0, 1]], axis=1)
+        out += share[:, None, None] * (np.swapaxes(curvature, 1, 2) @ elastic @ curvature)
+    return out
+
+
+def optimal_membrane(
+    xy: FloatArray, thickness: FloatArray, elastic: FloatArray, poisson: float
+) -> FloatArray:
+    """Stiffness (m, 9, 9) over (u, v, drilling turn) of each corner: Felippa's OPT.
+
+    Basic part (1 / V) L E L^T plus 3/4 beta_0 T^T K_theta T of the turns beyond the triangle's own (Felippa
+    2003, sections 4 and 5; beta_0 = (1 - 4 nu^2) / 2).
+    """
+    _, area = _area_gradients(xy)
+    x = {f"{i}{j}": xy[:, i - 1, 0] - xy[:, j - 1, 0] for i in (1, 2, 3) for j in (1, 2, 3) if i != j}
+    y = {f"{i}{j}": xy[:, i - 1, 1] - xy[:, j - 1, 1] for i in (1, 2, 3) for j in (1, 2, 3) if i != j}
+    square = {key: x[key] ** 2 + y[key] ** 2 for key in ("21", "32", "13")}
+    lumped = np.zeros((len(xy), 9, 3))
+    # corner i between the corner before (k) and the one after (j)
+    for corner, (i, j, k) in enumerate(((1, 2, 3), (2, 3, 1), (3, 1, 2))):
+        yjk, xkj = y[f"{j}{k}"], x[f"{k}{j}"]
+        yik, yji = y[f"{i}{k}"], y[f"{j}{i}"]
+        xki, xij = x[f"{k}{i}"], x[f"{i}{j}"]
+        lumped[:, 3 * corner, 0] = lumped[:, 3 * corner + 1, 2] = yjk
+        lumped[:, 3 * corner + 1, 1] = lumped[:, 3 * corner, 2] = xkj
+        lumped[:, 3 * corner + 2] = (
+            _BASIC_SHARE
+            / 6.0
+            * np.stack([yjk * (yik - yji), xkj * (xki - xij), 2.0 * (xki * yik - xij * yji)], axis=1)
+        )
+    lumped *= 0.5 * thickness[:, None, None]
+    basic = lumped @ elastic @ np.swapaxes(lumped, 1, 2) / (area * thickness)[:, None, None]
+    turns = _own_turns(xy, area)
+    four = 1.0 / (4.0 * area**2)
+    natural = four[:, None, None] * np.stack(
+        [
+            np.stack(
+                [
+                    y["23"] * y["13"] * square["21"],
+                    y["31"] * y["21"] * square["32"],
+                    y["12"] * y["32"] * square["13"],
+                ],
+                axis=1,
+            ),
+            np.stack(
+                [
+                    x["23"] * x["13"] * square["21"],
+                    x["31"] * x["21"] * square["32"],
+                    x["12"] * x["32"] * square["13"],
+                ],
+                axis=1,
+            ),
+            np.stack(
+                [
+                    (y["23"] * x["31"] + x["32"] * y["13"]) * square["21"],
+                    (y["31"] * x["12"] + x["13"] * y["21"]) * square["32"],
+                    (y["12"] * x["23"] + x["21"] * y["32"]) * square["13"],
+                ],
+                axis=1,
+            ),
+        ],
+        axis=1,
+    )
+    along = np.swapaxes(natural, 1, 2) @ elastic @ natural
+    b1, b2, b3, b4, b5, b6, b7, b8, b9 = _BETA
+    shares = np.array(
+        [
+            [[b1, b2, b3], [b4, b5, b6], [b7, b8, b9]],
+            [[b9, b7, b8], [b3, b1, b2], [b6, b4, b5]],
+            [[b5, b6, b4], [b8, b9, b7], [b2, b3, b1]],
+        ]
+    )
+    sides = np.stack([square["21"], square["32"], square["13"]], axis=1)
+    corners = (2.0 * area / 3.0)[:, None, None, None] * shares / sides[:, None, :, None]
+    middles = 0.5 * (corners + corners[:, [1, 2, 0]])
+    higher = np.einsum("mqai,mab,mqbj->mij", middles, along, middles)
+    beta_0 = max(0.5 * (1.0 - 4.0 * poisson**2), _LEAST_BETA_0)
+    higher *= (0.75 * beta_0 * area * thickness)[:, None, None]
+    return np.asarray(basic + np.swapaxes(turns, 1, 2) @ higher @ turns)
+
+
+def constant_strain_membrane(
+    xy: FloatArray, thickness: FloatArray, elastic: FloatArray, drilling: float
+) -> FloatArray:
+    """Stiffness (m, 9, 9) over (u, v, drilling turn) of each corner: constant strain, and a spring of
+    ``drilling`` [Pa] x volume between each corner's turn and the triangle's."""
+    gradient, area = _area_gradients(xy)
+    strain = np.zeros((len(xy), 3, 9))
+    for corner in range(3):
+        strain[:, 0, 3 * corner] = strain[:, 2, 3 * corner + 1] = gradient[:, corner, 0]
+        strain[:, 1, 3 * corner + 1] = strain[:, 2, 3 * corner] = gradient[:, corner, 1]
+    turns = _own_turns(xy, area)
+    both = np.swapaxes(strain, 1, 2) @ elastic @ strain
+    both += drilling * (np.swapaxes(turns, 1, 2) @ turns)
+    return np.asarray((area * thickness)[:, None, None] * both)
+
+
+def _own_turns(xy: FloatArray, area: FloatArray) -> FloatArray:
+    """Drilling turns (m, 3, 9) of corners beyond the turn (v,x - u,y) / 2 of the triangle."""
+    gradient, _ = _area_gradients(xy)
+    out = np.zeros((len(xy), 3, 9))
+    for corner in range(3):
+        out[:, :, 3 * corner] = 0.5 * gradient[:, None, corner, 1]
+        out[:, :, 3 * corner + 1] = -0.5 * gradient[:, None, corner, 0]
+        out[:, corner, 3 * corner + 2] = 1.0
+    return out
+
+
+def _area_gradients(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gradients (m, 3, 2) [1/m] of the area coordinates, and areas (m,) [m^2]."""
+    after, before = xy[:, [1, 2, 0]], xy[:, [2, 0, 1]]
+    side = after - before
+    area = 0.5 * (
+        (xy[:, 1, 0] - xy[:, 0, 0]) * (xy[:, 2, 1] - xy[:, 0, 1])
+        - (xy[:, 2, 0] - xy[:, 0, 0]) * (xy[:, 1, 1] - xy[:, 0, 1])
+    )
+    return np.stack([side[..., 1], -side[..., 0]], axis=2) / (2.0 * area)[:, None, None], area
+
+
+def _quadratic_slopes(point: tuple[float, float, float]) -> FloatArray:
+    """Slopes (6, 3) of the six quadratic shape functions along each area coordinate at a point."""
+    out = np.zeros((6, 3))
+    for corner in range(3):
+        out[corner, corner] = 4.0 * point[corner] - 1.0
+    for side, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
+        out[3 + side, i], out[3 + side, j] = 4.0 * point[j], 4.0 * point[i]
+    return out

@@ -1,0 +1,604 @@
+"""Triangles of a formed sheet by rings: contours from the top edge to the floor's edge, kinks on mesh lines.
+
+Walls become bands between rows along the contours, so that no triangle lies across the top edge, the floor's
+edge, a kink of the profile or a corner: a triangle across a kink makes the sheet too stiff by percents
+however small it is. Floor and flange are flat and filled with rows at growing distances from their rims."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import shapely
+from scipy.spatial import Delaunay, cKDTree
+
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths
+
+FLANGE, WALL, FLOOR = 0, 1, 2
+"""Where a triangle lies."""
+PLACES_AROUND = 1024
+"""Places at which contours are matched to one another."""
+EVEN = 0.7
+"""Share of a contour's own length in where its places are."""
+CORNER = np.radians(25.0)
+"""Turn of a contour [rad] from which it has a corner, along which a mesh line goes down the wall."""
+CORNER_WINDOW = 5e-4
+"""Length of a contour [m], to both sides, over which turns are added up: one that is noisy has no corners."""
+KINK = np.radians(8.0)
+"""Turn of the profile at a contour [rad] from which this is a mesh line."""
+GROWTH = 0.3
+"""How much larger elements of the flange become by metre of distance from the top edge."""
+COARSEST = 5.0
+"""Elements of the flange over those of the wall at most."""
+LEVEL = 1e-6
+"""By how much heights of the first and the last contour may differ [m]."""
+OFF_RING = 5e-4
+"""How far from a contour a point of a wall may be to become a node of it [m]."""
+LEAST_STEP = 1e-3
+"""Distance down the wall [m] from which contours between kinks are worked with."""
+_ROW = 0.866
+"""Distance of rows of a flat region, in sizes of elements: that of equal-sided triangles."""
+_MOST_ROWS = 1000
+_SLIVER = 1e-4
+"""Area of a triangle over the square of a side, below which it lies along a straight rim and is none."""
+_APART = 0.62
+"""Distance between points of a flat region at least, in sizes of elements."""
+_ROUNDS = 10
+"""Sizes that are tried for a wanted number of triangles."""
+_ENOUGH = 0.95
+"""Share of the triangles allowed with which a mesh is taken at once."""
+_SMALLER = 0.85
+"""By how much elements become smaller that did not fit."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SheetMesh:
+    """``nodes`` (n, 3) [m], ``triangles`` (m, 3), counterclockwise from above; ``zone`` (m,) of each
+    triangle: FLANGE, WALL or FLOOR."""
+
+    nodes: FloatArray
+    triangles: IntArray
+    zone: IntArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Wall:
+    """A wall of a sheet: ``rings``, closed contours (k, 3) [m] (first point not repeated) from its edge
+    inwards, each inside of the one before as seen from above; the first and the last are level. Around the
+    first there is flange, or another wall's floor, in the last its own floor, on which other walls may begin:
+    those ``inside``, whose first rings are as high."""
+
+    rings: Sequence[FloatArray]
+    inside: Sequence[Wall] = ()
+
+
+def mesh_sheet(
+    rings: Sequence[FloatArray], window: FloatArray, triangles: int, places: FloatArray | None = None
+) -> SheetMesh:
+    """A sheet that is clamped along a rectangle and has one wall of these ``rings``, or none.
+
+    ``window`` (2, 2) [m]: least and largest x and y of the clamp; otherwise as `mesh_walls`.
+    """
+    low, high = np.asarray(window, dtype=np.float64)
+    outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    return mesh_walls([Wall(rings)] if len(rings) else [], outline, triangles, places)
+
+
+def mesh_walls(
+    walls: Sequence[Wall], outline: FloatArray, triangles: int, places: FloatArray | None = None
+) -> SheetMesh:
+    """A sheet clamped along an ``outline`` (k, 2) [m], with ``walls`` that begin on its flange, of at most so
+    many ``triangles``; without walls a flat one at z = 0.
+
+    ``places`` (p, 2 or more) [m]: x, y of points that become nodes, on flange, floors or within `OFF_RING` of
+    a ring. Raises ValueError where a ring crosses another or the outline, is not level where it has to be, a
+    place is elsewhere, or so few triangles do not do.
+    """
+    some = (
+        np.empty((0, 2)) if places is None else np.asarray(places, dtype=np.float64).reshape(len(places), -1)
+    )
+    frame = shapely.Polygon(_counterclockwise(np.asarray(outline, dtype=np.float64)))
+    layout = _flat(frame, [_Outlines.of(wall) for wall in walls], some[:, :2])
+    size = float(np.sqrt(frame.area / triangles))
+    best: SheetMesh | None = None
+    why = "none could be made"
+    for _ in range(_ROUNDS):
+        try:
+            made = _meshed(frame, layout, size)
+        except _UnfilledError as unfilled:
+            why = str(unfilled)
+            size *= _SMALLER
+            continue
+        count = len(made.triangles)
+        if count <= triangles and (best is None or count > len(best.triangles)):
+            best = made
+        if best is made and count > _ENOUGH * triangles:
+            break
+        why = f"allow about {count}"
+        size *= float(np.sqrt(2.0 * count / ((1.0 + _ENOUGH) * triangles)))
+    if best is None:
+        raise ValueError(f"got {triangles} triangles: {why}")
+    return best
+
+
+class _UnfilledError(ValueError):
+    """Elements of a size do not fit."""
+
+
+def cone_rings(top_radius: float, wall_angle: float, depth: float, sides: int = 360) -> list[FloatArray]:
+    """Top and floor edge (sides, 3) of a cone about z, ``wall_angle`` [rad] from level, ``depth`` [m]
+    down."""
+    turn = 2.0 * np.pi * np.arange(sides) / sides
+    level = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(sides)])
+    low = top_radius - depth / np.tan(wall_angle)
+    if low <= 0.0:
+        raise ValueError(f"depth: got {depth:g} m; this cone has its tip above")
+    return [top_radius * level, low * level - [0.0, 0.0, depth]]
+
+
+def border_edges(triangles: IntArray) -> IntArray:
+    """Edges (b, 2) that one triangle alone has."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+    return np.asarray(edges[first[count == 1]])
+
+
+def _counterclockwise(ring: FloatArray) -> FloatArray:
+    ring = np.asarray(ring, dtype=np.float64)
+    return ring if _area(ring) > 0.0 else ring[::-1]
+
+
+def _area(ring: FloatArray) -> float:
+    """Area [m^2] of a contour from above, positive counterclockwise."""
+    after = np.roll(ring, -1, axis=0)
+    return 0.5 * float(np.sum(ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Outlines:
+    """A wall whose ``rings`` run counterclockwise, ``top`` and ``floor`` as polygons."""
+
+    rings: list[FloatArray]
+    top: shapely.Polygon
+    floor: shapely.Polygon
+    inside: list[_Outlines]
+
+    @staticmethod
+    def of(wall: Wall) -> _Outlines:
+        """Raises ValueError as `mesh_walls`."""
+        rings = [_counterclockwise(np.asarray(ring, dtype=np.float64)) for ring in wall.rings]
+        shapes = [shapely.Polygon(ring[:, :2]) for ring in rings]
+        for index, shape in enumerate(shapes):
+            if not shape.is_valid or (index and not shapes[index - 1].buffer(1e-9).contains(shape)):
+                raise ValueError(f"ring {index}: crosses itself, or is not inside of the one before")
+        for name, level in (("first", rings[0]), ("last", rings[-1])):
+            if np.ptp(level[:, 2]) > LEVEL:
+                off = np.ptp(level[:, 2])
+                raise ValueError(f"{name} ring: heights differ by {off:.2g} m; allowed {LEVEL:g}")
+        return _Outlines(rings, shapes[0], shapes[-1], [_Outlines.of(other) for other in wall.inside])
+
+
+def _matched(outlines: list[FloatArray]) -> tuple[FloatArray, IntArray]:
+    """Contours (r, PLACES_AROUND, 3) whose places face one another, and the places of corners.
+
+    Each place is nearest to that of the contour before, up to the share `EVEN`, which an arc needs that grows
+    out of a point; a corner is at a place, at that of a corner which the contour before has near it.
+    """
+    out: list[FloatArray] = []
+    share = np.arange(PLACES_AROUND) / PLACES_AROUND
+    lines = np.empty(0, dtype=np.int64)
+    found: FloatArray = PLACES_AROUND * share
+    near = 0.0
+    for index, ring in enumerate(outlines):
+        if out:
+            ring = np.roll(ring, -int(np.argmin(lengths(ring[:, :2] - out[-1][0, :2]))), axis=0)
+        whole = _along(ring)
+        along = whole / whole[-1]
+        if out:
+            nearest = cKDTree(out[-1][:, :2]).query(_at(ring, along, share)[:, :2])[1]
+            found = np.asarray(nearest, dtype=np.float64)
+            # places grow around the ring; the first may lie a little before 0
+            step = np.diff(found, prepend=found[0])
+            turns = np.cumsum(np.round(step / PLACES_AROUND)) + np.round(found[0] / PLACES_AROUND)
+            found = np.asarray(found - PLACES_AROUND * turns)
+            near = 4.0 * _gap(outlines[index - 1], ring) / whole[-1] * PLACES_AROUND
+        corner = along[:-1][_corners(ring)]
+        even = PLACES_AROUND * share + float(np.mean(found - PLACES_AROUND * share))
+        place = (1.0 - EVEN) * np.maximum.accumulate(found) + EVEN * even
+        at = np.interp(corner, np.append(share, 1.0), np.append(place, place[0] + PLACES_AROUND))
+        snapped, lines = _snapped(at, lines, max(near, 4.0))
+        own = share
+        if len(corner):
+            shift = np.interp(share, corner, snapped - at, period=1.0)
+            own, place = np.concatenate([share, corner]), np.concatenate([place + shift, snapped])
+            order = np.argsort(own, kind="stable")
+            own, place = own[order], np.maximum.accumulate(place[order])
+        place = np.concatenate([place + PLACES_AROUND * turn for turn in (-1, 0, 1)])
+        own = np.concatenate([own + turn for turn in (-1, 0, 1)])
+        out.append(_at(ring, along, np.interp(PLACES_AROUND * share, place, own) % 1.0))
+    return np.array(out), np.unique(lines)
+
+
+def _gap(outer: FloatArray, inner: FloatArray) -> float:
+    """Mean distance [m], seen from above, of two contours: the area between them over their mean length."""
+    between = abs(_area(outer) - _area(inner))
+    return 2.0 * between / float(_along(outer[:, :2])[-1] + _along(inner[:, :2])[-1])
+
+
+def _corners(ring: FloatArray) -> IntArray:
+    """Points of a contour at which it has a corner: the most turned of those within `CORNER_WINDOW`."""
+    ahead = (np.roll(ring, -1, axis=0) - ring)[:, :2]
+    before = np.roll(ahead, 1, axis=0)
+    turn = np.arctan2(before[:, 0] * ahead[:, 1] - before[:, 1] * ahead[:, 0], dots(before, ahead))
+    along = _along(ring)
+    place = np.concatenate([along[:-1] - along[-1], along[:-1], along[:-1] + along[-1]])
+    total = np.concatenate([[0.0], np.cumsum(np.tile(turn, 3))])
+    low = np.searchsorted(place, along[:-1] - CORNER_WINDOW - 1e-12)
+    high = np.searchsorted(place, along[:-1] + CORNER_WINDOW + 1e-12)
+    within = np.abs(total[high] - total[low])
+    found: list[int] = []
+    for index in np.flatnonzero(within > CORNER)[np.argsort(-np.abs(turn[within > CORNER]), kind="stable")]:
+        off = np.abs(along[found] - along[index])
+        if not len(off) or np.minimum(off, along[-1] - off).min() > 2.0 * CORNER_WINDOW:
+            found.append(int(index))
+    return np.array(sorted(found), dtype=np.int64)
+
+
+def _snapped(at: FloatArray, lines: IntArray, near: float) -> tuple[FloatArray, IntArray]:
+    """Whole places (c,), near places ``at``, for corners, and all lines of corners with those that are
+    new."""
+    out = np.round(at)
+    for index, place in enumerate(at):
+        off = (lines - place + 0.5 * PLACES_AROUND) % PLACES_AROUND - 0.5 * PLACES_AROUND
+        if len(off) and np.abs(off).min() < near:
+            out[index] = place + off[np.argmin(np.abs(off))]
+        else:
+            lines = np.append(lines, int(out[index]) % PLACES_AROUND)
+    return np.round(out), lines
+
+
+def _along(ring: FloatArray) -> FloatArray:
+    """Length (k + 1,) of a closed contour up to each point and back to the first."""
+    return np.concatenate([[0.0], np.cumsum(lengths(np.roll(ring, -1, axis=0) - ring))])
+
+
+def _at(ring: FloatArray, place: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Points (w, 3) of a closed contour at ``wanted``, where its own points are at ``place`` (k + 1,)."""
+    closed = np.concatenate([ring, ring[:1]])
+    return np.column_stack([np.interp(wanted, place, closed[:, axis]) for axis in range(3)])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Flat:
+    """A flat region, flange or floor, at ``height`` [m]: ``fixed`` (f, 2) points in it that become nodes, and
+    ``walls`` that begin there."""
+
+    height: float
+    fixed: FloatArray
+    walls: list[_Layout]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Layout:
+    """Where meshes of a wall agree, whatever their size: matched contours ``around`` (r, PLACES_AROUND, 3),
+    places of ``corners``, ``fixed``: by contour, places on it of points that become nodes, ``kept``: contours
+    that are rows, and its ``floor``."""
+
+    around: FloatArray
+    corners: IntArray
+    fixed: dict[int, list[float]]
+    kept: list[int]
+    floor: _Flat
+
+
+def _flat(region: shapely.Polygon, walls: list[_Outlines], places: FloatArray, height: float = 0.0) -> _Flat:
+    """A flat region with the walls that begin on it, and the ``places`` (p, 2) in it or in them."""
+    tops = [wall.top for wall in walls]
+    for index, top in enumerate(tops):
+        others = shapely.union_all([*tops[:index], region.exterior])
+        if not region.contains(top) or others.intersects(top):
+            raise ValueError(f"wall {index}: its first ring is not inside of the window or floor around it")
+    own: list[list[FloatArray]] = [[] for _ in walls]
+    fixed = []
+    for place in places:
+        off = [min(_nearest(ring[:, :2], place)[0] for ring in wall.rings) for wall in walls]
+        point = shapely.Point(place)
+        near = [k for k, wall in enumerate(walls) if wall.top.contains(point) or off[k] <= OFF_RING]
+        if near:
+            own[min(near, key=lambda k: off[k])].append(place)
+        elif region.contains(point):
+            fixed.append(place)
+        else:
+            raise ValueError(f"place ({place[0]:.4g}, {place[1]:.4g}) m: not within the outline of the sheet")
+    layouts = [_laid_out(wall, some) for wall, some in zip(walls, own, strict=True)]
+    level = float(walls[0].rings[0][:, 2].mean()) if walls else height
+    if any(abs(float(wall.rings[0][:, 2].mean()) - level) > LEVEL for wall in walls):
+        raise ValueError("walls: first rings on one flat are not equally high")
+    return _Flat(level, np.array(fixed).reshape(-1, 2), layouts)
+
+
+def _laid_out(wall: _Outlines, places: Sequence[FloatArray]) -> _Layout:
+    """Which contours of a wall are rows, and where the points lie that become nodes."""
+    outlines = wall.rings
+    gap = np.array([_gap(*pair) for pair in itertools.pairwise(outlines)])
+    rise = np.diff([ring[:, 2].mean() for ring in outlines])
+    slope = np.arctan2(rise, gap)
+    kept = {0, *(np.flatnonzero(np.abs(np.diff(slope)) > KINK) + 1).tolist(), len(outlines) - 1}
+    on: dict[int, list[FloatArray]] = {}
+    inner = []
+    for place in places:
+        off = [_nearest(ring[:, :2], place)[0] for ring in outlines]
+        ring = int(np.argmin(off))
+        if off[ring] <= OFF_RING:
+            on.setdefault(ring, []).append(place)
+            kept.add(ring)
+        elif wall.floor.contains(shapely.Point(place)):
+            inner.append(place)
+        else:
+            raise ValueError(
+                f"place ({place[0]:.4g}, {place[1]:.4g}) m: {off[ring]:.2g} m from the nearest contour,"
+                f" beyond floor and flange; allowed {OFF_RING:g}: give a contour that goes through it"
+            )
+    # contours closer than elements are small would only be matched to one another
+    reach = np.concatenate([[0.0], np.cumsum(np.hypot(gap, rise))])
+    used: list[int] = []
+    for index in range(len(outlines)):
+        if index in kept or reach[index] - reach[used[-1]] >= LEAST_STEP:
+            used.append(index)
+    around, corners = _matched([outlines[index] for index in used])
+    number = {index: place for place, index in enumerate(used)}
+    fixed = {
+        number[index]: [_nearest(around[number[index], :, :2], point)[1] for point in points]
+        for index, points in on.items()
+    }
+    rows = sorted(number[index] for index in kept)
+    height = float(outlines[-1][:, 2].mean())
+    floor = _flat(wall.floor, wall.inside, np.array(inner).reshape(-1, 2), height)
+    if abs(floor.height - height) > LEVEL:
+        raise ValueError("walls: a first ring is not as high as the floor it is on")
+    return _Layout(around, corners, fixed, rows, floor)
+
+
+def _nearest(ring: FloatArray, point: FloatArray) -> tuple[float, float]:
+    """Distance [m] of a point to a contour (k, 2), and where along it, in its points."""
+    ahead = np.roll(ring, -1, axis=0) - ring
+    share = np.clip(dots(point - ring, ahead) / np.maximum(dots(ahead, ahead), 1e-30), 0.0, 1.0)
+    off = lengths(ring + share[:, None] * ahead - point)
+    index = int(np.argmin(off))
+    return float(off[index]), float(index + share[index]) % len(ring)
+
+
+def _rows(layout: _Layout, size: float) -> tuple[FloatArray, list[list[float]]]:
+    """Rows (r, PLACES_AROUND, 3) down the wall, kept contours among them, and places of their fixed nodes."""
+    around = layout.around
+    if len(around) == 1:
+        return around, [layout.fixed.get(0, [])]
+    step = lengths(np.diff(around, axis=0)).mean(axis=1)
+    reach = np.concatenate([[0.0], np.cumsum(step)])
+    at, fixed = [reach[:1]], [layout.fixed.get(0, [])]
+    for low, high in zip(layout.kept, layout.kept[1:], strict=False):
+        count = max(1, round((reach[high] - reach[low]) / size))
+        at.append(np.linspace(reach[low], reach[high], count + 1)[1:])
+        fixed += [[]] * (count - 1) + [layout.fixed.get(high, [])]
+    wanted = np.concatenate(at)
+    ring = np.clip(np.searchsorted(reach, wanted, side="right") - 1, 0, len(reach) - 2)
+    share = ((wanted - reach[ring]) / step[ring])[:, None, None]
+    return (1.0 - share) * around[ring] + share * around[ring + 1], fixed
+
+
+def _places(row: FloatArray, ends: FloatArray, size: float) -> FloatArray:
+    """Where along a row (in places around, rising) its nodes are, ``ends`` (e,) among them."""
+    along = _along(row)
+    long = np.concatenate([along[:-1], along + along[-1]])
+    number = np.arange(len(long))
+    least = int(np.ceil(12.0 / len(ends)))
+    ends = np.interp(np.append(ends, ends[0] + PLACES_AROUND), number, long)
+    found = []
+    for low, high in itertools.pairwise(ends):
+        count = max(least, round((high - low) / size))
+        found.append(np.interp(np.linspace(low, high, count + 1)[:-1], long, number))
+    return np.sort(np.concatenate(found) % PLACES_AROUND)
+
+
+def _band(outer: FloatArray, inner: FloatArray, first: int, second: int) -> IntArray:
+    """Triangles between two rows, by the places of their nodes; nodes are numbered from first and second."""
+
+    def middles(places: FloatArray) -> FloatArray:
+        return np.asarray(0.5 * (places + np.append(places[1:], places[0] + PLACES_AROUND)))
+
+    a, b = middles(outer), middles(inner)
+    i, j = np.arange(len(a)), np.arange(len(b))
+    facing_a = np.searchsorted(b, a, side="left") % len(b)
+    facing_b = np.searchsorted(a, b, side="right") % len(a)
+    return np.concatenate(
+        [
+            np.column_stack([first + i, first + (i + 1) % len(a), second + facing_a]),
+            np.column_stack([second + j, first + facing_b, second + (j + 1) % len(b)]),
+        ]
+    )
+
+
+class _Parts:
+    """Nodes and triangles, as they are made."""
+
+    def __init__(self, size: float) -> None:
+        self.size = size
+        self.nodes: list[FloatArray] = []
+        self.triangles: list[IntArray] = []
+        self.zones: list[IntArray] = []
+        self._count = 0
+
+    def add(self, nodes: FloatArray) -> IntArray:
+        """Add nodes (n, 3); their numbers."""
+        self.nodes.append(nodes)
+        self._count += len(nodes)
+        return np.arange(self._count - len(nodes), self._count)
+
+    def join(self, triangles: IntArray, zone: int) -> None:
+        """Add triangles (m, 3) of nodes' numbers."""
+        self.triangles.append(triangles)
+        self.zones.append(np.full(len(triangles), zone))
+
+
+def _meshed(frame: shapely.Polygon, layout: _Flat, size: float) -> SheetMesh:
+    """The sheet with elements of a ``size`` [m] on walls and floors."""
+    parts = _Parts(size)
+    tops = [_wall(wall, parts) for wall in layout.walls]
+    corners = np.array(frame.exterior.coords[:-1])
+    size_at, zone = _even(size), FLOOR
+    if tops:
+        holes = shapely.union_all([shapely.Polygon(points) for _, points in tops])
+
+        def graded(distance: FloatArray) -> FloatArray:
+            return np.minimum(size + GROWTH * distance, COARSEST * size)
+
+        rim = _spaced(corners, lambda points: graded(shapely.distance(holes, shapely.points(points))))
+        size_at, zone = graded, FLANGE
+    else:
+        rim = _spaced(corners, lambda points: np.full(len(points), size))
+    number = parts.add(np.column_stack([rim, np.full(len(rim), layout.height)]))
+    _filled(frame, (number, rim), tops, layout, size_at, zone, parts)
+    nodes, joined = np.concatenate(parts.nodes), np.concatenate(parts.triangles).astype(np.int64)
+    a, b, c = (nodes[joined[:, k], :2] for k in range(3))
+    if np.min((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) <= 0.0:
+        raise _UnfilledError("a wall folds between two rows; give more contours or allow more triangles")
+    return SheetMesh(nodes, joined, np.concatenate(parts.zones))
+
+
+def _even(size: float) -> Callable[[FloatArray], FloatArray]:
+    """Elements of one ``size`` [m] at any distance."""
+    return lambda distance: np.full_like(distance, size)
+
+
+_Rim = tuple[IntArray, FloatArray]
+"""Numbers (n,) of nodes along a rim, and where they are in plan (n, 2)."""
+
+
+def _wall(layout: _Layout, parts: _Parts) -> _Rim:
+    """Add a wall and its floor; its first row."""
+    rows, fixed = _rows(layout, parts.size)
+    number = np.arange(PLACES_AROUND + 1, dtype=np.float64)
+    places: list[FloatArray] = []
+    numbers: list[IntArray] = []
+    for row, own in zip(rows, fixed, strict=True):
+        ends = np.unique(np.concatenate([layout.corners, own]))
+        places.append(_places(row, ends if len(ends) else np.zeros(1), parts.size))
+        numbers.append(parts.add(_at(row, number, places[-1])))
+    first = len(parts.nodes) - len(rows)
+    for k in range(len(rows) - 1):
+        parts.join(_band(places[k], places[k + 1], int(numbers[k][0]), int(numbers[k + 1][0])), WALL)
+    top, last = parts.nodes[first][:, :2], parts.nodes[-1][:, :2]
+    tops = [_wall(wall, parts) for wall in layout.floor.walls]
+    rim = (numbers[-1], last)
+    _filled(shapely.Polygon(last), rim, tops, layout.floor, _even(parts.size), FLOOR, parts)
+    return numbers[0], top
+
+
+def _filled(
+    region: shapely.Polygon,
+    rim: _Rim,
+    tops: Sequence[_Rim],
+    flat: _Flat,
+    size_at: Callable[[FloatArray], FloatArray],
+    zone: int,
+    parts: _Parts,
+) -> None:
+    """Add the triangles of a flat region between its ``rim`` and the ``tops`` of the walls on it."""
+    numbers = np.concatenate([rim[0], *(number for number, _ in tops)])
+    around = np.concatenate([rim[1], *(points for _, points in tops)])
+    holes = shapely.union_all([shapely.Polygon(points) for _, points in tops]) if tops else None
+    points, triangles = _fill(region, around, flat.fixed, size_at, holes)
+    new = points[len(around) :]
+    numbers = np.concatenate([numbers, parts.add(np.column_stack([new, np.full(len(new), flat.height)]))])
+    parts.join(numbers[triangles], zone)
+
+
+def _spaced(polygon: FloatArray, size_at: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Points (p, 2) along a closed polygon, its corners among them, as far apart as ``size_at`` says."""
+    found = []
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        share = np.linspace(0.0, 1.0, 201)
+        points = start + share[:, None] * (end - start)
+        density = lengths(end - start) / size_at(points)
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(share))])
+        count = max(2, round(total[-1]))
+        at = np.interp(np.arange(count) * total[-1] / count, total, share)
+        found.append(start + at[:, None] * (end - start))
+    return np.concatenate(found)
+
+
+def _fill(
+    region: shapely.Polygon,
+    rim: FloatArray,
+    fixed: FloatArray,
+    size_at: Callable[[FloatArray], FloatArray],
+    hole: shapely.Geometry | None,
+) -> tuple[FloatArray, IntArray]:
+    """Points (rim, ``fixed``, others) and triangles of a flat region: rows around its ``hole``, or in its
+    rim.
+
+    Points keep so far from the rim that its edges are those of triangles; Delaunay's triangles of all points
+    are kept where they lie in the region, and their areas have to add up to it.
+    """
+    points = [rim, fixed]
+    taken = cKDTree(np.concatenate(points))
+    distance = 0.0
+    across = float(np.hypot(*np.subtract(region.bounds[2:], region.bounds[:2])))
+    for row in range(_MOST_ROWS):
+        distance += _ROW * float(size_at(np.array([distance]))[0])
+        if hole is None:
+            shape = region.buffer(-distance, join_style="mitre")
+        else:
+            shape = hole.buffer(distance, quad_segs=32)
+        if shape.is_empty or distance > across:
+            break
+        size = float(size_at(np.array([distance]))[0])
+        rings = shapely.get_rings(
+            shapely.get_parts(shape)
+        )  # where rows around several holes meet they have holes
+        loops = [np.array(ring.coords[:-1]) for ring in rings]
+        new = np.concatenate([_loop(loop, size, 0.5 * (row % 2)) for loop in loops])
+        new = new[shapely.contains_xy(region, new[:, 0], new[:, 1])]
+        new = new[shapely.distance(region.exterior, shapely.points(new)) > _APART * size]
+        new = new[taken.query(new)[0] > _APART * size] if len(new) else new
+        if len(new):
+            points.append(_thinned(new, _APART * size))
+            taken = cKDTree(np.concatenate(points))
+    whole = np.concatenate(points)
+    triangles = Delaunay(whole).simplices.astype(np.int64)
+    a, b, c = (whole[triangles[:, k]] for k in range(3))
+    area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    triangles = np.where((area < 0.0)[:, None], triangles[:, ::-1], triangles)
+    area, middle = np.abs(area), (a + b + c) / 3.0
+    kept = (area > _SLIVER * dots(b - a, b - a)) & shapely.contains_xy(region, middle[:, 0], middle[:, 1])
+    wanted = region.area
+    if hole is not None:
+        kept &= ~shapely.contains_xy(hole, middle[:, 0], middle[:, 1])
+        wanted -= hole.area
+    used = np.unique(triangles[kept])
+    if abs(float(area[kept].sum()) - wanted) > 1e-6 * wanted or len(used) < len(whole):
+        raise _UnfilledError(
+            "a flat region cannot be filled with elements of this size; allow more triangles"
+        )
+    return whole, triangles[kept]
+
+
+def _loop(loop: FloatArray, size: float, shift: float) -> FloatArray:
+    """Points (p, 2) evenly along a closed line."""
+    along = np.concatenate([[0.0], np.cumsum(lengths(np.roll(loop, -1, axis=0) - loop))])
+    count = max(3, round(along[-1] / size))
+    wanted = (np.arange(count) + shift) / count * along[-1]
+    closed = np.concatenate([loop, loop[:1]])
+    return np.column_stack([np.interp(wanted, along, closed[:, axis]) for axis in range(2)])
+
+
+def _thinned(points: FloatArray, apart: float) -> FloatArray:
+    """Points without those that are too near to one before them."""
+    pairs = cKDTree(points).query_pairs(apart, output_type="ndarray")
+    keep: BoolArray = np.ones(len(points), dtype=bool)
+    for i, j in pairs[np.lexsort(pairs.T[::-1])]:
+        if keep[i]:
+            keep[j] = False
+    return points[keep]

@@ -1,0 +1,161 @@
+"""Meshes of rings: they cover the sheet once, kinks lie on mesh lines, places are nodes, counts are kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from planner.geometry.arrays import FloatArray, lengths
+from planner.shell.mesh import (
+    FLANGE,
+    FLOOR,
+    WALL,
+    SheetMesh,
+    Wall,
+    border_edges,
+    cone_rings,
+    mesh_sheet,
+    mesh_walls,
+)
+from tests.shell.sheets import WINDOW
+
+
+def rounded_square(half: float, radius: float, z: float) -> FloatArray:
+    """A contour (k, 3); of radius 0: four points."""
+    count = 12 if radius else 1
+    turn = (np.arange(4)[:, None] + np.linspace(0.0, 1.0, count)).reshape(-1) * 0.5 * np.pi
+    sign = np.repeat([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]], count, axis=0)
+    plan = (half - radius) * sign + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+    return np.column_stack([plan, np.full(len(plan), z)])
+
+
+def heart(inwards: float, z: float) -> FloatArray:
+    """A heart, offset inwards as paths do: a notch that becomes an arc, a tip that stays one."""
+    t = np.linspace(0.0, 2.0 * np.pi, 300, endpoint=False)
+    y = 13.0 * np.cos(t) - 5.0 * np.cos(2.0 * t) - 2.0 * np.cos(3.0 * t) - np.cos(4.0 * t)
+    shape = shapely.Polygon(3.5e-3 * np.column_stack([16.0 * np.sin(t) ** 3, y])).buffer(-inwards)
+    plan = np.array(shape.exterior.coords[:-1])
+    return np.column_stack([plan, np.full(len(plan), z)])
+
+
+PARTS = {
+    "cone": cone_rings(0.05, np.radians(45.0), 0.02),
+    "cone, two angles": [
+        *cone_rings(0.06, np.radians(30.0), 0.01),
+        cone_rings(0.06, np.radians(45.0), 0.03)[1],
+    ],
+    "rounded pyramid": [rounded_square(0.04, 0.01, 0.0), rounded_square(0.025, 0.004, -0.02)],
+    "sharp pyramid": [rounded_square(0.04, 0.0, 0.0), rounded_square(0.02, 0.0, -0.02)],
+    "dense contours": [rounded_square(0.04 - 1e-4 * k, 0.01 - 5e-5 * k, -1e-4 * k) for k in range(150)],
+    "heart": [heart(5e-4 * k, -5e-4 * k) for k in range(30)],
+    "flat": [],
+}
+
+
+def normals(mesh: SheetMesh) -> FloatArray:
+    """Twice the area of each triangle along its normal (m, 3) [m^2]."""
+    corners = mesh.nodes[mesh.triangles]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_a_mesh_covers_the_window_once(name: str) -> None:
+    mesh = mesh_sheet(PARTS[name], WINDOW, 3000)
+    assert 0.85 * 3000 < len(mesh.triangles) <= 3000
+    across = normals(mesh)
+    assert across[:, 2].min() > 0.0
+    assert 0.5 * across[:, 2].sum() == pytest.approx(0.25**2, rel=1e-9)
+    rim = border_edges(mesh.triangles)
+    assert np.allclose(np.abs(mesh.nodes[rim, :2]).max(axis=2), 0.125)
+    assert lengths(mesh.nodes[rim[:, 1]] - mesh.nodes[rim[:, 0]]).sum() == pytest.approx(1.0, rel=1e-9)
+    assert set(np.unique(mesh.triangles)) == set(range(len(mesh.nodes)))
+
+
+@pytest.mark.parametrize(
+    "name", ["cone", "cone, two angles", "rounded pyramid", "sharp pyramid", "dense contours"]
+)
+def test_no_triangle_lies_across_a_kink(name: str) -> None:
+    """Heights of a triangle's corners lie between those of two kinks, and zones say between which."""
+    rings = PARTS[name]
+    mesh = mesh_sheet(rings, WINDOW, 2000)
+    kinks = sorted({0.0, rings[-1][0, 2]} | ({-0.01} if name == "cone, two angles" else set()))
+    z = mesh.nodes[mesh.triangles][:, :, 2]
+    low, high = z.min(axis=1), z.max(axis=1)
+    for kink in kinks:
+        assert not np.any((low < kink - 1e-9) & (high > kink + 1e-9))
+    assert np.array_equal(mesh.zone == WALL, high - low > 1e-9)
+    assert np.all(high[mesh.zone == FLOOR] < kinks[0] + 1e-9)
+    assert np.all(low[mesh.zone == FLANGE] > -1e-9)
+
+
+def test_sharp_corners_are_mesh_lines() -> None:
+    """Each wall of the pyramid is flat: its triangles have one of four normals."""
+    mesh = mesh_sheet(PARTS["sharp pyramid"], WINDOW, 1500)
+    wall = normals(mesh)[mesh.zone == WALL]
+    wall /= lengths(wall)[:, None]
+    known = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]]) / np.sqrt(2.0)
+    assert np.abs(wall @ known.T).max(axis=1).min() > 1.0 - 1e-9
+
+
+def test_places_are_nodes_and_elements_grow_outwards() -> None:
+    places = np.array([[0.0, 0.03], [0.03 * np.cos(0.3), 0.03 * np.sin(0.3)], [0.011, -0.004], [0.08, 0.02]])
+    mesh = mesh_sheet(PARTS["cone"], WINDOW, 2000, places)
+    off = lengths(mesh.nodes[:, None, :2] - places).min(axis=0)
+    assert off.max() < 5e-6  # chords of the 360 points that the ring has
+    area = 0.5 * lengths(normals(mesh))
+    assert area[mesh.zone == FLANGE].max() > 5.0 * np.median(area[mesh.zone == FLOOR])
+
+
+def test_what_cannot_be_meshed_is_refused() -> None:
+    top, low = PARTS["cone"]
+    for rings, told in (
+        ([low, top], "inside"),
+        ([1.0 * top, low + np.array([0.04, 0.0, 0.0])], "inside"),
+        ([3.0 * top, low], "window"),
+        ([top + np.outer(np.arange(len(top)), [0.0, 0.0, 1e-5]), low], "heights differ"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            mesh_sheet(rings, WINDOW, 1000)
+    with pytest.raises(ValueError, match="allow about"):
+        mesh_sheet(PARTS["cone"], WINDOW, 40)
+    with pytest.raises(ValueError, match="contour that goes through it"):
+        mesh_sheet(PARTS["cone"], WINDOW, 1000, np.array([[0.04, 0.0]]))
+    with pytest.raises(ValueError, match="tip"):
+        cone_rings(0.05, np.radians(45.0), 0.06)
+
+
+def test_walls_side_by_side_and_on_floors_are_meshed_as_one_sheet() -> None:
+    """The plan's area is that of the clamp's, a circle of 72 sides; each floor has its own height."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    outline = 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
+
+    def placed(x: float, top: float, depth: float, flat: float = 0.0) -> list[FloatArray]:
+        return [np.add(ring, [x, 0.0, flat]) for ring in cone_rings(top, np.radians(45.0), depth, 60)]
+
+    inner = Wall(placed(-0.045, 0.012, 0.005, -0.01))
+    walls = [Wall(placed(-0.045, 0.035, 0.010), [inner]), Wall(placed(0.040, 0.030, 0.015))]
+    places = np.array([[-0.038, 0.0], [0.055, 0.0], [0.0, 0.08], [-0.03, 0.012]])
+    made = mesh_walls(walls, outline, 3000, places)
+    corners = made.nodes[made.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert normal[:, 2].min() > 0.0
+    assert 0.5 * normal[:, 2].sum() == pytest.approx(0.5 * 72 * 0.01 * np.sin(2.0 * np.pi / 72))
+    assert len(made.triangles) <= 3000
+    level = np.ptp(corners[:, :, 2], axis=1) < 1e-12
+    assert set(np.round(corners[level][:, 0, 2], 6)) == {0.0, -0.010, -0.015}
+    for place in places:
+        assert np.linalg.norm(made.nodes[:, :2] - place, axis=1).min() < 2e-4
+
+
+def test_walls_that_touch_or_stand_in_the_air_are_refused() -> None:
+    outline = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    ring = cone_rings(0.030, np.radians(45.0), 0.010, 60)
+    beside = [np.add(each, [0.050, 0.0, 0.0]) for each in ring]
+    with pytest.raises(ValueError, match="not inside"):
+        mesh_walls([Wall(ring), Wall(beside)], outline, 3000)
+    above = [each * [0.3, 0.3, 1.0] for each in ring]
+    with pytest.raises(ValueError, match="as high"):
+        mesh_walls([Wall(ring, [Wall(above)])], outline, 3000)
+    with pytest.raises(ValueError, match="outline"):
+        mesh_walls([Wall(ring)], outline, 3000, np.array([[0.2, 0.0]]))
