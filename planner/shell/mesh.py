@@ -15,17 +15,18 @@ import shapely
 from scipy.spatial import Delaunay, cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths
+from planner.shell.contours import (
+    PLACES_AROUND,
+    along_contour,
+    at_places,
+    counterclockwise,
+    matched_contours,
+    mean_gap,
+    nearest_on,
+)
 
 FLANGE, WALL, FLOOR = 0, 1, 2
 """Where a triangle lies."""
-PLACES_AROUND = 1024
-"""Places at which contours are matched to one another."""
-EVEN = 0.7
-"""Share of a contour's own length in where its places are."""
-CORNER = np.radians(25.0)
-"""Turn of a contour [rad] from which it has a corner, along which a mesh line goes down the wall."""
-CORNER_WINDOW = 5e-4
-"""Length of a contour [m], to both sides, over which turns are added up: one that is noisy has no corners."""
 KINK = np.radians(8.0)
 """Turn of the profile at a contour [rad] from which this is a mesh line."""
 GROWTH = 0.3
@@ -99,7 +100,7 @@ def mesh_walls(
     some = (
         np.empty((0, 2)) if places is None else np.asarray(places, dtype=np.float64).reshape(len(places), -1)
     )
-    frame = shapely.Polygon(_counterclockwise(np.asarray(outline, dtype=np.float64)))
+    frame = shapely.Polygon(counterclockwise(np.asarray(outline, dtype=np.float64)))
     layout = _flat(frame, [_Outlines.of(wall) for wall in walls], some[:, :2])
     size = float(np.sqrt(frame.area / triangles))
     best: SheetMesh | None = None
@@ -145,17 +146,6 @@ def border_edges(triangles: IntArray) -> IntArray:
     return np.asarray(edges[first[count == 1]])
 
 
-def _counterclockwise(ring: FloatArray) -> FloatArray:
-    ring = np.asarray(ring, dtype=np.float64)
-    return ring if _area(ring) > 0.0 else ring[::-1]
-
-
-def _area(ring: FloatArray) -> float:
-    """Area [m^2] of a contour from above, positive counterclockwise."""
-    after = np.roll(ring, -1, axis=0)
-    return 0.5 * float(np.sum(ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]))
-
-
 @dataclasses.dataclass(frozen=True)
 class _Outlines:
     """A wall whose ``rings`` run counterclockwise, ``top`` and ``floor`` as polygons."""
@@ -168,7 +158,7 @@ class _Outlines:
     @staticmethod
     def of(wall: Wall) -> _Outlines:
         """Raises ValueError as `mesh_walls`."""
-        rings = [_counterclockwise(np.asarray(ring, dtype=np.float64)) for ring in wall.rings]
+        rings = [counterclockwise(np.asarray(ring, dtype=np.float64)) for ring in wall.rings]
         shapes = [shapely.Polygon(ring[:, :2]) for ring in rings]
         for index, shape in enumerate(shapes):
             if not shape.is_valid or (index and not shapes[index - 1].buffer(1e-9).contains(shape)):
@@ -178,96 +168,6 @@ class _Outlines:
                 off = np.ptp(level[:, 2])
                 raise ValueError(f"{name} ring: heights differ by {off:.2g} m; allowed {LEVEL:g}")
         return _Outlines(rings, shapes[0], shapes[-1], [_Outlines.of(other) for other in wall.inside])
-
-
-def _matched(outlines: list[FloatArray]) -> tuple[FloatArray, IntArray]:
-    """Contours (r, PLACES_AROUND, 3) whose places face one another, and the places of corners.
-
-    Each place is nearest to that of the contour before, up to the share `EVEN`, which an arc needs that grows
-    out of a point; a corner is at a place, at that of a corner which the contour before has near it.
-    """
-    out: list[FloatArray] = []
-    share = np.arange(PLACES_AROUND) / PLACES_AROUND
-    lines = np.empty(0, dtype=np.int64)
-    found: FloatArray = PLACES_AROUND * share
-    near = 0.0
-    for index, ring in enumerate(outlines):
-        if out:
-            ring = np.roll(ring, -int(np.argmin(lengths(ring[:, :2] - out[-1][0, :2]))), axis=0)
-        whole = _along(ring)
-        along = whole / whole[-1]
-        if out:
-            nearest = cKDTree(out[-1][:, :2]).query(_at(ring, along, share)[:, :2])[1]
-            found = np.asarray(nearest, dtype=np.float64)
-            # places grow around the ring; the first may lie a little before 0
-            step = np.diff(found, prepend=found[0])
-            turns = np.cumsum(np.round(step / PLACES_AROUND)) + np.round(found[0] / PLACES_AROUND)
-            found = np.asarray(found - PLACES_AROUND * turns)
-            near = 4.0 * _gap(outlines[index - 1], ring) / whole[-1] * PLACES_AROUND
-        corner = along[:-1][_corners(ring)]
-        even = PLACES_AROUND * share + float(np.mean(found - PLACES_AROUND * share))
-        place = (1.0 - EVEN) * np.maximum.accumulate(found) + EVEN * even
-        at = np.interp(corner, np.append(share, 1.0), np.append(place, place[0] + PLACES_AROUND))
-        snapped, lines = _snapped(at, lines, max(near, 4.0))
-        own = share
-        if len(corner):
-            shift = np.interp(share, corner, snapped - at, period=1.0)
-            own, place = np.concatenate([share, corner]), np.concatenate([place + shift, snapped])
-            order = np.argsort(own, kind="stable")
-            own, place = own[order], np.maximum.accumulate(place[order])
-        place = np.concatenate([place + PLACES_AROUND * turn for turn in (-1, 0, 1)])
-        own = np.concatenate([own + turn for turn in (-1, 0, 1)])
-        out.append(_at(ring, along, np.interp(PLACES_AROUND * share, place, own) % 1.0))
-    return np.array(out), np.unique(lines)
-
-
-def _gap(outer: FloatArray, inner: FloatArray) -> float:
-    """Mean distance [m], seen from above, of two contours: the area between them over their mean length."""
-    between = abs(_area(outer) - _area(inner))
-    return 2.0 * between / float(_along(outer[:, :2])[-1] + _along(inner[:, :2])[-1])
-
-
-def _corners(ring: FloatArray) -> IntArray:
-    """Points of a contour at which it has a corner: the most turned of those within `CORNER_WINDOW`."""
-    ahead = (np.roll(ring, -1, axis=0) - ring)[:, :2]
-    before = np.roll(ahead, 1, axis=0)
-    turn = np.arctan2(before[:, 0] * ahead[:, 1] - before[:, 1] * ahead[:, 0], dots(before, ahead))
-    along = _along(ring)
-    place = np.concatenate([along[:-1] - along[-1], along[:-1], along[:-1] + along[-1]])
-    total = np.concatenate([[0.0], np.cumsum(np.tile(turn, 3))])
-    low = np.searchsorted(place, along[:-1] - CORNER_WINDOW - 1e-12)
-    high = np.searchsorted(place, along[:-1] + CORNER_WINDOW + 1e-12)
-    within = np.abs(total[high] - total[low])
-    found: list[int] = []
-    for index in np.flatnonzero(within > CORNER)[np.argsort(-np.abs(turn[within > CORNER]), kind="stable")]:
-        off = np.abs(along[found] - along[index])
-        if not len(off) or np.minimum(off, along[-1] - off).min() > 2.0 * CORNER_WINDOW:
-            found.append(int(index))
-    return np.array(sorted(found), dtype=np.int64)
-
-
-def _snapped(at: FloatArray, lines: IntArray, near: float) -> tuple[FloatArray, IntArray]:
-    """Whole places (c,), near places ``at``, for corners, and all lines of corners with those that are
-    new."""
-    out = np.round(at)
-    for index, place in enumerate(at):
-        off = (lines - place + 0.5 * PLACES_AROUND) % PLACES_AROUND - 0.5 * PLACES_AROUND
-        if len(off) and np.abs(off).min() < near:
-            out[index] = place + off[np.argmin(np.abs(off))]
-        else:
-            lines = np.append(lines, int(out[index]) % PLACES_AROUND)
-    return np.round(out), lines
-
-
-def _along(ring: FloatArray) -> FloatArray:
-    """Length (k + 1,) of a closed contour up to each point and back to the first."""
-    return np.concatenate([[0.0], np.cumsum(lengths(np.roll(ring, -1, axis=0) - ring))])
-
-
-def _at(ring: FloatArray, place: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Points (w, 3) of a closed contour at ``wanted``, where its own points are at ``place`` (k + 1,)."""
-    closed = np.concatenate([ring, ring[:1]])
-    return np.column_stack([np.interp(wanted, place, closed[:, axis]) for axis in range(3)])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -303,7 +203,7 @@ def _flat(region: shapely.Polygon, walls: list[_Outlines], places: FloatArray, h
     own: list[list[FloatArray]] = [[] for _ in walls]
     fixed = []
     for place in places:
-        off = [min(_nearest(ring[:, :2], place)[0] for ring in wall.rings) for wall in walls]
+        off = [min(nearest_on(ring[:, :2], place)[0] for ring in wall.rings) for wall in walls]
         point = shapely.Point(place)
         near = [k for k, wall in enumerate(walls) if wall.top.contains(point) or off[k] <= OFF_RING]
         if near:
@@ -322,14 +222,14 @@ def _flat(region: shapely.Polygon, walls: list[_Outlines], places: FloatArray, h
 def _laid_out(wall: _Outlines, places: Sequence[FloatArray]) -> _Layout:
     """Which contours of a wall are rows, and where the points lie that become nodes."""
     outlines = wall.rings
-    gap = np.array([_gap(*pair) for pair in itertools.pairwise(outlines)])
+    gap = np.array([mean_gap(*pair) for pair in itertools.pairwise(outlines)])
     rise = np.diff([ring[:, 2].mean() for ring in outlines])
     slope = np.arctan2(rise, gap)
     kept = {0, *(np.flatnonzero(np.abs(np.diff(slope)) > KINK) + 1).tolist(), len(outlines) - 1}
     on: dict[int, list[FloatArray]] = {}
     inner = []
     for place in places:
-        off = [_nearest(ring[:, :2], place)[0] for ring in outlines]
+        off = [nearest_on(ring[:, :2], place)[0] for ring in outlines]
         ring = int(np.argmin(off))
         if off[ring] <= OFF_RING:
             on.setdefault(ring, []).append(place)
@@ -347,10 +247,10 @@ def _laid_out(wall: _Outlines, places: Sequence[FloatArray]) -> _Layout:
     for index in range(len(outlines)):
         if index in kept or reach[index] - reach[used[-1]] >= LEAST_STEP:
             used.append(index)
-    around, corners = _matched([outlines[index] for index in used])
+    around, corners = matched_contours([outlines[index] for index in used])
     number = {index: place for place, index in enumerate(used)}
     fixed = {
-        number[index]: [_nearest(around[number[index], :, :2], point)[1] for point in points]
+        number[index]: [nearest_on(around[number[index], :, :2], point)[1] for point in points]
         for index, points in on.items()
     }
     rows = sorted(number[index] for index in kept)
@@ -359,15 +259,6 @@ def _laid_out(wall: _Outlines, places: Sequence[FloatArray]) -> _Layout:
     if abs(floor.height - height) > LEVEL:
         raise ValueError("walls: a first ring is not as high as the floor it is on")
     return _Layout(around, corners, fixed, rows, floor)
-
-
-def _nearest(ring: FloatArray, point: FloatArray) -> tuple[float, float]:
-    """Distance [m] of a point to a contour (k, 2), and where along it, in its points."""
-    ahead = np.roll(ring, -1, axis=0) - ring
-    share = np.clip(dots(point - ring, ahead) / np.maximum(dots(ahead, ahead), 1e-30), 0.0, 1.0)
-    off = lengths(ring + share[:, None] * ahead - point)
-    index = int(np.argmin(off))
-    return float(off[index]), float(index + share[index]) % len(ring)
 
 
 def _rows(layout: _Layout, size: float) -> tuple[FloatArray, list[list[float]]]:
@@ -390,7 +281,7 @@ def _rows(layout: _Layout, size: float) -> tuple[FloatArray, list[list[float]]]:
 
 def _places(row: FloatArray, ends: FloatArray, size: float) -> FloatArray:
     """Where along a row (in places around, rising) its nodes are, ``ends`` (e,) among them."""
-    along = _along(row)
+    along = along_contour(row)
     long = np.concatenate([along[:-1], along + along[-1]])
     number = np.arange(len(long))
     least = int(np.ceil(12.0 / len(ends)))
@@ -485,7 +376,7 @@ def _wall(layout: _Layout, parts: _Parts) -> _Rim:
     for row, own in zip(rows, fixed, strict=True):
         ends = np.unique(np.concatenate([layout.corners, own]))
         places.append(_places(row, ends if len(ends) else np.zeros(1), parts.size))
-        numbers.append(parts.add(_at(row, number, places[-1])))
+        numbers.append(parts.add(at_places(row, number, places[-1])))
     first = len(parts.nodes) - len(rows)
     for k in range(len(rows) - 1):
         parts.join(_band(places[k], places[k + 1], int(numbers[k][0]), int(numbers[k + 1][0])), WALL)
