@@ -158,7 +158,7 @@ KINEMATICS: Final = (
     ),
 )
 
-WAYS: Final = (Fault("ways_unchecked", "behind", {"motion.transit:_way": _straight_way}),)
+WAYS: Final = (Fault("ways_unchecked", "behind", {"motion.ways:_way": _straight_way}),)
 
 TIME: Final = (
     Fault("clock_ten_times", "spif", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.1 * op.time})}),

@@ -66,7 +66,7 @@ CHECKS: Final[Mapping[str, Change]] = {
         "reading.sheet:_require_fits",
         "reading.sheet:_require_flat_rim",
         "motion.diagnosis:require_moves",
-        "motion.transit:require_home",
+        "motion.ways:require_home",
         "post.write:refusals",
     )
 }
