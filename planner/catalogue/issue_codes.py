@@ -456,6 +456,7 @@ CODES: Final[dict[str, Code]] = {
     "forming.springback": Code(
         "a formed sheet comes back by more than parts may be off when the tool lets go"
     ),
+    "forming.springback_mesh": Code("the sheet as formed cannot be divided into so few triangles"),
     "forming.springback_mode": Code("springback is asked of what has no model for it", given=True),
     "forming.limit_load": Code("a formed sheet snaps through or buckles under the force that is expected"),
     "forming.adsif_table": Code(

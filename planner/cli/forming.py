@@ -73,7 +73,7 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
         ("triangles", request.triangles, LEAST_TRIANGLES),
     ):
         if value < least:
-            what = f"{name}: got {value}, allowed {least} at least"
+            what = f"got {value}, allowed {least} at least"
             raise TandemError(Issue("forming.springback_mode", what, field=name, hint="correct it"))
     work = _job(problem, request.operation).planned
     forecast.require_mode(work)

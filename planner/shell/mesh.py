@@ -50,6 +50,8 @@ _ROUNDS = 10
 """Sizes that are tried for a wanted number of triangles."""
 _ENOUGH = 0.95
 """Share of the triangles allowed with which a mesh is taken at once."""
+_LARGER = 1.03
+"""By how much elements become larger at least that were too many."""
 _SMALLER = 0.85
 """By how much elements become smaller that did not fit."""
 
@@ -118,7 +120,8 @@ def mesh_walls(
         if best is made and count > _ENOUGH * triangles:
             break
         why = f"allow about {count}"
-        size *= float(np.sqrt(2.0 * count / ((1.0 + _ENOUGH) * triangles)))
+        larger = float(np.sqrt(2.0 * count / ((1.0 + _ENOUGH) * triangles)))
+        size *= max(larger, _LARGER) if count > triangles else larger
     if best is None:
         raise ValueError(f"got {triangles} triangles: {why}")
     return best

@@ -63,9 +63,19 @@ def points(
 
 
 def curves(work: Work, some: Sequence[Point], triangles: int = TRIANGLES) -> Iterator[Curve]:
-    """The curves at some points, one after the other: what a process works out."""
+    """The curves at some points, one after the other: what a process works out. Raises ``TandemError``
+    (forming.springback_mesh)."""
     for point in some:
-        yield solved(work, point, triangles)
+        try:
+            found = solved(work, point, triangles)
+        except ValueError as error:
+            what = (
+                f"pass {work.passes[point.number].name}: the sheet as formed at z = "
+                f"{point.place[2] / MM:.2f} mm has no mesh: {error}"
+            )
+            hint = f"allow more triangles: {2 * triangles}"
+            raise TandemError(Issue("forming.springback_mesh", what, field="triangles", hint=hint)) from error
+        yield found
 
 
 def forecast(

@@ -27,6 +27,12 @@ LEAST_STEP: Final = 0.1 * MM
 """Contours of a wall are so far apart at least [m], and a feature is so deep, or not begun."""
 SAME_PLACE: Final = 1e-6
 """Points of a contour nearer than this [m] are one."""
+LEAST_AREA: Final = 4.0 * MM**2
+"""Contours around less than this [m^2] are a tip, however steep."""
+TIP_SHARE: Final = 0.1
+"""Contours around less than this share of a wall's first one may be those of its tip."""
+TIP_SLOPE: Final = 0.4
+"""Slope from contour to contour below which a tip is rounded: some 22 degrees."""
 EDGE: Final = 0.02 * MM
 """How far inside of its edges [m] a wall is cut, where it is flat."""
 
@@ -72,10 +78,12 @@ def _whole(work: Work, feature: int) -> list[FloatArray]:
     found = work.tree.feature(feature)
     depth = found.levels - found.start
     depth[0], depth[-1] = 0.0, found.end - found.start
-    return [
-        np.column_stack([_open(line)[:, :2], np.full(len(_open(line)), z)])
-        for line, z in zip(found.contours, depth, strict=True)
-    ]
+    return _wide(
+        [
+            np.column_stack([_open(line)[:, :2], np.full(len(_open(line)), z)])
+            for line, z in zip(found.contours, depth, strict=True)
+        ]
+    )
 
 
 def _partly(one: Pass, earlier: list[Pass], level: float) -> list[FloatArray]:
@@ -109,7 +117,23 @@ def _cut(one: Pass, top: float, bottom: float) -> list[FloatArray]:
             # where a ball would roll over a crease, a line has several normals at one place
             ring = ring[lengths(ring - np.roll(ring, 1, axis=0)) > SAME_PLACE]
             out.append(np.column_stack([ring[:, :2], np.full(len(ring), z)]))
-    return out
+    return _wide(out)
+
+
+def _wide(rings: list[FloatArray]) -> list[FloatArray]:
+    """Rings without those of a rounded tip, which are small and nearly level with the one before: they are
+    few facets across, and the floor that takes their place is off them by little. At least one is left."""
+    area = [abs(shapely.Polygon(ring[:, :2]).area) if len(ring) > 2 else 0.0 for ring in rings]
+    kept = len(rings)
+    while kept > 1 and area[kept - 1] < TIP_SHARE * area[0]:
+        across = np.sqrt(area[kept - 2] / np.pi) - np.sqrt(area[kept - 1] / np.pi)
+        if (
+            area[kept - 1] >= LEAST_AREA
+            and abs(rings[kept - 1][0, 2] - rings[kept - 2][0, 2]) > TIP_SLOPE * across
+        ):
+            break
+        kept -= 1
+    return rings[:kept]
 
 
 def _open(ring: FloatArray) -> FloatArray:

@@ -65,9 +65,11 @@ class Centres:
         chosen, column = some if isinstance(some, tuple) else (some, None)
         if column is None:
             return np.stack([self[chosen, k] for k in range(len(self._poses))], axis=-2)
-        back = self._back if len(self._back) == 1 else self._back[chosen]
         place = self._poses[column].place[self._rows[chosen]]
-        return _turned(back, place) + back[:, :3, 3]
+        if len(self._back) == 1:
+            return _turned(self._back, place) + self._back[:, :3, 3]
+        back = self._back[chosen]
+        return np.asarray((back[..., :3, :3] @ place[..., None])[..., 0] + back[..., :3, 3])
 
 
 @dataclasses.dataclass(frozen=True)

@@ -76,52 +76,72 @@ def follow(claim: MillsAlong, tip: FloatArray, axis: FloatArray, some: IntArray 
     since = waits[np.searchsorted(waits, np.maximum(passed - 1, 0), side="right") - 1]
     low = rows[np.maximum(since - 1, 0)]
     high = rows[np.minimum(passed + 1, count - 1)]
-    missed = int((_passes(claim, tip, axis, low, high) > 1.0).sum())
+    missed = _missed(claim, tip, axis, low, high)
     return Followed(off, turn, missed, at, np.array(way.along))
 
 
-def _passes(
-    claim: MillsAlong, tip: FloatArray, axis: FloatArray, low: IntArray, high: IntArray
-) -> FloatArray:
-    """How near (K,) the track ``tip``, ``axis`` (N, 3) comes to each place of a way between its samples
-    ``low`` and ``high`` (K,), of what is allowed. It is looked for by the tip and by the axis, of which one
-    may stand still."""
-    out = np.empty(len(low))
-    number = np.maximum(high - low, 1)
-    ends = np.cumsum(number)
-    last = len(tip) - 1
+def _missed(claim: MillsAlong, tip: FloatArray, axis: FloatArray, low: IntArray, high: IntArray) -> int:
+    """How many places (K,) of a way the track ``tip``, ``axis`` (N, 3) does not pass between its samples
+    ``low`` and ``high`` (K,), each no sooner than the ones before it: a step back that is left out lies on
+    the track too, but in another order."""
+    missed, reached = 0, 0.0
+    ends = np.cumsum(np.maximum(high - low, 1))
     start = 0
     while start < len(low):
         stop = max(start + 1, int(np.searchsorted(ends, ends[start] + _PAIRS_AT_ONCE)))
-        count = number[start:stop]
-        first = np.cumsum(count) - count
-        place = np.repeat(np.arange(start, stop), count)
-        piece = low[place] + np.arange(len(place)) - np.repeat(first, count)
-        after = np.minimum(piece + 1, last)
-        step, lean = tip[after] - tip[piece], axis[after] - axis[piece]
-        by_tip = _share_of(claim.tip[place] - tip[piece], step)
-        by_axis = _share_of(claim.axis[place] - axis[piece], lean)
-        best = np.full(len(place), np.inf)
-        for share in (by_tip, by_axis):
-            apart = np.linalg.norm(tip[piece] + share * step - claim.tip[place], axis=1)
-            chord = np.linalg.norm(axis[piece] + share * lean - claim.axis[place], axis=1)
-            cost = np.maximum(apart / passing_tolerance(claim), chord / claim.turn)
-            best = np.minimum(best, cost)
-        out[start:stop] = np.minimum.reduceat(best, first)
+        place, first, last = _stretches_near(claim, tip, axis, low[start:stop], high[start:stop], start)
+        bounds = np.searchsorted(place, np.arange(start, stop + 1))
+        soonest, latest = first.tolist(), last.tolist()
+        for begin, end in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+            found = next((k for k in range(begin, end) if latest[k] >= reached), None)
+            if found is None:
+                missed += 1
+            else:
+                reached = max(reached, soonest[found])
         start = stop
-    return out
+    return missed
 
 
-def _share_of(off: FloatArray, step: FloatArray) -> FloatArray:
-    """Shares (M, 1) of steps (M, 3) that are nearest to what is ``off`` (M, 3) their beginnings."""
+def _stretches_near(
+    claim: MillsAlong, tip: FloatArray, axis: FloatArray, low: IntArray, high: IntArray, start: int
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Where the track is near the places from number ``start`` on, each between its samples ``low`` and
+    ``high`` (K,): M stretches of it, by place and in order, each the place (M,) and where it begins and ends
+    (M,), as the number of a sample and a share of the way to the next one."""
+    number = np.maximum(high - low, 1)
+    begun = np.cumsum(number) - number
+    own = np.repeat(np.arange(len(low)), number)
+    piece = low[own] + np.arange(len(own)) - begun[own]
+    after = np.minimum(piece + 1, len(tip) - 1)
+    place = start + own
+    within = passing_tolerance(claim)
+    ends = [
+        _shares_within(tip[piece] - claim.tip[place], tip[after] - tip[piece], within),
+        _shares_within(axis[piece] - claim.axis[place], axis[after] - axis[piece], claim.turn),
+    ]
+    first, last = np.maximum(ends[0][0], ends[1][0]), np.minimum(ends[0][1], ends[1][1])
+    near = np.flatnonzero(first <= last)
+    return place[near], piece[near] + first[near], piece[near] + last[near]
+
+
+def _shares_within(off: FloatArray, step: FloatArray, within: float) -> tuple[FloatArray, FloatArray]:
+    """First and last share (M,), from 0 to 1, of steps (M, 3) at which what begins ``off`` (M, 3) a place is
+    no farther than ``within`` from it; infinite and below where there is none."""
     square = np.maximum((step * step).sum(axis=1), 1e-30)
-    return np.asarray(np.clip((off * step).sum(axis=1) / square, 0.0, 1.0)[:, None])
+    middle = -(off * step).sum(axis=1) / square
+    nearest = off + middle[:, None] * step
+    room = (within * within - (nearest * nearest).sum(axis=1)) / square
+    half = np.sqrt(np.maximum(room, 0.0))
+    first, last = np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)
+    none = (room < 0.0) | (first > last)
+    return np.where(none, np.inf, first), np.where(none, -np.inf, last)
 
 
 def passing_tolerance(claim: MillsAlong) -> float:
     """How near [m] a tool passes the places of its way: what is rounded within the tolerance of both legs of
     a corner, which is no less than how near arms are taken to keep to them anyway, is off the corner by the
-    root of two of that at 90 degrees, and by less elsewhere; and what is written is rounded."""
+    root of two of that at 90 degrees, by less at wider ones, and by more at sharper ones, where arms stop;
+    and what is written is rounded."""
     return math.sqrt(2.0) * max(claim.tolerance, ACCURACY) + WRITTEN_ROUNDING
 
 

@@ -342,10 +342,11 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
             continue
         some, found = known
         off, turn = found.off, found.turn
-        share = max(float(off.max()) / claim.tolerance, float(turn.max()) / claim.turn)
+        allowed_off = claim.tolerance + WRITTEN_ROUNDING
+        share = max(float(off.max()) / allowed_off, float(turn.max()) / claim.turn)
         if share > worst:
             worst, limit, where = share, 1.0, str(claim.segment)
-        bad = np.flatnonzero((off > claim.tolerance + WRITTEN_ROUNDING) | (turn > claim.turn))
+        bad = np.flatnonzero((off > allowed_off) | (turn > claim.turn))
         for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
             what = (
                 f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve{_line(claim, found, i)} "

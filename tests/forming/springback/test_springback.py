@@ -6,6 +6,7 @@ meshes): top radius 50 mm, 45 degrees, sheet 250 x 250 x 1 mm, E 68 GPa, nu 0.3,
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
 import subprocess
@@ -26,6 +27,7 @@ from planner.issues import Issue, TandemError
 from planner.shell.mesh import mesh_walls
 from tests import small_forming
 from tests.forming import shapes
+from tests.remedies.advice import Said
 
 SHEET = {"size_mm": [320, 320], "thickness_mm": 1, "metal": "aa5754_o", "opening_mm": [250, 250]}
 COARSE = 1200
@@ -142,6 +144,23 @@ def test_a_sheet_that_snaps_is_told_by_its_limit_and_less_force_ends_it() -> Non
     assert [issue.code for issue in issues] == ["forming.limit_load"]
     assert "holds 70 N, 200 N are expected" in issues[0].message
     assert of_force(float(issues[0].limit or 0.0)) == []
+
+
+def test_too_few_triangles_are_told_and_twice_as_many_do(tmp_path: Path) -> None:
+    made = of(tmp_path, shapes.cone(45.0, 0.020, 0.050, 240))
+    point = curves.Point(0, np.array([0.034, 0.0, -0.015]), 300.0)
+    triangles = 15
+    with pytest.raises(TandemError, match="no mesh") as refused:
+        list(forecast.curves(made, [point], triangles))
+    assert refused.value.issues[0].code == "forming.springback_mesh"
+    for _ in range(6):
+        triangles = int(Said("more triangles: #").of(refused.value.issues, None))
+        with contextlib.suppress(TandemError):
+            assert list(forecast.curves(made, [point], triangles))
+            return
+        with pytest.raises(TandemError) as refused:
+            list(forecast.curves(made, [point], triangles))
+    raise AssertionError(f"{triangles} triangles do not do")
 
 
 @pytest.mark.parametrize("mode", ["adsif", "tpif"])

@@ -8,10 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from planner.verify.forming import swept
 from planner.verify.forming.face import Face
+from planner.verify.forming.state import Centres
 from planner.verify.prove import Prover
+from planner.verify.replay.motion import Poses
 from tests.verify import forming_job as job
 from tests.verify.rapid_edits import segment, shifted
 
@@ -76,3 +79,20 @@ def test_at_the_end_all_of_the_face_is_there():
     texts = job.programs()
     k = segment(texts, "form_f1_out")[0]
     assert told(shift(texts, k, [22.0, 0.0, 27.0]))
+
+
+def test_centres_of_a_sheet_that_moves_are_worked_out_in_any_shape_of_rows() -> None:
+    """Against SciPy's rotations, one frame to each row."""
+    rng = np.random.default_rng(3)
+    frames = np.tile(np.eye(4), (20, 1, 1))
+    turns = Rotation.random(20, random_state=4)
+    frames[:, :3, :3], frames[:, :3, 3] = turns.as_matrix(), rng.normal(size=(20, 3))
+    place = rng.normal(size=(30, 3))
+    poses = Poses(place, np.tile([0.0, 0.0, 1.0], (30, 1)), np.zeros(30))
+    rows = np.arange(5, 25)
+    wanted = turns.apply(place[rows]) + frames[:, :3, 3]
+    centres = Centres(rows, (poses,), frames)
+    assert centres[:, 0] == pytest.approx(wanted)
+    assert centres[7, 0] == pytest.approx(wanted[7])
+    some = np.array([[0, 3, 5], [7, 8, 9]])
+    assert centres[some] == pytest.approx(wanted[some][:, :, None])

@@ -141,3 +141,18 @@ def test_one_time_around_of_two_is_not_enough() -> None:
     tip, axis = replay(own)
     half = len(tip) // 2
     assert not holds(follow(own, tip[half:], axis[half:]))
+
+
+@pytest.mark.parametrize("step", [8e-5, 2.4e-4, 4e-4, 1.2e-3])
+@pytest.mark.parametrize("back", [0.3, 0.5, 1.0])
+def test_a_step_back_that_is_left_out_is_missed_however_far_samples_are_apart(
+    back: float, step: float
+) -> None:
+    """Every place lies on the straight way, but in another order; 0.28 mm are within both tolerances."""
+    own = claim([([0, 0, 0], UP), ([10, 0, 0], UP), ([10 - back, 0, 0], UP), ([20, 0, 0], UP)])
+    straight = claim([([0, 0, 0], UP), ([20, 0, 0], UP)])
+    for shift in np.linspace(0.0, 0.9, 7):
+        tip, axis = replay(straight, step)
+        tip = np.concatenate([tip[:1], tip[1:-1] + np.array([shift * step, 0.0, 0.0]), tip[-1:]])
+        assert not holds(follow(own, tip, axis))
+    assert holds(follow(own, *replay(own, step)))
