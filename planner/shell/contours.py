@@ -13,6 +13,8 @@ EVEN = 0.7
 """Share of a contour's own length in where its places are."""
 CORNER = np.radians(25.0)
 """Turn of a contour [rad] from which it has a corner, along which a mesh line goes down the wall."""
+BESIDE = 6.0
+"""Windows about a point, in those of a corner, over which a contour's turn beside it is taken."""
 CORNER_WINDOW = 5e-4
 """Length of a contour [m], to both sides, over which turns are added up: one that is noisy has no corners."""
 
@@ -76,16 +78,22 @@ def mean_gap(outer: FloatArray, inner: FloatArray) -> float:
 
 
 def _corners(ring: FloatArray) -> IntArray:
-    """Points of a contour at which it has a corner: the most turned of those within `CORNER_WINDOW`."""
+    """Points of a contour at which it has a corner: the most turned of those within `CORNER_WINDOW`, where
+    the contour turns by so much more there than beside it; a small circle of few points has none."""
     ahead = (np.roll(ring, -1, axis=0) - ring)[:, :2]
     before = np.roll(ahead, 1, axis=0)
     turn = np.arctan2(before[:, 0] * ahead[:, 1] - before[:, 1] * ahead[:, 0], dots(before, ahead))
     along = along_contour(ring)
     place = np.concatenate([along[:-1] - along[-1], along[:-1], along[:-1] + along[-1]])
     total = np.concatenate([[0.0], np.cumsum(np.tile(turn, 3))])
-    low = np.searchsorted(place, along[:-1] - CORNER_WINDOW - 1e-12)
-    high = np.searchsorted(place, along[:-1] + CORNER_WINDOW + 1e-12)
-    within = np.abs(total[high] - total[low])
+
+    def turned(window: float) -> FloatArray:
+        low = np.searchsorted(place, along[:-1] - window - 1e-12)
+        high = np.searchsorted(place, along[:-1] + window + 1e-12)
+        return np.asarray(np.abs(total[high] - total[low]))
+
+    within, beside = turned(CORNER_WINDOW), turned(BESIDE * CORNER_WINDOW)
+    within -= np.maximum(beside - within, 0.0) / (BESIDE - 1.0)
     found: list[int] = []
     for index in np.flatnonzero(within > CORNER)[np.argsort(-np.abs(turn[within > CORNER]), kind="stable")]:
         off = np.abs(along[found] - along[index])

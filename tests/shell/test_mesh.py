@@ -7,6 +7,7 @@ import pytest
 import shapely
 
 from planner.geometry.arrays import FloatArray, lengths
+from planner.shell.contours import _corners
 from planner.shell.mesh import (
     FLANGE,
     FLOOR,
@@ -123,6 +124,21 @@ def test_what_cannot_be_meshed_is_refused() -> None:
         mesh_sheet(PARTS["cone"], WINDOW, 1000, np.array([[0.04, 0.0]]))
     with pytest.raises(ValueError, match="tip"):
         cone_rings(0.05, np.radians(45.0), 0.06)
+
+
+@pytest.mark.parametrize("sides", [24, 25, 40])
+def test_a_small_circle_of_few_points_has_no_corners_and_no_folds(sides: int) -> None:
+    """The last contours of a dome of 18 mm that rises 4.5 mm, as a coarse mesh of the part has them."""
+    rings = []
+    for z in np.linspace(0.0, -4e-3, 9):
+        radius = np.sqrt(0.018**2 * (1.0 + z / 4.5e-3))
+        turn = 2.0 * np.pi * np.arange(sides) / sides + 0.3 * z
+        # pairs of points near each other, where contours pass the corners of facets
+        turn = np.sort(np.concatenate([turn, turn + 0.03]))
+        rings.append(np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(len(turn), z)]))
+    assert all(len(_corners(ring)) == 0 for ring in rings)
+    for triangles in (800, 1600, 4000):
+        assert normals(mesh_sheet(rings, WINDOW, triangles))[:, 2].min() > 0.0
 
 
 def test_walls_side_by_side_and_on_floors_are_meshed_as_one_sheet() -> None:

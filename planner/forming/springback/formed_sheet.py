@@ -28,11 +28,7 @@ LEAST_STEP: Final = 0.1 * MM
 SAME_PLACE: Final = 1e-6
 """Points of a contour nearer than this [m] are one."""
 LEAST_AREA: Final = 4.0 * MM**2
-"""Contours around less than this [m^2] are a tip, however steep."""
-TIP_SHARE: Final = 0.1
-"""Contours around less than this share of a wall's first one may be those of its tip."""
-TIP_SLOPE: Final = 0.4
-"""Slope from contour to contour below which a tip is rounded: some 22 degrees."""
+"""Contours around less than this [m^2] are a tip: the floor takes their place."""
 EDGE: Final = 0.02 * MM
 """How far inside of its edges [m] a wall is cut, where it is flat."""
 
@@ -121,17 +117,10 @@ def _cut(one: Pass, top: float, bottom: float) -> list[FloatArray]:
 
 
 def _wide(rings: list[FloatArray]) -> list[FloatArray]:
-    """Rings without those of a rounded tip, which are small and nearly level with the one before: they are
-    few facets across, and the floor that takes their place is off them by little. At least one is left."""
-    area = [abs(shapely.Polygon(ring[:, :2]).area) if len(ring) > 2 else 0.0 for ring in rings]
+    """Rings without the last ones of a tip, which are too small for a row; at least one."""
+    area = [shapely.Polygon(ring[:, :2]).area if len(ring) > 2 else 0.0 for ring in rings]
     kept = len(rings)
-    while kept > 1 and area[kept - 1] < TIP_SHARE * area[0]:
-        across = np.sqrt(area[kept - 2] / np.pi) - np.sqrt(area[kept - 1] / np.pi)
-        if (
-            area[kept - 1] >= LEAST_AREA
-            and abs(rings[kept - 1][0, 2] - rings[kept - 2][0, 2]) > TIP_SLOPE * across
-        ):
-            break
+    while kept > 1 and area[kept - 1] < LEAST_AREA:
         kept -= 1
     return rings[:kept]
 
