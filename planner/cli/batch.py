@@ -60,6 +60,12 @@ class Batch:
     """plan on a Dask cluster: tcp://HOST:PORT of its scheduler, or local"""
 
 
+def usable_cores() -> int:
+    """Cores that this process may run on."""
+    able = getattr(os, "sched_getaffinity", None)  # not on every system
+    return len(able(0)) if able is not None else os.cpu_count() or 1
+
+
 def run_batch(request: Batch) -> int:
     """Plan, print and write the summary; the exit code. Raises `TandemError` for what cannot begin."""
     from planner.batch import run as batch
@@ -71,7 +77,7 @@ def run_batch(request: Batch) -> int:
     rows: dict[str, Row] = {}
     with batch.claimed_folder(request.output):
         items = collect(request.problems, request.output)
-        count = min(request.workers or len(os.sched_getaffinity(0)), len(items))
+        count = min(request.workers or usable_cores(), len(items))
         settings = batch.Settings(request.timeout, request.memory, request.resume)
         known = {item.name: item for item in items}
         with _planners(request, count) as planners, _progress(items) as shown:

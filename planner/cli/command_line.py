@@ -404,8 +404,7 @@ def _pipeline() -> ModuleType:
 
 def _processes() -> int:
     """Processes for one plan: two where there are two cores for this one."""
-    able = getattr(os, "sched_getaffinity", None)  # not on every system
-    return min(2, len(able(0)) if able is not None else os.cpu_count() or 1)
+    return min(2, batch_commands.usable_cores())
 
 
 def _infeasible_code(error: TandemError) -> int:

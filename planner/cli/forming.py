@@ -10,7 +10,6 @@ import contextlib
 import csv
 import dataclasses
 import io
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -20,6 +19,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from planner.cli.batch import usable_cores
+from planner.cli.preparation import write_output
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 
@@ -106,8 +107,7 @@ def _solved(work: Work, points: Sequence[Point], triangles: int) -> list[Curve]:
     from planner.batch.worker import Second
     from planner.forming.springback.forecast import curves
 
-    able = getattr(os, "sched_getaffinity", None)  # not on every system
-    count = max(1, min(len(able(0)) if able is not None else os.cpu_count() or 1, len(points)))
+    count = max(1, min(usable_cores(), len(points)))
     with contextlib.ExitStack() as stack:
         begins: list[Callable[..., Iterator[Curve]]] = [
             stack.enter_context(Second()).begin for _ in range(count - 1)
@@ -163,18 +163,7 @@ def _span(values: Any, digits: int) -> str:
 
 
 def _write(path: Path, problem: Problem, work: Work, found: Sequence[PassSpringback]) -> None:
-    _put(path, _csv(found) if path.suffix.lower() == ".csv" else _page(problem, work, found))
-
-
-def _put(path: Path, made: str) -> None:
-    from planner.files import write_whole
-
-    try:
-        write_whole(path, made)
-    except OSError as error:
-        what = f"{path}: cannot be written ({error.strerror}); choose another place"
-        raise TandemError(Issue("output.folder", what, field="output")) from error
-    out.print(f"written to {path}", markup=False)
+    write_output(path, _csv(found) if path.suffix.lower() == ".csv" else _page(problem, work, found))
 
 
 def _csv(found: Sequence[PassSpringback]) -> str:
@@ -239,7 +228,7 @@ def run_control(request: ControlRequest, problem: Problem) -> tuple[Issue, ...]:
     found = machine.tried(file, feed)
     _print_control(file, found, feed)
     if request.output is not None:
-        _put(request.output, _control_page(operation.name, file, found))
+        write_output(request.output, _control_page(operation.name, file, found))
     return tuple(machine.issues(file, found, feed))
 
 

@@ -317,7 +317,6 @@ class Features:
 def run_features(request: Features) -> tuple[Issue, ...]:
     """Print the tree, write what is asked for; notes and warnings come back. Raises `TandemError`."""
     from planner.catalogue.robots import bundled
-    from planner.files import write_whole
     from planner.forming.features import tree as feature_tree
     from planner.forming.features.tree import LEAST_BUMP, build
     from planner.geometry.arrays import Mesh
@@ -351,13 +350,21 @@ def run_features(request: Features) -> tuple[Issue, ...]:
             drawn = feature_tree.alone(tree)
         else:
             drawn = feature_tree.drawing_page(tree, f"Features of {request.part.name}")
-        try:
-            write_whole(request.output, drawn)
-        except OSError as error:
-            what = f"{request.output}: cannot be written ({error.strerror}); choose another place"
-            raise TandemError(Issue("output.folder", what, field="output")) from error
-        out.print(f"{'written to' if kind == '.json' else 'drawn in'} {escape(str(request.output))}")
+        write_output(request.output, drawn, "written to" if kind == ".json" else "drawn in")
     return (*face.notes, *tree.issues)
+
+
+def write_output(path: Path, text: str, done: str = "written to") -> None:
+    """Write a file that was asked for, whole or not at all, and say so. Raises `TandemError`
+    (output.folder)."""
+    from planner.files import write_whole
+
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        what = f"{path}: cannot be written ({error.strerror}); choose another place"
+        raise TandemError(Issue("output.folder", what, field="output")) from error
+    out.print(f"{done} {escape(str(path))}")
 
 
 def _table(tree: FeatureTree, mesh: Mesh) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from planner.geometry import curves
 from planner.geometry.arrays import FloatArray, IntArray, dots, lengths
 
 PLACES_AROUND = 1024
@@ -117,13 +118,12 @@ def _snapped(at: FloatArray, lines: IntArray, near: float) -> tuple[FloatArray, 
 
 def along_contour(ring: FloatArray) -> FloatArray:
     """Length (k + 1,) of a closed contour up to each point and back to the first."""
-    return np.concatenate([[0.0], np.cumsum(lengths(np.roll(ring, -1, axis=0) - ring))])
+    return curves.arc_length(np.concatenate([ring, ring[:1]]))
 
 
 def at_places(ring: FloatArray, place: FloatArray, wanted: FloatArray) -> FloatArray:
     """Points (w, 3) of a closed contour at ``wanted``, where its own points are at ``place`` (k + 1,)."""
-    closed = np.concatenate([ring, ring[:1]])
-    return np.column_stack([np.interp(wanted, place, closed[:, axis]) for axis in range(3)])
+    return curves.along(np.concatenate([ring, ring[:1]]), place, wanted)
 
 
 def nearest_on(ring: FloatArray, point: FloatArray) -> tuple[float, float]:

@@ -142,13 +142,6 @@ def cone_rings(top_radius: float, wall_angle: float, depth: float, sides: int = 
     return [top_radius * level, low * level - [0.0, 0.0, depth]]
 
 
-def border_edges(triangles: IntArray) -> IntArray:
-    """Edges (b, 2) that one triangle alone has."""
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
-    return np.asarray(edges[first[count == 1]])
-
-
 @dataclasses.dataclass(frozen=True)
 class _Outlines:
     """A wall whose ``rings`` run counterclockwise, ``top`` and ``floor`` as polygons."""

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.sparse.linalg import SuperLU, splu
 
 from planner.geometry.arrays import BoolArray, FloatArray, dots, lengths
+from planner.geometry.mesh_repair import border as border_edges
 from planner.shell.corotation import Assembly, State, TooFarError, at_rest
 from planner.shell.element import Sheet
-from planner.shell.mesh import border_edges
 
 TOLERANCE = 1e-6
 """Largest displacement of the last correction, over the largest of the state."""

@@ -7,6 +7,7 @@ import pytest
 import shapely
 
 from planner.geometry.arrays import FloatArray, lengths
+from planner.geometry.mesh_repair import border
 from planner.shell.contours import _corners
 from planner.shell.mesh import (
     FLANGE,
@@ -14,7 +15,6 @@ from planner.shell.mesh import (
     WALL,
     SheetMesh,
     Wall,
-    border_edges,
     cone_rings,
     mesh_sheet,
     mesh_walls,
@@ -67,7 +67,7 @@ def test_a_mesh_covers_the_window_once(name: str) -> None:
     across = normals(mesh)
     assert across[:, 2].min() > 0.0
     assert 0.5 * across[:, 2].sum() == pytest.approx(0.25**2, rel=1e-9)
-    rim = border_edges(mesh.triangles)
+    rim = border(mesh.triangles)
     assert np.allclose(np.abs(mesh.nodes[rim, :2]).max(axis=2), 0.125)
     assert lengths(mesh.nodes[rim[:, 1]] - mesh.nodes[rim[:, 0]]).sum() == pytest.approx(1.0, rel=1e-9)
     assert set(np.unique(mesh.triangles)) == set(range(len(mesh.nodes)))

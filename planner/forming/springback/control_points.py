@@ -26,7 +26,9 @@ from typing import Final
 
 import numpy as np
 
+from planner.forming.features.surface import plan_area
 from planner.geometry.arrays import FloatArray, IntArray, lengths
+from planner.geometry.curves import along, arc_length
 from planner.geometry.units import DEG, MM
 
 ANGLE_UNIT: Final = 45.0 * DEG
@@ -134,11 +136,11 @@ def middles(label: IntArray) -> IntArray:
 def _even(point: FloatArray, angle: FloatArray, radius: float) -> Ring:
     """A loop as places that are equally far apart; targets are not."""
     ends = np.vstack([point, point[:1]])
-    along = np.concatenate([[0.0], np.cumsum(lengths(np.diff(ends, axis=0)))])
-    count = max(LEAST_PLACES, round(float(along[-1]) / (radius / PLACES_PER_RADIUS)))
-    at = np.arange(count) * (along[-1] / count)
-    even = np.stack([np.interp(at, along, ends[:, k]) for k in range(3)], axis=1)
-    return Ring(even, np.interp(at, along, np.append(angle, angle[0])), np.zeros(count, dtype=np.int64))
+    places = arc_length(ends)
+    count = max(LEAST_PLACES, round(float(places[-1]) / (radius / PLACES_PER_RADIUS)))
+    at = np.arange(count) * (places[-1] / count)
+    even = along(ends, places, at)
+    return Ring(even, np.interp(at, places, np.append(angle, angle[0])), np.zeros(count, dtype=np.int64))
 
 
 def _labelled(rings: Sequence[Ring], radius: float) -> list[Ring]:
@@ -180,7 +182,7 @@ def curvature_in_plan(xy: FloatArray, window: int) -> FloatArray:
     # the gradient at the place itself, against the way along: which side of the circle is inside
     way = np.roll(xy, -1, axis=0) - np.roll(xy, 1, axis=0)
     sign = np.sign(way[:, 1] * b - way[:, 0] * c)
-    area = 0.5 * float((xy[:, 0] * np.roll(xy[:, 1], -1) - np.roll(xy[:, 0], -1) * xy[:, 1]).sum())
+    area = plan_area(np.vstack([xy, xy[:1]]))
     size = np.sqrt(np.maximum(b * b + c * c - 4.0 * a * d, 1e-300))
     return np.asarray(np.sign(area) * sign * 2.0 * a / size / scale)
 
@@ -230,7 +232,7 @@ def _merges(features: FloatArray) -> tuple[IntArray, FloatArray]:
     last of which is left when one arc is, and by how much each merge spreads its arc (N - 1,)."""
     n = len(features)
     total = [row.copy() for row in features]
-    count, begin, alive, version = [1] * n, list(range(n)), [True] * n, [0] * n
+    count, alive, version = [1] * n, [True] * n, [0] * n
     after, before = [(k + 1) % n for k in range(n)], [(k - 1) % n for k in range(n)]
 
     def cost(a: int, b: int) -> float:
@@ -245,7 +247,7 @@ def _merges(features: FloatArray) -> tuple[IntArray, FloatArray]:
         value, a, b, old_a, old_b = heapq.heappop(waiting)
         if not (alive[a] and alive[b]) or (version[a], version[b]) != (old_a, old_b):
             continue
-        order.append(begin[b])
+        order.append(b)
         gained.append(value)
         total[a] = total[a] + total[b]
         count[a] += count[b]
@@ -256,5 +258,5 @@ def _merges(features: FloatArray) -> tuple[IntArray, FloatArray]:
         if len(order) < n - 1:
             for one, two in ((before[a], a), (a, after[a])):
                 heapq.heappush(waiting, (cost(one, two), one, two, version[one], version[two]))
-    order.append(begin[alive.index(True)])
+    order.append(alive.index(True))
     return np.array(order, dtype=np.int64), np.array(gained)

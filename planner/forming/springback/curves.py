@@ -13,17 +13,16 @@ constructing local monotone piecewise cubic interpolants, SIAM Journal on Scient
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import cKDTree
 
-from planner.forming.contact import Pass, ToolPath
+from planner.forming.contact import Pass
 from planner.forming.process_plan import Work
 from planner.forming.sheet_mechanics import axial_force, scallop_height
-from planner.forming.springback.control_points import ControlPoints, control_points
+from planner.forming.springback.control_points import ControlPoints
 from planner.forming.springback.formed_sheet import thickness, walls
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
@@ -108,18 +107,6 @@ class PassSpringback:
             place, value = self.control.place[mine].astype(np.float64), self.springback[mine]
             out.append(np.interp(np.arange(len(ring.point)), place, value, period=float(len(ring.point))))
         return out
-
-
-def wanted(
-    work: Work, laid: Sequence[tuple[Pass, ToolPath]], most: int
-) -> list[tuple[ControlPoints, FloatArray]]:
-    """Control points of each pass of a job, at most ``most``, and the forces (C,) [N] expected there."""
-    out = []
-    for one, path in laid:
-        radius = work.heads[work.former(one)].radius
-        found = control_points(path.contact.point, path.contact.angle, path.contact.loop, radius, most)
-        out.append((found, forces(work, radius, found.angle)))
-    return out
 
 
 def forces(work: Work, radius: float, angle: FloatArray) -> FloatArray:

@@ -13,14 +13,14 @@ import numpy as np
 
 from planner.forming.contact import Pass, ToolPath
 from planner.forming.process_plan import Work
-from planner.forming.springback.control_points import MOST_POINTS, ControlPoints
+from planner.forming.springback.control_points import MOST_POINTS, ControlPoints, control_points
 from planner.forming.springback.curves import (
     TRIANGLES,
     Curve,
     PassSpringback,
     Point,
+    forces,
     solved,
-    wanted,
 )
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
@@ -55,7 +55,10 @@ def points(
 ) -> list[tuple[ControlPoints, list[Point]]]:
     """Control points of each pass, at most ``most``, and what is to be solved at them."""
     out = []
-    for number, (control, force) in enumerate(wanted(work, laid, most)):
+    for number, (one, path) in enumerate(laid):
+        radius, contact = work.heads[work.former(one)].radius, path.contact
+        control = control_points(contact.point, contact.angle, contact.loop, radius, most)
+        force = forces(work, radius, control.angle)
         force = np.maximum(force, LEAST_FORCE_SHARE * float(force.max()))
         rows = [Point(number, place, float(n)) for place, n in zip(control.point, force, strict=True)]
         out.append((control, rows))

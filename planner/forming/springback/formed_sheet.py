@@ -18,6 +18,7 @@ from planner.forming.contact import Pass
 from planner.forming.paths.level_lines import cut, loops
 from planner.forming.process_plan import Work
 from planner.geometry.arrays import FloatArray, Mesh, lengths
+from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.geometry.units import MM
 from planner.shell.mesh import Wall
 
@@ -98,9 +99,7 @@ def _cut(one: Pass, top: float, bottom: float) -> list[FloatArray]:
     wanted = np.linspace(top, bottom, count)
     edge = min(EDGE, 0.1 * high) * np.sign(bottom - top)
     levels = np.concatenate([[top + edge], wanted[1:-1], [bottom - edge if bottom == one.end else bottom]])
-    a, b, c = (one.vertices[one.faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    normal = face_normals(TriangleMesh(one.vertices, one.faces))
     region = shapely.Polygon(one.region[:, :2]).buffer(EDGE)
     lines = loops(
         cut(one.vertices, one.faces, np.repeat(normal[:, None], 3, axis=1), levels), region, one.name
@@ -148,6 +147,4 @@ def thickness(work: Work, number: int, mesh: Mesh) -> FloatArray:
 
 def _upright(mesh: Mesh) -> FloatArray:
     """Cosine (F,) of the angle of each triangle to the flat."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    return np.asarray(np.abs(normal[:, 2]) / np.maximum(lengths(normal), 1e-300))
+    return np.asarray(np.abs(face_normals(TriangleMesh(mesh.vertices, mesh.faces))[:, 2]))
