@@ -38,6 +38,7 @@ from planner.forming.process_plan import (
     work,
 )
 from planner.forming.sheet_mechanics import thickness_map, thinnest, wall_angle_map
+from planner.forming.springback import forecast
 from planner.forming.support.opposite import DRIFT_SHARE
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts, read_only
 from planner.geometry.units import DEG, MM
@@ -251,6 +252,7 @@ class FormingJob(Job[Forming]):
         issues = [*corners, *dies, *check(made, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))
+        issues += forecast.estimate(made, paths)
         return _targets(made, setup, paths, _route(made, setup, paths), issues, self.claims())
 
     def stated(self) -> tuple[Claim, ...]:

@@ -122,8 +122,9 @@ def forces(work: Work, radius: float, angle: FloatArray) -> FloatArray:
     return axial_force(work.sheet.metal.tensile_stress, work.thickness, 2.0 * radius, ridge, angle)
 
 
-def solved(work: Work, point: Point, triangles: int = TRIANGLES) -> Curve:
-    """The curve at a point of a pass, on the sheet as formed when the tool is there.
+def solved(work: Work, point: Point, triangles: int = TRIANGLES, shares: FloatArray = LOAD_SHARES) -> Curve:
+    """The curve at a point of a pass, on the sheet as formed when the tool is there, at ``shares`` (K,) of
+    the expected force.
 
     Raises ``ValueError`` where the sheet as formed cannot be divided into triangles.
     """
@@ -133,7 +134,7 @@ def solved(work: Work, point: Point, triangles: int = TRIANGLES) -> Curve:
     mesh = Mesh(made.nodes, made.triangles)
     metal = work.sheet.metal
     sheet = Sheet(made.nodes, made.triangles, thickness(work, point.number, mesh), metal.young, metal.poisson)
-    loads = point.force * LOAD_SHARES
+    loads = point.force * shares
     way = np.array([0.0, 0.0, -float(one.side)])
     try:
         moved, snaps = (
