@@ -28,13 +28,13 @@ from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.shell.element import Sheet
 from planner.shell.mesh import mesh_walls
-from planner.shell.newton import LimitLoadError, clamped, curve
+from planner.shell.newton import LimitLoadError, Loading, clamped, pressure
 
 LOAD_SHARES: Final = np.array([0.15, 0.35, 0.65, 1.0, 1.4])
 """Loads of a curve over the force that is expected."""
 TRIANGLES: Final = 4000
 """Triangles of an elastic sheet at most: within half a percent of five times as many."""
-COLUMN: Final = 3.0 * MM
+SQUARE: Final = 3.0 * MM
 """Width [m] of the square that a tool presses on."""
 
 
@@ -137,10 +137,8 @@ def solved(work: Work, point: Point, triangles: int = TRIANGLES, shares: FloatAr
     loads = point.force * shares
     way = np.array([0.0, 0.0, -float(one.side)])
     try:
-        moved, snaps = (
-            curve(sheet, clamped(sheet, _border(work)), point.place, loads[:, None] * way, COLUMN),
-            False,
-        )
+        held = Loading(sheet, clamped(sheet, _border(work)))
+        moved, snaps = held.curve(pressure(sheet, point.place, SQUARE), loads[:, None] * way), False
     except LimitLoadError as error:
         moved, snaps = error.displacements, True
     count = len(moved)
