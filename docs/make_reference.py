@@ -62,6 +62,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Process `forming`", "forming", forming.Forming),
     ("`adsif` of `forming`", "", forming.Adsif),
     ("`die` of `forming`", "", forming.Die),
+    ("`springback` of `forming`", "", forming.Springback),
     ("Process `milling`", "milling", milling_operation.Milling),
     ("`cuts` of `milling`: a flank", "", milling_operation.FlankCut),
     ("`cuts` of `milling`: lines", "", milling_operation.LinesCut),

@@ -374,6 +374,11 @@ CODES: Final[dict[str, Code]] = {
     "verify.feature_order": Code(
         "the segments that form a sheet are not those claimed, each once and in order"
     ),
+    "verify.springback": Code(
+        "tools go deeper than the part by another amount or on another way than the springback file says, "
+        "or what that says is wrong",
+        remedy="write the file again (tandem springback PROBLEM --write FILE) and plan again",
+    ),
     "verify.forming_feed": Code("a tool moves faster on the sheet than it may"),
     "verify.lean": Code("a forming tool leans farther than the problem lets it"),
     "verify.ridge": Code("a ridge or groove stands out of the cut surface"),
@@ -458,6 +463,11 @@ CODES: Final[dict[str, Code]] = {
     ),
     "forming.springback_mesh": Code("the sheet as formed cannot be divided into so few triangles"),
     "forming.springback_mode": Code("springback is asked of what has no model for it", given=True),
+    "forming.compensation": Code(
+        "a springback file cannot be used: cut short, changed, of another job, or beyond its limits",
+        given=True,
+    ),
+    "forming.compensated": Code("by how much tools go deeper than the part, for the sheet comes back"),
     "forming.limit_load": Code("a formed sheet snaps through or buckles under the force that is expected"),
     "forming.adsif_table": Code(
         "a table of the ADSIF response cannot be read, or a value in it is wrong", given=True

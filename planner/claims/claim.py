@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.claims.forming import (
+    ComesBack,
     FollowsOpposite,
     FormingFeed,
     FormsByTable,
@@ -292,6 +293,7 @@ Claim = (
     | FollowsPoses
     | FollowsTable
     | FormsSheet
+    | ComesBack
     | FormsByTable
     | FormsPart
     | ToolGap

@@ -153,6 +153,16 @@ class SinksHolder:
 
 
 @dataclasses.dataclass(frozen=True)
+class ComesBack:
+    """In ``segments`` of ``operation`` both tools are deeper, alike along z, by what the sheet comes back by
+    when they let go, as a file says that the operation names: other claims on these segments are of the tools
+    without that."""
+
+    operation: str
+    segments: tuple[Segment, ...]
+
+
+@dataclasses.dataclass(frozen=True)
 class FormsInOrder:
     """The segments that form the sheet come in this order, each once, and all of them."""
 

@@ -59,6 +59,9 @@ class Springback:
     """of the elastic sheet at most; 1500 take a third of the time and are within a percent"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """what to write: .csv (control points with their curves) or .html (map, curves, clusters)"""
+    write: Path | None = None
+    """a springback file to write (.json): with `springback: {file: ...}` in the operation, tools go deeper by
+    what it says"""
 
 
 def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
@@ -76,7 +79,11 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
         if value < least:
             what = f"got {value}, allowed {least} at least"
             raise TandemError(Issue("forming.springback_mode", what, field=name, hint="correct it"))
-    work = _job(problem, request.operation).planned
+    if request.write is not None and request.write.suffix.lower() != ".json":
+        what = f"{request.write.name}: a springback file is .json; name it so"
+        raise TandemError(Issue("output.folder", what, field="write"))
+    job = _job(problem, request.operation)
+    work = job.planned
     forecast.require_mode(work)
     started = time.perf_counter()
     laid = lay_all(work)
@@ -86,7 +93,40 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     _print(work, found, time.perf_counter() - started)
     if request.output is not None:
         _write(request.output, problem, work, found)
+    if request.write is not None:
+        _write_shifts(request.write, problem, job, found, laid)
     return tuple(forecast.issues(found))
+
+
+def _write_shifts(
+    path: Path, problem: Problem, job: FormingJob, found: Sequence[PassSpringback], laid: Sequence[Any]
+) -> None:
+    """Write the springback file; say what the slope leaves of the forecast."""
+    from planner.forming.operation import Springback as Section
+    from planner.forming.springback import compensation, compensation_file
+
+    limits = job.operation.springback or Section(file=path)
+    ways, left = compensation.ways(job.planned, laid, found, limits.slope)
+    for way in ways:
+        most = float(way.shift.max()) / MM
+        if most > limits.most_mm:
+            what = (
+                f"pass {way.name}: a shift of {most:.2f} mm is wanted, most_mm allows {limits.most_mm:g} mm"
+            )
+            hint = "hold the sheet nearer to the part, or allow more: springback: {most_mm: ...}"
+            raise TandemError(Issue("forming.compensation", what, field="springback.most_mm", hint=hint))
+    identity = compensation_file.belongs_to(job.planned, job.setup.stock, job.part)
+    text = compensation_file.text(problem.name, job.planned, identity, found, ways, limits.slope)
+    write_output(path, text, "springback file written to")
+    for line in compensation_file.assumed(job.planned):
+        out.print(f"assumed: {line}", markup=False)
+    for way, rest in zip(ways, left, strict=True):
+        out.print(
+            f"pass {way.name}: tools go up to {float(way.shift.max()) / MM:.2f} mm deeper; where the shift "
+            f"grows from 0, by {limits.slope:g} mm/mm at most, up to {float(rest) / MM:.2f} mm are left",
+            markup=False,
+        )
+    out.print(f"use it: springback: {{file: {path.name}}} in operation {job.operation.name}", markup=False)
 
 
 def _job(problem: Problem, name: str | None) -> FormingJob:

@@ -42,6 +42,7 @@ def check(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> l
     """All issues of a job but its die's: metal, passes, forces, the die's holder, supports that cannot do as
     they should, tools that would cut into what is formed already."""
     out = [*work.tree.issues, *_metal(work), *_forces(work, setup, paths), *_clear(work, paths)]
+    out += clamped_issues(work, paths)
     return [*out, *two_point.step_issues(work, paths)]
 
 
@@ -111,8 +112,15 @@ def _clear(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue
         yield from support_issues(one, path, work.operation, heads[0], support, work.thickness)
         profiles = [profile(head) for head in heads]
         yield from clear_issues(one, path, state, arms, profiles, work.pressed)
-        if work.operation.cone_deg == 0.0:  # else motion may tilt it out of there
-            yield from clamp_issues(one, path, work.clamp, arms, profiles)
+
+
+def clamped_issues(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
+    """Tools that reach into the clamp on the paths as they are gone (forming.clamp); motion may tilt some out
+    of there."""
+    if work.operation.cone_deg == 0.0:
+        for one, path in paths:
+            arms = tuple(filter(None, (work.former(one), work.supporter(one))))
+            yield from clamp_issues(one, path, work.clamp, arms, [profile(work.heads[arm]) for arm in arms])
 
 
 def _metal(work: Work) -> Iterator[Issue]:

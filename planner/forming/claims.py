@@ -13,6 +13,7 @@ import numpy as np
 from planner.claims import vocabulary as words
 from planner.claims.claim import Claim
 from planner.claims.forming import (
+    ComesBack,
     FollowsOpposite,
     FormingFeed,
     FormsByTable,
@@ -64,6 +65,8 @@ def claims(work: Work) -> tuple[Claim, ...]:
     """The claims of all passes."""
     found = states(work.tree, work.mesh, work.passes, work.thickness)
     out: list[Claim] = [FormsInOrder(tuple(segment(one) for one in work.passes))]
+    if work.operation.springback is not None:
+        out.append(ComesBack(work.operation.name, tuple(segment(one) for one in work.passes)))
     sinking = two_point.holder_claim(work)
     if sinking is not None:
         out.append(sinking)

@@ -23,10 +23,18 @@ from planner.claims.claim import Claim
 from planner.claims.forming import FormsSheet
 from planner.forming import claims as forming_claims
 from planner.forming import two_point
-from planner.forming.check import check, force, of_die, shift_issues, step_issues, unreached_issues
+from planner.forming.check import (
+    check,
+    clamped_issues,
+    force,
+    of_die,
+    shift_issues,
+    step_issues,
+    unreached_issues,
+)
 from planner.forming.claims import scallop
 from planner.forming.contact import Pass, ToolPath
-from planner.forming.operation import GAP_MODES, Forming
+from planner.forming.operation import GAP_MODES, Forming, Springback
 from planner.forming.process_plan import (
     LEAST_MOVE_TIME,
     TOO_NARROW,
@@ -38,6 +46,7 @@ from planner.forming.process_plan import (
     work,
 )
 from planner.forming.sheet_mechanics import thickness_map, thinnest, wall_angle_map
+from planner.forming.springback import compensation, compensation_file, forecast
 from planner.forming.support.opposite import DRIFT_SHARE
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts, read_only
 from planner.geometry.units import DEG, MM
@@ -236,6 +245,10 @@ class FormingJob(Job[Forming]):
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
         made, setup = self.planned, self.setup
+        given = None
+        if self.operation.springback is not None:
+            forecast.require_mode(made)
+            given = self._compensation(self.operation.springback)
         steps = list(step_issues(made))
         if steps:
             raise TandemError(steps)
@@ -251,7 +264,25 @@ class FormingJob(Job[Forming]):
         issues = [*corners, *dies, *check(made, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        return _targets(made, setup, paths, _route(made, setup, paths), issues, self.claims())
+        if given is None:
+            issues += forecast.estimate(made, paths)
+            return _targets(made, setup, paths, paths, issues, self.claims())
+        deeper = compensation.shifted(paths, given.ways)
+        issues += [
+            *compensation.steeper(made, paths, given.ways, given.slope),
+            compensation.told(given.ways, given.file),
+        ]
+        issues += clamped_issues(made, deeper)
+        if has_errors(issues):
+            raise TandemError(aggregate(issues))
+        found = _targets(made, setup, paths, deeper, issues, self.claims())
+        return dataclasses.replace(
+            found, exhibits={**found.exhibits, "compensation": compensation.exhibit(given.ways)}
+        )
+
+    def _compensation(self, wanted: Springback) -> compensation_file.Compensation:
+        identity = compensation_file.belongs_to(self.planned, self.setup.stock, self.part)
+        return compensation_file.read(wanted.file, self.operation, identity)
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
@@ -274,15 +305,16 @@ def _targets(
     made: Work,
     setup: Setup,
     paths: Sequence[tuple[Pass, ToolPath]],
-    route: Route,
+    gone: Sequence[tuple[Pass, ToolPath]],
     issues: list[Issue],
     claims: tuple[Claim, ...],
 ) -> Targets:
-    op = made.operation
+    """Targets of the paths as they are ``gone``: ``paths``, or deeper by what the sheet comes back by."""
+    op, route = made.operation, _route(made, setup, gone)
     count = len(route.segment)
     forming = np.array([segment.works for segment in route.segment])
     placed = _poses(made, route)
-    actions = _actions(made, setup, route, paths)
+    actions = _actions(made, setup, route, gone)
     steps = [np.linalg.norm(np.diff(route.centre[arm], axis=0), axis=1) for arm in op.arms]
     travel = np.concatenate([[0.0], np.max(steps, axis=0)])
     stop = _stops(route, actions)

@@ -120,6 +120,20 @@ class Die(Strict):
     ] = None
 
 
+class Springback(Strict):
+    """Both tools go deeper by what the sheet comes back by when they let go.
+
+    ``file``: what `tandem springback --write` has written for this very problem. What it shifts the tools by
+    changes along the path by no more than ``slope`` and is nowhere more than ``most_mm``.
+    """
+
+    file: Annotated[Path, AfterValidator(_from_the_problem_file)]
+    slope: Annotated[float, Field(ge=0.001, le=0.5, description="of the shift along the path, in mm/mm")] = (
+        0.05
+    )
+    most_mm: Annotated[float, Field(gt=0, le=12, description="largest shift")] = 10.0
+
+
 class Forming(Strict):
     """Incremental forming of the clamped sheet by the tools of one or two arms.
 
@@ -199,6 +213,7 @@ class Forming(Strict):
     ] = None
     adsif: Adsif = Adsif()
     die: Die | None = None
+    springback: Springback | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import shapely
 from scipy.sparse.linalg import SuperLU, splu
 
 from planner.geometry.arrays import BoolArray, FloatArray, dots, lengths
@@ -91,6 +92,37 @@ def column(sheet: Sheet, place: FloatArray, width: float) -> FloatArray:
             f" {0.5 * width:.2g}; give the place to the mesh"
         )
     return np.asarray(within / np.count_nonzero(within))
+
+
+def pressure(sheet: Sheet, place: FloatArray, width: float) -> FloatArray:
+    """Shares (n,) of nodes, sum 1, of an even pressure along z on a square of ``width`` [m] about x, y of
+    ``place``, by the linear shapes of triangles: what it does hangs on no mesh, where `column` counts nodes.
+    Raises ValueError where no triangle is there."""
+    x, y = np.asarray(place, dtype=np.float64)[:2]
+    half = 0.5 * width
+    corners = sheet.nodes[sheet.triangles][:, :, :2]
+    near = (corners.min(axis=1) < [x + half, y + half]).all(axis=1)
+    near &= (corners.max(axis=1) > [x - half, y - half]).all(axis=1)
+    rows = np.flatnonzero(near)
+    plan = shapely.polygons(corners[rows])
+    both = shapely.intersection(plan, shapely.box(x - half, y - half, x + half, y + half))
+    area = shapely.area(both)
+    rows, both, area = rows[area > 0.0], both[area > 0.0], area[area > 0.0]
+    if not len(rows):
+        raise ValueError(f"place ({x:.4g}, {y:.4g}) m: the sheet is elsewhere; give a place on it")
+    middle = shapely.get_coordinates(shapely.centroid(both))
+    a, b, c = (corners[rows, k] for k in range(3))
+    whole = _plan_cross(b - a, c - a)
+    second = _plan_cross(middle - a, c - a) / whole
+    third = _plan_cross(b - a, middle - a) / whole
+    out = np.zeros(len(sheet.nodes))
+    for corner, share in enumerate((1.0 - second - third, second, third)):
+        np.add.at(out, sheet.triangles[rows, corner], area * share)
+    return out / float(out.sum())
+
+
+def _plan_cross(one: FloatArray, two: FloatArray) -> FloatArray:
+    return np.asarray(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
 
 
 class LimitLoadError(ArithmeticError):

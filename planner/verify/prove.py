@@ -47,6 +47,7 @@ from planner.verify.rules import (
     part_file,
     robot_motion,
     setups_and_frames,
+    springback,
     straight_wire,
     synchronisation,
     text,
@@ -158,6 +159,7 @@ OTHER_RULES: tuple[Rule[..., Any], ...] = (
 FORMING_RULES: tuple[Rule[[Context, Forming], Outcome], ...] = (
     forming_part.forming_part,
     forming_claims.forming_claims,
+    springback.springback,
     forming_tool.feature_order,
     forming_tool.feed,
     forming_tool.lean,

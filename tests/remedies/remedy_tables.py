@@ -33,6 +33,10 @@ ELSEWHERE: Final = {
         "forming/springback/test_springback",
         "test_a_part_that_comes_back_is_told_and_each_remedy_helps",
     ),
+    "forming.compensation": (
+        "forming/springback/test_compensation",
+        "test_an_edited_file_is_refused_and_one_that_is_written_again_is_good",
+    ),
     "forming.springback_mesh": (
         "forming/springback/test_springback",
         "test_too_few_triangles_are_told_and_twice_as_many_do",
@@ -81,6 +85,7 @@ NONE: Final = {
     **dict.fromkeys(("catalogue.missing_data", "plan.missing_file", "plan.damaged", "plan.schema"), DAMAGED),
     **dict.fromkeys(("part.ruled_deviation", "part.strips_found", "sign.good", "gcode.skipped"), FACT),
     **dict.fromkeys(("wire.chosen", "straight.slit", "motion.path_kept", "motion.solver"), FACT),
+    "forming.compensated": FACT,
     **dict.fromkeys(
         (
             "batch.crashed", "batch.timeout", "batch.memory", "batch.cancelled", "batch.worker",

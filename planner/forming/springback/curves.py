@@ -28,13 +28,13 @@ from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.shell.element import Sheet
 from planner.shell.mesh import mesh_walls
-from planner.shell.newton import LimitLoadError, clamped, curve
+from planner.shell.newton import LimitLoadError, Loading, clamped, pressure
 
 LOAD_SHARES: Final = np.array([0.15, 0.35, 0.65, 1.0, 1.4])
 """Loads of a curve over the force that is expected."""
 TRIANGLES: Final = 4000
 """Triangles of an elastic sheet at most: within half a percent of five times as many."""
-COLUMN: Final = 3.0 * MM
+SQUARE: Final = 3.0 * MM
 """Width [m] of the square that a tool presses on."""
 
 
@@ -122,8 +122,9 @@ def forces(work: Work, radius: float, angle: FloatArray) -> FloatArray:
     return axial_force(work.sheet.metal.tensile_stress, work.thickness, 2.0 * radius, ridge, angle)
 
 
-def solved(work: Work, point: Point, triangles: int = TRIANGLES) -> Curve:
-    """The curve at a point of a pass, on the sheet as formed when the tool is there.
+def solved(work: Work, point: Point, triangles: int = TRIANGLES, shares: FloatArray = LOAD_SHARES) -> Curve:
+    """The curve at a point of a pass, on the sheet as formed when the tool is there, at ``shares`` (K,) of
+    the expected force.
 
     Raises ``ValueError`` where the sheet as formed cannot be divided into triangles.
     """
@@ -133,13 +134,11 @@ def solved(work: Work, point: Point, triangles: int = TRIANGLES) -> Curve:
     mesh = Mesh(made.nodes, made.triangles)
     metal = work.sheet.metal
     sheet = Sheet(made.nodes, made.triangles, thickness(work, point.number, mesh), metal.young, metal.poisson)
-    loads = point.force * LOAD_SHARES
+    loads = point.force * shares
     way = np.array([0.0, 0.0, -float(one.side)])
     try:
-        moved, snaps = (
-            curve(sheet, clamped(sheet, _border(work)), point.place, loads[:, None] * way, COLUMN),
-            False,
-        )
+        held = Loading(sheet, clamped(sheet, _border(work)))
+        moved, snaps = held.curve(pressure(sheet, point.place, SQUARE), loads[:, None] * way), False
     except LimitLoadError as error:
         moved, snaps = error.displacements, True
     count = len(moved)

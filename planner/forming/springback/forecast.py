@@ -37,6 +37,10 @@ TOLD: Final = 0.5
 """Springback [mm] from which a part is called too shallow: what industry asks of such parts."""
 LEAST_FORCE_SHARE: Final = 0.01
 """Forces of a pass are at least this share of its largest: where it is flat the formula says 0."""
+ESTIMATE_TRIANGLES: Final = 1200
+"""Triangles of a sheet of which a plan says about how far it comes back."""
+ESTIMATE_SHARES: Final = np.array([0.4, 1.0])
+"""Loads that it is asked at, over the force that is stated."""
 CURVES_SHOWN: Final = 8
 """Curves of a picture at most."""
 
@@ -138,6 +142,53 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
                 )
             )
     return out
+
+
+def estimate(work: Work, laid: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
+    """What a plan says of springback where the user states the force: two places of the deepest pass, on
+    coarse sheets (forming.springback). Some half a second a place; nothing without ``force_n``."""
+    if work.operation.force_n is None or work.operation.mode not in MODES:
+        return []
+    number = int(np.argmax([abs(one.end - one.start) for one in work.passes]))
+    one, path = laid[number]
+    loops = path.contact.loop
+    rows = [int(np.flatnonzero(loops == k)[0]) for k in sorted({int(loops.max()) // 2, int(loops.max())})]
+    found = []
+    for row in rows:
+        point = Point(number, path.contact.point[row], work.operation.force_n)
+        try:
+            curve = solved(work, point, ESTIMATE_TRIANGLES, ESTIMATE_SHARES)
+        except ValueError:
+            continue  # too coarse for this part: tandem springback says so, and with how many it can be done
+        if not curve.snaps:
+            found.append((float(curve.springback[-1]) / MM, row))
+    if not found:
+        what = f"pass {one.name}: springback was not estimated: the sheet has no coarse mesh, or it snaps"
+        hint = "see tandem springback"
+        return [Issue("forming.springback", what, Severity.WARNING, field="force_n", hint=hint)]
+    most, row = max(found)
+    if most <= TOLD:
+        return []
+    x, y, z = path.contact.point[row] / MM
+    what = (
+        f"pass {one.name}: when the tool lets go the sheet will come back by about {most:.1f} mm at "
+        f"({x:.1f}, {y:.1f}, {z:.1f}) mm under {work.operation.force_n:g} N: so much too shallow the part "
+        f"will be; estimated at {len(found)} place{'s' * (len(found) > 1)}, of {TOLD:g} mm and less nothing "
+        f"is told"
+    )
+    hint = "tandem springback says it all over the part; --write makes a file that springback: takes"
+    return [
+        Issue(
+            "forming.springback",
+            what,
+            Severity.WARNING,
+            field="force_n",
+            value=most,
+            limit=TOLD,
+            unit="mm",
+            hint=hint,
+        )
+    ]
 
 
 def rows(found: Sequence[PassSpringback]) -> list[dict[str, Any]]:

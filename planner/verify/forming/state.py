@@ -19,6 +19,7 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse, lengths
 from planner.verify.context import Begin, Context, at_once
 from planner.verify.forming.face import Face, Nearest, left_by
+from planner.verify.forming.released import Released, Told, released, told
 from planner.verify.forming.shapes import PartShapes, in_order
 from planner.verify.replay.motion import Poses, Rows, during
 
@@ -51,10 +52,13 @@ class WorkedOut:
 
 class Centres:
     """The TCPs of some arms as an array (T, A, 3) [m] in the sheet's frame, of which only what is indexed is
-    worked out: of all samples of an hour it would take as much memory as the motion has for them."""
+    worked out: of all samples of an hour it would take as much memory as the motion has for them.
+    ``lifted`` (T,) [m]: what is added to z, so that they are the released tools'."""
 
-    def __init__(self, rows: IntArray, poses: tuple[Poses, ...], back: FloatArray) -> None:
-        self._rows, self._poses, self._back = rows, poses, back
+    def __init__(
+        self, rows: IntArray, poses: tuple[Poses, ...], back: FloatArray, lifted: FloatArray | None = None
+    ) -> None:
+        self._rows, self._poses, self._back, self._lifted = rows, poses, back, lifted
         self.shape = (len(rows), len(poses), 3)
 
     def __len__(self) -> int:
@@ -67,9 +71,13 @@ class Centres:
             return np.stack([self[chosen, k] for k in range(len(self._poses))], axis=-2)
         place = self._poses[column].place[self._rows[chosen]]
         if len(self._back) == 1:
-            return _turned(self._back, place) + self._back[:, :3, 3]
-        back = self._back[chosen]
-        return np.asarray((back[..., :3, :3] @ place[..., None])[..., 0] + back[..., :3, 3])
+            out = _turned(self._back, place) + self._back[0, :3, 3]
+        else:
+            back = self._back[chosen]
+            out = np.asarray((back[..., :3, :3] @ place[..., None])[..., 0] + back[..., :3, 3])
+        if self._lifted is not None:
+            out[..., 2] += self._lifted[chosen]
+        return out
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +87,8 @@ class Track:
     ``rows`` (T,) samples of the motion; ``centre`` (T, A, 3) the TCPs [m] in the sheet's frame; ``own`` (T,):
     the move under way forms, and is no way in or out; ``joined`` (T - 1,): the next row is the next sample.
     ``poses``: the arms' TCPs at all samples in the world, ``back`` (1 | T, 4, 4) from there to the sheet.
+    Where tools are deeper by what the sheet comes back by, ``centre`` is without that: ``lifted`` (T,) [m] is
+    what that adds along z, ``aside`` (T,) [m] how far the forming arm is off the way of the problem's file.
     """
 
     arms: tuple[str, ...]
@@ -88,6 +98,15 @@ class Track:
     joined: BoolArray
     poses: tuple[Poses, ...]
     back: FloatArray
+    lifted: FloatArray | None = None
+    aside: FloatArray | None = None
+
+    def commanded(self, column: int, some: Rows) -> FloatArray:
+        """The TCPs (K, 3) [m] of one arm as they are moved, at rows ``some`` (K,), in the sheet's frame."""
+        out = np.array(self.centre[some, column])
+        if self.lifted is not None:
+            out[..., 2] -= self.lifted[some]
+        return out
 
     def centres(self, column: int) -> WorkedOut:
         """The TCPs (T, 3) [m] of one arm in the sheet's frame."""
@@ -114,14 +133,16 @@ class Track:
         return out
 
 
-def track(context: Context, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:
-    """The track of a segment in setup ``index``; no rows where the programs have none, or an arm is
-    missing."""
+def track(
+    context: Context, segment: Segment, index: int, arms: tuple[str, ...], deeper: Released | None = None
+) -> Track:
+    """The track of a segment in setup ``index``, of the released tools where they are ``deeper`` than that;
+    no rows where the programs have none, or an arm is missing."""
     motion = context.motion
     own = motion.node_label == segment.key
     chosen = np.isin(motion.node_label, [way.key for way in segment.ways])
     rows = np.flatnonzero(during((chosen[motion.node]) & (context.sample_setup == index)))
-    if any(arm not in motion.tcp for arm in arms):
+    if any(arm not in motion.tcp for arm in (*arms, *([] if deeper is None else [deeper.former]))):
         rows = rows[:0]
     joined = np.diff(rows) == 1
     if not len(rows):
@@ -130,7 +151,24 @@ def track(context: Context, segment: Segment, index: int, arms: tuple[str, ...])
     moved = context.holder(index) is not None
     back = inverse(context.stock_poses(index, rows if moved else rows[:1]))
     poses = tuple(motion.tcp[arm] for arm in arms)
-    return Track(arms, rows, Centres(rows, poses, back), own[motion.node[rows]], joined, poses, back)
+    forms = own[motion.node[rows]]
+    if deeper is None:
+        return Track(arms, rows, Centres(rows, poses, back), forms, joined, poses, back)
+    lifted, aside = _lifted(deeper, Centres(rows, (motion.tcp[deeper.former],), back), forms)
+    centre = Centres(rows, poses, back, lifted)
+    return Track(arms, rows, centre, forms, joined, poses, back, lifted, aside)
+
+
+def _lifted(deeper: Released, former: Centres, forms: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """What is added along z (T,) [m] to tools that are deeper, and how far (T,) [m] the former is off the
+    file's way; on the way in and out what the way begins and ends with is added."""
+    shift, aside = np.zeros(len(former)), np.zeros(len(former))
+    own = np.flatnonzero(forms)
+    if len(own):
+        for some in np.array_split(own, len(own) // SAMPLES_AT_ONCE + 1):
+            shift[some], aside[some] = deeper.deeper.at(former[some, 0])
+        shift[: own[0]], shift[own[-1] + 1 :] = deeper.deeper.way.shift[[0, -1]]
+    return deeper.lifted(shift), aside
 
 
 def _turned(back: FloatArray, directions: FloatArray) -> FloatArray:
@@ -441,11 +479,21 @@ class Forming:
         names = [claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet | FormsByTable)]
         return frozenset(way.key for name in names for way in name.ways)
 
+    @cached_property
+    def told(self) -> tuple[Told, ...]:
+        """All claims of tools that are deeper by what the sheet comes back by, with their files."""
+        return told(self.context.problem, self.by_setup)
+
+    @cached_property
+    def _released(self) -> dict[tuple[str, int], Released]:
+        return released(self.told, self.by_setup)
+
     def track(self, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:
-        """The track of a segment, worked out once."""
+        """The track of a segment, of the released tools, worked out once."""
         key = (segment.key, index, arms)
         if key not in self._tracks:
-            self._tracks[key] = track(self.context, segment, index, arms)
+            deeper = self._released.get((segment.key, index))
+            self._tracks[key] = track(self.context, segment, index, arms, deeper)
         return self._tracks[key]
 
     def _face(self, vertices: FloatArray, faces: IntArray, scale: float) -> Face:

@@ -19,7 +19,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue
 from planner.verify.context import FEED_SLACK, Begin, Context, Outcome, at_node, at_sample, mm, rule
 from planner.verify.forming.face import Face
-from planner.verify.forming.state import SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track, track
+from planner.verify.forming.state import SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track
 from planner.verify.forming.swept import Head, HeadWay, Inside, insides, least, levels
 from planner.verify.programs.steps import SignalStep
 from planner.verify.result import CutFace
@@ -270,7 +270,7 @@ def sheet(context: Context, forming: Forming) -> Outcome:
             issues.append(Issue("verify.sheet", what, field=str(one.claim.segment)))
     for index, state in forming.states:
         formed = forming.of(state.segment)
-        way = track(context, state.segment, index, state.arms) if formed is None else formed.track
+        way = forming.track(state.segment, index, state.arms) if formed is None else formed.track
         if len(way.rows) < 2:
             continue
         held = state.segment.key in forming.gapped
@@ -401,7 +401,7 @@ def holder(context: Context, forming: Forming) -> Outcome:
     claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, SinksHolder)]
     worst, limit, where = 0.0, None, ""
     for index, claim in claims:
-        way = track(context, claim.segment, index, (claim.arm,))
+        way = forming.track(claim.segment, index, (claim.arm,))
         if not way.own.any():
             issues.append(Issue("verify.holder", f"{claim.arm} never forms {claim.segment}"))
             continue

@@ -24,7 +24,6 @@ from planner.verify.forming.state import (
     Opened,
     Track,
     pieces,
-    track,
 )
 from planner.verify.rules.forming_tool import ISSUES_SHOWN, NOTHING_FORMED, spread
 
@@ -187,7 +186,8 @@ def _a_step_apart(context: Context, one: Opened) -> list[Issue]:
     claim, way, knots, low, high = one.claim, one.track, one.knots, one.low, one.high
     both = sum(claim.radii)
     for rows in _intervals(context, way, knots):
-        former, other = way.centre[knots[rows], 0], way.centre[knots[rows], 1]
+        # as they are moved: at two instants the sheet gives way by two amounts, and the gap is between tools
+        former, other = way.commanded(0, knots[rows]), way.commanded(1, knots[rows])
         apart = np.linalg.norm(former[:, None] - other[None], axis=2) - both
         error = np.maximum(apart - high[rows, None], low[rows, None] - apart).max(axis=1)
         k = int(np.argmax(error))
@@ -224,7 +224,7 @@ def border(context: Context, forming: Forming) -> Outcome:
     for index, claim in forming.by_setup:
         if not isinstance(claim, SupportsBorder):
             continue
-        way = track(context, claim.segment, index, (claim.arm,))
+        way = forming.track(claim.segment, index, (claim.arm,))
         parts = pieces(way, min(TRACK_CHORD_SHARE * claim.tolerance, 0.1 * BORDER_CUT_IN))
         rows = np.unique(
             np.concatenate([parts.first[way.own[parts.first]], parts.last[way.own[parts.first]]])
@@ -316,7 +316,7 @@ def opposite(context: Context, forming: Forming) -> Outcome:
     for index, claim in forming.by_setup:
         if not isinstance(claim, FollowsOpposite):
             continue
-        way = track(context, claim.segment, index, claim.arms)
+        way = forming.track(claim.segment, index, claim.arms)
         parts = pieces(way, TRACK_CHORD_SHARE * claim.tolerance)
         own = way.own[parts.first]
         first, last, off = parts.first[own], parts.last[own], parts.off[own]

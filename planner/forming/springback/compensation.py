@@ -1,0 +1,274 @@
+"""Both tools deeper by what the sheet comes back by: from a forecast to shifts along the path, and there.
+
+The shift of a target is S at its contact, along z away from the former. Along the former's path it changes by
+a stated slope at most and begins at 0: of all curves below the forecast that do so the largest,
+
+    E(s) = min over t of (S(t) + slope |s - t|),  S(0) = 0,
+
+and then its mean over the way of one ball's width, less at both ends; a mean of what has a slope has no
+larger one. Both tools are shifted alike at the same target, so what is between them stays as it was, and what
+lets go of the sheet is the path as it was laid: the released part.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from planner.forming.contact import Pass, ToolPath
+from planner.forming.passes import SAME_ANGLE, SUPPORTED_MODES
+from planner.forming.process_plan import Work
+from planner.forming.springback.curves import PassSpringback
+from planner.geometry.arrays import FloatArray, IntArray, lengths, unit
+from planner.geometry.curves import along, arc_length
+from planner.geometry.units import DEG, MM
+from planner.issues import Issue, Severity, TandemError
+
+GRID: Final = 0.5 * MM
+"""Places along a path at which the forecast is asked [m], or more where that would be too many of them."""
+MOST_PLACES: Final = 60_000
+"""Places of a path at most."""
+AT_ONCE: Final = 5_000
+"""Places that are asked at once."""
+CHORD: Final = 5e-6
+"""A straight move has a target more where the shift within it is off the straight one by more [m]."""
+SAME_PLACE: Final = 0.1 * MM
+"""Targets nearer than this [m] along the path are one."""
+OFF_WAY: Final = 0.05 * MM
+"""A path is the one of a file where it is off it by no more [m]."""
+GROWING: Final = 0.8
+"""A shift grows as fast as it may by this share of its slope."""
+STEEPER: Final = 0.5 * DEG
+"""Walls that get steeper by less [rad] are as they were."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Way:
+    """The former's path of pass ``name`` with what its targets are shifted by: ``point`` (K, 3) [m] of the
+    ball's centre, ``shift`` (K,) [m], from 0, ``loop`` (K,) of the path."""
+
+    name: str
+    point: FloatArray
+    shift: FloatArray
+    loop: IntArray
+
+
+def ways(
+    work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Sequence[PassSpringback], slope: float
+) -> tuple[tuple[Way, ...], FloatArray]:
+    """The ways of all passes with shifts by the forecast ``found``, of at most ``slope``; and for each pass
+    what the slope leaves of the forecast at most [m]. Raises ``TandemError`` (forming.limit_load) where the
+    sheet snaps under the force."""
+    out, left = [], []
+    for (one, path), forecast in zip(laid, found, strict=True):
+        if not np.isfinite(forecast.springback).all():
+            what = (
+                f"pass {one.name}: the sheet snaps or buckles under the force that is expected: no shift of "
+            )
+            what += "the tools makes up for that"
+            hint = "hold the sheet nearer to the part, form in more passes, or take thicker sheet"
+            raise TandemError(Issue("forming.limit_load", what, field="force_n", hint=hint))
+        places = arc_length(path.former)
+        count = int(min(MOST_PLACES, np.ceil(places[-1] / GRID))) + 1
+        grid = np.linspace(0.0, float(places[-1]), count)
+        contact = along(path.contact.point, places, grid)
+        wanted = np.concatenate([forecast.at(contact[k : k + AT_ONCE]) for k in range(0, count, AT_ONCE)])
+        limited = _limited(grid, wanted, slope)
+        width = 2.0 * work.heads[work.former(one)].radius
+        shift = _smoothed(limited, 0.5 * width / max(float(grid[1]), 1e-12))
+        left.append(float((wanted - shift).max()))
+        kept = _refined(path, _numbers(places, _targets(places, grid, shift, 0.5 * width)))
+        by = np.interp(arc_length(kept.former), grid, shift)
+        out.append(Way(one.name, kept.former, by, kept.contact.loop))
+    return tuple(out), np.array(left)
+
+
+def _limited(grid: FloatArray, wanted: FloatArray, slope: float) -> FloatArray:
+    """The largest curve (N,) below ``wanted`` (N,) of at most ``slope`` over ``grid`` (N,) [m], from 0."""
+    below = np.maximum(wanted, 0.0)
+    below[0] = 0.0
+    ahead = slope * grid + np.minimum.accumulate(below - slope * grid)
+    return np.asarray(np.minimum.accumulate((ahead + slope * grid)[::-1])[::-1] - slope * grid)
+
+
+def _smoothed(value: FloatArray, half: float) -> FloatArray:
+    """The mean (N,) of ``half`` a window of even places on either side, less at the ends."""
+    count = len(value)
+    index = np.arange(count)
+    reach = np.minimum(round(half), np.minimum(index, count - 1 - index))
+    total = np.concatenate([[0.0], np.cumsum(value)])
+    return np.asarray((total[index + reach + 1] - total[index - reach]) / (2 * reach + 1))
+
+
+def _targets(places: FloatArray, grid: FloatArray, shift: FloatArray, step: float) -> FloatArray:
+    """Places (K,) [m] along a path, between its targets at ``places`` (N,), of those that its moves need so
+    that the shift is straight between them: at most ``step`` [m] apart where it is not."""
+    straight = np.interp(grid, places, np.interp(places, grid, shift))
+    move = np.clip(np.searchsorted(places, grid, side="right") - 1, 0, max(len(places) - 2, 0))
+    off = np.zeros(len(places) - 1)
+    np.maximum.at(off, move, np.abs(shift - straight))
+    more = [np.zeros(0)]
+    for k in np.flatnonzero(off > CHORD):
+        count = int(np.ceil((places[k + 1] - places[k]) / step))
+        more.append(np.linspace(places[k], places[k + 1], count + 1)[1:-1])
+    return np.concatenate(more)
+
+
+def _numbers(places: FloatArray, more: FloatArray) -> FloatArray:
+    """Numbers (K,) of all targets of a path, at ``places`` (N,) [m] along it, with ``more`` of them between:
+    of these how far they are from one to the next. Where one tool stands several are at one place."""
+    before = np.clip(np.searchsorted(places, more, side="right") - 1, 0, max(len(places) - 2, 0))
+    share = (more - places[before]) / np.maximum(places[before + 1] - places[before], 1e-12)
+    return np.sort(np.concatenate([np.arange(len(places)), before + np.clip(share, 0.0, 1.0)]))
+
+
+def _refined(path: ToolPath, number: FloatArray) -> ToolPath:
+    """A path with targets between its own, by their numbers (K,): `_numbers`."""
+    before = np.minimum(number.astype(np.int64), len(path.former) - 1)
+    share = number - before
+    ahead = np.minimum(before + 1, len(path.former) - 1)
+    end = np.where(share == 0.0, before, ahead)
+
+    def mixed(value: FloatArray) -> FloatArray:
+        part = share if value.ndim == 1 else share[:, None]
+        there = (1.0 - part) * value[before] + part * value[ahead]
+        own = share == 0.0
+        there[own] = value[before[own]]
+        return np.asarray(there)
+
+    contact = dataclasses.replace(
+        path.contact,
+        point=mixed(path.contact.point),
+        normal=unit(mixed(path.contact.normal)),
+        centre=mixed(path.contact.centre),
+        angle=mixed(path.contact.angle),
+        loop=path.contact.loop[end],
+        working=path.contact.working[end],
+    )
+    return dataclasses.replace(
+        path,
+        former=mixed(path.former),
+        axis=unit(mixed(path.axis)),
+        support=None if path.support is None else mixed(path.support),
+        support_axis=None if path.support_axis is None else unit(mixed(path.support_axis)),
+        gap=mixed(path.gap),
+        contact=contact,
+        loose=None if path.loose is None else path.loose[end],
+    )
+
+
+def shifted(laid: Sequence[tuple[Pass, ToolPath]], given: Sequence[Way]) -> list[tuple[Pass, ToolPath]]:
+    """The paths of both tools, shifted alike as the ``given`` ways say, with the targets that these have.
+    Raises ``TandemError`` (forming.compensation) where a path is none of them."""
+    by_name = {way.name: way for way in given}
+    out = []
+    for one, path in laid:
+        way = by_name.get(one.name)
+        if way is None:
+            raise refused(f"it has no shifts for pass {one.name}")
+        places, known = arc_length(path.former), arc_length(way.point)
+        known = known * (places[-1] / max(float(known[-1]), 1e-12))
+        off = lengths(along(way.point, known, places) - path.former)
+        if len(way.point) < 2 or off.max() > OFF_WAY:
+            worst = int(np.argmax(off))
+            x, y, z = path.former[worst] / MM
+            what = f"pass {one.name} is {off[worst] / MM:.3f} mm off it at ({x:.2f}, {y:.2f}, {z:.2f}) mm, "
+            raise refused(what + f"allowed {OFF_WAY / MM:g} mm: the path is laid in another way now")
+        near = np.abs(places[_nearest(places, known)] - known)
+        made = _refined(path, _numbers(places, known[near > SAME_PLACE]))
+        by = np.interp(arc_length(made.former), known, way.shift)
+        deep = np.zeros((len(by), 3))
+        deep[:, 2] = -one.side * by
+        support = None if made.support is None else made.support + deep
+        out.append((one, dataclasses.replace(made, former=made.former + deep, support=support)))
+    return out
+
+
+def _nearest(sorted_places: FloatArray, wanted: FloatArray) -> IntArray:
+    ahead = np.clip(np.searchsorted(sorted_places, wanted), 1, len(sorted_places) - 1)
+    back = wanted - sorted_places[ahead - 1] < sorted_places[ahead] - wanted
+    return np.asarray(ahead - back)
+
+
+def refused(what: str) -> TandemError:
+    """What is wrong with a file of shifts, and what to do."""
+    hint = "write it again: tandem springback PROBLEM --write FILE"
+    return TandemError(
+        Issue(
+            "forming.compensation",
+            f"the springback file is refused: {what}",
+            field="springback.file",
+            hint=hint,
+        )
+    )
+
+
+def steeper(
+    work: Work, laid: Sequence[tuple[Pass, ToolPath]], given: Sequence[Way], slope: float
+) -> Iterator[Issue]:
+    """Walls that the shifts make steeper than one pass may be (forming.wall_angle): from each loop to the
+    next, behind the way on which the shift grows from 0 by ``slope``."""
+    limit = work.sheet.metal.wall_angle_limit(work.operation.mode in SUPPORTED_MODES)
+    for (one, _), way in zip(laid, given, strict=True):
+        step = lengths(np.diff(way.point, axis=0))
+        grown = np.flatnonzero((step > 0.0) & (np.diff(way.shift) < GROWING * slope * step))
+        begun = int(way.loop[grown[0]]) + 1 if len(grown) else 0
+        worst, at, was = 0.0, np.zeros(3), 0.0
+        for k in range(begun, int(way.loop.max())):
+            here, ahead = np.flatnonzero(way.loop == k), np.flatnonzero(way.loop == k + 1)
+            if not len(here) or not len(ahead):
+                continue
+            away = lengths(way.point[here, None, :2] - way.point[None, ahead, :2])
+            next_ = ahead[away.argmin(axis=1)]
+            across = np.maximum(away.min(axis=1), 1e-9)
+            down = one.side * (way.point[here, 2] - way.point[next_, 2])
+            angle = np.arctan2(down + way.shift[next_] - way.shift[here], across)
+            before = np.arctan2(down, across)
+            apart = np.hypot(across, down)  # a last loop that is level lies on the one before in part
+            real = (angle - before > STEEPER) & (apart > 0.5 * float(np.median(apart)))
+            more = np.where(real & (before > STEEPER), angle, 0.0)
+            j = int(np.argmax(more))
+            if more[j] > worst:
+                worst, at, was = float(more[j]), way.point[here[j]], float(before[j])
+        if worst > limit + SAME_ANGLE:
+            x, y, z = at / MM
+            what = (
+                f"pass {one.name}: with the tools deeper by what the sheet comes back by, its wall is "
+                f"{worst / DEG:.1f} deg at ({x:.1f}, {y:.1f}, {z:.1f}) mm, {was / DEG:.1f} deg without; "
+                f"{work.sheet.metal.title} is known to stand {limit / DEG:g} deg in one pass"
+            )
+            yield Issue(
+                "forming.wall_angle",
+                what,
+                Severity.WARNING,
+                field="springback",
+                value=worst / DEG,
+                limit=limit / DEG,
+                unit="deg",
+                hint="hold the sheet nearer to the part, so that it comes back by less, or form more passes",
+            )
+
+
+def told(given: Sequence[Way], file: str) -> Issue:
+    """A note of what a plan shifts its tools by."""
+    deepest = max(given, key=lambda way: float(way.shift.max()))
+    most = float(deepest.shift.max()) / MM
+    what = (
+        f"both tools go deeper than the part by what the sheet comes back by, as {file} says: up to "
+        f"{most:.2f} mm (pass {deepest.name}); what it assumes stands in it"
+    )
+    return Issue("forming.compensated", what, Severity.NOTE, field="springback.file", value=most, unit="mm")
+
+
+def exhibit(given: Sequence[Way]) -> dict[str, Any]:
+    """The shifts along the paths, for the report."""
+    return {
+        "kind": "heatmap",
+        "title": "How much deeper the tools go, for the sheet comes back by it",
+        "points": np.concatenate([way.point for way in given]),
+        "value": np.concatenate([way.shift for way in given]) / MM,
+        "unit": "mm",
+    }

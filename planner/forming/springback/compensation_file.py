@@ -1,0 +1,259 @@
+"""The file of shifts that make up for springback: `tandem springback --write` makes it, a problem names it.
+
+JSON, one ring or control point a line: what it belongs to, what is assumed, limits, control points with their
+curves, and of each pass the loops of the former's path with the shift at each target, x, y, z and S in mm in
+the sheet's frame. Its last line is the SHA-256 of all text before it, so one that is cut short or edited is
+refused; so is one that belongs to another part, sheet, tool or operation, by the name of what differs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from planner.forming.operation import Forming, Springback
+from planner.forming.process_plan import Work
+from planner.forming.springback import forecast
+from planner.forming.springback.compensation import Way, refused
+from planner.forming.springback.curves import PassSpringback
+from planner.geometry.arrays import FloatArray, IntArray, Mesh, lengths
+from planner.geometry.units import MM
+from planner.issues import Issue, TandemError
+from planner.problem import Part, Stock
+
+VERSION: Final = 1
+"""Number of the file's form."""
+LARGEST: Final = 64_000_000
+"""Bytes of a file at most."""
+DECIMALS: Final = 5
+"""Digits of lengths behind the point [mm]: a hundredth of a micrometre."""
+ROUNDING: Final = 2e-8
+"""What two rounded shifts may differ by besides their slope [m]."""
+DECIDES: Final = (
+    "mode",
+    "side",
+    "path",
+    "stepdown_mm",
+    "scallop_mm",
+    "strategy",
+    "order",
+    "passes",
+    "angle_step_deg",
+    "repeats",
+    "force_n",
+)
+"""Fields of an operation that decide what the sheet comes back by and where loops run."""
+
+
+def belongs_to(work: Work, stock: Stock, part: Part | None) -> dict[str, Any]:
+    """What decides how far a sheet comes back, as plain values by name; meshes and outlines by digest."""
+    op, sheet = work.operation, work.sheet
+    mesh = None if part is None or part.formed is None else part.formed.source
+    return {
+        "part": "" if mesh is None else _mesh_digest(mesh),
+        "sheet.size_mm": [_short(v / MM) for v in stock.size],
+        "sheet.metal": sheet.metal.name,
+        "sheet.young_gpa": _short(sheet.metal.young / 1e9),
+        "sheet.poisson": _short(sheet.metal.poisson),
+        "sheet.tensile_mpa": _short(sheet.metal.tensile_stress / 1e6),
+        "sheet.opening": _digest(np.round(sheet.opening * 1e9).astype("<i8").tobytes()),
+        "clamp.border_n_mm2": "immovable" if np.isinf(sheet.border) else _short(sheet.border * MM**2),
+        **{f"tool.{arm}": [head.kind, _short(head.radius / MM)] for arm, head in sorted(work.heads.items())},
+        **{f"operation.{name}": _plain(getattr(op, name)) for name in DECIDES},
+    }
+
+
+def _mesh_digest(mesh: Mesh) -> str:
+    vertices = np.round(mesh.vertices * 1e9).astype("<i8").tobytes()
+    return _digest(vertices + np.asarray(mesh.faces).astype("<i8").tobytes())
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:32]
+
+
+def _short(value: float) -> float:
+    return float(f"{float(value):.9g}")
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def assumed(work: Work) -> list[str]:
+    """What a forecast rests on that nobody has measured here."""
+    op, metal = work.operation, work.sheet.metal
+    border = work.sheet.border
+    edge = (
+        "slides in its plane"
+        if border == 0.0
+        else "does not move"
+        if np.isinf(border)
+        else f"gives way by a spring of {border * MM**2:g} N/mm for each mm"
+    )
+    force = (
+        f"the force is {op.force_n:g} N everywhere, as force_n states"
+        if op.force_n is not None
+        else "forces are those of a formula for one tool (Aerens and others), not measured"
+    )
+    out = [
+        f"{force}",
+        f"the sheet's edge {edge} (clamp: border)",
+        f"E {metal.young / 1e9:g} GPa and nu {metal.poisson:g} of {metal.title}, elastic alone",
+        "the sheet is as thick as the sine law has it, and has the wanted shape down to the tool",
+        "residual stress, which moves a part when it is unclamped or trimmed, is not in this",
+    ]
+    return [*out, *(["what the other tool carries of the force is not known"] if len(op.arms) > 1 else [])]
+
+
+def text(
+    title: str,
+    work: Work,
+    identity: Mapping[str, Any],
+    found: Sequence[PassSpringback],
+    ways: Sequence[Way],
+    slope: float,
+) -> str:
+    """The file."""
+    rows = forecast.rows(found)
+    head = {
+        "tandem_springback": VERSION,
+        "problem": title,
+        "operation": work.operation.name,
+        "belongs_to": dict(identity),
+        "assumed": assumed(work),
+        "slope": slope,
+    }
+    lines = [f"{_dump(key)}: {_dump(value)}" for key, value in head.items()]
+    points = ",\n".join(_dump(row) for row in rows)
+    lines.append(f'"control_points": [\n{points}\n]')
+    passes = []
+    for way in ways:
+        rings = []
+        for k in np.unique(way.loop):
+            mine = way.loop == k
+            table = np.round(np.column_stack([way.point[mine], way.shift[mine]]) / MM, DECIMALS) + 0.0
+            rings.append(_dump(table.tolist()))
+        joined = ",\n".join(rings)
+        passes.append(f'{{"name": {_dump(way.name)}, "rings": [\n{joined}\n]}}')
+    both = ",\n".join(passes)
+    lines.append(f'"passes": [\n{both}\n]')
+    lines.append(f'"points": {sum(len(way.point) for way in ways)}')
+    body = "{\n" + ",\n".join(lines) + ",\n"
+    return body + f'"sha256": "{hashlib.sha256(body.encode()).hexdigest()}"\n}}\n'
+
+
+def _dump(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class Compensation:
+    """A file that was read: the ``ways`` of all passes, whose shifts change by ``slope`` at most, named
+    ``file``."""
+
+    file: str
+    ways: tuple[Way, ...]
+    slope: float
+
+
+def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compensation:
+    """Read a file of shifts for what ``identity`` says. Raises ``TandemError`` (forming.compensation): all
+    that is wrong with what it belongs to at once."""
+    data = _data(path)
+    theirs = data.get("belongs_to")
+    theirs = theirs if isinstance(theirs, dict) else {}
+    mine = json.loads(_dump(dict(identity)))
+    differ = [
+        f"{name}: got {_told(theirs.get(name))}, the problem has {_told(mine.get(name))}"
+        for name in dict.fromkeys([*mine, *theirs])
+        if theirs.get(name) != mine.get(name)
+    ]
+    if differ:
+        issues = [issue for what in differ for issue in refused(f"it belongs to another job: {what}").issues]
+        raise TandemError(issues)
+    limits = operation.springback or Springback(file=path)
+    ways = tuple(_way(one) for one in _list(data, "passes"))
+    if sum(len(way.point) for way in ways) != data.get("points"):
+        raise refused(f"it says {data.get('points')} points and has {sum(len(way.point) for way in ways)}")
+    _require_limits(ways, limits.slope, limits.most_mm * MM)
+    return Compensation(path.name, ways, limits.slope)
+
+
+def _told(value: Any) -> str:
+    return "none" if value is None else _dump(value)
+
+
+def _data(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > LARGEST:
+            raise refused(f"{path.name} has more than {LARGEST // 1_000_000} MB")
+        content = path.read_text("utf-8")
+    except (OSError, ValueError) as error:
+        what = f"{path.name}: it cannot be read ({getattr(error, 'strerror', None) or 'no text'})"
+        raise refused(what) from None
+    body, mark, tail = content.rpartition('"sha256"')
+    stated = tail.replace('"', " ").replace(":", " ").replace("}", " ").split()
+    if not mark or len(stated) != 1:
+        raise refused(f"{path.name} is cut short: its last line is no checksum")
+    if hashlib.sha256(body.encode()).hexdigest() != stated[0]:
+        raise refused(
+            f"{path.name} was changed since it was written, or is cut short: its checksum is another"
+        )
+    try:
+        data = json.loads(content)
+    except ValueError as error:
+        raise refused(f"{path.name} is no JSON: {error}") from None
+    if not isinstance(data, dict) or data.get("tandem_springback") != VERSION:
+        raise refused(f"{path.name} is no springback file of version {VERSION}")
+    return data
+
+
+def _list(data: Mapping[str, Any], name: str) -> list[Any]:
+    value = data.get(name)
+    if not isinstance(value, list) or not value:
+        raise refused(f"{name}: got nothing")
+    return value
+
+
+def _way(one: Any) -> Way:
+    name = str(one.get("name")) if isinstance(one, dict) else ""
+    tables: list[FloatArray] = []
+    for ring in _list(one if isinstance(one, dict) else {}, "rings"):
+        try:
+            table = np.asarray(ring, dtype=np.float64)
+        except (TypeError, ValueError):
+            table = np.zeros((0, 0))
+        if table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
+            raise refused(f"pass {name}: ring {len(tables)} is no table of x, y, z and S in mm")
+        tables.append(table * MM)
+    whole = np.concatenate(tables)
+    loop: IntArray = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
+    return Way(name, whole[:, :3], whole[:, 3], loop)
+
+
+def _require_limits(ways: Sequence[Way], slope: float, most: float) -> None:
+    issues: list[Issue] = []
+    for way in ways:
+        step = lengths(np.diff(way.point, axis=0))
+        steep = np.abs(np.diff(way.shift)) - ROUNDING - slope * step
+        wrong = []
+        if way.shift.min() < 0.0:
+            wrong.append(f"a shift of {way.shift.min() / MM:.3f} mm, allowed 0 and more")
+        if way.shift.max() > most:
+            wrong.append(f"a shift of {way.shift.max() / MM:.3f} mm, most_mm allows {most / MM:g} mm")
+        if abs(way.shift[0]) > ROUNDING:
+            wrong.append(f"a shift of {way.shift[0] / MM:.3f} mm at its beginning, allowed 0")
+        if len(steep) and steep.max() > 0.0:
+            k = int(np.argmax(steep))
+            got = abs(way.shift[k + 1] - way.shift[k]) / max(float(step[k]), 1e-12)
+            wrong.append(f"a slope of {got:.4f} mm/mm, allowed {slope:g}")
+        issues += [issue for what in wrong for issue in refused(f"pass {way.name} has {what}").issues]
+    if issues:
+        raise TandemError(issues)

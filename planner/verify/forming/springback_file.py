@@ -1,0 +1,214 @@
+"""The springback file of a problem, as the proof reads it, and the tools without what it shifts them by.
+
+The file says of each pass where the former's path is and by how much S tools are deeper there, so the way
+that is commanded is the polyline of its points, each lower by its S. Of a replayed place the nearest one on
+that polyline tells S, and the tools less S along z are the *released* ones: where they would be in a sheet
+that does not give way. A way that is elsewhere than the file's stays as far off as it is, for S changes by a
+stated slope at most.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.geometry.arrays import FloatArray, IntArray, Mesh
+from planner.geometry.units import MM
+from planner.problem import Sheet
+
+MARKS = 4e-4
+"""Marks on a way are so far apart [m] at most."""
+NEAREST_MARKS = 5
+"""Marks nearest to a place whose pieces of the way are looked at."""
+AT_ONCE = 100_000
+"""Places that are looked at once."""
+ROUNDING = 3e-8
+"""Shifts are rounded by no more [m], two of them."""
+LARGEST = 100_000_000
+"""Bytes of a file at most."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Control:
+    """A control point of the file: the ``segment``'s name, its ``level``, ``place`` (3,) [m] on the face, the
+    ``angle`` [rad] of the wall that it states, ``force`` [N] and ``springback`` [m]."""
+
+    segment: str
+    level: int
+    place: FloatArray
+    angle: float
+    force: float
+    springback: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Way:
+    """Of one pass: ``point`` (K, 3) [m] of the former's path without shifts, ``shift`` (K,) [m] of each, the
+    ``ring`` (K,) that it is of."""
+
+    point: FloatArray
+    shift: FloatArray
+    ring: IntArray
+
+    def faults(self, slope: float, most: float) -> list[tuple[str, float, float, str]]:
+        """What of it is beyond the problem's limits: what, got, allowed, unit."""
+        out = []
+        low, high, first = float(self.shift.min()), float(self.shift.max()), float(self.shift[0])
+        if low < 0.0:
+            out.append(("a shift out of the sheet", low / MM, 0.0, "mm"))
+        if high > most:
+            out.append(("a shift that is too large", high / MM, most / MM, "mm"))
+        if abs(first) > ROUNDING:
+            out.append(("a shift where the tool comes to the sheet", first / MM, 0.0, "mm"))
+        step = np.sqrt(((self.point[1:] - self.point[:-1]) ** 2).sum(axis=1))
+        rise = np.maximum(np.abs(self.shift[1:] - self.shift[:-1]) - ROUNDING, 0.0)
+        steep = rise > slope * step
+        if steep.any():
+            worst = float((rise[steep] / np.maximum(step[steep], 1e-9)).max())
+            out.append(("a shift that changes too fast along the way", worst, slope, "mm/mm"))
+        return out
+
+
+@dataclasses.dataclass(frozen=True)
+class Given:
+    """A file: what it ``belongs`` to by name, its ``controls``, its ``ways`` by the segments' names."""
+
+    belongs: dict[str, Any]
+    controls: tuple[Control, ...]
+    ways: dict[str, Way]
+
+
+def read(path: Path) -> Given:
+    """Read a file. Raises ``ValueError``: what is wrong with it."""
+    try:
+        if path.stat().st_size > LARGEST:
+            raise ValueError("it is too large")
+        content = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"it cannot be read ({error.strerror})") from None
+    at = content.rfind(b'"sha256": "')
+    end = content[at + 11 :] if at >= 0 else b""
+    if len(end.rstrip()) < 66 or end.rstrip()[64:] not in (b'"\n}', b'"}'):
+        raise ValueError("it is cut short: its last line states no checksum")
+    if hashlib.sha256(content[:at]).hexdigest().encode() != end[:64]:
+        raise ValueError("its text is not the one of its checksum")
+    try:
+        data = json.loads(content.decode("utf-8"))
+        ways = {str(one["name"]): _way(one["rings"]) for one in data["passes"]}
+        controls = tuple(
+            Control(
+                str(row["pass"]),
+                int(row["level"]),
+                np.array([float(row[f"{axis}_mm"]) for axis in "xyz"]) * MM,
+                float(np.deg2rad(row["wall_deg"])),
+                float(row["force_n"]),
+                float(row["springback_mm"]) * MM,
+            )
+            for row in data["control_points"]
+        )
+        belongs, count = dict(data["belongs_to"]), int(data["points"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
+    if count != sum(len(way.point) for way in ways.values()) or len(ways) != len(data["passes"]):
+        raise ValueError("it has another number of points than it says")
+    figures = [np.append(one.place, [one.force, one.springback, one.angle]) for one in controls]
+    if not controls or not np.isfinite(figures).all():
+        raise ValueError("a control point has no figures")
+    return Given(belongs, controls, ways)
+
+
+def _way(rings: list[list[list[float]]]) -> Way:
+    tables = [np.array(ring, dtype=np.float64).reshape(-1, 4) * MM for ring in rings]
+    ring = np.concatenate([np.full(len(table), k) for k, table in enumerate(tables)])
+    both = np.concatenate(tables)
+    if len(both) < 2 or not np.isfinite(both).all():
+        raise ValueError("a pass has no way")
+    return Way(both[:, :3], both[:, 3], ring)
+
+
+def wanted(
+    operation: Any, size: FloatArray, sheet: Sheet, mesh: Mesh, tools: dict[str, Any]
+) -> dict[str, Any]:
+    """What a file of this operation has to belong to, by name: ``size`` (3,) [m] and ``sheet`` of the stock,
+    the part's ``mesh`` as given, each arm's ``tools`` [kind, radius in m]."""
+    metal = sheet.metal
+    nanometres = [np.rint(table * 1e9).astype("<i8") for table in (mesh.vertices, sheet.opening)]
+    whole = hashlib.sha256(nanometres[0].tobytes() + mesh.faces.astype("<i8").tobytes()).hexdigest()
+    border = sheet.border * MM * MM
+    out: dict[str, Any] = {
+        "part": whole[:32],
+        "sheet.size_mm": [_nine(one / MM) for one in size.tolist()],
+        "sheet.metal": metal.name,
+        "sheet.young_gpa": _nine(metal.young / 1e9),
+        "sheet.poisson": _nine(metal.poisson),
+        "sheet.tensile_mpa": _nine(metal.tensile_stress / 1e6),
+        "sheet.opening": hashlib.sha256(nanometres[1].tobytes()).hexdigest()[:32],
+        "clamp.border_n_mm2": _nine(border) if np.isfinite(border) else "immovable",
+    }
+    for arm, (kind, radius) in tools.items():
+        out[f"tool.{arm}"] = [kind, _nine(radius / MM)]
+    for name in OF_OPERATION:
+        value = getattr(operation, name)
+        out[f"operation.{name}"] = [*value] if isinstance(value, tuple) else value
+    return out
+
+
+OF_OPERATION = (
+    *("mode", "side", "path", "stepdown_mm", "scallop_mm", "strategy", "order"),
+    *("passes", "angle_step_deg", "repeats", "force_n"),
+)
+"""Fields of an operation that decide what its sheet comes back by, and where its loops are."""
+
+
+def _nine(value: float) -> float:
+    return float(f"{value:.9g}")
+
+
+class Deeper:
+    """The commanded way of one pass, whose tools on ``side`` +1 are above: by its ``way`` they are lower."""
+
+    def __init__(self, way: Way, side: int) -> None:
+        self.way, self.side = way, side
+        knots = way.point.copy()
+        knots[:, 2] -= side * way.shift
+        self._start, self._way = knots[:-1], np.diff(knots, axis=0)
+        self._square = np.maximum((self._way**2).sum(axis=1), 1e-24)
+        count = np.maximum(np.ceil(np.sqrt(self._square) / MARKS), 1).astype(np.int64)
+        self._owner = np.repeat(np.arange(len(count)), count)
+        share = (np.arange(len(self._owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[
+            self._owner
+        ]
+        self._marks = self._start[self._owner] + share[:, None] * self._way[self._owner]
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self._marks)
+
+    def at(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """By how much (N,) [m] tools are deeper at replayed ``places`` (N, 3) [m] of the former, and how far
+        (N,) [m] these are off the commanded way."""
+        shift, off = np.empty(len(places)), np.empty(len(places))
+        for begin in range(0, len(places), AT_ONCE):
+            rows = slice(begin, begin + AT_ONCE)
+            shift[rows], off[rows] = self._some(places[rows])
+        return shift, off
+
+    def _some(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        found = self._tree.query(places, k=min(NEAREST_MARKS, len(self._marks)))[1]
+        piece = self._owner[np.asarray(found).reshape(len(places), -1)]
+        rest = places[:, None] - self._start[piece]
+        share = np.clip((rest * self._way[piece]).sum(axis=2) / self._square[piece], 0.0, 1.0)
+        away = np.sqrt(((rest - share[..., None] * self._way[piece]) ** 2).sum(axis=2))
+        best = away.argmin(axis=1)[:, None]
+        piece, share = (np.take_along_axis(one, best, axis=1)[:, 0] for one in (piece, share))
+        value = self.way.shift
+        return value[piece] + share * (value[piece + 1] - value[piece]), np.take_along_axis(away, best, 1)[
+            :, 0
+        ]

@@ -1,0 +1,361 @@
+"""verify.springback: tools that go deeper than the part, for the sheet comes back when they let go.
+
+The problem names a file of shifts. All other rules about sheets judge the released tools, that is the replay
+less these shifts; so what the file says has to be right. It is held against the problem (what it belongs to,
+limits, forces), its shifts against its control points by an interpolation, a limit of slope and a mean of the
+proof's own, the replayed way against its way, and a few control points against an elastic sheet on another
+mesh with another membrane.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.claims.forming import ComesBack, FormsPart, FormsSheet
+from planner.geometry.arrays import FloatArray
+from planner.geometry.units import MM
+from planner.issues import Issue
+from planner.tooling import FormingTool
+from planner.verify.context import Context, Outcome, at_sample, mm, rule
+from planner.verify.forming import elastic, springback_file
+from planner.verify.forming.released import Told
+from planner.verify.forming.shapes import PartShapes
+from planner.verify.forming.springback_file import Control, Way
+from planner.verify.forming.state import Forming
+
+CODE = "verify.springback"
+"""Code of this rule."""
+NOTHING = "no tool goes deeper than the part"
+"""Why it has not run."""
+DRAWN = 5
+"""Control points that are worked out once more."""
+SHARE, NOISE = 0.03, 2e-5
+"""How far what comes out may be off the file's, as a share, and [m] besides: two meshes."""
+WAY_OFF = 1e-4
+"""The replayed way is off the file's by no more [m] while it forms."""
+FORCE_SHARE = 1e-3
+"""Forces that differ by this share are one: figures of the file are rounded."""
+LEAST_FORCE = 0.01
+"""Forces by formula are this share of the largest at least: where a pass is flat it says 0."""
+BETWEEN = 0.05
+"""Shifts are within this share of what lies between the control points around them."""
+STEP = 1e-3
+"""Places of a way at which its shifts are looked at are so far apart [m]."""
+MOST_PLACES = 60_000
+"""Places of a way at most."""
+MODES = frozenset({"spif", "dsif", "dpif_l", "dpif_p", "heat"})
+"""Modes in which what is formed comes back as one elastic sheet."""
+
+
+@rule("verify.springback", ComesBack)
+def springback(context: Context, forming: Forming) -> Outcome:
+    """Tools that go deeper than the part do so, both alike, as the problem's springback file says; that is of
+    this very job, within its limits, and an elastic sheet comes back by what it says, at places drawn by
+    lot."""
+    issues: list[Issue] = list(_unclaimed(context, forming))
+    worst, where = 0.0, ""
+    for one in forming.told:
+        if one.given is None:
+            issues.append(_issue(one, one.fault))
+            continue
+        found = [*_belongs(context, forming, one), *_limits(one), *_forces(context, one)]
+        found += _along(context, forming, one) if not found else []
+        found += _way(context, forming, one)
+        issues += found
+        if found:
+            continue  # nothing of it is worth being worked out
+        off, solved = _solved(context, forming, one)
+        issues += solved
+        if off >= worst:
+            worst, where = off, one.claim.operation
+    if not forming.told:
+        return Outcome(tuple(issues), where=NOTHING)
+    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of how far two meshes may be off", where)
+
+
+def _issue(
+    one: Told, what: str, got: float | None = None, limit: float | None = None, unit: str = ""
+) -> Issue:
+    what = f"{one.claim.operation}: {what}"
+    return Issue(CODE, what, field="springback", value=got, limit=limit, unit=unit or None)
+
+
+def _unclaimed(context: Context, forming: Forming) -> Iterator[Issue]:
+    """Operations that name a file of which nothing is claimed, and passes that are left out of a claim."""
+    claimed = {one.claim.operation: one for one in forming.told}
+    for operation in context.problem.operations:
+        if getattr(operation, "springback", None) is not None and operation.name not in claimed:
+            what = f"{operation.name} names a springback file, and nothing is claimed of it"
+            yield Issue(CODE, what, field="springback")
+    for index, claim in forming.by_setup:
+        if not isinstance(claim, FormsSheet):
+            continue
+        for one in claimed.values():
+            group = _group(context, one)
+            if index == one.index and claim in group and claim.segment not in one.claim.segments:
+                yield _issue(one, f"{claim.segment} is left out of what goes deeper")
+
+
+def _group(context: Context, one: Told) -> tuple[object, ...]:
+    """All claims of the operation of a claim."""
+    return next(group for group in context.setup_claims[one.index].groups if one.claim in group)
+
+
+def _made(forming: Forming, one: Told) -> PartShapes | None:
+    """The part and the passes of the operation."""
+    return next((made for made, group in forming.parts if one.claim in group), None)
+
+
+def _belongs(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
+    """Whether the file is of this very part, sheet, tools and operation."""
+    setup, given, part = context.setups[one.index], one.given, context.problem.part
+    if given is None or part is None or part.formed is None or setup.stock.sheet is None:
+        yield _issue(one, "there is no sheet that comes back")
+        return
+    tools = {}
+    for arm in one.operation.arms:
+        tool = setup.cell.arm(arm).tool
+        if isinstance(tool, FormingTool):
+            tools[arm] = (tool.head.kind, tool.head.radius)
+    mine = springback_file.wanted(
+        one.operation, setup.stock.size, setup.stock.sheet, part.formed.source, tools
+    )
+    for name in sorted({*mine, *given.belongs}):
+        if given.belongs.get(name, "none") != mine.get(name, "none"):
+            said, has = given.belongs.get(name), mine.get(name)
+            yield _issue(one, f"its springback file is of another job: {name} is {said}, here {has}")
+    if one.operation.mode not in MODES:
+        yield _issue(one, f"in mode {one.operation.mode} nothing is known of what the sheet comes back by")
+    names = {segment.name for segment in one.claim.segments}
+    if names != set(given.ways):
+        yield _issue(one, f"its springback file has the passes {sorted(given.ways)}, here {sorted(names)}")
+
+
+def _limits(one: Told) -> Iterator[Issue]:
+    """Whether shifts go into the sheet, as far and as fast as the problem allows."""
+    stated = one.operation.springback
+    for name, way in ({} if one.given is None else one.given.ways).items():
+        for what, got, limit, unit in way.faults(float(stated.slope), float(stated.most_mm) * MM):
+            told = f"{name} has {what} in its springback file: {got:.4g} {unit}; allowed: {limit:g}"
+            yield _issue(one, told, got, limit, unit)
+
+
+def _forces(context: Context, one: Told) -> Iterator[Issue]:
+    """Whether forces are the problem's, or by the formula that it names."""
+    setup, given, operation = context.setups[one.index], one.given, one.operation
+    sheet = setup.stock.sheet
+    if given is None or sheet is None:
+        return
+    for name in given.ways:
+        mine = [control for control in given.controls if control.segment == name]
+        if not mine:
+            yield _issue(one, f"{name} has no control point in its springback file")
+            continue
+        if operation.force_n is not None:
+            wanted = np.full(len(mine), float(operation.force_n))
+        else:
+            arms = (setup.cell.arm(arm).tool for arm in operation.arms)
+            radii = [tool.head.radius for tool in arms if isinstance(tool, FormingTool)]
+            angle = np.array([control.angle for control in mine])
+            each = [_by_formula(operation, sheet.metal.tensile_stress, setup, r, angle) for r in radii]
+            wanted = min(each, key=lambda some: float(np.abs(some - [c.force for c in mine]).max()))
+        off = np.abs(np.array([control.force for control in mine]) - wanted)
+        # figures by formula hang on angles that the file rounds
+        allowed = FORCE_SHARE * float(wanted.max()) + (0.1 if operation.force_n is None else 0.0)
+        k = int(np.argmax(off))
+        if off[k] > allowed:
+            what = f"a control point of {name} is under {mine[k].force:.1f} N; the problem's force there "
+            yield _issue(one, f"{what}is {wanted[k]:.1f} N", mine[k].force, float(wanted[k]), "N")
+
+
+def _by_formula(
+    operation: object, tensile: float, setup: object, radius: float, angle: FloatArray
+) -> FloatArray:
+    """Forces (N,) [N] on walls at ``angle`` (N,) [rad] of a ball: F = 0.0716 Rm t^1.57 d^0.41 h^0.09 a cos a,
+    Rm in MPa, lengths in mm, a in degrees (Aerens and others 2010), h the ridge between loops."""
+    thick = float(setup.stock.size[2]) / MM  # type: ignore[attr-defined]
+    r = radius / MM
+    step, scallop = operation.stepdown_mm, operation.scallop_mm  # type: ignore[attr-defined]
+    if step is None:
+        ridge = np.full(len(angle), float(scallop))
+    else:
+        half = np.minimum(0.5 * step / np.sin(np.maximum(angle, 1e-3)), r)
+        ridge = r - np.sqrt(np.maximum(r * r - half * half, 0.0))
+    degrees = np.rad2deg(angle)
+    force = 0.0716 * tensile / 1e6 * thick**1.57 * (2.0 * r) ** 0.41 * ridge**0.09 * degrees * np.cos(angle)
+    return np.asarray(np.maximum(force, LEAST_FORCE * float(force.max())))
+
+
+def _along(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
+    """Whether shifts are what lies between the control points around, as far as the slope lets them."""
+    given, slope = one.given, float(one.operation.springback.slope)
+    for index, claim in forming.by_setup:
+        if given is None or not isinstance(claim, FormsSheet) or index != one.index:
+            continue
+        way = given.ways.get(claim.segment.name)
+        if way is None or claim.segment not in one.claim.segments:
+            continue
+        controls = [control for control in given.controls if control.segment == claim.segment.name]
+        at, low, high = _bounds(way, controls, claim.side, claim.radius)
+        got = np.interp(at, _gone(way.point), way.shift)
+        half = claim.radius
+        least, most = (_mean(at, _slower(at, value, slope), half) for value in (low, high))
+        slack = BETWEEN * most + NOISE + 0.5 * slope * STEP
+        off = np.maximum(least - got, got - most) - slack
+        k = int(np.argmax(off))
+        if off[k] > 0.0:
+            what = (
+                f"{claim.segment} is shifted by {mm(got[k]):.3f} mm at {at[k] / MM:.0f} mm of its way; what "
+                f"its control points and the slope make is {mm(least[k]):.3f} to {mm(most[k]):.3f} mm"
+            )
+            yield _issue(one, what, mm(float(got[k])), mm(float(most[k])), "mm")
+
+
+def _gone(points: FloatArray) -> FloatArray:
+    """Way (N,) [m] along a polyline (N, 3)."""
+    step = points[1:] - points[:-1]
+    return np.append(0.0, np.cumsum(np.sqrt((step * step).sum(axis=1))))
+
+
+def _bounds(
+    way: Way, controls: list[Control], side: int, radius: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Places (P,) [m] along a way, and the least and largest springback (P,) [m] that control points say
+    there: on each level from one to the next around the loop, between levels by height, and as the loop
+    itself goes up or down by its step."""
+    gone = _gone(way.point)
+    count = int(min(MOST_PLACES, np.ceil(gone[-1] / STEP))) + 1
+    at = np.linspace(0.0, float(gone[-1]), count)
+    place = np.stack([np.interp(at, gone, way.point[:, axis]) for axis in range(3)], axis=1)
+    ring = way.ring[np.clip(np.searchsorted(gone, at), 0, len(way.ring) - 1)]
+    levels = sorted({control.level for control in controls})
+    groups = [[control for control in controls if control.level == level] for level in levels]
+    # the ball's centre over a place of the wall
+    height = np.array(
+        [np.mean([c.place[2] + side * radius * np.cos(c.angle) for c in some]) for some in groups]
+    )
+    order = np.argsort(height)
+    table = np.empty((len(groups), count))
+    rise = np.zeros(count)
+    for k in np.unique(ring):
+        rows = np.flatnonzero(ring == k)
+        own = at[rows] - at[rows[0]]
+        whole = float(own[-1]) + STEP
+        rise[rows] = np.ptp(place[rows, 2])
+        tree = cKDTree(place[rows, :2])
+        for row, level in enumerate(order):
+            some = groups[level]
+            near = own[tree.query([control.place[:2] for control in some])[1]]
+            value = np.array([control.springback for control in some])
+            table[row, rows] = np.interp(own, near, value, period=whole)
+    height = height[order]
+    either = []
+    for off in (-1.0, 0.0, 1.0):
+        z = np.clip(place[:, 2] + off * rise, height[0], height[-1])
+        above = np.clip(np.searchsorted(height, z), 1, max(len(height) - 1, 1))
+        below = np.minimum(above - 1, len(height) - 1)
+        above = np.minimum(above, len(height) - 1)
+        wide = np.where(above > below, height[above] - height[below], 1.0)
+        share = np.clip((z - height[below]) / wide, 0.0, 1.0)
+        column = np.arange(count)
+        either.append(table[below, column] * (1.0 - share) + table[above, column] * share)
+    return at, np.min(either, axis=0), np.max(either, axis=0)
+
+
+def _slower(at: FloatArray, value: FloatArray, slope: float) -> FloatArray:
+    """What of a curve (P,) is left that begins at 0 and changes by ``slope`` at most over ``at`` (P,) [m]."""
+    out = value.tolist()
+    way = at.tolist()
+    out[0] = 0.0
+    for k in range(1, len(out)):
+        out[k] = min(out[k], out[k - 1] + slope * (way[k] - way[k - 1]))
+    for k in range(len(out) - 2, -1, -1):
+        out[k] = min(out[k], out[k + 1] + slope * (way[k + 1] - way[k]))
+    return np.array(out)
+
+
+def _mean(at: FloatArray, value: FloatArray, half: float) -> FloatArray:
+    """The mean (P,) of a curve over ``half`` [m] of its way on either side, less at its ends."""
+    area = np.append(0.0, np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(at)))
+    reach = np.minimum(half, np.minimum(at - at[0], at[-1] - at))
+    both = np.interp(at + reach, at, area) - np.interp(at - reach, at, area)
+    return np.asarray(np.where(reach > 1e-9, both / np.maximum(2.0 * reach, 1e-12), value))
+
+
+def _way(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
+    """Whether the forming ball is on the file's way, shifted, all the time that it forms."""
+    for made in forming.formed:
+        claim, way = made.claim, made.track
+        if made.setup != one.index or claim.segment not in one.claim.segments:
+            continue
+        if way.aside is None or not len(way.aside):
+            yield _issue(one, f"{claim.segment} has no way in the springback file, or in the programs")
+            continue
+        k = int(np.argmax(way.aside))
+        if way.aside[k] > WAY_OFF:
+            what = (
+                f"{claim.arm} is {mm(float(way.aside[k])):.3f} mm off the way of the springback file in "
+                f"{claim.segment}; allowed: {mm(WAY_OFF):g} mm"
+            )
+            measure = (mm(float(way.aside[k])), mm(WAY_OFF), "mm")
+            yield at_sample(CODE, what, context.motion, claim.arm, int(way.rows[k]), measure)
+
+
+def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[Issue]]:
+    """How far control points drawn by lot are off what an elastic sheet says, as a share of what is allowed,
+    and issues."""
+    given, made = one.given, _made(forming, one)
+    stock = context.setups[one.index].stock
+    part = next((c for c in _group(context, one) if isinstance(c, FormsPart)), None)
+    if given is None or made is None or stock.sheet is None or part is None:
+        return 0.0, [_issue(one, "there is no part whose sheet comes back")]
+    metal = stock.sheet.metal
+    held = elastic.Clamped(
+        float(stock.size[2]), metal.young, metal.poisson, stock.sheet.opening, stock.sheet.border
+    )
+    passes = {
+        claim.segment.name: (k, number, claim)
+        for k, feature in enumerate(made.features)
+        for number, shape in enumerate(feature.shapes)
+        for claim in shape.claims
+    }
+    worst, issues = 0.0, []
+    for k in _drawn(context.problem.digest, len(given.controls)):
+        control = given.controls[k]
+        if control.segment not in passes:
+            issues.append(_issue(one, f"a control point is of {control.segment}, which is not formed"))
+            continue
+        feature, number, claim = passes[control.segment]
+        formed = elastic.Formed(made, feature, number, abs(float(control.place[2]) - claim.start))
+        x, y, z = control.place / MM
+        named = f"control point {k + 1} of its springback file, at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
+        try:
+            got, _ = elastic.comes_back(formed, held, control.place[:2], control.force)
+        except ValueError as error:
+            issues.append(_issue(one, f"{named}: the sheet there is not worked out: {error}"))
+            continue
+        allowed = SHARE * got + NOISE
+        off = abs(control.springback - got)
+        worst = max(worst, off / allowed if np.isfinite(got) else np.inf)
+        if not off <= allowed or not np.isfinite(got):
+            what = (
+                f"{named}: it comes back by {mm(control.springback):.4f} mm under {control.force:.0f} N; an "
+                f"elastic sheet on another mesh by {mm(got):.4f} mm"
+            )
+            limit = mm(allowed) if np.isfinite(got) else 0.0
+            issues.append(
+                _issue(one, what, mm(off) if np.isfinite(off) else mm(control.springback), limit, "mm")
+            )
+    return worst, issues
+
+
+def _drawn(digest: str, count: int) -> list[int]:
+    """Which of ``count`` control points are worked out once more: by the problem's digest, so that one that
+    changed has others."""
+    seed = int.from_bytes(hashlib.sha256(f"springback {digest}".encode()).digest()[:8], "big")
+    some = np.random.default_rng(seed).permutation(count)[:DRAWN]
+    return sorted(some.tolist())

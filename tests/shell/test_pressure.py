@@ -1,0 +1,45 @@
+"""An even pressure on a square, as shares of nodes: it hangs on no mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planner.geometry.units import MM
+from planner.shell.element import Sheet
+from planner.shell.mesh import cone_rings, mesh_sheet
+from planner.shell.newton import Loading, clamped, pressure
+
+PLACE = np.array([0.030, 0.0])
+WIDTH = 3.0 * MM
+
+
+def cone(triangles: int) -> Sheet:
+    rings = cone_rings(0.050, np.radians(45.0), 0.020)
+    made = mesh_sheet(rings, np.array([[-0.1, -0.1], [0.1, 0.1]]), triangles, PLACE[None])
+    return Sheet(made.nodes, made.triangles, np.full(len(made.triangles), MM), 68e9, 0.3)
+
+
+def test_shares_are_those_of_the_square() -> None:
+    sheet = cone(1500)
+    shares = pressure(sheet, PLACE, WIDTH)
+    assert shares.sum() == pytest.approx(1.0)
+    assert shares.min() > -1e-12
+    # linear shapes carry an even pressure's middle
+    assert shares @ sheet.nodes[:, :2] == pytest.approx(PLACE, abs=1e-9)
+
+
+def test_what_it_does_hangs_on_no_mesh() -> None:
+    moved = []
+    for triangles in (1500, 3000):
+        sheet = cone(triangles)
+        load = np.array([[0.0, 0.0, -50.0]])
+        moved.append(
+            float(Loading(sheet, clamped(sheet, "sliding")).curve(pressure(sheet, PLACE, WIDTH), load)[0, 2])
+        )
+    assert moved[1] == pytest.approx(moved[0], rel=0.015)
+
+
+def test_a_place_off_the_sheet_is_refused() -> None:
+    with pytest.raises(ValueError, match="the sheet is elsewhere"):
+        pressure(cone(1500), np.array([0.5, 0.0]), WIDTH)

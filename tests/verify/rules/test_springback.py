@@ -1,0 +1,277 @@
+"""verify.springback: a dish whose two tools go deeper by what the sheet comes back by, from file to proof.
+
+Faults of the planner are put into its programs, those of a file into the file; what has to catch each of them
+is named. Of a file only the rule itself is asked, on one replay of all."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import planner
+from planner import processes
+from planner.cli.forming import Springback, run_springback
+from planner.geometry.units import MM
+from planner.pipeline import Outcome
+from planner.verify.context import Context
+from planner.verify.forming import elastic
+from planner.verify.forming.state import Forming
+from planner.verify.rules import forming_tool, forming_two_tools, springback
+from tests import small_forming
+from tests.forming.springback import springback_files as files
+from tests.test_whole_forming import UPRIGHT
+
+FORCE = 500.0
+PASS = "PROC form_f1()"
+
+
+def stated(folder: Path, **more: Any) -> Path:
+    data = small_forming.problem("dsif", force_n=FORCE, tangent_deg=3, **more)
+    data["sheet"]["place"] = UPRIGHT
+    return small_forming.write(folder, data, small_forming.dish(around=180))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("deeper")
+
+
+@pytest.fixture(scope="module")
+def outcome(folder: Path) -> Outcome:
+    """The job planned with the file that the command writes for it."""
+    path = stated(folder)
+    request = Springback(path, most_points=3, triangles=3000, write=folder / "back.json")
+    assert {issue.code for issue in run_springback(request, planner.load(path))} == {"forming.springback"}
+    return planner.plan(planner.load(stated(folder, springback={"file": "back.json"})))
+
+
+def claims_of(outcome: Outcome) -> Mapping[str, Any]:
+    return {job.operation.name: job.claims() for job in processes.jobs(outcome.problem)}
+
+
+@pytest.fixture(scope="module")
+def context(outcome: Outcome) -> Context:
+    return Context(outcome.problem, claims_of(outcome), outcome.programs)
+
+
+@pytest.fixture
+def file(folder: Path) -> Iterator[Path]:
+    """The springback file, which is as it was afterwards."""
+    path = folder / "back.json"
+    before = path.read_text()
+    yield path
+    path.write_text(before)
+
+
+def messages(context: Context) -> list[str]:
+    return [issue.message for issue in springback.springback(context, Forming(context)).issues]
+
+
+def test_what_is_planned_is_proven_and_five_points_are_solved_again(outcome: Outcome) -> None:
+    assert outcome.verified, outcome.issues
+    rules = {rule.code: rule for rule in outcome.proof.rules}
+    assert rules["verify.springback"].ran
+    assert 0.0 < rules["verify.springback"].worst <= 100.0
+    assert rules["verify.gap"].worst <= 0.02
+    # what comes out of the press is the part: the deviation is that of the released tools
+    assert rules["verify.formed"].worst > 99.0
+    (told,) = (issue for issue in outcome.issues if issue.code == "forming.compensated")
+    assert 1.0 < told.value < 2.5
+
+
+def test_the_tools_are_deeper_and_the_released_ones_are_on_the_part(context: Context) -> None:
+    forming = Forming(context)
+    (one,) = forming.formed
+    assert one.track.lifted is not None
+    assert one.track.aside is not None
+    assert float(one.track.lifted.max()) > 1.0 * MM
+    assert float(one.track.aside.max()) < 0.05 * MM
+    deep = one.track.commanded(0, slice(None))
+    np.testing.assert_allclose(one.track.centre[:, 0][:, 2] - deep[:, 2], one.track.lifted, atol=1e-12)
+    plain = Context(context.problem, _without_claim(context), context.programs)
+    assert len(forming_tool.gouge(plain, Forming(plain)).issues) > 0
+
+
+def _without_claim(context: Context) -> Mapping[str, Any]:
+    from planner.claims.forming import ComesBack
+
+    return {
+        name: tuple(c for c in group if not isinstance(c, ComesBack))
+        for name, group in context.by_operation.items()
+    }
+
+
+def test_a_file_that_is_named_has_to_be_claimed(context: Context) -> None:
+    plain = Context(context.problem, _without_claim(context), context.programs)
+    assert any("nothing is claimed" in what for what in messages(plain))
+
+
+# ---- faults of the planner, in its programs ----
+
+
+def moved(texts: Mapping[str, str], arms: tuple[str, ...], up: np.ndarray) -> dict[str, str]:
+    """All targets (N,) of the pass of some arms moved ``up`` (N,) [mm] along the sheet's normal."""
+    out = dict(texts)
+    for name, text in texts.items():
+        if any(f"T_{arm}" in name for arm in arms) and PASS in text:
+            head, mark, rest = text.partition(PASS)
+            body, end, tail = rest.partition("ENDPROC")
+            rise = iter(up.tolist())
+
+            def of(found: re.Match[str], rise: Iterator[float] = rise) -> str:
+                x, y, z = (float(v) for v in found.group(2).split(","))
+                return f"{found.group(1)}{x:.4f},{y:.4f},{z + next(rise):.4f}]"
+
+            out[name] = head + mark + re.sub(r"(MoveL \[\[)([^\]]*)\]", of, body) + end + tail
+    assert out != dict(texts)
+    return out
+
+
+def shifts(outcome: Outcome, path: Path) -> np.ndarray:
+    """The shift (N,) [mm] of each target of the pass, by the former's targets and the file."""
+    data = json.loads(path.read_text())
+    points = np.array([p for one in data["passes"] for ring in one["rings"] for p in ring])
+    former, _ = tasks(outcome)
+    (text,) = (text for name, text in outcome.programs.items() if f"T_{former}" in name and PASS in text)
+    body = text.partition(PASS)[2].partition("ENDPROC")[0]
+    rows = np.array([[float(v) for v in row.split(",")] for row in re.findall(r"MoveL \[\[([^\]]*)\]", body)])
+    near = np.abs(rows[:, None] - (points[:, :3] - points[:, [3]] * [0.0, 0.0, 1.0])[None]).sum(axis=2)
+    assert near.min(axis=1).max() < 2.0
+    return np.asarray(points[near.argmin(axis=1), 3])
+
+
+def tasks(outcome: Outcome) -> tuple[str, str]:
+    names = sorted({name.split("/")[0] for name in outcome.programs if name.startswith("T_")})
+    assert len(names) == 2
+    return names[0].removeprefix("T_"), names[1].removeprefix("T_")
+
+
+def broken(outcome: Outcome, texts: Mapping[str, str]) -> set[str]:
+    found = Context(outcome.problem, claims_of(outcome), texts)
+    forming = Forming(found)
+    rules: tuple[Callable[..., Any], ...] = (forming_tool.gouge, forming_two_tools.gap)
+    out = {issue.code for rule in rules for issue in rule(found, forming).issues}
+    way = springback._way(found, forming, forming.told[0])
+    return out | {issue.code for issue in way}
+
+
+def test_a_shift_of_the_wrong_sign_is_off_the_part(outcome: Outcome, folder: Path) -> None:
+    up = shifts(outcome, folder / "back.json")
+    assert "verify.springback" in broken(outcome, moved(outcome.programs, tasks(outcome), 2.0 * up))
+
+
+def test_tools_that_are_too_deep_gouge_the_released_part(outcome: Outcome, folder: Path) -> None:
+    up = shifts(outcome, folder / "back.json")
+    found = broken(outcome, moved(outcome.programs, tasks(outcome), -0.2 * up))
+    assert {"verify.springback", "verify.gouge"} <= found
+
+
+def test_one_tool_alone_breaks_the_gap(outcome: Outcome, folder: Path) -> None:
+    up = shifts(outcome, folder / "back.json")
+    for arm in tasks(outcome):
+        assert "verify.gap" in broken(outcome, moved(outcome.programs, (arm,), up))
+
+
+# ---- faults of the file ----
+
+
+def test_a_file_that_is_cut_short_or_edited_is_not_read(context: Context, file: Path) -> None:
+    text = file.read_text()
+    for other, what in (
+        (text[: len(text) // 2], "cut short"),
+        (text.replace('"slope": 0.05', '"slope": 0.06'), "checksum"),
+        (text[:-90], "cut short"),
+    ):
+        file.write_text(other)
+        found = messages(context)
+        assert len(found) == 1
+        assert what in found[0]
+    file.unlink()
+    assert "cannot be read" in messages(context)[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (files.turned, "a shift out of the sheet"),
+        (files.steep, "changes too fast"),
+        (files.short, "off the way of the springback file"),
+        (files.each_point(lambda p: p.__setitem__(3, 2.0 * p[3])), "changes too fast"),
+        (files.each_point(lambda p: p.__setitem__(3, 0.85 * p[3])), "control points and the slope make"),
+        (files.each_point(lambda p: p.__setitem__(3, p[3] + 0.3)), "where the tool comes to the sheet"),
+        (lambda data: data["belongs_to"].update(part="0" * 32), "of another job: part"),
+        (lambda data: data["belongs_to"].update({"sheet.poisson": 0.3}), "of another job: sheet.poisson"),
+        (lambda data: data["belongs_to"].pop("operation.force_n"), "of another job: operation.force_n"),
+        (lambda data: data["control_points"][1].update(force_n=400.0), "under 400.0 N"),
+        (lambda data: data.update(control_points=[]), "no figures"),
+        (lambda data: data["passes"][0].update(name="f2"), "has the passes ['f2']"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_found(context: Context, file: Path, change: Any, named: str) -> None:
+    file.write_text(files.edited(file.read_text(), change))
+    assert any(named in what for what in messages(context)), messages(context)
+
+
+@pytest.mark.parametrize("factor", [2.0, 0.93])
+def test_what_the_sheet_does_not_say_is_found_where_it_is_drawn(
+    context: Context, file: Path, monkeypatch: pytest.MonkeyPatch, factor: float
+) -> None:
+    first = springback._drawn(context.problem.digest, 5)[0]
+    monkeypatch.setattr(springback, "_drawn", lambda digest, count: [first])
+
+    def other(data: dict[str, Any]) -> None:
+        data["control_points"][first]["springback_mm"] *= factor
+
+    file.write_text(files.edited(file.read_text(), other))
+    forming = Forming(context)
+    off, (issue,) = springback._solved(context, forming, forming.told[0])
+    assert off > 1.0
+    assert "an elastic sheet on another mesh" in issue.message
+
+
+def test_what_is_drawn_follows_the_problem() -> None:
+    some = {tuple(springback._drawn(digest, 40)) for digest in ("a", "b", "c")}
+    assert len(some) == 3
+    assert all(len(set(one)) == 5 and max(one) < 40 for one in some)
+    assert springback._drawn("a", 3) == [0, 1, 2]
+
+
+# ---- the sheet of the proof's own ----
+
+
+def test_the_sheet_of_the_proof_comes_back_as_trials_say(tmp_path: Path) -> None:
+    """A cone of 45 degrees, top radius 50 mm, 20 mm deep, of 1 mm, 600 N at its floor's edge: 4.750
+    mm by another shell code and CalculiX where the sheet slides, 3.29 where its edge does not move."""
+    from planner.claims.forming import FormsPart
+    from planner.verify.forming.shapes import PartShapes, in_order
+    from tests.forming import shapes
+
+    data = small_forming.problem("spif", force_n=600.0)
+    data["sheet"] = {"size_mm": [320, 320], "thickness_mm": 1, "metal": "aa5754_o", "opening_mm": [250, 250]}
+    path = small_forming.write(tmp_path, data, shapes.cone(45.0, 0.020, 0.050, 240))
+    (job,) = processes.jobs(planner.load(path))
+    claims = job.claims()
+    part = next(claim for claim in claims if isinstance(claim, FormsPart))
+    made = PartShapes(part, in_order(claims))
+    opening = 0.125 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    held = elastic.Clamped(1.0 * MM, 68e9, 0.3, opening, 0.0)
+    formed = elastic.Formed(made, 0, 0, 20.0 * MM)
+    for one, wanted in ((held, 4.750), (dataclasses.replace(held, border=np.inf), 3.29)):
+        got, triangles = elastic.comes_back(formed, one, np.array([30.0 * MM, 0.0]), 600.0)
+        assert got / MM == pytest.approx(wanted, rel=0.015)
+        assert triangles < 2.0 * elastic.MOST_POINTS
+
+
+def test_the_problem_of_a_result_has_the_file_in_it(outcome: Outcome, tmp_path: Path) -> None:
+    path = planner.save(outcome.problem, tmp_path / "out")
+    data = yaml.safe_load(path.read_text())
+    assert (path.parent / data["operations"][0]["springback"]["file"]).is_file()
+    assert planner.load(path).digest == outcome.problem.digest
