@@ -72,6 +72,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`free` of `targets`, each", "", poses.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell.CellFile),
     ("`cell.arms`, each", "", cell.ArmFile),
+    ("`stiffness` of an arm", "", cell.StiffnessFile),
     ("Tool `wire_holder`", "", cell.WireHolderFile),
     ("Tool `bow`", "", cell.BowFile),
     ("Tool `gripper_plate`", "", cell.GripperPlateFile),

@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 
 from planner.catalogue.materials import Foam, SheetMetal
+from planner.catalogue.robots import JointStiffness
 from planner.claims.vocabulary import Handshake
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape
 from planner.geometry.units import DEG
@@ -29,7 +30,8 @@ KrlPath = Literal["slin", "spline"]
 class Arm:
     """One robot of a cell: catalogue name, base pose (4, 4) in the world, tool, home joints (6,) [rad].
 
-    ``base_auto``: the base may be moved by the placement search.
+    ``base_auto``: the base may be moved by the placement search. ``stiffness``: of its joints, as its file
+    states them, else as the catalogue has them, None for neither.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Arm:
     tool: Tool
     home: FloatArray
     base_auto: bool = False
+    stiffness: JointStiffness | None = None
 
 
 @dataclasses.dataclass(frozen=True)

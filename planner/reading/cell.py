@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from planner.catalogue.robots import RobotData, robot
+from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.geometry.arrays import FloatArray, Shape, from_rpy
 from planner.geometry.mesh import read_mesh
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
@@ -40,6 +40,9 @@ from planner.tooling import (
     vacuum_cup,
     wire_holder,
 )
+
+Stiff = Annotated[float, Field(ge=1e3, le=1e9)]
+"""Stiffness of a drive [N m/rad]: below are small toys and other units, above nothing is."""
 
 
 class PoseFile(Strict):
@@ -237,6 +240,22 @@ ToolFile = Annotated[
 ]
 
 
+class StiffnessFile(Strict):
+    """How stiff the drives of this very robot are, as identified on it, links taken as rigid."""
+
+    joints_nm_rad: Annotated[
+        tuple[Stiff, Stiff, Stiff, Stiff, Stiff, Stiff],
+        Field(description="of axes 1 to 6, N m/rad, as the controller counts them"),
+    ]
+    source: Annotated[
+        str, Field(min_length=3, max_length=300, description="who identified it, where and how")
+    ]
+
+    def value(self) -> JointStiffness:
+        """In SI units."""
+        return JointStiffness(np.array(self.joints_nm_rad, dtype=np.float64), self.source)
+
+
 class ArmFile(Strict):
     """One robot: catalogue name, base, tool, home joints as the controller shows them."""
 
@@ -248,6 +267,9 @@ class ArmFile(Strict):
     home_deg: Annotated[
         tuple[Angle, Angle, Angle, Angle, Angle, Angle] | None,
         Field(description="joints at home; none: the upper arm upright, the forearm level"),
+    ] = None
+    stiffness: Annotated[
+        StiffnessFile | None, Field(description="none: the catalogue's, which has none for most robots")
     ] = None
 
 
@@ -292,7 +314,9 @@ def build(spec: CellFile, folder: Path) -> Cell:
         mounted = tool(arm.tool, folder)
         if mounted.mass > data.payload:
             raise TandemError(too_heavy(arm.name, f"arms.{number}.tool", mounted, data))
-        arms.append(Arm(arm.name, arm.robot, arm.base.matrix(), mounted, home, arm.base_auto))
+        stiffness = data.stiffness if arm.stiffness is None else arm.stiffness.value()
+        made = Arm(arm.name, arm.robot, arm.base.matrix(), mounted, home, arm.base_auto, stiffness)
+        arms.append(made)
     obstacles = tuple(
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
