@@ -330,6 +330,7 @@ CODES: Final[dict[str, Code]] = {
         "the wire's power is off in the stock, on at an operator's hands, or on too briefly"
     ),
     "verify.feed": Code("the wire's speed in the stock is outside the feed window"),
+    "verify.sag": Code("what is taken of an arm that gives way is not what the problem states, or too much"),
     "verify.kinematics": Code("a link or a tool is not where the joints put it"),
     "verify.robot_model": Code(
         "a robot's URDF cannot be followed, or is not of the robot that was planned with"
@@ -528,6 +529,10 @@ CODES: Final[dict[str, Code]] = {
     "motion.no_path": Code("no choice of branches carries the arms past a target without a jump"),
     "motion.collision": Code("bodies come too near each other at a target whatever its freedoms"),
     "motion.linear_move": Code("an arm cannot follow the straight move between two targets"),
+    "motion.sag": Code("by how much an arm is commanded off where it is wanted, to make up for its sag"),
+    "motion.sag_range": Code(
+        "an arm gives way by more than may be made up for, or too unevenly between targets"
+    ),
     "motion.overlap": Code("bodies of the cell that stand still are inside of one another"),
     "motion.home": Code("the arms are too near something while all are at home"),
     "motion.entry": Code("an arm has no free way between home and its first or last target"),

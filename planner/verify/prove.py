@@ -30,6 +30,7 @@ from planner.verify.programs.operator_dialogue import chosen_groups
 from planner.verify.replay.clearance_samples import Measured
 from planner.verify.result import CutFace, Proof, RuleResult
 from planner.verify.rules import (
+    arm_sag,
     block_support,
     clearance,
     controller_files,
@@ -115,6 +116,7 @@ STAGE_RULES: _RuleTable = (
 """Rules about the steps of each setup."""
 MOTION_RULES: _RuleTable = (
     robot_motion.reach,
+    arm_sag.sag,
     robot_motion.corners,
     robot_motion.continuity,
     robot_motion.confdata,

@@ -12,6 +12,12 @@ ELSEWHERE: Final = {
         "hotwire/straight/test_offset_heat",
         "test_an_end_that_stands_still_has_no_slot_of_its_own",
     ),
+    "motion.sag": (
+        "motion/test_sag", "test_where_the_controller_makes_up_for_the_load_only_the_force_is_ours",
+    ),
+    "motion.sag_range": (
+        "motion/test_sag", "test_a_shift_beyond_its_range_is_refused_and_the_range_advised_is_enough",
+    ),
     "motion.collision": ("motion/test_diagnosis", "test_the_change_that_is_named_opens_the_way"),
     "milling.too_large": (
         "verify/milling/test_tool_motion",
