@@ -458,6 +458,8 @@ CODES: Final[dict[str, Code]] = {
         "a formed sheet comes back by more than parts may be off when the tool lets go"
     ),
     "forming.springback_mesh": Code("the sheet as formed cannot be divided into so few triangles"),
+    "forming.plate_test": Code("readings of a plate test that cannot be ones, or are too few", given=True),
+    "forming.clamp_unclear": Code("what readings of a plate test do not tell, or not apart"),
     "forming.springback_mode": Code("springback is asked of what has no model for it", given=True),
     "forming.limit_load": Code("a formed sheet snaps through or buckles under the force that is expected"),
     "forming.adsif_table": Code(

@@ -108,11 +108,11 @@ def test_an_arm_that_holds_the_block_sags_by_its_weight_too(tmp_path: Path) -> N
 
 
 def test_the_tool_stands_where_force_comes_and_goes(tmp_path: Path) -> None:
-    problem, plan = planned(JOBS["dsif_sag"](tmp_path))
+    problem, plan = planned(sagging(JOBS["gcode_krl"](tmp_path), robot=([30, 20, 50], "stock")))
     made = sag.commanded(problem, plan)[0].operations[0]
     before = plan.operations[0]
     changes = np.flatnonzero(np.diff(sag.working(before.targets)) != 0.0)
-    assert len(changes) == 2
+    assert len(changes) >= 2
     assert made.targets.stop[changes].all()
     assert made.targets.stop[changes + 1].all()
     assert (np.diff(made.time) >= np.diff(before.time) - 1e-12).all()
