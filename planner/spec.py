@@ -308,7 +308,9 @@ class Operation(Section):
         super().__init__(**words)
         if forces is not None:
             self._words["forces"] = values.plain(forces, type(self).__name__)
-            _refuse(problem_file.read_forces(self._words, 0, _document({}))[1], type(self).__name__)
+            stated = {"forces": self._words["forces"]}
+            _, faults = problem_file.validate(loads.ForcesFile, stated, _document(stated), ())
+            _refuse(faults, type(self).__name__)
         if setup is not None:
             if not isinstance(setup, Mapping) or any(not isinstance(key, str) for key in setup):
                 what = f"setup: got a {type(setup).__name__}; give a Setup, or a mapping with its keys"

@@ -244,8 +244,9 @@ def _left(own: _Standing, q: FloatArray, share: FloatArray) -> FloatArray:
 
 def _told(plan: OperationPlan, arm: str, claim: ArmSags, shift: FloatArray) -> Issue:
     worst = int(np.argmax(shift))
+    load = f"{claim.mass:.2f} kg and {float(np.linalg.norm(claim.force)):g} N"
     what = f"{plan.name}: {arm} is commanded up to {shift[worst] / MM:.3f} mm off where it is wanted, by "
-    what += "what it gives way; its controller must not make up for the same"
+    what += f"what it gives way under {load}; its controller must not make up for the same"
     hint = "switch the controller's own compensation of load off, or state load: false (docs/stiffness.md)"
     return _at("motion.sag", what, plan, arm, worst, (shift[worst], claim.most), hint, Severity.NOTE)
 

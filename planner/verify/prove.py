@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.cell.plant import CellModel, build
-from planner.claims.claim import Claim, OneOf
+from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.problem import Problem
@@ -241,7 +241,7 @@ def unproven(claims: Mapping[str, tuple[Claim, ...]]) -> list[Issue]:
             what = f"{name}: its process claims {kind.__name__}, which no rule of the proof looks at"
             hint = "give the proof a rule for it, or claim what there are rules for"
             out.append(Issue("claims.unproven", f"{what}; {hint}", field="operations.process"))
-        if not group:
+        if all(isinstance(claim, ArmSags) for claim in group):
             what = f"{name}: its process claims nothing, so nothing of it would be proven"
             what += "; let it claim what has to hold"
             out.append(Issue("claims.none", what, field="operations.process"))

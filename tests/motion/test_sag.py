@@ -52,6 +52,7 @@ def test_by_the_compliance_at_the_pose_the_arm_gives_way_to_where_it_is_wanted(t
     made, told = sag.commanded(problem, plan)
     (before,), (after,) = plan.operations, made.operations
     assert {issue.code for issue in told} == {"motion.sag"}
+    assert "under 0.90 kg and 70 N" in told[0].message
     for arm, forces in (("left", [30, -20, 60]), ("right", [0, 15, -50])):
         own = problem.cell.arm(arm)
         data, tool = robot(own.robot), own.tool

@@ -37,6 +37,16 @@ def test_an_arm_has_what_its_file_states_with_its_source(tmp_path: Path) -> None
     assert spec.Stiffness(**STIFFNESS)["source"] == "made up for this test"
 
 
+def test_forces_and_sag_are_said_in_python() -> None:
+    poses = {"left": np.eye(4)[None].repeat(2, axis=0)}
+    said = spec.Targets(name="scan", poses=poses, unit="m", forces={"left": spec.Force(force_n=[0, 0, 30])})
+    assert said["forces"] == {"left": {"force_n": [0, 0, 30]}}
+    assert spec.Sag(load=False)["load"] is False
+    with pytest.raises(TandemError) as refused:
+        spec.Targets(name="scan", poses=poses, unit="m", forces={"left": {"force_n": [0, 0]}})
+    assert refused.value.issues[0].message.startswith("Targets: forces.left.force_n: entry 2")
+
+
 def test_no_robot_of_the_catalogue_has_any_and_an_arm_without_it_has_none(tmp_path: Path) -> None:
     assert all(robots.robot(name).stiffness is None for name in robots.robot_names())
     assert pipeline.load(problem(tmp_path)).cell.arms[0].stiffness is None

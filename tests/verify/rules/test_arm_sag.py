@@ -114,3 +114,11 @@ def test_a_shift_beyond_what_the_problem_allows_is_refused(proven: Any) -> None:
     tight = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=arms))
     found = prove.prove(tight, processes.claims(tight), programs)
     assert {i.code for i in found.issues if i.value and i.value > 0.1} >= {"verify.sag"}
+
+
+def test_a_process_that_claims_nothing_is_refused_though_its_arms_sag(proven: Any) -> None:
+    _, claims, _ = proven
+    alone = {name: tuple(c for c in group if isinstance(c, ArmSags)) for name, group in claims.items()}
+    assert all(alone.values())
+    assert {issue.code for issue in prove.unproven(alone)} == {"claims.none"}
+    assert prove.unproven(claims) == []
