@@ -17,7 +17,7 @@ from planner.catalogue.issue_codes import CODES
 from planner.forming import operation as forming
 from planner.hotwire import operation
 from planner.milling import operation as milling_operation
-from planner.reading import cell, controller, part_ruled, part_surfaces, poses, problem, sheet, stock
+from planner.reading import cell, controller, loads, part_ruled, part_surfaces, poses, problem, sheet, stock
 from planner.reading import part as part_file
 from planner.verify import prove
 
@@ -29,6 +29,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("The whole file", "", problem.ProblemFile),
     ("`stock`", "", stock.StockFile),
     ("`setup` of an operation", "setup", stock.SetupFile),
+    ("`forces` of an operation, by arm", "forces", loads.ForceFile),
     ("`foam` of `stock`, a file", "", stock.FoamReference),
     ("`sheet`", "", sheet.SheetFile),
     ("`sheet.clamp`", "", sheet.ClampFile),
@@ -73,6 +74,8 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`free` of `targets`, each", "", poses.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell.CellFile),
     ("`cell.arms`, each", "", cell.ArmFile),
+    ("`stiffness` of an arm", "", cell.StiffnessFile),
+    ("`compensate_sag` of an arm", "", cell.SagFile),
     ("Tool `wire_holder`", "", cell.WireHolderFile),
     ("Tool `bow`", "", cell.BowFile),
     ("Tool `gripper_plate`", "", cell.GripperPlateFile),

@@ -204,7 +204,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outc
     """What :func:`plan` gives; ``begin`` begins what another process may do, with ``draw`` the pictures."""
     tell("targets", 0.0)
     ready()
-    from planner.motion import solve
+    from planner.motion import sag, solve
     from planner.post import write
     from planner.report import output
     from planner.verify import prove
@@ -224,13 +224,15 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outc
     issues = (*_stands(problem), *made.issues)
     made = dataclasses.replace(made, issues=aggregate([*issues, *_unused(problem, issues)]))
     tell("programs", 0.0)
-    made = dataclasses.replace(made, issues=(*made.issues, *write.notes(made, problem)))
-    programs = write.programs(made, problem)
+    commanded, sagging = sag.commanded(problem, made)
+    made = sag.noted(made, commanded)
+    made = dataclasses.replace(made, issues=(*made.issues, *sagging, *write.notes(commanded, problem)))
+    programs = write.programs(commanded, problem)
     tell("proof", 0.0)
     worker.give_back()  # of a long job motion leaves more than 100 MB, beside which the proof would count
     proof = prove.prove(problem, claims, programs, begin)
     tell("proof", 1.0)
-    final = _with_margins(made, problem, programs, proof) if proof.ok else {}
+    final = _with_margins(commanded, problem, programs, proof) if proof.ok else {}
     return Outcome(problem, made, proof, final, pictures=None if drawn is None else tuple(drawn))
 
 

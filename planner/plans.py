@@ -44,6 +44,8 @@ class OperationPlan:
     one after the other in the order ``order`` (entry) and its reverse (exit), each with the others standing
     still, but for those that ``together`` names ("entry", "exit"): there all arms go at once, in as many
     synchronised moves. ``metrics``: figures by name (costs, margins, clearances, stage times), for reports.
+    ``commanded`` {arm: (N, 6)} [rad] are the joints that controllers are sent to, of arms whose sag is made
+    up for: where these stand then is ``q``.
     """
 
     name: str
@@ -57,6 +59,7 @@ class OperationPlan:
     metrics: Mapping[str, Any] = dataclasses.field(repr=False)
     issues: tuple[Issue, ...] = ()
     together: tuple[str, ...] = ()
+    commanded: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict, repr=False)
 
 
 @dataclasses.dataclass(frozen=True)

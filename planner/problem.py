@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 
 from planner.catalogue.materials import Foam, SheetMetal
+from planner.catalogue.robots import JointStiffness
 from planner.claims.vocabulary import Handshake
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape
 from planner.geometry.units import DEG
@@ -26,10 +27,31 @@ KrlPath = Literal["slin", "spline"]
 
 
 @dataclasses.dataclass(frozen=True)
+class SagCompensation:
+    """An arm's targets are commanded so that the sagged arm stands where it is wanted, by up to ``most`` [m]
+    at its TCP. ``load``: its tool's weight, and that of a block that it holds, bend it; not where its
+    controller makes up for them itself."""
+
+    load: bool
+    most: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Force:
+    """What the work exerts on a tool at its TCP while it works: ``vector`` (3,) [N] in ``frame``, that of the
+    stock or of the TCP."""
+
+    vector: FloatArray
+    frame: Literal["stock", "tool"]
+
+
+@dataclasses.dataclass(frozen=True)
 class Arm:
     """One robot of a cell: catalogue name, base pose (4, 4) in the world, tool, home joints (6,) [rad].
 
-    ``base_auto``: the base may be moved by the placement search.
+    ``base_auto``: the base may be moved by the placement search. ``stiffness``: of its joints, as its file
+    states them, else as the catalogue has them, None for neither; ``sag``: how what that makes is
+    compensated, None where it is not.
     """
 
     name: str
@@ -38,6 +60,8 @@ class Arm:
     tool: Tool
     home: FloatArray
     base_auto: bool = False
+    stiffness: JointStiffness | None = None
+    sag: SagCompensation | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -357,6 +381,8 @@ class Problem:
     are made before later ones; :attr:`setups` are what each operation finds. ``source`` is what the file
     said, with the cell inside and file names made absolute, so that it can be carried along. ``accept``:
     codes of errors that the user takes upon himself. ``notes``: what was chosen on the way from the file.
+    ``forces`` {index of an operation: {arm: force}}: what the work exerts on tools; those of operations of
+    one setup are alike.
     """
 
     name: str
@@ -371,6 +397,12 @@ class Problem:
     changes: Mapping[int, Change] = dataclasses.field(default_factory=dict)
     accept: tuple[str, ...] = ()
     notes: tuple[Issue, ...] = ()
+    forces: Mapping[int, Mapping[str, Force]] = dataclasses.field(default_factory=dict)
+
+    def force_on(self, arm: str, setup: Setup) -> Force | None:
+        """What the work of a setup exerts on the tool of an arm, None where nothing is stated."""
+        stated = (self.forces.get(index, {}).get(arm) for index in setup.operations)
+        return next((force for force in stated if force is not None), None)
 
     @property
     def setups(self) -> tuple[Setup, ...]:

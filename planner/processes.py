@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 
 from pydantic import BaseModel
 
+from planner.claims import sag
 from planner.claims.claim import Claim
 from planner.forming.operation import Forming
 from planner.hotwire.operation import ElasticWire, Straight
@@ -112,8 +113,9 @@ def jobs(problem: Problem) -> tuple[Job[Any], ...]:
 
 
 def claims(problem: Problem, made: Sequence[Job[Any]] | None = None) -> dict[str, tuple[Claim, ...]]:
-    """What must hold of each operation, by its name; ``made`` are the problem's jobs where there are some."""
+    """What must hold of each operation, by its name, and of arms that give way in it; ``made`` are the
+    problem's jobs where there are some."""
     return {
-        operation.name: one.claims()
-        for operation, one in zip(problem.operations, made or jobs(problem), strict=True)
+        operation.name: (*one.claims(), *sag.sags(problem, problem.setup_of(index)))
+        for index, (operation, one) in enumerate(zip(problem.operations, made or jobs(problem), strict=True))
     }

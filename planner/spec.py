@@ -37,6 +37,7 @@ from planner.milling import operation as milling
 from planner.reading import (
     cell,
     controller,
+    loads,
     materials,
     part,
     part_ruled,
@@ -176,6 +177,15 @@ class Mill(Section, model=cell.MillFile, kind="mill"): ...
 class PlainTool(Section, model=cell.PlainToolFile, kind="plain"): ...
 
 
+class Stiffness(Section, model=cell.StiffnessFile): ...
+
+
+class Sag(Section, model=cell.SagFile): ...
+
+
+class Force(Section, model=loads.ForceFile): ...
+
+
 class Arm(Section, model=cell.ArmFile): ...
 
 
@@ -290,11 +300,17 @@ class Part(Section, model=part.PartFile): ...
 
 class Operation(Section):
     """An operation of any process, built-in ones and those of installed packages: ``process`` is its name,
-    ``setup`` what the operator changes before it (:class:`Setup`), the rest are the keys of that process."""
+    ``setup`` what the operator changes before it (:class:`Setup`), ``forces`` {arm: :class:`Force`} what the
+    work exerts on tools, the rest are the keys of that process."""
 
     def __init__(self, **words: Any) -> None:
-        setup = words.pop("setup", None)
+        setup, forces = words.pop("setup", None), words.pop("forces", None)
         super().__init__(**words)
+        if forces is not None:
+            self._words["forces"] = values.plain(forces, type(self).__name__)
+            stated = {"forces": self._words["forces"]}
+            _, faults = problem_file.validate(loads.ForcesFile, stated, _document(stated), ())
+            _refuse(faults, type(self).__name__)
         if setup is not None:
             if not isinstance(setup, Mapping) or any(not isinstance(key, str) for key in setup):
                 what = f"setup: got a {type(setup).__name__}; give a Setup, or a mapping with its keys"
@@ -396,6 +412,7 @@ class Problem(Section, model=problem_file.ProblemFile, tandem=1):
         for index, one in enumerate(self._words["operations"]):
             faults = problem_file.read_operation(one, index, _document({}), processes.readers())[1]
             faults += problem_file.read_setup(one, index, _document({}))[1]
+            faults += problem_file.read_forces(one, index, _document({}))[1]
             _refuse(faults, type(self).__name__)
 
     @classmethod

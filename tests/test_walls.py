@@ -88,10 +88,10 @@ def test_every_row_is_needed() -> None:
         assert others - together - group == set(), f"{name}: listed, but not imported"
 
 
-WORDS_OF_PROGRAMS = {"claims.vocabulary"}
-"""Modules of claims that motion and post may know: sentences, signals and names of moves."""
-CLAIMS_OF_NO_PROCESS = {"Claim", "HoldsStock", "on_straight_moves_alone"}
-"""What they may know of ``claims.claim``: what a robot carries, and kinds of claims by name."""
+WORDS_OF_PROGRAMS = {"claims.vocabulary", "claims.sag"}
+"""Modules of claims that motion and post may know: sentences, signals and names of moves, arms that sag."""
+CLAIMS_OF_NO_PROCESS = {"Claim", "HoldsStock", "ArmSags", "on_straight_moves_alone"}
+"""What they may know of ``claims.claim``: what a robot carries and bends under, and kinds by name."""
 
 
 @pytest.mark.parametrize("name", ["motion", "post"])

@@ -330,6 +330,7 @@ CODES: Final[dict[str, Code]] = {
         "the wire's power is off in the stock, on at an operator's hands, or on too briefly"
     ),
     "verify.feed": Code("the wire's speed in the stock is outside the feed window"),
+    "verify.sag": Code("what is taken of an arm that gives way is not what the problem states, or too much"),
     "verify.kinematics": Code("a link or a tool is not where the joints put it"),
     "verify.robot_model": Code(
         "a robot's URDF cannot be followed, or is not of the robot that was planned with"
@@ -462,6 +463,8 @@ CODES: Final[dict[str, Code]] = {
         "a formed sheet comes back by more than parts may be off when the tool lets go"
     ),
     "forming.springback_mesh": Code("the sheet as formed cannot be divided into so few triangles"),
+    "forming.plate_test": Code("readings of a plate test that cannot be ones, or are too few", given=True),
+    "forming.clamp_unclear": Code("what readings of a plate test do not tell, or not apart"),
     "forming.springback_mode": Code("springback is asked of what has no model for it", given=True),
     "forming.compensation": Code(
         "a springback file cannot be used: cut short, changed, of another job, or beyond its limits",
@@ -538,6 +541,10 @@ CODES: Final[dict[str, Code]] = {
     "motion.no_path": Code("no choice of branches carries the arms past a target without a jump"),
     "motion.collision": Code("bodies come too near each other at a target whatever its freedoms"),
     "motion.linear_move": Code("an arm cannot follow the straight move between two targets"),
+    "motion.sag": Code("by how much an arm is commanded off where it is wanted, to make up for its sag"),
+    "motion.sag_range": Code(
+        "an arm gives way by more than may be made up for, or too unevenly between targets"
+    ),
     "motion.overlap": Code("bodies of the cell that stand still are inside of one another"),
     "motion.home": Code("the arms are too near something while all are at home"),
     "motion.entry": Code("an arm has no free way between home and its first or last target"),

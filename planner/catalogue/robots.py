@@ -57,11 +57,21 @@ class RodCoupling:
 
 
 @dataclasses.dataclass(frozen=True)
+class JointStiffness:
+    """How stiff the drives of an arm's axes are: ``joints`` (6,) [N m/rad] about the axes as the controller
+    counts them, links taken as rigid. ``source``: who identified them, where and how."""
+
+    joints: FloatArray
+    source: str
+
+
+@dataclasses.dataclass(frozen=True)
 class RobotData:
     """One robot. Joint angles are serial angles (6,) [rad]; velocity [rad/s], acceleration [rad/s^2].
 
     ``home`` (6,) [rad] is the posture of cells that state none. ``sources`` say where figures come from,
-    ``assumed`` which ones do not come from a source, and on what ground they were set.
+    ``assumed`` which ones do not come from a source, and on what ground they were set. ``stiffness`` is None
+    where nobody has published any that is certain: then nothing is claimed of how far the arm gives way.
     """
 
     name: str
@@ -79,6 +89,7 @@ class RobotData:
     home: FloatArray
     sources: tuple[str, ...]
     assumed: tuple[str, ...]
+    stiffness: JointStiffness | None = None
 
     def to_controller(self, q: FloatArray) -> FloatArray:
         """The controller's joint values (..., 6) [rad] of serial angles (..., 6)."""
@@ -201,7 +212,20 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
         home=_frozen(np.array(entry.get("home_deg", np.zeros(6)), dtype=np.float64) * DEG),
         sources=tuple(entry["sources"]),
         assumed=(acceleration, *entry.get("unverified", ())),
+        stiffness=_stiffness(name, entry.get("stiffness")),
     )
+
+
+def _stiffness(name: str, entry: dict[str, Any] | None) -> JointStiffness | None:
+    """Raises :class:`TandemError` (``catalogue.missing_data``) for what is no stiffness of six axes with a
+    source."""
+    if entry is None:
+        return None
+    joints, source = np.array(entry.get("joints_nm_rad", ()), dtype=np.float64), entry.get("source", "")
+    if joints.shape != (6,) or not (joints > 0.0).all() or not np.isfinite(joints).all() or not source:
+        got = f"{name}: stiffness needs joints_nm_rad of six axes, each above 0, and its source"
+        raise damaged(data_dir("urdf") / "robots.yaml", got)
+    return JointStiffness(_frozen(joints), source)
 
 
 def _frozen(array: FloatArray) -> FloatArray:

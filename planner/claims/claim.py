@@ -277,6 +277,26 @@ class FollowsTable:
     run_up: float = 0.0
 
 
+@dataclasses.dataclass(frozen=True)
+class ArmSags:
+    """What is claimed of the places of ``arm`` holds of the arm as its loads bend it, by ``joints`` (6,) [N
+    m/rad] about the axes as its controller counts them; nowhere do these move its TCP by more than ``most``
+    [m].
+
+    ``mass`` [kg] hangs at ``cog`` (3,) [m, flange] all the time. ``force`` (3,) [N] acts at the TCP, in the
+    stock's frame or with ``in_tool`` in the TCP's, while segments work: on the way to the first target of
+    their work proper it rises from nothing, evenly along that way, and on the way off the last one it falls.
+    """
+
+    arm: str
+    joints: FloatArray
+    mass: float
+    cog: FloatArray
+    force: FloatArray
+    in_tool: bool
+    most: float
+
+
 Claim = (
     WireJoins
     | StraightWire
@@ -292,6 +312,7 @@ Claim = (
     | FeedWindow
     | FollowsPoses
     | FollowsTable
+    | ArmSags
     | FormsSheet
     | ComesBack
     | FormsByTable

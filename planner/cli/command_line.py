@@ -25,6 +25,7 @@ from rich.table import Table
 
 from planner.cli import batch as batch_commands
 from planner.cli import batch as compare_commands
+from planner.cli import clamp as clamp_commands
 from planner.cli import forming as forming_commands
 from planner.cli import preparation as align_commands
 from planner.cli import preparation as feature_commands
@@ -287,6 +288,17 @@ def control(request: tyro.conf.OmitArgPrefixes[forming_commands.ControlRequest])
     pipeline = _pipeline()
     try:
         _print_issues(forming_commands.run_control(request, pipeline.load(request.problem)))
+    except TandemError as error:
+        return _refused(error, _infeasible_code(error))
+    return DONE
+
+
+@app.command(name="calibrate-clamp")
+def calibrate_clamp(request: tyro.conf.OmitArgPrefixes[clamp_commands.CalibrateClamp]) -> int:
+    """Find what a sheet's clamp does to it, from forces and dial readings on a flat sheet."""
+    pipeline = _pipeline()
+    try:
+        _print_issues(clamp_commands.run_calibrate_clamp(request, pipeline.load(request.problem)))
     except TandemError as error:
         return _refused(error, _infeasible_code(error))
     return DONE

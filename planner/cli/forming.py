@@ -310,6 +310,10 @@ def _control_page(name: str, file: MachineFile, found: Found) -> str:
     from planner.report import exhibits, markup
 
     band = [{"name": f"{sign:+g} N", "value": file.force_n + sign} for sign in (-file.band_n, file.band_n)]
+    runs = (
+        ("step", "Step of the wanted force", found.step),
+        ("ramp", f"Gap that changes by {found.gap_speed / MM:.3g} mm/s", found.ramp),
+    )
     shown = {
         key: {
             "kind": "curve",
@@ -317,13 +321,27 @@ def _control_page(name: str, file: MachineFile, found: Found) -> str:
             "x": run.time,
             "x_label": "time [s]",
             "y_label": "force [N]",
-            "series": ({"name": "force", "y": run.force[0]}, {"name": "as measured", "y": run.measured[0]}),
+            "series": (
+                {"name": "force", "y": run.force[0]},
+                {"name": "as measured", "y": run.measured[0]},
+                {"name": "commanded", "y": run.wanted[0]},
+            ),
             "limits": band,
         }
-        for key, title, run in (
-            ("step", "Step of the wanted force", found.step),
-            ("ramp", f"Gap that changes by {found.gap_speed / MM:.3g} mm/s", found.ramp),
-        )
+        for key, title, run in runs
+    } | {
+        f"{key}_way": {
+            "kind": "curve",
+            "title": f"{title}: what the arms do",
+            "x": run.time,
+            "x_label": "time [s]",
+            "y_label": "way [mm]",
+            "series": (
+                {"name": "support, from where it began", "y": (run.support[0] - run.support[0, 0]) / MM},
+                {"name": "former gives way, uncompensated", "y": run.deflection[0] / MM},
+            ),
+        }
+        for key, title, run in runs
     }
     figures, _ = exhibits.draw(shown, np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
     sections = (markup.Section("control", "Force over time", (markup.Grid(tuple(figures)),)),)

@@ -124,13 +124,15 @@ class Control:
 @dataclasses.dataclass(frozen=True)
 class Trace:
     """A run of M machines over S samples, one each cycle: ``time`` (S,) [s], ``force`` (M, S) [N] as it is,
-    ``measured`` (M, S) [N], ``deflection`` (M, S) [m] that is left at the former, ``support`` (M, S) [m]."""
+    ``measured`` (M, S) [N], ``deflection`` (M, S) [m] that is left at the former, ``support`` (M, S) [m],
+    ``wanted`` (M, S) [N] the force that is commanded."""
 
     time: FloatArray
     force: FloatArray
     measured: FloatArray
     deflection: FloatArray
     support: FloatArray
+    wanted: FloatArray
 
 
 Drive = Callable[[FloatArray], FloatArray]
@@ -188,7 +190,7 @@ def simulate(
             eps = at_former + ways[:, k * STEPS_A_CYCLE + step]
             before, force = force, np.maximum(contact * (eps - at_support), 0.0)
             filtered = keep * filtered + (1.0 - keep) * (0.5 * (before + force) + noise[:, k])
-    return Trace(time, out[0], out[1], out[2], out[3])
+    return Trace(time, out[0], out[1], out[2], out[3], force_c)
 
 
 class _Servos:

@@ -20,7 +20,7 @@ from planner.files import versions
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.units import MM
 from planner.issues import Issue, Remedy, TandemError, aggregate
-from planner.motion import diagnosis, remedies, ways
+from planner.motion import diagnosis, remedies, sag, ways
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search, Trace
 from planner.motion.planning_scene import Scene
@@ -41,7 +41,18 @@ SPLINE_RAMP_FACTOR: Final = 1.25
 
 
 def with_room(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tuple[Targets, ...]]:
-    """The problem and its targets with room for the curves of spline blocks; as they are without such."""
+    """The problem and its targets with room for the sag of arms that have it compensated, and for the curves
+    of spline blocks; as they are without such."""
+    own = problem.settings
+    way, turn = sag.room(problem)
+    if way > 0.0 or turn > 0.0:
+        settings = dataclasses.replace(
+            own,
+            clearance=own.clearance + way,
+            joint_margin=own.joint_margin + turn,
+            singularity_margin=own.singularity_margin + turn,
+        )
+        problem = dataclasses.replace(problem, settings=settings)
     if problem.cell.controller.path != "spline":
         return problem, tuple(targets)
     own = problem.settings

@@ -9,12 +9,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from planner.catalogue.robots import RobotData, robot
+from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.geometry.arrays import FloatArray, Shape, from_rpy
 from planner.geometry.mesh import read_mesh
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
-from planner.problem import Arm, Cell, Obstacle
+from planner.problem import Arm, Cell, Obstacle, SagCompensation
 from planner.reading.controller import ControllerFile, controllers
 from planner.reading.materials import WiresFile, wires_at_hand
 from planner.reading.strict_yaml import Angle, FileName, Name, Positive, Strict, Unit, Vector
@@ -40,6 +40,9 @@ from planner.tooling import (
     vacuum_cup,
     wire_holder,
 )
+
+Stiff = Annotated[float, Field(ge=1e3, le=1e9)]
+"""Stiffness of a drive [N m/rad]: below are small toys and other units, above nothing is."""
 
 
 class PoseFile(Strict):
@@ -237,6 +240,35 @@ ToolFile = Annotated[
 ]
 
 
+class StiffnessFile(Strict):
+    """How stiff the drives of this very robot are, as identified on it, links taken as rigid."""
+
+    joints_nm_rad: Annotated[
+        tuple[Stiff, Stiff, Stiff, Stiff, Stiff, Stiff],
+        Field(description="of axes 1 to 6, N m/rad, as the controller counts them"),
+    ]
+    source: Annotated[
+        str, Field(min_length=3, max_length=300, description="who identified it, where and how")
+    ]
+
+    def value(self) -> JointStiffness:
+        """In SI units."""
+        return JointStiffness(np.array(self.joints_nm_rad, dtype=np.float64), self.source)
+
+
+class SagFile(Strict):
+    """Targets are commanded so that the sagged arm stands where it is wanted."""
+
+    load: Annotated[
+        bool, Field(description="the tool's weight, too; false where the controller makes up for it")
+    ] = True
+    most_mm: Annotated[float, Field(ge=0.01, le=20, description="largest shift of a target")] = 5.0
+
+    def value(self) -> SagCompensation:
+        """In SI units."""
+        return SagCompensation(self.load, self.most_mm * MM)
+
+
 class ArmFile(Strict):
     """One robot: catalogue name, base, tool, home joints as the controller shows them."""
 
@@ -248,6 +280,12 @@ class ArmFile(Strict):
     home_deg: Annotated[
         tuple[Angle, Angle, Angle, Angle, Angle, Angle] | None,
         Field(description="joints at home; none: the upper arm upright, the forearm level"),
+    ] = None
+    stiffness: Annotated[
+        StiffnessFile | None, Field(description="none: the catalogue's, which has none for most robots")
+    ] = None
+    compensate_sag: Annotated[
+        SagFile | None, Field(description="none: targets are commanded where they are wanted")
     ] = None
 
 
@@ -292,7 +330,12 @@ def build(spec: CellFile, folder: Path) -> Cell:
         mounted = tool(arm.tool, folder)
         if mounted.mass > data.payload:
             raise TandemError(too_heavy(arm.name, f"arms.{number}.tool", mounted, data))
-        arms.append(Arm(arm.name, arm.robot, arm.base.matrix(), mounted, home, arm.base_auto))
+        stiffness = data.stiffness if arm.stiffness is None else arm.stiffness.value()
+        sag = None if arm.compensate_sag is None else arm.compensate_sag.value()
+        if sag is not None and stiffness is None:
+            raise TandemError(_no_stiffness(arm, number))
+        made = Arm(arm.name, arm.robot, arm.base.matrix(), mounted, home, arm.base_auto, stiffness, sag)
+        arms.append(made)
     obstacles = tuple(
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
@@ -390,6 +433,12 @@ def _mill(spec: MillFile) -> Mill:
         )
     except ValueError as error:
         raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
+
+
+def _no_stiffness(arm: ArmFile, number: int) -> Issue:
+    what = f"arm {arm.name}: the stiffness of {arm.robot} is not known, so nothing is known of its sag"
+    hint = "state stiffness: {joints_nm_rad: [...], source: ...} as identified, or leave compensate_sag out"
+    return Issue("problem.field", f"{what}; {hint}", field=f"arms.{number}.compensate_sag", arm=arm.name)
 
 
 def _outside(arm: ArmFile, number: int, data: RobotData) -> Issue:

@@ -22,13 +22,14 @@ from planner.catalogue.robots import bundled
 from planner.files import is_file
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.problem import Cell, Change, Fixed, Operation, Problem, Settings
+from planner.problem import Cell, Change, Fixed, Force, Operation, Problem, Settings
 from planner.reading import cell as cell_file
-from planner.reading import controller, grip_choice, materials, strict_yaml
+from planner.reading import controller, grip_choice, loads, materials, strict_yaml
 from planner.reading import part as part_file
 from planner.reading import sheet as sheet_file
 from planner.reading import stock as stock_file
 from planner.reading.cell import CellFile
+from planner.reading.loads import ForcesFile
 from planner.reading.part import PartFile
 from planner.reading.sheet import SheetFile
 from planner.reading.stock import Choice, SetupFile, StockFile
@@ -175,12 +176,17 @@ def build(document: Document, models: OperationModels) -> Problem:
     raw_operations = document.data.get("operations")
     operations: list[Operation] = []
     setups: dict[int, SetupFile] = {}
+    forces: dict[int, dict[str, Force]] = {}
     if isinstance(raw_operations, list):
         for index, raw in enumerate(raw_operations):
             setup, faults = read_setup(raw, index, document)
             issues += faults
             if setup is not None:
                 setups[index] = setup
+            stated, faults = read_forces(raw, index, document)
+            issues += faults
+            if stated:
+                forces[index] = stated
             operation, faults = read_operation(raw, index, document, models)
             issues += faults
             if operation is not None:
@@ -239,9 +245,11 @@ def build(document: Document, models: OperationModels) -> Problem:
         source=source,
         changes=changes,
         accept=spec.accept,
+        forces=forces,
     )
     problem = grip_choice.with_choices(problem, _without_grip(spec, setups))
     issues = [_placed(issue, document) for issue in stock_file.check_setups(problem)]
+    issues += [_placed(issue, document) for issue in loads.faults(problem)]
     issues = grip_choice.advised(problem, issues)
     if issues:
         raise TandemError(issues)
@@ -292,6 +300,14 @@ def read_setup(raw: Any, index: int, document: Document) -> tuple[SetupFile | No
         return None, []
     setup, faults = validate(SetupFile, raw["setup"], document, ("operations", index, "setup"))
     return setup, faults
+
+
+def read_forces(raw: Any, index: int, document: Document) -> tuple[dict[str, Force], list[Issue]]:
+    """The forces {arm: force} that an operation states, common to all processes."""
+    if not isinstance(raw, dict) or "forces" not in raw:
+        return {}, []
+    made, found = validate(ForcesFile, {"forces": raw["forces"]}, document, ("operations", index))
+    return {} if made is None else {arm: one.value() for arm, one in made.forces.items()}, found
 
 
 def _changes(
@@ -407,7 +423,7 @@ def read_operation(
     if isinstance(model, Issue):
         line, field = document.line((*place, "process")), f"operations.{index}.process"
         return None, [dataclasses.replace(model, file=document.name, line=line, field=field)]
-    own = {key: value for key, value in raw.items() if key != "setup"}
+    own = {key: value for key, value in raw.items() if key not in ("setup", "forces")}
     operation, faults = validate(model, own, document, place)
     return operation, faults
 

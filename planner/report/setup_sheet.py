@@ -159,7 +159,10 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> Table:
         if arm.name not in made.q:
             continue
         q = made.q[arm.name][0]
-        angles = ", ".join(markup.fixed(float(v) / DEG, 3) for v in robots.robot(arm.robot).to_controller(q))
+        counted = made.commanded.get(arm.name, made.q[arm.name])[0]
+        angles = ", ".join(
+            markup.fixed(float(v) / DEG, 3) for v in robots.robot(arm.robot).to_controller(counted)
+        )
         place, turn, _ = pose_cells(scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)
         rows.append((f"{arm.name}: TCP at {made.targets.name(0)}, world", place, turn, angles, _FILL))
     stock = setup.stock
@@ -210,7 +213,24 @@ def controller_checks(problem: Problem, plan: Plan) -> Table:
     if joined:
         both = ", ".join(arm.name for arm in arms)
         rows += [(both, what, wanted, _FILL) for what, wanted in _wire_checks(problem, plan, arms)]
+    rows += [(arm.name, what, wanted, _FILL) for arm in arms for what, wanted in _sag(arm)]
     return markup.table(_CHECK_COLUMNS, rows)
+
+
+def _sag(arm: Arm) -> list[tuple[str, str]]:
+    """What makes up for the arm's sag, which must be done once, and by what figures."""
+    if arm.sag is None or arm.stiffness is None:
+        return []
+    own = (
+        "model of a positionally accurate robot" if robot(arm.robot).family == "KUKA" else "Absolute Accuracy"
+    )
+    off = f"off ({own}): the program makes up for the load's sag itself"
+    on = f"on ({own}): the program makes up for the work's force alone"
+    joints = ", ".join(f"{value:.3g}" for value in arm.stiffness.joints)
+    return [
+        ("the controller's own compensation of load", off if arm.sag.load else on),
+        ("stiffness of the joints [N m/rad], as stated", f"{joints} ({arm.stiffness.source})"),
+    ]
 
 
 def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[tuple[str, str]]:

@@ -23,6 +23,7 @@ from planner.catalogue.robots import data_dir, robot, robot_names
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue
 from planner.reading import cell
+from planner.reading.loads import ForcesFile
 from planner.reading.problem import ProblemFile
 from planner.reading.stock import SetupFile
 from planner.service.models import Kind
@@ -102,13 +103,15 @@ IN_OPENAPI: Final = "#/components/schemas/{model}"
 @functools.cache
 def problem_schema(template: str = "#/$defs/{model}") -> tuple[dict[str, Any], dict[str, Any]]:
     """The schema of a problem file, and the definitions that it refers to by ``template``."""
-    models: list[type[BaseModel]] = [ProblemFile, SetupFile, *processes.schemas().values()]
+    models: list[type[BaseModel]] = [ProblemFile, SetupFile, ForcesFile, *processes.schemas().values()]
     found, together = models_json_schema([(m, "validation") for m in models], ref_template=template)
     definitions: dict[str, Any] = together["$defs"]
     choices: list[dict[str, Any]] = []
     for model in processes.schemas().values():
         definition = definitions[_name(found[model, "validation"])]
         definition["properties"]["setup"] = dict(found[SetupFile, "validation"])
+        stated = definitions[_name(found[ForcesFile, "validation"])]
+        definition["properties"]["forces"] = stated["properties"]["forces"]
         choices.append(dict(found[model, "validation"]))
     top = definitions[_name(found[ProblemFile, "validation"])]
     top["properties"]["operations"]["items"] = {"oneOf": choices}

@@ -16,6 +16,7 @@ from typing import Any, Generic, ParamSpec, Protocol, TypeVar
 import numpy as np
 
 from planner.claims.claim import (
+    ArmSags,
     Claim,
     ContactOnlyIn,
     CutsSurface,
@@ -33,6 +34,8 @@ from planner.verify import job as setup_text
 from planner.verify.job import JobText, SetupClaims, Spans, Stage, TaskText
 from planner.verify.programs.steps import BASE_FRAME, MessageStep, MoveStep, Step, WorkObject
 from planner.verify.rapid.syntax_tree import Data, Literal, build
+from planner.verify.replay import arm_model, bending
+from planner.verify.replay.bending import Bent
 from planner.verify.replay.motion import Motion
 from planner.verify.replay.playback import replay
 
@@ -331,9 +334,26 @@ class Context:
 
     @cached_property
     def motion(self) -> Motion:
-        """The replayed motion; only if :attr:`playable`."""
+        """The replayed motion, of arms that bend where they stand then; only if :attr:`playable`."""
         tools = [{arm.name: arm.tool.tcp for arm in setup.cell.arms} for setup in self.setups]
-        return replay(self.job, self.bases, [tools[i] for i in self.spans.of_stage])
+        made = replay(self.job, self.bases, [tools[i] for i in self.spans.of_stage])
+        arms = [self._bending(index) for index in range(len(self.setups))]
+        if not any(arms):
+            return made
+        of_node = self.spans.of_stage[made.node_stage]
+        return bending.bent(made, arms, np.asarray(of_node[made.node]), of_node)
+
+    def _bending(self, index: int) -> dict[str, Bent]:
+        """Arms of a setup that bend under what is claimed of their loads."""
+        place = self.places[index]
+        block = np.eye(3) if place is None else place[:3, :3]
+        out = {}
+        for claim in (c for group in self.setup_claims[index].groups for c in group):
+            if isinstance(claim, ArmSags):
+                arm = self.setups[index].cell.arm(claim.arm)
+                machine = arm_model.machine_of(arm.robot)
+                out[arm.name] = Bent(machine, claim, self.bases[arm.name], arm.tool.tcp, block)
+        return out
 
     def runs(self, index: int) -> tuple[tuple[int, ...], ...]:
         """Synchronised stages with moves of setup ``index``, in runs without lone moves between them."""

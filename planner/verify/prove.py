@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.cell.plant import CellModel, build
-from planner.claims.claim import Claim, OneOf
+from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.problem import Problem
@@ -30,6 +30,7 @@ from planner.verify.programs.operator_dialogue import chosen_groups
 from planner.verify.replay.clearance_samples import Measured
 from planner.verify.result import CutFace, Proof, RuleResult
 from planner.verify.rules import (
+    arm_sag,
     block_support,
     clearance,
     controller_files,
@@ -116,6 +117,7 @@ STAGE_RULES: _RuleTable = (
 """Rules about the steps of each setup."""
 MOTION_RULES: _RuleTable = (
     robot_motion.reach,
+    arm_sag.sag,
     robot_motion.corners,
     robot_motion.continuity,
     robot_motion.confdata,
@@ -241,7 +243,7 @@ def unproven(claims: Mapping[str, tuple[Claim, ...]]) -> list[Issue]:
             what = f"{name}: its process claims {kind.__name__}, which no rule of the proof looks at"
             hint = "give the proof a rule for it, or claim what there are rules for"
             out.append(Issue("claims.unproven", f"{what}; {hint}", field="operations.process"))
-        if not group:
+        if all(isinstance(claim, ArmSags) for claim in group):
             what = f"{name}: its process claims nothing, so nothing of it would be proven"
             what += "; let it claim what has to hold"
             out.append(Issue("claims.none", what, field="operations.process"))

@@ -138,6 +138,8 @@ def test_the_command(tmp_path: Path) -> None:
     text = page.read_text()
     assert "Step of the wanted force" in text
     assert "Gap that changes by 1.25 mm/s" in text
+    for what in ("commanded", "+10 N", "\u221210 N", "support, from where it began"):
+        assert what in text
 
 
 def test_one_arm_has_no_support_whose_force_could_be_controlled(tmp_path: Path) -> None:

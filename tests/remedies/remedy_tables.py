@@ -12,6 +12,12 @@ ELSEWHERE: Final = {
         "hotwire/straight/test_offset_heat",
         "test_an_end_that_stands_still_has_no_slot_of_its_own",
     ),
+    "motion.sag": (
+        "motion/test_sag", "test_where_the_controller_makes_up_for_the_load_only_the_force_is_ours",
+    ),
+    "motion.sag_range": (
+        "motion/test_sag", "test_a_shift_beyond_its_range_is_refused_and_the_range_advised_is_enough",
+    ),
     "motion.collision": ("motion/test_diagnosis", "test_the_change_that_is_named_opens_the_way"),
     "milling.too_large": (
         "verify/milling/test_tool_motion",
@@ -40,6 +46,12 @@ ELSEWHERE: Final = {
     "forming.springback_mesh": (
         "forming/springback/test_springback",
         "test_too_few_triangles_are_told_and_twice_as_many_do",
+    ),
+    "forming.plate_test": (
+        "forming/springback/test_clamp_calibration", "test_what_are_no_readings_is_refused_by_line",
+    ),
+    "forming.clamp_unclear": (
+        "forming/springback/test_clamp_calibration", "test_what_is_not_told_is_said",
     ),
     "forming.limit_load": (
         "forming/springback/test_springback",

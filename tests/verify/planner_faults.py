@@ -67,6 +67,9 @@ CHECKS: Final[Mapping[str, Change]] = {
         "reading.sheet:_require_flat_rim",
         "motion.diagnosis:require_moves",
         "motion.ways:require_home",
+        "motion.sag:_beyond",
+        "motion.sag:_least_feed",
+        "motion.sag:_uneven",
         "post.write:refusals",
     )
 }

@@ -452,6 +452,25 @@ def gcode_krl(folder: Path) -> Path:
     return _write(folder, data)
 
 
+SOFT: Final[dict[str, Any]] = {
+    "joints_nm_rad": [1.1e5, 1.2e5, 0.9e5, 2e4, 2e4, 1.5e4],
+    "source": "made up: softer than any robot of this size, for sag to be seen",
+}
+
+
+def sagging(path: Path, softer: float = 1.0, **forces: Any) -> Path:
+    """The job of a file with arms whose sag is compensated, under ``forces`` {arm: [N, stock or tool]}."""
+    data = yaml.safe_load(path.read_text())
+    for arm in data["cell"]["arms"]:
+        joints = [value / softer for value in SOFT["joints_nm_rad"]]
+        arm |= {"stiffness": {**SOFT, "joints_nm_rad": joints}, "compensate_sag": {}}
+    if forces:
+        data["operations"][0]["forces"] = {
+            arm: {"force_n": vector, "frame": frame} for arm, (vector, frame) in forces.items()
+        }
+    return _write(path.parent, data)
+
+
 JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "posed": posed,
     "posed_two": lambda folder: posed(folder, 2),
@@ -488,6 +507,14 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "tapered": tapered,
     "dsif_squeezed": lambda folder: forming(folder, "dsif", squeeze=0.9),
     "dpif_l_shifted": lambda folder: forming(folder, "dpif_l", shift_deg=20),
+    "posed_sag": lambda folder: sagging(
+        posed(folder, 2), left=([30, -20, 60], "stock"), right=([0, 15, -50], "tool")
+    ),
+    "posed_sag_krl": lambda folder: sagging(posed(folder, kuka=True), left=([10, 0, 30], "stock")),
+    "held_sag": lambda folder: sagging(held(folder), softer=12.0),
+    "dsif_sag": lambda folder: sagging(
+        forming(folder, "dsif"), 0.1, left=([20, 0, 300], "stock"), right=([0, 10, -200], "stock")
+    ),
     "flank_rough": lambda folder: flank(folder, stepdown_mm=20),
 }
 """The makers of all jobs, by name."""

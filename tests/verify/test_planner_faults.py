@@ -11,15 +11,18 @@ import yaml
 
 from planner.forming.operation import Forming
 from planner.processes import PROCESSES
-from tests.verify import faults_of_motion, faults_of_parts, faults_of_processes, faults_of_programs
+from tests.verify import (
+    faults_of_motion,
+    faults_of_parts,
+    faults_of_processes,
+    faults_of_programs,
+    faults_of_sag,
+)
 from tests.verify.planner_faults import CHECKS, Fault, clean, instructions, run, thing
 from tests.verify.planner_jobs import JOBS
 
-FAULTS: Final = {
-    fault.name: fault
-    for module in (faults_of_parts, faults_of_processes, faults_of_motion, faults_of_programs)
-    for fault in module.FAULTS
-}
+MODULES: Final = (faults_of_parts, faults_of_processes, faults_of_motion, faults_of_programs, faults_of_sag)
+FAULTS: Final = {fault.name: fault for module in MODULES for fault in module.FAULTS}
 SAMPLE: Final = (
     "mesh_unit",
     "sheet_mesh_shallower",
@@ -45,15 +48,17 @@ SAMPLE: Final = (
     "post_meeting_lost",
     "handshake_no_wait",
     "krl_a_for_c",
+    "sag_wrong_sign",
+    "sag_one_arm_left_out",
+    "sag_stiffness_of_another_robot",
+    "sag_mass_of_another_tool",
+    "sag_claims_left_out",
 )
 """Faults that are tried in every run of the tests: each process, mode and language at least once."""
 
 
 def test_there_are_many_faults_and_each_has_a_name_of_its_own() -> None:
-    count = sum(
-        len(module.FAULTS)
-        for module in (faults_of_parts, faults_of_processes, faults_of_motion, faults_of_programs)
-    )
+    count = sum(len(module.FAULTS) for module in MODULES)
     assert len(FAULTS) == count >= 80
     assert set(SAMPLE) <= set(FAULTS)
 

@@ -164,7 +164,7 @@ class _Asked:
 
 def travel(context: Context, index: int, arm: str, rows: IntArray | slice = slice(None)) -> FloatArray:
     """How far (M - 1,) [m] any point of an arm goes at most between samples ``rows`` (M,) of a setup."""
-    reach, q = lever(context, index, arm), context.motion.q[arm]
+    reach, q = lever(context, index, arm), context.motion.links[arm]
     # one axis at a time: copies of all take a long motion's memory
     return np.asarray(sum(reach[axis] * np.abs(np.diff(q[rows, axis])) for axis in range(q.shape[1])))
 

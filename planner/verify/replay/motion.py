@@ -133,6 +133,9 @@ class Motion:
     sample at which the move ends, ``node_segment``, ``node_stop``, ``node_stage``, ``node_ids``,
     ``node_line`` {arm: (K,)}, ``node_conf_q`` {arm: (K, 6)} what confdata alone select (NaN where the arm
     has no such target). ``between``: where arms are between samples, where that matters.
+
+    Of an arm that bends under its loads ``q`` is what its controller counts and the places of the tool are
+    where it is; ``bends`` {arm: (S, 6)} has the joints of such arms as they stand then.
     """
 
     time: FloatArray
@@ -152,6 +155,12 @@ class Motion:
     step_time: tuple[tuple[float, int, str, Step], ...]
     faults: tuple[Fault, ...]
     between: Instants
+    bends: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+
+    @property
+    def links(self) -> Mapping[str, FloatArray]:
+        """Joints {arm: (S, 6)} [rad] of all arms as their links stand."""
+        return {**self.q, **self.bends}
 
     @property
     def stage(self) -> IntArray:

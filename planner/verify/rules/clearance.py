@@ -67,7 +67,7 @@ Begun = tuple[Sequence[Looks], Iterator[Measured | None]]
 def looks(context: Context) -> tuple[Looks, ...]:
     """Where the bodies of all setups are looked at."""
     return tuple(
-        Looks(index, chosen, ignore, {arm: q[chosen] for arm, q in context.motion.q.items()})
+        Looks(index, chosen, ignore, {arm: q[chosen] for arm, q in context.motion.links.items()})
         for index in range(len(context.setups))
         for chosen, ignore in _groups(context, index, clearance_rows(context, index))
     )
@@ -193,7 +193,7 @@ def wire_bodies(
             rows = wire.sample[chosen]
             found = edge(
                 models(wire.setup),
-                {arm: context.motion.q[arm][rows] for arm in wire.arms},
+                {arm: context.motion.links[arm][rows] for arm in wire.arms},
                 wire.world[chosen],
                 wire.radius,
                 NEAR_CLAMP,
@@ -397,7 +397,7 @@ def _nearest(
     wanted = context.problem.settings.clearance
     limit, reach = accepted(wanted), max(MEASURED_REACH, 1.5 * wanted)
     arms = [task.arm.name for task in context.job.tasks]
-    joints = [context.motion.q[arm] for arm in arms]
+    joints = [context.motion.links[arm] for arm in arms]
     along = [np.concatenate([[0.0], np.cumsum(travel(context, index, arm))]) for arm in arms]
     short = 0.5 * min(SAMPLE_STRIDE, max(wanted, LEAST_STRIDE))
     least = np.inf

@@ -394,7 +394,7 @@ def _setup(context: Context, model: CellModel, index: int, rows: IntArray) -> tu
     worst sample, and how far the replay is off Drake [m]."""
     motion = context.motion
     at_home = {arm.name: np.tile(arm.home, (len(rows), 1)) for arm in model.cell.arms}
-    q = at_home | {arm: np.asarray(angles[rows]) for arm, angles in motion.q.items()}
+    q = at_home | {arm: np.asarray(angles[rows]) for arm, angles in motion.links.items()}
     drake = _drake(model, q)
     held = context.holder(index)
     tools = {f"{arm}/tool": model.cell.arm(arm).tool.tcp for arm in motion.q}

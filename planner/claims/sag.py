@@ -1,0 +1,33 @@
+"""Which arms of a setup give way under what, and have it compensated, as claims: from the problem alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.claims.claim import ArmSags
+from planner.geometry.arrays import FloatArray
+from planner.problem import Arm, Problem, Setup, Stock
+
+
+def sags(problem: Problem, setup: Setup) -> tuple[ArmSags, ...]:
+    """A claim for each arm of a setup whose sag is compensated, also where it only stands by."""
+    out = []
+    for arm in setup.cell.arms:
+        if arm.sag is None or arm.stiffness is None:
+            continue
+        mass, cog = carried(arm, setup.stock) if arm.sag.load else (0.0, np.zeros(3))
+        force = problem.force_on(arm.name, setup)
+        vector = np.zeros(3) if force is None else force.vector
+        in_tool = force is not None and force.frame == "tool"
+        out.append(ArmSags(arm.name, arm.stiffness.joints, mass, cog, vector, in_tool, arm.sag.most))
+    return tuple(out)
+
+
+def carried(arm: Arm, stock: Stock) -> tuple[float, FloatArray]:
+    """Mass [kg] and centre of gravity (3,) [m] in the flange's frame of a tool, with the block that it
+    holds."""
+    mass, moment = arm.tool.mass, arm.tool.mass * arm.tool.cog
+    if stock.held_by == arm.name and stock.mass is not None:
+        middle = arm.tool.tcp @ stock.grip @ np.append(0.5 * (stock.lower + stock.upper), 1.0)
+        mass, moment = mass + stock.mass, moment + stock.mass * middle[:3]
+    return mass, moment / mass

@@ -1,0 +1,192 @@
+"""Where arms really are that give way under what is claimed of their loads, by the joints of their programs.
+
+The proof's own way of it: axes from the chain of the robot's URDF, torques of each load about them,
+joints of the loaded arm by iteration, for the loads hang on the arm as it stands bent. The force of the
+work acts in segments that work, as `ArmSags` says it; how far it has risen or fallen on a move is how far the
+tool has come.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from planner.claims.claim import ArmSags
+from planner.geometry.arrays import FloatArray, IntArray, inverse
+from planner.geometry.units import GRAVITY
+from planner.verify.replay.arm_model import POSTURES_TOGETHER, Machine
+from planner.verify.replay.motion import Instants, Motion, Poses
+
+ROUNDS: Final = 3
+"""Iterations: each one leaves some thousandths of the error of the one before."""
+LEAST_WAY: Final = 1e-6
+"""On shorter moves [m] force comes and goes by the clock."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Bent:
+    """An arm under its loads in one setup, on its ``base`` (4, 4), with its ``tcp`` (4, 4) in the flange;
+    ``block`` (3, 3): the axes of the stock's frame in the world."""
+
+    machine: Machine
+    claim: ArmSags
+    base: FloatArray
+    tcp: FloatArray
+    block: FloatArray
+
+    def joints(self, q: FloatArray, share: FloatArray) -> FloatArray:
+        """Serial angles (M, 6) [rad] of the loaded arm whose drives are at ``q`` (M, 6), under a ``share``
+        (M,) of the work's force."""
+        out = np.empty_like(q)
+        for first in range(0, len(q), POSTURES_TOGETHER):
+            some = slice(first, first + POSTURES_TOGETHER)
+            own = q[some]
+            bent = own
+            for _ in range(ROUNDS):
+                bent = own + self._turned(bent, share[some])
+            out[some] = bent
+        return out
+
+    def _turned(self, q: FloatArray, share: FloatArray) -> FloatArray:
+        chain = self.machine.chain
+        frames = self.base @ chain.frames(q)
+        flange = frames[:, 6]
+        hand = flange @ self.tcp
+        vector = self.claim.force
+        work = hand[:, :3, :3] @ vector if self.claim.in_tool else np.tile(self.block @ vector, (len(q), 1))
+        work = share[:, None] * work
+        weight = np.array([0.0, 0.0, -self.claim.mass * GRAVITY])
+        centre = flange[:, :3, :3] @ self.claim.cog + flange[:, :3, 3]
+        torque = np.empty_like(q)
+        for i in range(6):
+            still = chain.zero[i, :3, :3].T @ chain.axis[i]
+            axis, foot = frames[:, i, :3, :3] @ still, frames[:, i, :3, 3]
+            moment = np.cross(centre - foot, weight) + np.cross(hand[:, :3, 3] - foot, work)
+            torque[:, i] = np.einsum("mi,mi->m", axis, moment)
+        if self.machine.data.coupling is None:
+            return np.asarray(torque / self.claim.joints)
+        # the rod: axis 3 of the controller is q2 + q3, so that its drive's turn moves q3 alone, and the turn
+        # of drive 2 moves q2 on and q3 back
+        drives = torque.copy()
+        drives[:, 1] -= torque[:, 2]
+        turn = drives / self.claim.joints
+        turn[:, 2] -= turn[:, 1]
+        return turn
+
+    def places(self, q: FloatArray) -> FloatArray:
+        """Flange poses (M, 4, 4) in the world."""
+        return np.asarray(self.base @ self.machine.flange(q))
+
+
+def bent(
+    motion: Motion,
+    arms: Sequence[Mapping[str, Bent]],
+    sample_setup: IntArray,
+    node_setup: IntArray,
+) -> Motion:
+    """The motion of arms as they stand: ``tcp``, ``node_tcp`` and places between samples are those of the
+    bent arms, ``bends`` their joints, while ``q`` stays what the controllers count. ``arms``: by setup, those
+    that bend in it."""
+    tcp, node_tcp, between = dict(motion.tcp), dict(motion.node_tcp), dict(motion.between.tcp)
+    bends = dict(motion.bends)
+    for name in dict.fromkeys(name for setup in arms for name in setup):
+        own = {index: setup[name] for index, setup in enumerate(arms) if name in setup}
+        made = _one(motion, name, own, sample_setup, node_setup)
+        tcp[name], node_tcp[name], between[name], bends[name] = made
+    return dataclasses.replace(
+        motion,
+        tcp=tcp,
+        node_tcp=node_tcp,
+        bends=bends,
+        between=Instants(motion.between.time, motion.between.sample, motion.between.node, between),
+    )
+
+
+def _one(
+    motion: Motion, name: str, own: Mapping[int, Bent], sample_setup: IntArray, node_setup: IntArray
+) -> tuple[Poses, FloatArray, Poses, FloatArray]:
+    """Places of the tool at samples, at nodes and between samples, and joints at samples, of one arm."""
+    at_node = working(motion)
+    share = _shares(motion, name, at_node)
+    q, links = motion.q[name], np.array(motion.q[name])
+    tcp, between = Poses.empty(len(q)), Poses.empty(len(motion.between.time))
+    node_tcp = np.array(motion.node_tcp[name])
+    looks, after = motion.between.sample, np.minimum(motion.between.sample + 1, len(q) - 1)
+    look_setup = sample_setup[looks]
+    for index in range(int(sample_setup.max(initial=0)) + 1):
+        rows = np.flatnonzero(sample_setup == index)
+        late = np.flatnonzero(look_setup == index)
+        if index not in own:
+            for some in _pieces(rows):
+                tcp[some] = motion.tcp[name][some]
+            between[late] = motion.between.tcp[name][late]
+            continue
+        arm = own[index]
+        for some in _pieces(rows):
+            links[some] = arm.joints(q[some], share[some])
+            tcp[some] = _off(arm, q[some], links[some]) @ motion.tcp[name][some]
+        # between two samples both what the joints bend and where they are go on evenly
+        span = np.maximum(motion.time[after[late]] - motion.time[looks[late]], 1e-9)
+        part = np.clip((motion.between.time[late] - motion.time[looks[late]]) / span, 0.0, 1.0)[:, None]
+        here, there = looks[late], np.where(sample_setup[after[late]] == index, after[late], looks[late])
+        held = q[here] + part * (q[there] - q[here])
+        turn = (1.0 - part) * (links[here] - q[here]) + part * (links[there] - q[there])
+        for some in _pieces(np.arange(len(late))):
+            moved = _off(arm, held[some], held[some] + turn[some])
+            between[late[some]] = moved @ motion.between.tcp[name][late[some]]
+        nodes = np.flatnonzero(node_setup == index)
+        there = q[motion.node_sample[nodes]]
+        for some in _pieces(np.arange(len(nodes))):
+            turned = arm.joints(there[some], at_node[nodes[some]])
+            node_tcp[nodes[some]] = _off(arm, there[some], turned) @ node_tcp[nodes[some]]
+    return tcp, node_tcp, between, links
+
+
+def _off(arm: Bent, q: FloatArray, links: FloatArray) -> FloatArray:
+    """How the bent hand lies from where the drives have it, as motions (M, 4, 4) of the world."""
+    return np.asarray(arm.places(links) @ inverse(arm.places(q)))
+
+
+def _pieces(rows: IntArray) -> list[IntArray]:
+    """Rows in pieces that are worked on together."""
+    return [rows[i : i + POSTURES_TOGETHER] for i in range(0, len(rows), POSTURES_TOGETHER)]
+
+
+def working(motion: Motion) -> FloatArray:
+    """Share (K,) of the work's force that acts at the ends of moves."""
+    works = [segment.works and not segment.phase for segment in motion.node_segment]
+    return np.array(works, dtype=np.float64)
+
+
+def _shares(motion: Motion, name: str, at_node: FloatArray) -> FloatArray:
+    """Share (S,) of the work's force that acts at each sample."""
+    node = motion.node
+    before = np.concatenate([[0.0], at_node[:-1]])
+    out = at_node[node]
+    changing = np.flatnonzero((before != at_node)[node])
+    if not len(changing):
+        return out
+    own = np.asarray(node[changing], dtype=np.int64)
+    start, end = _ends(motion, name, own - 1), _ends(motion, name, own)
+    way = end - start
+    length = np.einsum("mi,mi->m", way, way)
+    gone = np.einsum("mi,mi->m", motion.tcp[name].place[changing] - start, way)
+    began = motion.time[np.where(own > 0, motion.node_sample[own - 1], 0)]
+    whole = np.maximum(motion.time[motion.node_sample[own]] - began, 1e-9)
+    part = np.where(
+        length > LEAST_WAY**2, gone / np.maximum(length, 1e-30), (motion.time[changing] - began) / whole
+    )
+    part = np.clip(part, 0.0, 1.0)
+    out[changing] = before[own] + part * (at_node[own] - before[own])
+    return out
+
+
+def _ends(motion: Motion, name: str, nodes: IntArray) -> FloatArray:
+    """Where (M, 3) the tool is at the ends of moves, -1 for the beginning of all."""
+    stated = motion.node_tcp[name][np.maximum(nodes, 0), :3, 3]
+    sample = np.where(nodes >= 0, motion.node_sample[np.maximum(nodes, 0)], 0)
+    known = np.isfinite(stated).all(axis=1) & (nodes >= 0)
+    return np.where(known[:, None], stated, motion.tcp[name].place[sample])

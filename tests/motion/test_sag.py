@@ -1,0 +1,211 @@
+"""Sag that is taken off a plan: commanded arms stand where the plan has them, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from planner import pipeline, processes
+from planner.catalogue.robots import robot
+from planner.cell.compliance import tcp_compliance
+from planner.cell.kinematics import forward
+from planner.geometry.arrays import log_rotation
+from planner.geometry.units import GRAVITY
+from planner.issues import Issue, TandemError
+from planner.motion import sag, solve
+from planner.plans import Plan
+from planner.problem import Problem
+from planner.report import markup
+from planner.report.setup_sheet import controller_checks
+from tests.verify.planner_jobs import JOBS, SOFT, sagging
+
+
+def planned(path: Path) -> tuple[Problem, Plan]:
+    """A job and its plan, without programs."""
+    problem = pipeline.load(path)
+    return problem, solve.solve(problem, [job.targets() for job in processes.jobs(problem)])
+
+
+def edited(path: Path, **arm: Any) -> Path:
+    """The job of a file with other keys of its first arm."""
+    data = yaml.safe_load(path.read_text())
+    data["cell"]["arms"][0] |= arm
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def refused(path: Path) -> Mapping[str, Issue]:
+    with pytest.raises(TandemError) as found:
+        pipeline.plan(pipeline.load(path))
+    return {issue.code: issue for issue in found.value.issues}
+
+
+def test_by_the_compliance_at_the_pose_the_arm_gives_way_to_where_it_is_wanted(tmp_path: Path) -> None:
+    """C times the wrench of weight and force, from the Jacobian, is the way from command to plan."""
+    problem, plan = planned(JOBS["posed_sag"](tmp_path))
+    made, told = sag.commanded(problem, plan)
+    (before,), (after,) = plan.operations, made.operations
+    assert {issue.code for issue in told} == {"motion.sag"}
+    assert "under 0.90 kg and 70 N" in told[0].message
+    for arm, forces in (("left", [30, -20, 60]), ("right", [0, 15, -50])):
+        own = problem.cell.arm(arm)
+        data, tool = robot(own.robot), own.tool
+        assert own.stiffness is not None
+        stand, command = (own.base @ forward(data, p.q[arm]) @ tool.tcp for p in (before, after))
+        weight = np.array([0.0, 0.0, -tool.mass * GRAVITY])
+        centre = (own.base @ forward(data, before.q[arm]) @ np.append(tool.cog, 1.0))[:, :3]
+        lever = centre - stand[:, :3, 3]
+        force = np.tile(np.array(forces, dtype=float), (len(stand), 1))
+        force = np.einsum("nij,nj->ni", stand[:, :3, :3], force) if arm == "right" else force
+        force[0] = 0.0  # it comes on from the first target to the second
+        wrench = np.concatenate([np.cross(lever, weight), force + weight], axis=1)
+        compliance = tcp_compliance(data, own.stiffness, before.q[arm], tool.tcp, own.base)
+        moved = np.einsum("nij,nj->ni", compliance, wrench)
+        assert np.linalg.norm(moved[1:, 3:], axis=1).min() > 1e-4
+        np.testing.assert_allclose(stand[:, :3, 3] - command[:, :3, 3], moved[:, 3:], atol=1e-6)
+        turned = log_rotation(stand[:, :3, :3] @ command[:, :3, :3].swapaxes(-1, -2))
+        np.testing.assert_allclose(turned, moved[:, :3], atol=5e-6)
+        # what is written are poses of the same joints
+        place = problem.stock.place if after.targets.frame[arm] == "stock" else np.eye(4)
+        written = place @ after.targets.poses(after.values)[arm]
+        np.testing.assert_allclose(written, command, atol=1e-12)
+
+
+def test_a_plan_without_compensation_is_commanded_as_it_is(tmp_path: Path) -> None:
+    problem, plan = planned(JOBS["posed_two"](tmp_path))
+    made, told = sag.commanded(problem, plan)
+    assert made is plan
+    assert told == ()
+    assert solve.with_room(problem, ())[0] is problem
+
+
+def test_where_the_controller_makes_up_for_the_load_only_the_force_is_ours(tmp_path: Path) -> None:
+    """The remedy of ``motion.sag``: load: false."""
+    path = edited(sagging(JOBS["posed"](tmp_path)), compensate_sag={"load": False})
+    problem, plan = planned(path)
+    made, told = sag.commanded(problem, plan)
+    np.testing.assert_allclose(made.operations[0].q["left"], plan.operations[0].q["left"], atol=1e-15)
+    assert told[0].value == 0.0
+    assert pipeline.plan(problem).verified
+
+
+def test_an_arm_that_holds_the_block_sags_by_its_weight_too(tmp_path: Path) -> None:
+    problem = pipeline.load(JOBS["held_sag"](tmp_path))
+    setup = problem.setups[0]
+    holder = setup.stock.held_by
+    assert holder is not None
+    assert setup.stock.mass
+    (claim,) = (one for one in sag.sags(problem, setup) if one.arm == holder)
+    tool = setup.cell.arm(holder).tool
+    assert claim.mass == pytest.approx(tool.mass + setup.stock.mass)
+    middle = tool.tcp @ setup.stock.grip @ [*(0.5 * (setup.stock.lower + setup.stock.upper)), 1.0]
+    np.testing.assert_allclose(claim.mass * claim.cog, tool.mass * tool.cog + setup.stock.mass * middle[:3])
+
+
+def test_the_tool_stands_where_force_comes_and_goes(tmp_path: Path) -> None:
+    problem, plan = planned(sagging(JOBS["gcode_krl"](tmp_path), robot=([30, 20, 50], "stock")))
+    made = sag.commanded(problem, plan)[0].operations[0]
+    before = plan.operations[0]
+    changes = np.flatnonzero(np.diff(sag.working(before.targets)) != 0.0)
+    assert len(changes) >= 2
+    assert made.targets.stop[changes].all()
+    assert made.targets.stop[changes + 1].all()
+    assert (np.diff(made.time) >= np.diff(before.time) - 1e-12).all()
+
+
+def test_a_shift_beyond_its_range_is_refused_and_the_range_advised_is_enough(tmp_path: Path) -> None:
+    path = edited(JOBS["posed_sag"](tmp_path), compensate_sag={"most_mm": 0.1})
+    issue = refused(path)["motion.sag_range"]
+    assert issue.value is not None
+    assert issue.value > 0.1
+    assert issue.hint is not None
+    most = float(issue.hint.split("most_mm: ")[1].rstrip("}"))
+    outcome = pipeline.plan(pipeline.load(edited(path, compensate_sag={"most_mm": most})))
+    assert outcome.verified
+    (made,) = outcome.plan.operations
+    assert set(made.commanded) == {"left", "right"}
+    shown = re.sub(r"<[^>]+>", " ", markup.render(controller_checks(outcome.problem, outcome.plan)))
+    assert "off (Absolute Accuracy): the program makes up for the load" in shown
+    assert SOFT["source"] in shown
+
+
+def test_targets_far_apart_are_refused_and_nearer_ones_are_not(tmp_path: Path) -> None:
+    """Over a quarter of a metre sag of millimetres is no line."""
+    path = sagging(JOBS["posed"](tmp_path), softer=4.0, left=([0, 0, 60], "stock"))
+    table = tmp_path / "targets.csv"
+    head, *rows = table.read_text().splitlines()
+    values = np.array([[float(v) for v in row.split(",")] for row in rows])
+    names = head.split(",")
+    ends = values[[0, 0]]
+    ends[1, names.index("left.x_mm")] -= 120.0
+    ends[1, names.index("left.z_mm")] += 260.0
+
+    def write(count: int) -> None:
+        between = ends[0] + np.linspace(0.0, 1.0, count)[:, None] * (ends[1] - ends[0])
+        table.write_text("\n".join([head, *(",".join(f"{v:.9f}" for v in row) for row in between)]) + "\n")
+
+    write(3)
+    issue = refused(path)["motion.sag_range"]
+    assert "put targets nearer to each other" in issue.message
+    write(30)
+    assert pipeline.plan(pipeline.load(path)).verified
+
+
+def test_a_force_and_a_least_feed_do_not_go_together(tmp_path: Path) -> None:
+    path = sagging(JOBS["posed"](tmp_path), left=([0, 0, 30], "stock"))
+    data = yaml.safe_load(path.read_text())
+    data["operations"][0] |= {"feed_min_mm_s": 5}
+    path.write_text(yaml.safe_dump(data))
+    assert "a least feed is stated" in refused(path)["motion.sag_range"].message
+
+
+def test_spline_blocks_are_refused(tmp_path: Path) -> None:
+    path = JOBS["posed_sag_krl"](tmp_path)
+    data = yaml.safe_load(path.read_text())
+    data["cell"]["controller"]["path"] = "spline"
+    path.write_text(yaml.safe_dump(data))
+    assert "whose sag is compensated" in refused(path)["post.path"].message
+
+
+@pytest.mark.parametrize(
+    ("arm", "forces", "said"),
+    [
+        ({"stiffness": None}, None, "is not known, so nothing is known of its sag"),
+        ({"compensate_sag": {"most_mm": 50}}, None, "most_mm"),
+        ({"compensate_sag": None}, {"left": {"force_n": [0, 0, 1]}}, "its sag is not compensated"),
+        ({}, {"right": {"force_n": [0, 0, 1]}}, "takes no part in"),
+        ({}, {"left": {"force_n": [0, 1]}}, "is missing"),
+        ({}, {"left": {"force_n": [0, 0, 1e6]}}, "less than or equal to 20000"),
+        ({}, {"left": {"force_n": [0, 0, 1], "frame": "world"}}, "frame"),
+        ({}, {}, "forces"),
+    ],
+)
+def test_sag_and_forces_that_cannot_be_are_refused_by_field(
+    arm: dict[str, Any], forces: Any, said: str, tmp_path: Path
+) -> None:
+    path = edited(sagging(JOBS["posed"](tmp_path)), **arm)
+    data = yaml.safe_load(path.read_text())
+    if forces is not None:
+        data["operations"][0]["forces"] = forces
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(TandemError) as found:
+        pipeline.load(path)
+    assert {issue.code for issue in found.value.issues} == {"problem.field"}
+    assert any(said in issue.message for issue in found.value.issues), found.value.issues
+
+
+def test_two_operations_of_one_setup_have_one_force(tmp_path: Path) -> None:
+    path = sagging(JOBS["posed"](tmp_path), left=([0, 0, 30], "stock"))
+    data = yaml.safe_load(path.read_text())
+    data["operations"].append({**data["operations"][0], "name": "again", "forces": None})
+    del data["operations"][1]["forces"]
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(TandemError) as found:
+        pipeline.load(path)
+    assert "are of one setup and state different forces on left" in found.value.issues[0].message
