@@ -26,6 +26,7 @@ from rich.table import Table
 from planner.cli import batch as batch_commands
 from planner.cli import batch as compare_commands
 from planner.cli import forming as forming_commands
+from planner.cli import loop as loop_commands
 from planner.cli import preparation as align_commands
 from planner.cli import preparation as feature_commands
 from planner.cli import preparation as kerf_commands
@@ -287,6 +288,28 @@ def control(request: tyro.conf.OmitArgPrefixes[forming_commands.ControlRequest])
     pipeline = _pipeline()
     try:
         _print_issues(forming_commands.run_control(request, pipeline.load(request.problem)))
+    except TandemError as error:
+        return _refused(error, _infeasible_code(error))
+    return DONE
+
+
+@app.command
+def next_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.NextLoop]) -> int:
+    """Correct the next level of a formed part by the forces that were measured on the levels so far."""
+    _pipeline()
+    try:
+        _print_issues(loop_commands.run_next_loop(request))
+    except TandemError as error:
+        return _refused(error, _infeasible_code(error))
+    return DONE
+
+
+@app.command
+def simulate_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.SimulateLoop]) -> int:
+    """Run the loop that corrects springback against sheets whose truth is known."""
+    _pipeline()
+    try:
+        _print_issues(loop_commands.run_simulate_loop(request))
     except TandemError as error:
         return _refused(error, _infeasible_code(error))
     return DONE

@@ -10,6 +10,7 @@ import contextlib
 import csv
 import dataclasses
 import io
+import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -59,6 +60,8 @@ class Springback:
     """of the elastic sheet at most; 1500 take a third of the time and are within a percent"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """what to write: .csv (control points with their curves) or .html (map, curves, clusters)"""
+    curves: Path | None = None
+    """a .json file of curves at every level of the path to write, for `tandem next-loop`"""
 
 
 def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
@@ -69,6 +72,9 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     if request.output is not None and request.output.suffix.lower() not in SUFFIXES:
         what = f"{request.output.name}: a page is .html, a table .csv; name it so"
         raise TandemError(Issue("output.folder", what, field="output"))
+    if request.curves is not None and request.curves.suffix.lower() != ".json":
+        what = f"{request.curves.name}: a file of curves is .json; name it so"
+        raise TandemError(Issue("output.folder", what, field="curves"))
     for name, value, least in (
         ("most_points", request.most_points, 1),
         ("triangles", request.triangles, LEAST_TRIANGLES),
@@ -86,6 +92,11 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     _print(work, found, time.perf_counter() - started)
     if request.output is not None:
         _write(request.output, problem, work, found)
+    if request.curves is not None:
+        from planner.forming.springback.levels import file_data
+
+        data = file_data(problem.name, problem.digest, work, laid, found)
+        write_output(request.curves, json.dumps(data, separators=(",", ":")) + "\n")
     return tuple(forecast.issues(found))
 
 
