@@ -15,7 +15,6 @@ from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
-from scipy.interpolate import PchipInterpolator
 
 from planner.files import is_file
 from planner.geometry.arrays import FloatArray, IntArray, lengths
@@ -44,9 +43,24 @@ class Level:
 
     @functools.cached_property
     def curves(self) -> FloatArray:
-        """Coefficients (4, P, L - 1) of the monotone cubics through each point's curve."""
-        some = [PchipInterpolator(x, y).c for x, y in zip(self.loads, self.springback, strict=True)]
-        return np.stack(some, axis=1)
+        """Coefficients (4, P, L - 1) of the cubics through each point's curve, by powers of what the load is
+        above that at the piece's start, the third first.
+
+        Monotone, by slopes of F. N. Fritsch, J. Butland, SIAM Journal on Scientific and Statistical Computing
+        5 (1984) 300, as `scipy.interpolate.PchipInterpolator` has them, here of all points at once.
+        """
+        h = np.diff(self.loads, axis=1)
+        m = np.diff(self.springback, axis=1) / h
+        slope = np.repeat(m[:, :1], h.shape[1] + 1, axis=1)
+        if h.shape[1] > 1:
+            one, two = 2.0 * h[:, 1:] + h[:, :-1], h[:, 1:] + 2.0 * h[:, :-1]
+            slope[:, 1:-1] = (one + two) / (one / m[:, :-1] + two / m[:, 1:])
+            for end, near, next_ in ((0, 0, 1), (-1, -1, -2)):
+                a, b = h[:, near], h[:, next_]
+                slope[:, end] = np.maximum(((2.0 * a + b) * m[:, near] - a * m[:, next_]) / (a + b), 0.0)
+        low, high = slope[:, :-1], slope[:, 1:]
+        turn, bend = (low + high - 2.0 * m) / h**2, (3.0 * m - 2.0 * low - high) / h
+        return np.stack([turn, bend, low, self.springback[:, :-1]])
 
     @functools.cached_property
     def spacing(self) -> float:

@@ -7,10 +7,14 @@ import time
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 
 from planner.geometry.units import MM
 from planner.loops import next_loop
+from planner.loops.job_border import job_border, require_settling
+from planner.loops.loop_plan import Level
 from planner.loops.next_loop import Law
 from planner.loops.stability import Rule
 from tests.loops.plans import power_plan
@@ -57,6 +61,15 @@ def test_springback_is_that_of_the_monotone_cubic() -> None:
     force = np.array([[0.0, 1.0, 37.0, 444.0, 1200.0, 2400.0]])
     wanted = PchipInterpolator(level.loads[0], level.springback[0])(force)
     assert next_loop.springback(level, force) == pytest.approx(wanted, rel=1e-12)
+
+
+@given(st.lists(st.tuples(st.floats(0.01, 100.0), st.floats(0.001, 5.0)), min_size=1, max_size=7))
+def test_any_growing_curve_has_the_monotone_cubic(steps: list[tuple[float, float]]) -> None:
+    x, y = np.cumsum([(0.0, 0.0), *steps], axis=0).T
+    level = Level(PLAN.levels[0].path, 1.0 * MM, np.array([0]), x[None], y[None], np.array([1.0]))
+    force = np.linspace(0.0, x[-1], 50)
+    made = next_loop.springback(level, force[:, None])[:, 0]
+    assert made == pytest.approx(PchipInterpolator(x, y)(force), rel=1e-9, abs=1e-9 * y[-1])
 
 
 def test_gain_kappa_and_a_soft_robot_scale_what_is_corrected() -> None:
@@ -128,5 +141,6 @@ def test_a_step_takes_far_less_than_a_level() -> None:
     plan = power_plan(levels=60, places=240, points=24)
     measured = [np.full(24, 500.0) for _ in range(59)]
     begin = time.process_time()
+    require_settling(job_border(plan, Law()), Law())
     next_loop.offsets(plan, Law(), 59, measured)
     assert time.process_time() - begin < 0.2
