@@ -313,10 +313,8 @@ def run_simulate_loop(request: SimulateLoop) -> tuple[Issue, ...]:
     half = Law(rule="half", every=max(1, round(MM / depth)), feed_forward=False)
     runs = {
         "not corrected": run(plan, plant, None, seeds),
-        f"rule half each {half.every} levels": run(plan, plant, half, seeds),
-        f"rule {law.rule} each {law.every} levels": run(
-            plan, plant, law, seeds, [lift * MM for lift in request.lifts_mm]
-        ),
+        _named(half): run(plan, plant, half, seeds),
+        f"yours: {_named(law)}": run(plan, plant, law, seeds, [lift * MM for lift in request.lifts_mm]),
     }
     table = Table("loop", "largest mm", "95 % of sheets", "mean mm", "95 % of sheets", "at depth mm")
     for name, one in runs.items():
@@ -333,6 +331,10 @@ def run_simulate_loop(request: SimulateLoop) -> tuple[Issue, ...]:
         shown = {"errors": _errors(runs), "map": map_exhibit(found, law)}
         write_output(request.output, _page(f"Simulated springback loop of {plan.name}", shown))
     return ()
+
+
+def _named(law: Law) -> str:
+    return f"rule {law.rule}, each {'level' if law.every == 1 else f'{law.every} levels'}"
 
 
 def _figures(one: Run) -> tuple[str, ...]:

@@ -63,7 +63,7 @@ def require_settling(found: JobBorder, law: Law) -> None:
     hint = f"take gain {gain:g} at most" + (f", or rule {' or '.join(good)}" if good else "")
     hint += f", or act each {2 * law.every} levels"
     what = (
-        f"rule {law.rule}, an action each {law.every} levels: q (the model's springback times the gain, over "
+        f"rule {law.rule}, levels of one action: {law.every}: q (the model's springback times the gain, over "
         f"that of the sheet) may be {found.ratio:.2f}, allowed below {most:.2f}: level {worst} has gamma "
         f"{g:.2f}, and the loop would swing up"
     )

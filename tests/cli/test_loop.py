@@ -58,7 +58,7 @@ def test_curves_are_those_of_the_forecast_at_every_level(result: Path) -> None:
     assert len(depth) > 6
     assert np.all(np.diff(depth) > 0.0)
     for level in plan.levels:
-        assert len(level.place) >= 24
+        assert len(level.place) >= 48
         assert level.force == pytest.approx(300.0)
         assert level.loads[0, -1] == pytest.approx(1.4 * 300.0)
         assert np.ptp(level.path[:, 2]) < 1e-3

@@ -27,7 +27,7 @@ SPACING: Final = 1.0 * MM
 """Way [m] between places of a level, as far as their number allows."""
 PLACES: Final = (24, 240)
 """Places of a level at least and at most."""
-POINTS: Final = 24
+POINTS: Final = 48
 """Points of a level at least."""
 SHARES: Final = np.array([0.0, 0.1, 0.25, 0.46, 0.7, 1.0])
 """Forces of a curve over its largest one."""
