@@ -472,6 +472,16 @@ CODES: Final[dict[str, Code]] = {
     ),
     "forming.compensated": Code("by how much tools go deeper than the part, for the sheet comes back"),
     "forming.limit_load": Code("a formed sheet snaps through or buckles under the force that is expected"),
+    "forming.loop_curves": Code(
+        "a file of springback curves cannot be read, is cut short, or is of another problem", given=True
+    ),
+    "forming.loop_forces": Code(
+        "measured forces of other points, levels or units, or a row of them is wrong", given=True
+    ),
+    "forming.loop_law": Code("a figure of the springback loop is out of range", given=True),
+    "forming.loop_plant": Code("a plant's file is wrong, or its sheet is another part's", given=True),
+    "forming.loop_unstable": Code("a gain of the springback loop that would swing up from level to level"),
+    "forming.loop_range": Code("corrections of the springback loop were cut to their range"),
     "forming.adsif_table": Code(
         "a table of the ADSIF response cannot be read, or a value in it is wrong", given=True
     ),

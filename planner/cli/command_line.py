@@ -27,6 +27,7 @@ from planner.cli import batch as batch_commands
 from planner.cli import batch as compare_commands
 from planner.cli import clamp as clamp_commands
 from planner.cli import forming as forming_commands
+from planner.cli import loop as loop_commands
 from planner.cli import preparation as align_commands
 from planner.cli import preparation as feature_commands
 from planner.cli import preparation as kerf_commands
@@ -299,6 +300,28 @@ def calibrate_clamp(request: tyro.conf.OmitArgPrefixes[clamp_commands.CalibrateC
     pipeline = _pipeline()
     try:
         _print_issues(clamp_commands.run_calibrate_clamp(request, pipeline.load(request.problem)))
+    except TandemError as error:
+        return _refused(error, _infeasible_code(error))
+    return DONE
+
+
+@app.command
+def next_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.NextLoop]) -> int:
+    """Correct the next level of a formed part by the forces that were measured on the levels so far."""
+    _pipeline()
+    try:
+        _print_issues(loop_commands.run_next_loop(request))
+    except TandemError as error:
+        return _refused(error, _infeasible_code(error))
+    return DONE
+
+
+@app.command
+def simulate_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.SimulateLoop]) -> int:
+    """Run the loop that corrects springback against sheets whose truth is known."""
+    _pipeline()
+    try:
+        _print_issues(loop_commands.run_simulate_loop(request))
     except TandemError as error:
         return _refused(error, _infeasible_code(error))
     return DONE

@@ -10,6 +10,7 @@ import contextlib
 import csv
 import dataclasses
 import io
+import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -62,6 +63,8 @@ class Springback:
     write: Path | None = None
     """a springback file to write (.json): with `springback: {file: ...}` in the operation, tools go deeper by
     what it says"""
+    curves: Path | None = None
+    """a .json file of curves at every level of the path to write, for `tandem next-loop`"""
 
 
 def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
@@ -72,6 +75,9 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     if request.output is not None and request.output.suffix.lower() not in SUFFIXES:
         what = f"{request.output.name}: a page is .html, a table .csv; name it so"
         raise TandemError(Issue("output.folder", what, field="output"))
+    if request.curves is not None and request.curves.suffix.lower() != ".json":
+        what = f"{request.curves.name}: a file of curves is .json; name it so"
+        raise TandemError(Issue("output.folder", what, field="curves"))
     for name, value, least in (
         ("most_points", request.most_points, 1),
         ("triangles", request.triangles, LEAST_TRIANGLES),
@@ -95,6 +101,11 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
         _write(request.output, problem, work, found)
     if request.write is not None:
         _write_shifts(request.write, problem, job, found, laid)
+    if request.curves is not None:
+        from planner.forming.springback.levels import file_data
+
+        data = file_data(problem.name, problem.digest, work, laid, found)
+        write_output(request.curves, json.dumps(data, separators=(",", ":")) + "\n")
     return tuple(forecast.issues(found))
 
 

@@ -57,6 +57,24 @@ ELSEWHERE: Final = {
         "forming/springback/test_springback",
         "test_a_sheet_that_snaps_is_told_by_its_limit_and_less_force_ends_it",
     ),
+    "forming.loop_curves": (
+        "cli/test_loop", "test_curves_of_another_problem_are_refused_and_writing_them_again_helps",
+    ),
+    "forming.loop_forces": (
+        "loops/test_loop_files", "test_correcting_the_row_that_is_named_is_enough",
+    ),
+    "forming.loop_law": (
+        "cli/test_loop", "test_a_figure_out_of_range_is_named_and_the_default_serves",
+    ),
+    "forming.loop_plant": (
+        "loops/test_loop_files", "test_a_wrong_field_of_a_plant_is_named_and_correcting_it_is_enough",
+    ),
+    "forming.loop_unstable": (
+        "cli/test_loop", "test_a_gain_that_swings_up_is_refused_and_the_one_advised_is_not",
+    ),
+    "forming.loop_range": (
+        "cli/test_loop", "test_offsets_beyond_their_range_are_cut_and_told_and_more_range_ends_it",
+    ),
     "problem.process_package": (
         "test_processes",
         "test_what_cannot_be_used_is_refused_where_a_problem_names_it",

@@ -1,0 +1,205 @@
+"""``tandem next-loop`` and ``simulate-loop``: what they print, write and refuse, on a small dish."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from planner import pipeline
+from planner.cli.forming import Springback, run_springback
+from planner.cli.loop import LawOptions, NextLoop, SimulateLoop, run_next_loop, run_simulate_loop
+from planner.issues import TandemError
+from planner.loops.loop_plan import read_plan
+from tests import small_forming
+from tests.remedies.advice import said
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that has what the loop reads of a result: the problem, and curves."""
+    folder = tmp_path_factory.mktemp("result")
+    (folder / "problem").mkdir()
+    path = small_forming.write(folder / "problem", small_forming.problem(stepdown_mm=0.5, force_n=300))
+    curves = folder / "springback.json"
+    run_springback(Springback(path, most_points=3, triangles=400, curves=curves), pipeline.load(path))
+    return folder
+
+
+def forces(result: Path, levels: int, share: float = 1.0) -> str:
+    plan = read_plan(result / "springback.json")
+    rows = [
+        f"{k},{p},{share * 0.5 * plan.levels[k].force[p]:.2f}"
+        for k in range(levels)
+        for p in range(len(plan.levels[k].place))
+    ]
+    return "\n".join(["level,point,force_n", *rows])
+
+
+def refused(request: NextLoop | SimulateLoop) -> Any:
+    with pytest.raises(TandemError) as error:
+        run_next_loop(request) if isinstance(request, NextLoop) else run_simulate_loop(request)
+    return error.value.issues[0]
+
+
+def test_curves_are_those_of_the_forecast_at_every_level(result: Path) -> None:
+    plan = read_plan(result / "springback.json")
+    assert plan.digest == pipeline.load_result(result).digest
+    depth = [level.depth for level in plan.levels]
+    assert len(depth) > 6
+    assert np.all(np.diff(depth) > 0.0)
+    for level in plan.levels:
+        assert len(level.place) >= 48
+        assert level.force == pytest.approx(300.0)
+        assert level.loads[0, -1] == pytest.approx(1.4 * 300.0)
+        assert np.ptp(level.path[:, 2]) < 1e-3
+
+
+def test_offsets_of_the_next_level_are_written_along_its_path(result: Path, tmp_path: Path) -> None:
+    file = tmp_path / "forces.csv"
+    file.write_text(forces(result, 4))
+    out = tmp_path / "next.csv"
+    assert run_next_loop(NextLoop(result, LawOptions(), file, output=out)) == ()
+    rows = list(csv.DictReader(out.open()))
+    level = read_plan(result / "springback.json").levels[4]
+    assert len(rows) == len(level.path)
+    assert {row["level"] for row in rows} == {"4"}
+    offset = np.array([float(row["offset_mm"]) for row in rows])
+    assert 0.1 < offset.min() <= offset.max() < 5.0
+    data = tmp_path / "next.json"
+    run_next_loop(NextLoop(result, LawOptions(), file, kappa=1.1, output=data))
+    made = json.loads(data.read_text())
+    assert made["way"] == [0, 0, -1]
+    assert [place["offset_mm"] for place in made["places"]] == pytest.approx(1.1 * offset, abs=2e-4)
+
+
+def test_lifts_in_the_file_scale_the_offsets(result: Path, tmp_path: Path) -> None:
+    file, out = tmp_path / "forces.csv", tmp_path / "next.json"
+    text = forces(result, 2)
+    file.write_text(text)
+    run_next_loop(NextLoop(result, LawOptions(), file, output=out))
+    model = json.loads(out.read_text())
+    lines = text.replace("force_n", "force_n,springback_mm").splitlines()
+    lines[1:] = [f"{line}," for line in lines[1:]]
+    plan = read_plan(result / "springback.json")
+    true = 1.2 * float(
+        np.interp(float(lines[3].split(",")[2]), plan.levels[0].loads[2], plan.levels[0].springback[2])
+    )
+    lines[3] += f"{1e3 * true:.4f}"
+    file.write_text("\n".join(lines))
+    run_next_loop(NextLoop(result, LawOptions(), file, output=out))
+    made = json.loads(out.read_text())
+    assert made["kappa"] == pytest.approx(1.2, abs=0.1)
+    ratio = made["places"][0]["offset_mm"] / model["places"][0]["offset_mm"]
+    assert ratio == pytest.approx(made["kappa"], abs=1e-3)
+
+
+def test_a_gain_that_swings_up_is_refused_and_the_one_advised_is_not(result: Path) -> None:
+    law = LawOptions(rule="half", gain=4.0)
+    issue = refused(NextLoop(result, law))
+    assert issue.code == "forming.loop_unstable"
+    assert issue.limit is not None
+    assert f"{issue.limit:.2f}" in issue.message
+    gain = float(said([issue], r"gain ([\d.]+) at most"))
+    run_next_loop(NextLoop(result, dataclasses.replace(law, gain=gain)))
+
+
+def test_curves_of_another_problem_are_refused_and_writing_them_again_helps(
+    result: Path, tmp_path: Path
+) -> None:
+    data = json.loads((result / "springback.json").read_text())
+    data["digest"] = "0" * 64
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(data))
+    issue = refused(NextLoop(result, LawOptions(springback=other)))
+    assert issue.code == "forming.loop_curves"
+    file = re.search(r"tandem springback (\S+) --curves (\S+)", str(issue.hint))
+    assert file is not None
+    request = Springback(Path(file[1]), most_points=3, triangles=400, curves=Path(file[2]))
+    run_springback(request, pipeline.load(request.problem))
+    run_next_loop(NextLoop(result, LawOptions(springback=other)))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("every", 0), ("gain", -1.0), ("weight", 0.0), ("slope", 2.0), ("most_mm", float("nan"))],
+)
+def test_a_figure_out_of_range_is_named_and_the_default_serves(
+    result: Path, field: str, value: float
+) -> None:
+    options: dict[str, Any] = {field: value}
+    issue = refused(NextLoop(result, LawOptions(**options)))
+    assert (issue.code, issue.field) == ("forming.loop_law", field)
+    run_next_loop(NextLoop(result, LawOptions()))
+
+
+def test_forces_of_the_last_level_leave_nothing_to_correct(result: Path, tmp_path: Path) -> None:
+    file = tmp_path / "forces.csv"
+    file.write_text(forces(result, len(read_plan(result / "springback.json").levels)))
+    assert refused(NextLoop(result, LawOptions(), file)).code == "forming.loop_forces"
+
+
+def test_offsets_beyond_their_range_are_cut_and_told_and_more_range_ends_it(
+    result: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "forces.csv"
+    file.write_text(forces(result, 3))
+    (issue,) = run_next_loop(NextLoop(result, LawOptions(most_mm=0.1), file))
+    assert issue.code == "forming.loop_range"
+    assert run_next_loop(NextLoop(result, LawOptions(most_mm=5.0), file)) == ()
+    file.write_text(forces(result, 3, 5.0))
+    (issue,) = run_next_loop(NextLoop(result, LawOptions(), file))
+    assert issue.code == "forming.loop_range"
+
+
+def test_a_simulation_prints_and_draws_what_is_left(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = read_plan(result / "springback.json")
+    level = plan.levels[len(plan.levels) // 2]
+    plant = tmp_path / "plant.yaml"
+    curve = {
+        "forces_n": level.loads[0, 1:].tolist(),
+        "springback_mm": (1050.0 * level.springback[0, 1:]).tolist(),
+    }
+    some = {"tandem_plant": 1, "curves": [{"depth_mm": 3, **curve}], "force_n": 280}
+    plant.write_text(yaml.safe_dump(some))
+    page = tmp_path / "loop.html"
+    run_simulate_loop(SimulateLoop(result, LawOptions(), plant, sheets=5, lifts_mm=(1.0, 2.0), output=page))
+    printed = capsys.readouterr().out
+    assert "5 sheets of plant" in printed
+    text = page.read_text("utf-8")
+    assert "border, rule half" in text
+    assert "not corrected" in text
+    plant.write_text(yaml.safe_dump({"tandem_plant": 1, "sheet": "pyramid"}))
+    issue = refused(SimulateLoop(result, LawOptions(), plant))
+    assert issue.code == "forming.loop_plant"
+
+
+def test_the_commands_end_with_the_codes_of_what_is_wrong(result: Path, tmp_path: Path) -> None:
+    file = tmp_path / "forces.csv"
+    file.write_text("level,point,force_n\n0,0,-5\n")
+    command = [sys.executable, "-m", "planner", "next-loop", str(result)]
+    done = subprocess.run(
+        [*command, "--forces", str(file)], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 2, done.stderr
+    assert "forming.loop_forces" in done.stderr
+    done = subprocess.run(
+        [*command, "--rule", "linear", "--gain", "3"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 3, done.stderr
+    assert "forming.loop_unstable" in done.stderr
