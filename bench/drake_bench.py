@@ -108,8 +108,14 @@ def program_row(name: str, operation: OperationPlan) -> dict[str, Any]:
     note = f"not taken: {told.get('program_reason')}"
     if told["program_used"]:
         before = told["trajopt_cost"] / (1.0 - told["program_gain"])
+        gained = f"cost {before:.4g} -> {told['trajopt_cost']:.4g}"
+        if "program_windows" in told:
+            gained = (
+                f"{told['program_windows']} windows, cost less by {100.0 * told['program_gain']:.2g} %, of "
+                f"{100.0 * told['program_share']:.2g} % that freedoms can change"
+            )
         note = (
-            f"taken, cost {before:.4g} -> {told['trajopt_cost']:.4g}, acceleration "
+            f"taken, {gained}, acceleration "
             f"{told['program_acceleration_share']:.3f}, jerk {told['program_jerk_share']:.3f} of the banded "
             f"path's; {told['program_rounds']} programs by {told['program_solver']}, {told['program_asked']} "
             "targets measured; wall time"

@@ -19,11 +19,13 @@ from planner.motion.planning_scene import Scene
 from planner.motion.search import path_search
 from planner.motion.search.ladder_search import Found, speed_limits
 from planner.motion.search.path_search import find_path
-from planner.motion.trajectory import joint_path, move_limits, program, trajopt
+from planner.motion.search.subsampling import subset
+from planner.motion.trajectory import differences, joint_path, move_limits, program, trajopt, windows
 from planner.motion.trajectory.hinges import Avoid
 from planner.motion.trajectory.joint_path import Dense, clear, dense, tcp_ways
 from planner.motion.trajectory.timing import Clock, Limits, TimedPiece, TimingError, least_times
 from planner.motion.trajectory.trajopt import Improved, improve, path_cost
+from planner.motion.trajectory.windows import Windows
 from planner.plans import OperationPlan
 from planner.problem import Cell, Settings
 from planner.targets import Targets
@@ -39,10 +41,15 @@ PROGRAM_CORRIDORS: Final = ((8, 0.1), (24, 0.03), (64, 0.0))
 
 PROGRAM_SHARES: Final = (1.0, 0.5, 0.25)
 """Where its clock makes a path of the program worse in anything, the path so far on the way is tried."""
+WINDOWS_SHARES: Final = (1.0, 0.5)
+"""The same where it changes windows of a long path,"""
+WINDOWS_BUDGET: Final = 16 * windows.MOST_WINDOWS * windows.WINDOW
+"""and for how many targets' distances it may ask."""
 LEAST_BUDGET: Final = 128
 """Targets whose distances Drake's program may ask for at least; else as many as were asked for before it."""
 LEAST_PROGRAM_GAIN: Final = 1e-3
-"""A path of Drake's program costs less by this share at least, or the one that it was made from stays."""
+"""A path of Drake's program costs less by this share at least of what its freedoms can change, or the one
+that it was made from stays."""
 SLOWER_SHARE: Final = 1.002
 """A path of Drake's program takes at most so many times as long as the one that it was made from."""
 
@@ -85,14 +92,21 @@ def plan_operation(
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
         diagnosis.require_moves(scene, targets, found.path.branch, samples)
-    wanted, timed = targets, _clock(scene, targets, samples)
+    known: dict[bytes, TimedPiece] = {}
+    wanted, timed = targets, _clock(scene, targets, samples, known=known)
     watch.lap("timing")
-    seed = _Driven(better, samples, timed)
-    driven, told = _programmed(scene, targets, found, seed, avoid if kept else None)
-    better, samples, timed = driven.path, driven.samples, driven.timed
+    driven, long = _Driven(better, samples, timed), targets.count > program.MOST_TARGETS
+    if long:  # windows of a long path are chosen on the clock that will be driven
+        wanted, driven = _joined(scene, wanted, found, driven, known)
+        watch.lap("timing")
+    driven, told = _programmed(scene, wanted, found, driven, avoid if kept else None, known, long)
     watch.lap("program")
-    wanted, better, timed = _joined(scene, wanted, found, better, samples, timed)
-    targets, ticks, deviation = timed
+    if long:  # told beside the ladder's cost, of all targets
+        driven = dataclasses.replace(driven, path=dataclasses.replace(driven.path, cost=better.cost))
+    else:
+        wanted, driven = _joined(scene, wanted, found, driven, known)
+    better, samples, (targets, ticks, deviation) = driven.path, driven.samples, driven.timed
+    known.clear()
     move_limits.require(scene, targets, samples, ticks.time)
     slow = _slow(targets, ticks.time) if targets.run_up is None else []
     issues = [
@@ -223,26 +237,35 @@ def _improve(
 
 @dataclasses.dataclass(frozen=True)
 class _Driven:
-    """A path, samples of its moves, and its clock."""
+    """A path, samples of its moves, and its clock; ``slowed``: with short moves slowed where nothing asks for
+    speed."""
 
     path: Improved
     samples: Dense
     timed: Timed
+    slowed: bool = False
 
     def peaks(self) -> tuple[float, ...]:
         """The largest acceleration [rad/s2] and jerk [rad/s3] of a joint."""
         targets, clock, _ = self.timed
         joints = np.concatenate([self.path.q[arm] for arm in targets.arms], axis=1)
-        return program.peaks(np.diff(clock.time), targets.stop, joints)
+        return differences.peaks(np.diff(clock.time), targets.stop, joints)
 
 
 def _programmed(
-    scene: Scene, targets: Targets, found: Found, seed: _Driven, avoid: Avoid | None
+    scene: Scene,
+    targets: Targets,
+    found: Found,
+    seed: _Driven,
+    avoid: Avoid | None,
+    known: dict[bytes, TimedPiece],
+    long: bool,
 ) -> tuple[_Driven, dict[str, Any]]:
     """What Drake's program makes of an optimised path, which stays where that does not keep all that it keeps
     or costs no less; and figures that tell which of both it is and why.
 
-    Where moves of its path come too near to something, the next is kept closer to the given one there.
+    Where moves of its path come too near to something, the next is kept closer to the given one there. Of a
+    ``long`` path some windows alone are changed. ``known``: pieces of the given one's clock.
     """
     told: dict[str, Any] = {"program_used": False, "program_rounds": 0, "program_asked": 0}
     if avoid is None:
@@ -251,17 +274,35 @@ def _programmed(
     within, rows = targets, np.zeros(targets.count, dtype=np.bool_)
     budget = max(avoid.asked, LEAST_BUDGET)
     duration, stop = np.diff(seed.timed[1].time), seed.timed[0].stop
+    part, kept = None, np.arange(targets.count)
+    if long:  # their cost is that of the targets that are left
+        before = dataclasses.replace(before, cost=path_cost(scene, targets, before.values, before.q))
+        seed = dataclasses.replace(seed, path=before)
+        chosen = windows.chosen(scene, targets, branch, before, duration, stop)
+        if isinstance(chosen, str):
+            return seed, {**told, "program_reason": chosen}
+        part = chosen
+        told |= {"program_windows": part.count, "program_targets": int((~part.held).sum())}
+        told["program_share"] = part.share
+        kept, budget = part.rows, WINDOWS_BUDGET
+        avoid = _avoid(scene, subset(targets, kept)) or avoid
+    looked = np.isin(np.arange(targets.count), kept)
     for reach, width in PROGRAM_CORRIDORS:
         left = budget - told["program_asked"]
-        made = program.optimise(scene, within, branch, before, duration, stop, avoid, left)
+        some, start = (within, before) if part is None else (subset(within, kept), before.at(kept))
+        made = program.optimise(scene, some, branch, start, duration, stop, avoid, left, part)
         told["program_rounds"] += made.rounds
         told["program_asked"] += made.asked
         told |= {"program_solver": made.solver, "program_reason": made.reason}
         if made.path is None:
             break
-        bad = np.zeros(0, dtype=np.intp)
-        for share in PROGRAM_SHARES:
-            driven, told["program_reason"], bad = _driven(scene, targets, branch, seed, made.path, share)
+        path, bad = made.path, np.zeros(0, dtype=np.intp)
+        if part is not None:
+            path = part.into(before, path, trajopt.unwrapped(some, start.values))
+        for share in PROGRAM_SHARES if part is None else WINDOWS_SHARES:
+            driven, told["program_reason"], bad = _driven(
+                scene, targets, branch, seed, path, share, looked, known, part
+            )
             if driven is not None:
                 del told["program_reason"]
                 return driven, {**told, **_gains(seed, driven), "program_used": True}
@@ -275,10 +316,19 @@ def _programmed(
 
 
 def _driven(
-    scene: Scene, targets: Targets, branch: Mapping[str, int], seed: _Driven, path: Improved, share: float
+    scene: Scene,
+    targets: Targets,
+    branch: Mapping[str, int],
+    seed: _Driven,
+    path: Improved,
+    share: float,
+    moved: BoolArray,
+    known: dict[bytes, TimedPiece],
+    part: Windows | None,
 ) -> tuple[_Driven | None, str, IndexArray]:
     """A path so far on the way from the one that it was made from to the one that Drake's program gave, with
-    its clock; else None, why it is not taken, and the moves that come too near to something."""
+    its clock; else None, why it is not taken, and the moves that come too near to something. Targets that are
+    not ``moved`` (N,) are the same on both, those outside of windows, the ``part`` that is changed."""
     problem, before = trajopt.PathProblem(scene, targets, branch, None), seed.path
     start, none = trajopt.unwrapped(targets, before.values), np.zeros(0, dtype=np.intp)
     values = start + share * (path.values - start)
@@ -287,17 +337,18 @@ def _driven(
         return None, "it loses its branch or a margin", none
     q = problem.split(joints)
     samples = dense(scene, targets, branch, q)
-    bad = _bad_moves(scene, targets, samples, np.ones(targets.count, dtype=np.bool_))
+    bad = _bad_moves(scene, targets, samples, moved)
     if len(bad):
         return None, "its moves come too near to something", bad
     cost = path_cost(scene, targets, values, q)
     try:
-        timed = _clock(scene, targets, samples)
+        timed = _clock(scene, targets, samples, move_limits.slowed if seed.slowed else None, known)
         move_limits.require(scene, timed[0], samples, timed[1].time)
     except TandemError as error:
         return None, f"it cannot be driven: {error.issues[0].message}", none
-    driven = _Driven(dataclasses.replace(before, values=values, q=q, cost=cost), samples, timed)
-    reason = _worse(seed, driven)
+    path = dataclasses.replace(before, values=values, q=q, cost=cost)
+    driven = _Driven(path, samples, timed, seed.slowed)
+    reason = _worse(seed, driven, LEAST_PROGRAM_GAIN * (1.0 if part is None else part.share))
     return (None if reason else driven), reason, none
 
 
@@ -309,10 +360,11 @@ def _gains(seed: _Driven, driven: _Driven) -> dict[str, float]:
     return dict(zip(names, (gain, *shares), strict=True))
 
 
-def _worse(seed: _Driven, driven: _Driven) -> str:
-    """In what a driven path is worse than the one that it was made from, empty where in nothing."""
-    if not driven.path.cost < (1.0 - LEAST_PROGRAM_GAIN) * seed.path.cost:
-        return f"it costs less by not even {100.0 * LEAST_PROGRAM_GAIN:g} %"
+def _worse(seed: _Driven, driven: _Driven, gain: float) -> str:
+    """In what a driven path is worse than the one that it was made from, empty where in nothing; it is to
+    cost less by the share ``gain``."""
+    if not driven.path.cost < (1.0 - gain) * seed.path.cost:
+        return f"it costs less by not even {100.0 * gain:.2g} %"
     peaks = zip(("acceleration", "jerk"), seed.peaks(), driven.peaks(), strict=True)
     for name, before, after in peaks:
         if after > program.PEAK_SHARE * before:
@@ -338,14 +390,12 @@ def _bad_moves(scene: Scene, targets: Targets, samples: Dense, moved: BoolArray)
 
 
 def _joined(
-    scene: Scene, targets: Targets, found: Found, better: Improved, samples: Dense, timed: Timed
-) -> tuple[Targets, Improved, Timed]:
-    """Targets, path and clock again, with short moves joined to longer ones where that changes nothing, and
-    those that are left slowed where nothing asks for speed. ``samples`` of all moves, and their clock
-    ``timed``, as they are before."""
+    scene: Scene, targets: Targets, found: Found, driven: _Driven, known: dict[bytes, TimedPiece]
+) -> tuple[Targets, _Driven]:
+    """Targets and path again, with short moves joined to longer ones where that changes nothing, and those
+    that are left slowed where nothing asks for speed. ``known``: pieces of clocks."""
     kept = np.arange(targets.count)
-    some, path = targets, better
-    known: dict[bytes, TimedPiece] = {}
+    some, better, path, samples, timed = targets, driven.path, driven.path, driven.samples, driven.timed
     for _ in range(JOINING_ROUNDS):
         fewer = move_limits.joined(targets, better.values, timed[1].time, kept)
         if len(fewer) == len(kept):
@@ -356,9 +406,10 @@ def _joined(
             break
         kept, some, path, samples = fewer, new, way, looked
         timed = _clock(scene, some, samples, known=known)
-    if move_limits.short(some, path.values, timed[1].time).any():
+    slow = bool(move_limits.short(some, path.values, timed[1].time).any())
+    if slow:
         timed = _clock(scene, some, samples, move_limits.slowed, known)
-    return some, path, timed
+    return some, _Driven(path, samples, timed, slow)
 
 
 def _clock(

@@ -48,9 +48,12 @@ def hinge(
     return Rows(index, factor * (hard + soft - margin), -factor * slope)
 
 
-def margin_rows(scene: Scene, arms: tuple[str, ...], joints: FloatArray, slopes: bool = True) -> list[Rows]:
-    """Hinges on joint limits and singularities of all arms at joints (N, J)."""
-    weight = PENALTY / len(joints)
+def margin_rows(
+    scene: Scene, arms: tuple[str, ...], joints: FloatArray, count: int, slopes: bool = True
+) -> list[Rows]:
+    """Hinges on joint limits and singularities of all arms at joints (N, J); ``count``: of how many targets
+    the path is."""
+    weight = PENALTY / count
     return [
         hinge(margin.value, margin.slope, hard, soft, weight, margin.index)
         for margin, hard, soft in near_margins(scene, arms, joints, slopes)
@@ -107,8 +110,8 @@ def _singularities(chain: Chain, q: FloatArray, slopes: bool) -> tuple[FloatArra
     return margin, gradient
 
 
-def preference_rows(targets: Targets, values: FloatArray, rings: BoolArray) -> list[Rows]:
-    """Residuals (slopes by freedoms) of the distance from preferred values."""
+def preference_rows(targets: Targets, values: FloatArray, rings: BoolArray, count: int) -> list[Rows]:
+    """Residuals (slopes by freedoms) of the distance from preferred values; ``count`` as above."""
     out = []
     index = np.arange(targets.count)
     for j, freedom in enumerate(targets.freedoms):
@@ -117,9 +120,7 @@ def preference_rows(targets: Targets, values: FloatArray, rings: BoolArray) -> l
         away = values[:, j] - freedom.prefer
         if rings[j]:
             away = away - FULL_TURN * np.round(away / FULL_TURN)
-        factor = (
-            2.0 * np.sqrt(freedom.weight / targets.count) / np.maximum(freedom.upper - freedom.lower, 1e-12)
-        )
+        factor = 2.0 * np.sqrt(freedom.weight / count) / np.maximum(freedom.upper - freedom.lower, 1e-12)
         slope = np.zeros((targets.count, values.shape[1]))
         slope[:, j] = factor
         out.append(Rows(index, factor * away, slope))

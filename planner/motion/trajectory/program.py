@@ -19,18 +19,20 @@ from typing import Any, Final
 
 import numpy as np
 from pydrake.solvers import ClarabelSolver, MathematicalProgram, OsqpSolver, SolverInterface
-from scipy.sparse import csc_matrix
 
 from planner.cell.plant import CellModel, quiet
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, interpolate, inverse, log_pose
+from planner.geometry.arrays import BoolArray, FloatArray, interpolate, inverse, log_pose
 from planner.motion.planning_scene import Scene
 from planner.motion.search.reach import slides_only
+from planner.motion.trajectory.differences import Band, bands
 from planner.motion.trajectory.hinges import Avoid, Rows, near_margins
-from planner.motion.trajectory.trajopt import Blocks, Improved, PathProblem
+from planner.motion.trajectory.linear_rows import Linear, add_cost
+from planner.motion.trajectory.trajopt import Improved, PathProblem
+from planner.motion.trajectory.windows import Windows
 from planner.targets import TableFreedom, Targets
 
 MOST_TARGETS: Final = 1000
-"""Jobs with more targets keep the banded result."""
+"""Of longer jobs the program gets some :mod:`planner.motion.trajectory.windows`."""
 LEAST_TARGETS: Final = 3
 """Of fewer there is no acceleration."""
 MOST_ROUNDS: Final = 6
@@ -51,8 +53,6 @@ PEAK_SHARE: Final = 1.02
 """Peaks of acceleration and jerk, each path on its own clock, grow to at most this share of the seed's."""
 KEPT_SHARE: Final = 1.01
 """Trial steps keep them, on the seed's clock, to this share: programs are linear about a path."""
-ACTIVE_SHARE: Final = 0.5
-"""Accelerations and jerks above this share of what is allowed are constraints."""
 JOINED_FLOOR: Final = 1e-6
 """Poses of joined tools to each other may always leave the wanted one by this [m, rad] between targets."""
 EXACT: Final = 1e-12
@@ -61,8 +61,11 @@ DIFFERENCE_SHARE: Final = 0.01
 """Step of central differences, as a share of how far a freedom may move in a round."""
 LARGEST_ENTRY: Final = 2e3
 """Largest entry of the cost's matrix as solvers get it: a hundred times as much stopped Clarabel short."""
-DAMPING: Final = 1e-7
-"""Weight of the step itself, for freedoms that change nothing."""
+PRICE_STEP: Final = 0.1
+"""Peaks of windows cost as much as the joints that freedoms move there; so many times as much after each
+program whose path would cost more than the seed,"""
+LEAST_PRICE: Final = 1e-4
+"""down to this share."""
 SOLVERS: Final = (ClarabelSolver, OsqpSolver)
 """Solvers of the quadratic programs, the first that this build of Drake has and that solves one."""
 
@@ -98,22 +101,23 @@ def optimise(
     stop: BoolArray,
     avoid: Avoid,
     budget: int,
+    windows: Windows | None = None,
 ) -> Programmed:
     """A path of lower cost than ``seed`` on the branches ``branch``, whose moves last ``duration``
     (N - 1,) [s], with stops ``stop`` (N,). ``avoid`` measures the distances, at ``budget`` targets before
     the last round at most.
 
     The first and the last target stay as they are: arms come there from home, and go home from there. Moves
-    between targets are the caller's to look at.
+    between targets are the caller's to look at. Where there are ``windows`` of a longer path, ``targets``,
+    ``seed`` and what is given back are those of the windows alone; what they do on the clock they know.
     """
-    if targets.count > MOST_TARGETS:
-        return Programmed(None, f"{targets.count} targets, the program is for {MOST_TARGETS} at most")
     if scene.model is None or not targets.freedoms or targets.count < LEAST_TARGETS:
         return Programmed(None, "nothing is free at any target, or there are too few of them")
     ready = solvers()
     if not ready:
         return Programmed(None, "this build of Drake has no solver for it")
-    search = _Search(scene, scene.model, targets, branch, seed, _bands(duration, stop), avoid)
+    own = bands(duration, stop) if windows is None else windows.bands
+    search = _Search(scene, scene.model, targets, branch, seed, own, avoid, windows)
     return search.run(ready, budget)
 
 
@@ -137,21 +141,29 @@ class _Search:
         targets: Targets,
         branch: Mapping[str, int],
         seed: Improved,
-        bands: tuple[_Band, ...],
+        bands: tuple[Band, ...],
         avoid: Avoid,
+        windows: Windows | None = None,
     ) -> None:
         self.scene, self.model, self.targets, self.avoid = scene, model, targets, avoid
-        self.problem = PathProblem(scene, targets, branch, None)
+        self.windows = windows
+        self.problem = PathProblem(scene, targets, branch, None, None if windows is None else windows.weights)
         self.values = self.problem.unwrapped(seed.values)
         self.joints = self.problem.stack(seed.q)
         self.start = avoid.asked
         self.bands = bands
+        self.held = np.zeros(targets.count, dtype=np.bool_) if windows is None else windows.held.copy()
+        self.held[[0, -1]] = True  # where ways from and to home are known to be, or not to be
         self.look = self._look(self.values, self.joints)
+        tops, self.price, self.fixed = self.look.peaks, 0.0, 0.0
+        if windows is not None:
+            tops = windows.tops
+            self.fixed = self.problem.smoothness(np.where(windows.moved, 0.0, self.joints))
+            self.price = self.look.cost - self.fixed
+        self.least_price, self.before = LEAST_PRICE * self.price, self.look.cost
         strength = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
         # no joint may come to more than any of them has, nor to more of what it can than any of them has
-        self.allowed = [
-            np.minimum(peak.max(), (peak / strength).max() * strength) for peak in self.look.peaks
-        ]
+        self.allowed = [np.minimum(peak.max(), (peak / strength).max() * strength) for peak in tops]
         self.wanted = np.minimum(scene.settings.clearance + RESERVE_M, self.look.least)
         self.off = np.maximum(np.abs(self.look.joined).max(axis=0, initial=0.0), JOINED_FLOOR)
         ranges = [float((f.upper - f.lower).max()) for f in targets.freedoms]
@@ -163,25 +175,29 @@ class _Search:
 
     def run(self, ready: Sequence[SolverInterface], budget: int) -> Programmed:
         """Rounds until little is gained, by the first solver that is ``ready`` and solves."""
-        before, rounds, used, reason = self.look.cost, 0, "", "the banded result cannot be bettered"
+        rounds, used, reason = 0, "", "the banded result cannot be bettered"
         while rounds < MOST_ROUNDS and self._asked() < budget:
             rounds += 1
             step, used = self._solved(ready)
             if step is None:
                 reason = f"{used} did not solve the program"
                 break
-            cost = self.look.cost
+            worth = self._worth(self.look.cost, self.joints)
             scale = self._advance(step)
-            if scale > 0.0 and cost - self.look.cost < LEAST_GAIN_SHARE * cost:
+            gain = worth - self._worth(self.look.cost, self.joints)
+            if scale > 0.0 and (gain < LEAST_GAIN_SHARE * worth or self._settled()):
                 break
+            if scale == 0.0 and self.price > self.least_price:
+                self.price *= PRICE_STEP
+                continue
             self.trust = self.trust * (1.0 if scale == 1.0 else max(scale, LEAST_SCALE))
         asked = self._asked()
-        if not self.look.cost < before:
+        if not self.look.cost < self.before:
             return Programmed(None, reason, used, rounds, asked)
         q = self.problem.split(self.joints)
         if not self._exact(q):
             return Programmed(None, f"poses are off by more than {EXACT} m", used, rounds, asked)
-        path = Improved(self.values, q, self.look.cost, before, rounds)
+        path = Improved(self.values, q, self.look.cost, self.before, rounds)
         return Programmed(path, "", used, rounds, asked)
 
     def _asked(self) -> int:
@@ -195,18 +211,34 @@ class _Search:
         return _Look(self.problem.cost(values, joints), near, least, peaks, self._joined(values))
 
     def _advance(self, step: FloatArray) -> float:
-        """Goes the greatest share of a step that keeps everything and gains; that share, 0 for none."""
-        scale = 1.0
-        while scale > LEAST_SCALE:
+        """Goes the greatest share of a step that keeps everything and gains; that share, 0 for none. Steps of
+        windows are gone whole while there is a lower price of peaks."""
+        scale, least = 1.0, 0.5 if self.price > self.least_price else LEAST_SCALE
+        while scale > least:
             values = self.problem.clip(self.values + scale * step)
             joints = self.problem.joints(values, self.joints)
-            if joints is not None and self.problem.cost(values, joints) < self.look.cost:
+            if joints is not None and self._gains(values, joints):
                 look = self._look(values, joints)
                 if self._keeps(look):
                     self.values, self.joints, self.look = values, joints, look
                     return scale
             scale *= 0.5
         return 0.0
+
+    def _worth(self, cost: float, joints: FloatArray) -> float:
+        """What a path comes to: its cost, and of windows that of what can change, with their peaks."""
+        if self.windows is None:
+            return cost
+        return cost - self.fixed + self.price * sum(self.windows.levels(joints))
+
+    def _gains(self, values: FloatArray, joints: FloatArray) -> bool:
+        """Whether a path is worth less than the one before, and costs no more than the seed."""
+        cost = self.problem.cost(values, joints)
+        return cost < self.before and self._worth(cost, joints) < self._worth(self.look.cost, self.joints)
+
+    def _settled(self) -> bool:
+        """Whether windows have no peak left that could come down: further programs hardly change them."""
+        return self.windows is not None and not any(self.windows.levels(self.joints))
 
     def _keeps(self, look: _Look) -> bool:
         wanted = np.minimum(self.wanted, self.scene.settings.clearance + 0.5 * RESERVE_M)
@@ -233,7 +265,7 @@ class _Search:
                 found = solver.Solve(program)
             step = np.asarray(found.GetSolution(unknowns.ravel())).reshape(unknowns.shape)
             if found.is_success() and np.isfinite(step).all():
-                step[[0, -1]] = 0.0  # solvers meet bounds to a tolerance
+                step[self.held] = 0.0  # solvers meet bounds to a tolerance
                 return step * self.trust, name
         return None, name
 
@@ -247,23 +279,31 @@ class _Search:
         blocks = [block * self.trust[:, None] * self.trust for block in blocks]
         unit = LARGEST_ENTRY / (float(np.abs(blocks[0]).max()) or 1.0)
         blocks, slope = [unit * block for block in blocks], unit * slope * self.trust
-        _add_cost(program, unknowns, blocks, slope)
+        add_cost(program, unknowns, blocks, slope)
         low, high = (problem.lower - values) / self.trust, (problem.upper - values) / self.trust
         low, high = np.clip(low, -1.0, 0.0), np.clip(high, 0.0, 1.0)
-        low[[0, -1]] = high[[0, -1]] = 0.0  # where ways from and to home are known to be, or not to be
+        low[self.held] = high[self.held] = 0.0
         flat = unknowns.ravel()
         program.AddBoundingBoxConstraint(low.ravel(), high.ravel(), flat)
-        rows = _Linear(values.shape)
+        levels = 0 if self.windows is None else len(self.bands)
+        rows = Linear(values.shape, levels)
         self._add_distances(rows, rates)
         for band, most in zip(self.bands, self.allowed, strict=True):
             rows.add_band(band, joints, rates, most)
         self._add_joined(rows)
+        if self.windows is not None:
+            own = program.NewContinuousVariables(levels, "level")
+            program.AddBoundingBoxConstraint(0.0, 1.0, own)
+            program.AddLinearCost(np.full(levels, unit * self.price), own)
+            for level, (band, bound) in enumerate(zip(self.bands, self.windows.bounds, strict=True)):
+                rows.add_level(band, joints, rates, bound, level)
+            flat = np.concatenate([flat, own])
         if rows.count:
             matrix, lower, upper = rows.stacked(self.trust)
             program.AddLinearConstraint(matrix, lower, upper, flat)
         return program, unknowns
 
-    def _add_distances(self, rows: _Linear, rates: FloatArray) -> None:
+    def _add_distances(self, rows: Linear, rates: FloatArray) -> None:
         """Clearances of bodies, and the hard margins of joints and singular postures where they are near."""
         near = self.look.near
         rows.add_slopes(near, rates, np.minimum(self.wanted[near.index] - near.value, 0.0))
@@ -275,9 +315,12 @@ class _Search:
         targets, what it would be there if both targets had the same freedoms."""
         if not _is_joined(self.targets):
             return np.zeros((self.targets.count - 1, 6))
-        return _off_joined(self.targets, values[:-1], values[1:])
+        off = _off_joined(self.targets, values[:-1], values[1:])
+        if self.windows is not None:
+            off[np.diff(self.windows.rows) > 1] = 0.0  # not a move
+        return off
 
-    def _add_joined(self, rows: _Linear) -> None:
+    def _add_joined(self, rows: Linear) -> None:
         if not _is_joined(self.targets):
             return
         now, ends = self.look.joined, (self.values[:-1], self.values[1:])
@@ -309,111 +352,3 @@ def _off_joined(targets: Targets, start: FloatArray, end: FloatArray) -> FloatAr
         return inverse(middle[one]) @ middle[other]
 
     return log_pose(inverse(between(mean, mean)) @ between(start, end))
-
-
-@dataclasses.dataclass(frozen=True)
-class _Band:
-    """Divided differences of paths: row m is the sum of ``weight`` (M, K) times targets ``first`` (M,) to
-    ``first`` + K - 1."""
-
-    first: IndexArray
-    weight: FloatArray
-
-    def of(self, joints: FloatArray) -> FloatArray:
-        """The differences (M, J) of joints (N, J)."""
-        at = self.first[:, None] + np.arange(self.weight.shape[1])
-        return np.asarray(np.einsum("mk,mkj->mj", self.weight, joints[at]))
-
-
-def _bands(duration: FloatArray, stop: BoolArray) -> tuple[_Band, _Band]:
-    """Accelerations and jerks of joints by the times (N - 1,) [s] of the moves, where no stop is between."""
-    step = np.maximum(duration, 1e-3 * float(np.median(duration)) + 1e-9)
-    middle = 0.5 * (step[1:] + step[:-1])
-    weight = np.stack([1.0 / step[:-1], -1.0 / step[:-1] - 1.0 / step[1:], 1.0 / step[1:]], axis=1)
-    weight = weight / middle[:, None]
-    first = np.flatnonzero(~stop[1:-1])
-    jerk = np.zeros((max(len(weight) - 1, 0), 4))
-    if len(jerk):
-        jerk[:, :3] -= weight[:-1] / step[1:-1, None]
-        jerk[:, 1:] += weight[1:] / step[1:-1, None]
-    both = np.flatnonzero(~stop[1:-2] & ~stop[2:-1])
-    return _Band(first, weight[first]), _Band(both, jerk[both])
-
-
-def peaks(duration: FloatArray, stop: BoolArray, joints: FloatArray) -> tuple[float, ...]:
-    """The largest acceleration [rad/s2] and jerk [rad/s3] of any joint on a path (N, J) whose moves last
-    ``duration`` (N - 1,) [s], by divided differences of its targets where no stop is between."""
-    return tuple(float(np.abs(band.of(joints)).max(initial=0.0)) for band in _bands(duration, stop))
-
-
-class _Linear:
-    """Linear constraints on steps of freedoms (N, F), collected row by row for one sparse matrix."""
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.targets, self.freedoms = shape
-        self.count = 0
-        self._parts: list[tuple[IndexArray, IndexArray, FloatArray]] = []
-        self._bounds: list[tuple[FloatArray, FloatArray]] = []
-
-    def _add(self, at: IndexArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
-        """Rows of ``weight`` (R, K, F) at targets ``at`` (R, K)."""
-        row = np.broadcast_to(self.count + np.arange(len(at))[:, None, None], weight.shape)
-        column = at[:, :, None] * self.freedoms + np.arange(self.freedoms)
-        column = np.broadcast_to(column, weight.shape)
-        self._parts.append((row.ravel(), column.ravel(), weight.ravel()))
-        self._bounds.append((lower, upper))
-        self.count += len(at)
-
-    def add_slopes(self, rows: Rows, rates: FloatArray, lower: FloatArray) -> None:
-        """What has slopes by the joints changes by ``lower`` (R,) at least."""
-        weight = np.einsum("rj,rjf->rf", rows.slope, rates[rows.index])
-        self._add(rows.index[:, None], weight[:, None], lower, np.full(len(lower), np.inf))
-
-    def add_band(self, band: _Band, joints: FloatArray, rates: FloatArray, most: FloatArray) -> None:
-        """Differences of joints stay within ``most`` (J,), or where they are if that is more."""
-        now = band.of(joints)
-        row, joint = np.nonzero(np.abs(now) > ACTIVE_SHARE * most)
-        at = band.first[row, None] + np.arange(band.weight.shape[1])
-        weight = band.weight[row, :, None] * rates[at, joint[:, None]]
-        value, limit = now[row, joint], most[joint]
-        self._add(at, weight, np.minimum(-limit - value, 0.0), np.maximum(limit - value, 0.0))
-
-    def add_pairs(self, slopes: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
-        """What changes by ``slopes`` (2, N - 1, C, F) of the targets at both ends of moves stays within
-        ``lower`` and ``upper`` (N - 1, C)."""
-        move, part = (index.ravel() for index in np.indices(lower.shape))
-        weight = np.moveaxis(slopes[:, move, part], 0, 1)
-        at = move[:, None] + np.arange(2)
-        self._add(at, weight, np.minimum(lower, 0.0).ravel(), np.maximum(upper, 0.0).ravel())
-
-    def stacked(self, unit: FloatArray) -> tuple[csc_matrix, FloatArray, FloatArray]:
-        """The matrix for freedoms in units of ``unit`` (F,) and both bounds, each row divided by its largest
-        entry; rows of zeros are left out."""
-        row, column, weight = (np.concatenate(part) for part in zip(*self._parts, strict=True))
-        weight = weight * unit[column % self.freedoms]
-        lower, upper = (np.concatenate(part) for part in zip(*self._bounds, strict=True))
-        size = np.zeros(self.count)
-        np.maximum.at(size, row, np.abs(weight))
-        kept = np.flatnonzero(size > 1e-9 * float(size.max(initial=0.0)))
-        size = np.where(size > 0.0, size, 1.0)
-        shape = (self.count, self.targets * self.freedoms)
-        matrix = csc_matrix((weight / size[row], (row, column)), shape=shape)
-        return matrix[kept].tocsc(), (lower / size)[kept], (upper / size)[kept]
-
-
-def _add_cost(program: MathematicalProgram, unknowns: Any, blocks: Blocks, slope: FloatArray) -> None:
-    """The cost by terms of three neighbouring targets each. Drake adds them up before a solver sees them: the
-    sum is convex, whatever one term is."""
-    count, free = slope.shape
-    for i in range(count):
-        near = unknowns[i : i + 3].ravel()
-        part = np.zeros((len(near), len(near)))
-        part[:free, :free] = 2.0 * blocks[0][i] + 2.0 * DAMPING * np.eye(free)
-        for d in (1, 2):
-            if i + d < count:
-                other = slice(d * free, d * free + free)
-                part[:free, other] = 2.0 * blocks[d][i]
-                part[other, :free] = 2.0 * blocks[d][i].T
-        linear = np.zeros(len(near))
-        linear[:free] = 2.0 * slope[i]
-        program.AddQuadraticCost(part, linear, near, is_convex=True)

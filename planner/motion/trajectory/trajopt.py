@@ -129,14 +129,21 @@ def path_cost(
 
 
 class PathProblem:
-    """Cost, exact joints and slopes of paths over the freedoms of targets, on the branches ``branch``."""
+    """Cost, exact joints and slopes of paths over the freedoms of targets, on the branches ``branch``;
+    ``weights`` of the cost where the targets are some of a longer path."""
 
     def __init__(
-        self, scene: Scene, targets: Targets, branch: Mapping[str, int], obstacles: Obstacles | None
+        self,
+        scene: Scene,
+        targets: Targets,
+        branch: Mapping[str, int],
+        obstacles: Obstacles | None,
+        weights: Weights | None = None,
     ) -> None:
         self.scene, self.targets, self.branch, self.obstacles = scene, targets, branch, obstacles
         self.speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
-        self.stencil = _stencil(targets)
+        weights = weights_of(targets) if weights is None else weights
+        self.stencil, self.count = weights.stencil, weights.count
         self.rings = np.array([full_turn(f) for f in targets.freedoms], dtype=bool)
         bounds = [(f.lower, f.upper) for f in targets.freedoms]
         shape = (targets.count, len(bounds))
@@ -206,13 +213,17 @@ class PathProblem:
 
     def cost(self, values: FloatArray, joints: FloatArray, limit: float = np.inf) -> float:
         """The cost, or inf where it is ``limit`` or more before obstacles are looked at."""
-        scaled = joints / self.speed
-        total = float(np.sum(scaled * _times(self.stencil, scaled)))
-        total += sum(r.cost for r in margin_rows(self.scene, self.targets.arms, joints, slopes=False))
-        total += sum(r.cost for r in preference_rows(self.targets, values, self.rings))
+        arms, total = self.targets.arms, self.smoothness(joints)
+        total += sum(r.cost for r in margin_rows(self.scene, arms, joints, self.count, slopes=False))
+        total += sum(r.cost for r in preference_rows(self.targets, values, self.rings, self.count))
         if total >= limit:
             return np.inf
         return total + (self.obstacles.cost(joints) if self.obstacles else 0.0)
+
+    def smoothness(self, joints: FloatArray) -> float:
+        """What the differences of joints (N, J) cost, without any hinges."""
+        scaled = joints / self.speed
+        return float(np.sum(scaled * _times(self.stencil, scaled)))
 
     def model(self, values: FloatArray, joints: FloatArray, rates: FloatArray) -> tuple[Blocks, FloatArray]:
         """The cost about a path as a quadratic form of steps (N, F) of the freedoms: its matrix in blocks and
@@ -225,9 +236,9 @@ class PathProblem:
             for d in range(3)
         ]
         gradient = np.einsum("njf,nj->nf", scaled, _times(self.stencil, joints / self.speed))
-        for hinge in margin_rows(self.scene, self.targets.arms, joints):
+        for hinge in margin_rows(self.scene, self.targets.arms, joints, self.count):
             _add(blocks[0], gradient, hinge, np.einsum("rj,rjf->rf", hinge.slope, rates[hinge.index]))
-        for hinge in preference_rows(self.targets, values, self.rings):
+        for hinge in preference_rows(self.targets, values, self.rings, self.count):
             _add(blocks[0], gradient, hinge, hinge.slope)
         return blocks, gradient
 
@@ -302,18 +313,37 @@ def _banded(blocks: Sequence[FloatArray], held: BoolArray, damping: float) -> Fl
     return banded
 
 
-def _stencil(targets: Targets) -> list[FloatArray]:
-    """Diagonals of the pentadiagonal K with q' K q = N (sum of weighted first and second differences)."""
-    rows = targets.count
+@dataclasses.dataclass(frozen=True)
+class Weights:
+    """How the cost weighs a path: the diagonals ``stencil`` of the pentadiagonal K with q' K q = ``count``
+    (sum of weighted first and second differences), and of how many targets the path is."""
+
+    stencil: list[FloatArray]
+    count: int
+
+
+def weights_of(targets: Targets, rows: IndexArray | None = None) -> Weights:
+    """Those of a path of all targets; or of the ``rows`` (K,) of it, in their order: as on the whole path,
+    without differences from targets that are not among them."""
     with np.errstate(divide="ignore", invalid="ignore"):
         time = np.where(targets.feed > 0, targets.travel / targets.feed, 0.0)[1:]
-    mean = float(time.mean()) if rows > 1 and time.sum() > 0 else 1.0
-    time = np.clip(time / mean, 0.2, 5.0) if mean > 0 else np.ones(rows - 1)
+    mean = float(time.mean()) if targets.count > 1 and time.sum() > 0 else 1.0
+    time = np.clip(time / mean, 0.2, 5.0) if mean > 0 else np.ones(targets.count - 1)
+    rows = np.arange(targets.count) if rows is None else rows
+    stencil = _stencil(time[rows[:-1]], targets.stop[rows], np.diff(rows) == 1, targets.count)
+    return Weights(stencil, targets.count)
+
+
+def _stencil(time: FloatArray, stop: BoolArray, joins: BoolArray, count: int) -> list[FloatArray]:
+    """The diagonals of targets with stops (K,), by the times (K - 1,) of the moves that ``joins`` (K - 1,)
+    tells to be ones."""
+    rows = len(stop)
     out = [np.zeros(rows), np.zeros(max(rows - 1, 0)), np.zeros(max(rows - 2, 0))]
-    out[0][:-1] += 1.0 / time
-    out[0][1:] += 1.0 / time
-    out[1] -= 1.0 / time
-    inner = ~targets.stop[1:-1]
+    rate = joins / time
+    out[0][:-1] += rate
+    out[0][1:] += rate
+    out[1] -= rate
+    inner = ~stop[1:-1] & joins[:-1] & joins[1:]
     weight = CURVATURE_WEIGHT * inner / (0.5 * (time[:-1] + time[1:]))
     a, b = 1.0 / time[:-1], 1.0 / time[1:]
     out[0][:-2] += weight * a * a
@@ -322,7 +352,7 @@ def _stencil(targets: Targets) -> list[FloatArray]:
     out[1][:-1] -= weight * a * (a + b)
     out[1][1:] -= weight * b * (a + b)
     out[2] += weight * a * b
-    return [rows * part for part in out]
+    return [count * part for part in out]
 
 
 def _times(stencil: Sequence[FloatArray], x: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from planner.motion.operation import plan_operation
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.path_search import find_path
-from planner.motion.trajectory import program
+from planner.motion.trajectory import differences, program
 from planner.motion.trajectory.hinges import Avoid
 from planner.motion.trajectory.joint_path import dense
 from planner.motion.trajectory.trajopt import Improved, PathProblem, improve
@@ -44,7 +44,7 @@ def planned(monkeypatch: pytest.MonkeyPatch, count: int, used: bool) -> tuple[Sc
     """A plan of a wire past two beams; without Drake's program unless ``used``."""
     with monkeypatch.context() as patch:
         if not used:
-            patch.setattr(program, "MOST_TARGETS", 0)
+            patch.setattr(operation, "_programmed", lambda *given: (given[3], {"program_used": False}))
         cell, targets = two_arms(obstacles=BEAMS), arc_wire(count)
         model = plant.build(cell, block((0.16, 0.7, 0.1), HIGH), HIGH)
         settings = Settings()
@@ -129,7 +129,7 @@ def search(count: int = 40, wanted: float = 0.01) -> program._Search:
     found = found_path(scene, targets)
     avoid = Avoid(model, targets.arms, wanted, 0.5)
     seed = improve(scene, targets, found.path.branch, found.values, found.q, avoid)
-    bands = program._bands(np.full(count - 1, 0.1), targets.stop)
+    bands = differences.bands(np.full(count - 1, 0.1), targets.stop)
     return program._Search(scene, model, targets, found.path.branch, seed, bands, avoid)
 
 
@@ -191,14 +191,14 @@ def test_differences_of_a_polynomial_are_its_derivatives() -> None:
     time = np.cumsum(np.random.default_rng(1).uniform(0.1, 0.3, 20))
     stop = np.zeros(20, dtype=bool)
     stop[[0, 9, -1]] = True
-    second, third = program._bands(np.diff(time), stop)
+    second, third = differences.bands(np.diff(time), stop)
     assert np.allclose(second.of(time[:, None] ** 2), 2.0)
     assert 8 not in second.first and len(second.first) == 17
     assert not {7, 8} & set(third.first.tolist())
     even = np.arange(20.0)
-    _, third = program._bands(np.diff(even), stop)
+    _, third = differences.bands(np.diff(even), stop)
     assert np.allclose(third.of(even[:, None] ** 3), 6.0)
-    assert program.peaks(np.diff(time), stop, time[:, None] ** 2)[0] == pytest.approx(2.0)
+    assert differences.peaks(np.diff(time), stop, time[:, None] ** 2)[0] == pytest.approx(2.0)
 
 
 def test_joined_tools_stand_as_wanted_between_targets_that_have_the_same_freedom() -> None:
@@ -269,12 +269,6 @@ def test_a_solver_that_fails_leaves_the_seed(monkeypatch: pytest.MonkeyPatch) ->
     assert plan.metrics["program_reason"] == "Failing did not solve the program"
 
 
-def test_jobs_with_more_targets_keep_the_banded_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(program, "MOST_TARGETS", 39)
-    _, plan = planned(monkeypatch, 40, used=True)
-    assert plan.metrics["program_reason"] == "40 targets, the program is for 39 at most"
-
-
 @pytest.mark.parametrize(
     ("name", "factor", "reason"),
     [
@@ -287,15 +281,15 @@ def test_a_path_that_is_worse_in_anything_is_not_taken(
 ) -> None:
     made: list[Improved] = []
 
-    def worse(seed: operation._Driven, driven: operation._Driven) -> str:
+    def worse(seed: operation._Driven, driven: operation._Driven, gain: float) -> str:
         made.append(driven.path)
         if name == "cost":
-            return real(seed, dataclasses.replace(driven, path=seed.path))
+            return real(seed, dataclasses.replace(driven, path=seed.path), gain)
         peaks = seed.peaks()
         monkeypatch.setattr(
             operation._Driven, "peaks", lambda own: peaks if own is seed else tuple(factor * p for p in peaks)
         )
-        return real(seed, driven)
+        return real(seed, driven, gain)
 
     real = operation._worse
     monkeypatch.setattr(operation, "_worse", worse)
