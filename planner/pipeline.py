@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from planner import processes, spec
 from planner.batch import worker
 from planner.files import RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
+from planner.geometry.memory import give_back
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.problem import Problem
 from planner.reading import problem as problem_file
@@ -229,7 +230,8 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outc
     made = dataclasses.replace(made, issues=(*made.issues, *sagging, *write.notes(commanded, problem)))
     programs = write.programs(commanded, problem)
     tell("proof", 0.0)
-    worker.give_back()  # of a long job motion leaves more than 100 MB, beside which the proof would count
+    del jobs, targets, driven  # what the proof has no need of
+    give_back()  # of a long job motion leaves more than 100 MB, beside which the proof would count
     proof = prove.prove(problem, claims, programs, begin)
     tell("proof", 1.0)
     final = _with_margins(commanded, problem, programs, proof) if proof.ok else {}

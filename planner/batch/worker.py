@@ -23,6 +23,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, TextIO, TypeVar
 
+from planner.geometry.memory import give_back
+
 if TYPE_CHECKING:
     from planner.batch.job import Done
     from planner.issues import Issue
@@ -249,12 +251,6 @@ def _tidy() -> None:
     """Give memory of the last job back, so that it is not counted as the next one's."""
     gc.collect()
     give_back()
-
-
-def give_back() -> None:
-    """Give the memory that is free inside this process back to the machine."""
-    with suppress(AttributeError):  # a libc that has no malloc_trim
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 if __name__ == "__main__":

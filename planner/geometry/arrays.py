@@ -48,7 +48,33 @@ class Ruled:
 
 def dots(a: FloatArray, b: FloatArray) -> FloatArray:
     """Products (...) of the vectors of two arrays (..., D)."""
+    many = a.shape == b.shape and a.size >= _MANY_NUMBERS and a.shape[-1] == 3
+    if many and a.dtype == b.dtype == np.float64:
+        if a.flags.c_contiguous and b.flags.c_contiguous:
+            return _dots(a.reshape(-1, 3), b.reshape(-1, 3)).reshape(a.shape[:-1])
+        if a.ndim == 2 and a.strides[1] == b.strides[1] == a.itemsize:
+            return _dots(a, b)
     return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+_MANY_NUMBERS = 4500
+"""Numbers from which on columns are faster than a sum over each short row."""
+_ROWS_AT_ONCE = 4096
+"""Rows whose columns stay in the cache."""
+
+
+def _dots(a: FloatArray, b: FloatArray) -> FloatArray:
+    """As :func:`dots` of (M, 3), added up in the order in which numpy adds three numbers side by side, two
+    lanes at once: the same bit by bit."""
+    out = np.empty(len(a))
+    for begin in range(0, len(a), _ROWS_AT_ONCE):
+        x, y = a[begin : begin + _ROWS_AT_ONCE], b[begin : begin + _ROWS_AT_ONCE]
+        some = out[begin : begin + _ROWS_AT_ONCE]
+        np.multiply(x[:, 0], y[:, 0], out=some)
+        some += x[:, 2] * y[:, 2]
+        some += x[:, 1] * y[:, 1]
+        some += 0.0  # a sum that begins at zero has no negative one
+    return out
 
 
 def lengths(a: FloatArray) -> FloatArray:

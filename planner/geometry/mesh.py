@@ -302,6 +302,10 @@ def closest_on_triangles(points: FloatArray, a: FloatArray, b: FloatArray, c: Fl
     return weights
 
 
+_CORNERS_AT_ONCE = 16_384
+"""Corners of faces that are worked on at once."""
+
+
 def corner_normals(mesh: TriangleMesh, crease: float) -> FloatArray:
     """Unit normals (F, 3, 3) at the corners of each face: those of the faces around the vertex averaged by
     their angles there, without the faces that turn from this one by more than ``crease`` [rad]."""
@@ -316,16 +320,18 @@ def corner_normals(mesh: TriangleMesh, crease: float) -> FloatArray:
     first = np.cumsum(count) - count
     total = np.repeat(normals, 3, axis=0) * angle[:, None]
     used = np.flatnonzero(count[vertex] <= _VALENCE)
-    many = count[vertex[used]]
-    mine = np.repeat(used, many)
-    place = np.arange(len(mine)) - np.repeat(np.cumsum(many) - many, many)
-    other = order[first[vertex[mine]] + place]
-    near = (dots(normals[mine // 3], normals[other // 3]) > np.cos(crease)) & (other != mine)
-    mine, other = mine[near], other[near]
-    for axis in range(3):
-        total[:, axis] += np.bincount(
-            mine, weights=normals[other // 3, axis] * angle[other], minlength=len(total)
-        )
+    for begin in range(0, len(used), _CORNERS_AT_ONCE):
+        some = used[begin : begin + _CORNERS_AT_ONCE]
+        many = count[vertex[some]]
+        row = np.repeat(np.arange(len(some)), many)
+        mine = some[row]
+        place = np.arange(len(mine)) - np.repeat(np.cumsum(many) - many, many)
+        other = order[first[vertex[mine]] + place]
+        near = (dots(normals[mine // 3], normals[other // 3]) > np.cos(crease)) & (other != mine)
+        row, other = row[near], other[near]
+        for axis in range(3):
+            weights = normals[other // 3, axis] * angle[other]
+            total[some, axis] += np.bincount(row, weights=weights, minlength=len(some))
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
     return np.asarray(total.reshape(-1, 3, 3))
 

@@ -18,12 +18,13 @@ import numpy as np
 from planner.cell.plant import CellModel, build
 from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
+from planner.geometry.memory import give_back
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.problem import Problem
 from planner.verify import result
 from planner.verify.context import Begin, Context, Outcome, Rule, at_once
 from planner.verify.forming import swept
-from planner.verify.forming.state import Forming
+from planner.verify.forming.state import Forming, Left, begun_faces
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.tool_motion import Milling
 from planner.verify.programs.operator_dialogue import chosen_groups
@@ -269,6 +270,8 @@ class Prover:
         context = chosen_groups(Context(self.problem, self._worked_out[0], programs, self._worked_out[1]))
         run = _Run(context)
         for _ in self._steps(context, run):
+            if run.long:
+                give_back()  # what a rule leaves free would count beside the next one's arrays
             if (first_error and run.broken) or last in run.results:
                 break
         return run.proof()
@@ -299,6 +302,7 @@ class Prover:
             return  # where arms are does not follow from their files
         if not context.readable:
             return
+        left = begun_faces(context, self.begin)
         for rule in TASK_RULES:
             run.add(rule.code, rule(context))
             yield
@@ -317,7 +321,7 @@ class Prover:
             yield
         if run.broken_any("verify.reach"):
             return
-        yield from self._physics(context, run)
+        yield from self._physics(context, run, left)
 
     def _of_bodies(self, context: Context, begun: clearance.Begun | None = None) -> Iterator[Any]:
         """What rules on the cell's bodies find; ``begun``: what is measured at the looks, if it is begun."""
@@ -342,14 +346,15 @@ class Prover:
         models = functools.cache(functools.partial(self.model, context))
         yield clearance.wire_bodies(context, models, wires)
 
-    def _physics(self, context: Context, run: _Run) -> Iterator[None]:
-        if len(context.motion.time) <= MOST_SENT_SAMPLES:
+    def _physics(self, context: Context, run: _Run, left: Left) -> Iterator[None]:
+        run.long = len(context.motion.time) > MOST_SENT_SAMPLES
+        if not run.long:
             begin, of_bodies = self.begin, self.begin(self._of_bodies, context)
         else:
             begin, looks = at_once, clearance.looks(context)
             found = self.begin(self._measured, context.places, context.bases, looks)
             of_bodies = self._of_bodies(context, (looks, found))
-        forming = run.forming = Forming(context, self.begin)
+        forming = run.forming = Forming(context, self.begin, left)
         passes = [swept.Swept.of(one) for one in forming.formed]
         envelopes = (self.begin if passes else at_once)(swept.envelopes, passes)
         for form_rule in FORMING_RULES:
@@ -358,7 +363,7 @@ class Prover:
         outcome, formed = forming_tool.formed(context, forming, envelopes)
         run.add("verify.formed", outcome)
         yield
-        milling = Milling(context)
+        milling = Milling(context, begin)
         outcome, milled = milling_cutter.milled(context, milling)
         run.add("verify.milled", outcome)
         yield
@@ -407,6 +412,7 @@ class _Run:
         self.wires: tuple[Wire, ...] = ()
         self.faces: tuple[CutFace, ...] = ()
         self.forming: Forming | None = None
+        self.long = False
         self.part = ""
         self.looks: Any = np.zeros(0, dtype=np.int64)
         self.clearance: Any = None

@@ -107,6 +107,8 @@ class Proof:
         raise KeyError(code)
 
 
+_SAMPLES_AT_ONCE = 65_536
+"""Samples of a long motion that are worked on at once."""
 _MOST_CURVE_POINTS = 6000
 """Points of a curve in a proof at most."""
 
@@ -137,8 +139,11 @@ def series(
         for name, order in (("speed", 1), ("acceleration", 2)):
             axes = [_peaks(differences(motion.time, q[:, axis, None], order), rows) for axis in range(6)]
             out[f"{name}/{arm}"] = np.concatenate(axes, axis=1)
-        way = lengths(np.diff(motion.tcp[arm].place, axis=0, prepend=motion.tcp[arm].place[:1]))
-        way /= np.maximum(np.diff(motion.time, prepend=motion.time[:1] - 1.0), 1e-6)
+        place, way = motion.tcp[arm].place, np.zeros(len(motion.time))
+        for begin in range(1, len(way), _SAMPLES_AT_ONCE):
+            end = min(begin + _SAMPLES_AT_ONCE, len(way))
+            step, spent = (np.diff(values[begin - 1 : end], axis=0) for values in (place, motion.time))
+            way[begin:end] = lengths(step) / np.maximum(spent, 1e-6)
         out[f"tcp_speed/{arm}"] = _peaks(way[:, None], rows)[:, 0]
     out["targets/time"] = motion.time[motion.node_sample]
     out["targets/label"] = motion.node_label

@@ -164,7 +164,7 @@ _SEED_SIZE = 0.003
 """Triangles are divided into pieces no smaller than this [m] to find the nearest ones."""
 _MOST_SEEDS = 150_000
 """Such pieces at most."""
-_POINTS_AT_ONCE = 3_000
+_POINTS_AT_ONCE = 1_000
 """Points, or segments, that are held against the face at once."""
 
 
@@ -251,14 +251,15 @@ class Face:
             i = rows[i]
             weights, foot, far = self._foot(points[i], owner)
             np.minimum.at(apart, i, far)
-            use = far <= apart[i] + within
+            use = np.flatnonzero(far <= apart[i] + within)
+            use = use[np.lexsort((far[use], i[use]))]
             kept.append((i[use], owner[use], weights[use], foot[use], far[use]))
         if not kept:
             none = np.zeros(0, dtype=np.int64)
             return Nearest(points, apart, apart, none, none, np.zeros((0, 3)), np.zeros((0, 3)))
-        i, owner, weights, foot, far = (np.concatenate(part) for part in zip(*kept, strict=True))
-        order = np.lexsort((far, i))
-        i, owner, weights, foot, far = i[order], owner[order], weights[order], foot[order], far[order]
+        parts = list(zip(*kept, strict=True))[::-1]
+        kept.clear()  # and each part as it is joined: of a long pass they are tens of MB
+        i, owner, weights, foot, far = (np.concatenate(parts.pop()) for _ in range(len(parts)))
         first = np.flatnonzero(np.diff(i, prepend=-1) != 0)
         same = far <= apart[i] + EQUALLY_NEAR
         outward = np.zeros((len(points), 3))

@@ -7,7 +7,7 @@ the same way as few straight pieces from which it is off by no more than a state
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -328,17 +328,23 @@ class Balls:
         """At ``rows`` (K,) of the track, ascending; ties within `TOUCHED_WITHIN`."""
         fresh = np.setdiff1d(rows, self._rows)
         if len(fresh):
-            known = np.concatenate([self._rows, fresh])
-            order = np.argsort(known)
             found = self.face.nearest(self.track.centre[fresh, 0], TOUCHED_WITHIN)
-            self._rows, self._near = known[order], self._near.followed_by(found).at(order)
+            if len(self._rows):
+                known = np.concatenate([self._rows, fresh])
+                order = np.argsort(known)
+                self._rows, self._near = known[order], self._near.followed_by(found).at(order)
+            else:
+                self._rows, self._near = fresh, found
+        if np.array_equal(rows, self._rows):
+            return self._near
         return self._near.at(np.searchsorted(self._rows, rows))
 
 
 @dataclasses.dataclass(frozen=True)
 class Formed:
     """The face of a pass and the way of its tools; ``knots`` (K + 1,) rows of the track where its pieces
-    meet, ``near`` what of the face is nearest to the forming ball there."""
+    meet, ``near`` what of the face is nearest to the forming ball there; ``left`` what :func:`left_of` says
+    where that has been begun."""
 
     claim: FormsSheet
     setup: int
@@ -347,31 +353,36 @@ class Formed:
     knots: IntArray
     face: Face
     balls: Balls
+    left: Iterator[Face | None] | None = None
 
-    @cached_property
+    @property
     def near(self) -> Nearest:
-        """What of the face is nearest to the forming ball at the knots; ties within 5 um."""
+        """What of the face is nearest to the forming ball at the knots; ties within 5 um. Not kept twice, as
+        long passes have many."""
         return self.balls.near(self.knots)
 
     @cached_property
     def remaining_face(self) -> Face:
         """The face as the ball leaves it where it reaches no nearer: with fillets of its own radius."""
+        if self.left is not None:
+            return next(self.left) or self.face
         return left_by(self.face, self.claim.radius, self.claim.side, self.claim.start)
 
     @cached_property
     def touches(self) -> BoolArray:
         """Knots (K + 1,) at which the ball is off the nearest place of the face by no more than the steps of
         the path leave there."""
-        reach = self.claim.radius + self.claim.scallop[self.face.rows[self.near.triangle]]
+        near = self.near
+        reach = self.claim.radius + self.claim.scallop[self.face.rows[near.triangle]]
         out = np.zeros(len(self.knots), dtype=np.bool_)
-        np.logical_or.at(out, self.near.row, self.near.apart[self.near.row] <= reach + self.claim.tolerance)
+        np.logical_or.at(out, near.row, near.apart[near.row] <= reach + self.claim.tolerance)
         return out
 
 
 @dataclasses.dataclass(frozen=True)
 class Opened:
     """Two tools in one segment and the gap between them: ``pieces`` those of the segment itself, ``knots``
-    (K,) rows of the track where they meet, ``near`` what of the face is nearest to the forming ball there.
+    (K,) rows of the track where they meet.
 
     The wanted gap is between ``low`` and ``high`` (K,) [m].
     """
@@ -381,9 +392,14 @@ class Opened:
     pieces: Pieces
     knots: IntArray
     face: Face
-    near: Nearest
+    balls: Balls
     low: FloatArray
     high: FloatArray
+
+    @property
+    def near(self) -> Nearest:
+        """What of the face is nearest to the forming ball at the knots; not kept twice."""
+        return self.balls.near(self.knots)
 
     @cached_property
     def got(self) -> FloatArray:
@@ -407,11 +423,33 @@ TOUCHED_WITHIN = 5e-6
 """Places of a face that are so near to the nearest one [m] are touched as well: facets are chords."""
 
 
-class Forming:
-    """The forming of one proof; ``begin`` begins what another process may work out meanwhile."""
+def left_of(claim: FormsSheet) -> Iterator[Face | None]:
+    """The face of a pass as its ball leaves it, None where that is the face as it is claimed."""
+    face = Face(claim.vertices, claim.faces, claim.radius)
+    left = left_by(face, claim.radius, claim.side, claim.start)
+    yield None if left is face else left
 
-    def __init__(self, context: Context, begin: Begin = at_once) -> None:
+
+Left = Mapping[int, Iterator[Face | None]]
+"""What has been begun of :func:`left_of`, by the ``id`` of the claim."""
+
+
+def begun_faces(context: Context, begin: Begin) -> Left:
+    """Begins what is left of faces on whose other side a tool supports the sheet: that follows from claims
+    alone, so it is worked out while texts are read, where another process has the time."""
+    claims = [claim for setup in context.setup_claims for group in setup.groups for claim in group]
+    held = {c.segment.key for c in claims if isinstance(c, SheetState) and len(c.arms) > 1}
+    formed = [c for c in claims if isinstance(c, FormsSheet) and c.segment.key in held]
+    return {} if begin is at_once else {id(claim): begin(left_of, claim) for claim in formed}
+
+
+class Forming:
+    """The forming of one proof; ``begin`` begins what another process may work out meanwhile, ``left`` is
+    what of it was begun before."""
+
+    def __init__(self, context: Context, begin: Begin = at_once, left: Left | None = None) -> None:
         self.context, self.begin = context, begin
+        self._left = left or {}
         self._tracks: dict[tuple[str, int, tuple[str, ...]], Track] = {}
         self._faces: list[tuple[float, Face]] = []
         self._balls: dict[tuple[int, int], Balls] = {}
@@ -520,7 +558,8 @@ class Forming:
         parts = pieces(way, TRACK_CHORD_SHARE * claim.tolerance)
         knots = np.unique(np.concatenate([parts.first, parts.last]))
         face = self._face(claim.vertices, claim.faces, claim.radius)
-        return Formed(claim, index, way, parts, knots, face, self._ball(way, face))
+        left = self._left.get(id(claim))
+        return Formed(claim, index, way, parts, knots, face, self._ball(way, face), left)
 
     def _opened(self, claim: ToolGap, index: int) -> Opened:
         way = self.track(claim.segment, index, claim.arms)
@@ -529,5 +568,6 @@ class Forming:
         parts = Pieces(parts.first[own], parts.last[own], parts.off[own], parts.apart[own])
         knots = np.unique(np.concatenate([parts.first, parts.last, _meetings(self.context, way)]))
         face = self._face(claim.vertices, claim.faces, claim.radii[0])
-        near = self._ball(way, face).near(knots)
-        return Opened(claim, way, parts, knots, face, near, *face.value(near, claim.gap[claim.faces]))
+        balls = self._ball(way, face)
+        wanted = face.value(balls.near(knots), claim.gap[claim.faces])
+        return Opened(claim, way, parts, knots, face, balls, *wanted)

@@ -21,6 +21,7 @@ from planner.geometry.mesh import TriangleMesh, closest_on_triangles, face_norma
 from planner.geometry.units import MM
 from planner.verify.forming.face import Face, apart, least_gap
 from planner.verify.forming.state import ByRow, Formed, Forming
+from planner.verify.replay.motion import Runs
 from planner.verify.result import CutFace
 from planner.verify.wire.cut_surface import areas, divided, vertex_normals
 
@@ -238,7 +239,7 @@ class HeadWay:
 
     rows: IntArray
     centre: FloatArray
-    axis: FloatArray
+    axis: FloatArray | Runs
     rise: FloatArray
     slide: FloatArray
     turn: FloatArray
@@ -261,7 +262,7 @@ class HeadWay:
             kept.append((begin + some, gone[some], turned[some]))
             slide, turn, number = gone[-1], turned[-1], numbers[-1]
         rows, gone, turned = (np.concatenate(part) for part in zip(*kept, strict=True))
-        return HeadWay(rows, centre[rows], axis[rows], rise[rows], gone, turned)
+        return HeadWay(rows, centre[rows], Runs.of(axis[rows]), rise[rows], gone, turned)
 
     def places(self, some: IntArray, back: float) -> FloatArray:
         """Places (M, 3) on the axis ``back`` [m] behind the TCP at some of the rows, as seen from what

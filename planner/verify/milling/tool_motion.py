@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -21,7 +22,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.problem import Stock
 from planner.tooling import Cutter, Mill
-from planner.verify.context import Context
+from planner.verify.context import Begin, Context, at_once
 from planner.verify.milling.following import Followed, follow, rows_to_check
 from planner.verify.milling.wanted_ways import down, up
 from planner.verify.replay.motion import during
@@ -125,10 +126,11 @@ def in_block(track: Track, length: float, radius: float, stock: Stock) -> BoolAr
 
 
 class Milling:
-    """The milling of one proof: its claims by setup, and tracks worked out when asked."""
+    """The milling of one proof: its claims by setup, and tracks worked out when asked; ``begin`` begins what
+    another process may work out meanwhile."""
 
-    def __init__(self, context: Context) -> None:
-        self.context = context
+    def __init__(self, context: Context, begin: Begin = at_once) -> None:
+        self.context, self.begin = context, begin
         self.by_setup: tuple[
             tuple[int, MillsSurface | MillsAlong | MillsFlank | MillsOver | SparesPart], ...
         ] = tuple(
@@ -365,3 +367,60 @@ def near_places(
     body = RoundBody(solid.start, solid.end, solid.radius, functools.partial(signed, solid))
     places, _, count = places_near(corners, tip, axis, body, SIGHT_DISTANCE, size, MOST_FACE_POINTS)
     return places, count
+
+
+@dataclasses.dataclass(frozen=True)
+class Held:
+    """A face of ``vertices`` (V, 3), ``faces`` (T, 3) that is held against one solid of a tool, or the
+    ``sharp`` edge of one, on its way ``tip``, ``axis`` (M, 3): what is inside by more than ``allowed`` [m] is
+    looked for as closely as ``tolerance`` [m] asks, where the solid comes ``near`` at all."""
+
+    vertices: FloatArray
+    faces: IntArray
+    solid: Solid
+    sharp: bool
+    near: bool
+    tip: FloatArray
+    axis: FloatArray
+    tolerance: float
+    allowed: float
+
+    @property
+    def size(self) -> float:
+        """How near to one another places of the face have to be [m]."""
+        return rim_size(self.tolerance) if self.sharp else round_size(self.solid.radius, self.tolerance)
+
+    def inside(self) -> Inside | int:
+        """What is inside; where the face would have to be looked at in too many places, how many these
+        are."""
+        points = self.vertices[:1]
+        if self.near:
+            corners = self.vertices[self.faces]
+            found, count = near_places(corners, self.solid, self.tip, self.axis, self.size)
+            if count > MOST_FACE_POINTS:
+                return count
+            points = np.concatenate([found, points if self.sharp else self.vertices])
+        off, place = sweep(points, self.tip, self.axis, self.solid, -self.allowed)
+        k = int(off.argmin())
+        deep = np.flatnonzero(off < -self.allowed)
+        deep = deep[np.unique(place[deep], return_index=True)[1]]
+        return Inside(float(off[k]), int(place[k]), points[deep], off[deep], place[deep])
+
+
+@dataclasses.dataclass(frozen=True)
+class Inside:
+    """The ``least`` distance [m] of places of a face from a solid, below zero inside, and at which place of
+    its way, ``at``; ``points`` (K, 3) that are inside by more than is allowed, with their distances ``off``
+    (K,) and places ``place`` (K,), one for each of these."""
+
+    least: float
+    at: int
+    points: FloatArray
+    off: FloatArray
+    place: IntArray
+
+
+def insides(held: Sequence[Held]) -> Iterator[Inside | int]:
+    """What is inside of each."""
+    for one in held:
+        yield one.inside()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from typing import Any, NamedTuple
 
 from planner.verify.programs.steps import LARGEST_NUMBER
@@ -351,6 +352,7 @@ _MOVE_HEAD = re.compile(
     r"(?:Move(?P<linear>[LJ])|MoveAbsJ)[ \t]+(?P<name>[A-Za-z]\w*)?", re.IGNORECASE | re.ASCII
 )
 """First words of a move."""
+_MOVES = {"L": "MoveL", "J": "MoveJ"}
 # possessive, as three runs of blanks in a row would be tried against each other
 _MOVE_TAIL = re.compile(
     r"""[ \t]*+(?:\\ID:=(?P<id>\d{1,9}))?[ \t]*+(?P<still>\\NoEOffs)?[ \t]*+,[ \t]*+
@@ -368,7 +370,7 @@ def quick_move(cursor: Cursor, line: int) -> Move | None:
     head = _MOVE_HEAD.match(text, first)
     if head is None:
         return None
-    kind = "MoveAbsJ" if head["linear"] is None else "Move" + head["linear"].upper()
+    kind = "MoveAbsJ" if head["linear"] is None else _MOVES[head["linear"].upper()]
     try:
         end = head.end()
         if head["name"]:
@@ -400,7 +402,7 @@ def quick_move(cursor: Cursor, line: int) -> Move | None:
 
 
 def _free_name(text: str, start: int) -> Name | None:
-    return None if text.lower() in RESERVED else Name(start, text)
+    return None if text.lower() in RESERVED else Name(start, sys.intern(text))  # by the ten thousand
 
 
 def _speed(text: str, tail: re.Match[str]) -> Expr | None:

@@ -9,6 +9,7 @@ zones: ABB, Technical reference manual RAPID Instructions, Functions and Data ty
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, read_only
 from planner.verify.programs.steps import (
     LARGEST_NUMBER,
     JointTarget,
@@ -94,24 +95,35 @@ def build(kind: str, items: Any) -> Value:
     if kind == "robtarget":  # the common case, without the general walk
         try:
             (x, y, z), (a, b, c, d), conf, external = items
-            c1, c4, c6, cx = four = tuple(map(int, conf))
+            c1, c4, c6, cx = map(int, conf)
+            four = (c1, c4, c6, cx)
             numbers = [x, y, z, a, b, c, d, *external]
             if (
                 len(numbers) == 13
                 and four == tuple(conf)
                 and set(map(type, [*numbers, *conf])) <= {int, float}
             ):
-                flat = np.array(numbers, dtype=float)
                 _unit("robtarget.2", (a, b, c, d))
-                if math.isfinite(float(flat.sum())):
-                    flat[:7] = singles(flat[:7])
-                    flat[:3] *= 1e-3
-                    return RobTarget(flat[:3], flat[3:7], (c1, c4, c6, cx), flat[7:])
+                if math.isfinite(sum(numbers)):
+                    axes = _NO_AXES if external == _NO_AXIS_VALUES else np.array(external, dtype=float)
+                    place, turn = singles((x, y, z)) * 1e-3, singles((a, b, c, d))
+                    return RobTarget(place, turn, _one_configuration(four), axes)
         except (TypeError, ValueError, OverflowError):
             pass  # the walk below finds what is wrong and says so
     conform(kind, items, kind)
     convert = _CONVERTERS.get(kind)
     return convert(items) if convert else items
+
+
+_NO_AXIS_VALUES = [UNUSED_AXIS] * 6
+_NO_AXES = read_only(np.array(_NO_AXIS_VALUES))
+"""The external axes of nearly all of tens of thousands of targets, kept once."""
+
+
+@functools.lru_cache(maxsize=256)
+def _one_configuration(four: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """The same numbers: those of all targets that have them."""
+    return four
 
 
 def conform(kind: str, items: Any, path: str) -> None:

@@ -20,13 +20,44 @@ Rows = int | np.integer | slice | IntArray | BoolArray
 
 
 @dataclasses.dataclass(frozen=True)
+class Runs:
+    """Vectors (S, 3) of which many behind one another are the same, bit by bit: one of each run, ``value``
+    (R, 3), and the run ``which`` (S,) of each row, in 32 bits. Indexed as the array would be."""
+
+    value: FloatArray
+    which: NDArray[np.int32]
+
+    @staticmethod
+    def of(vectors: FloatArray) -> FloatArray | Runs:
+        """Vectors (S, 3) in less memory, where runs are long; else as they are."""
+        if not len(vectors):
+            return vectors
+        bits = np.ascontiguousarray(vectors).view(np.int64)
+        fresh = np.ones(len(vectors), dtype=np.bool_)
+        np.any(bits[1:] != bits[:-1], axis=1, out=fresh[1:])
+        if LEAST_RUN * np.count_nonzero(fresh) > len(vectors):
+            return vectors
+        return Runs(vectors[fresh], np.cumsum(fresh, dtype=np.int32) - np.int32(1))
+
+    def __len__(self) -> int:
+        return len(self.which)
+
+    def __getitem__(self, rows: Rows) -> FloatArray:
+        return np.asarray(self.value[self.which[rows]])
+
+
+LEAST_RUN = 4
+"""Vectors in a run, on average, from which on runs take less memory for good."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Poses:
     """S poses as their positions ``place`` and the directions ``z`` of their axes (S, 3), and the angle
     ``spin`` (S,) [rad] of x about z from the first direction of :func:`_across`. What is indexed comes as
     (..., 4, 4); x and y are then as they were put in but for rounding."""
 
     place: FloatArray
-    z: FloatArray
+    z: FloatArray | Runs
     spin: FloatArray
 
     @staticmethod
@@ -43,13 +74,14 @@ class Poses:
 
     @staticmethod
     def joined(parts: Iterable[Poses]) -> Poses:
-        """Poses behind each other."""
+        """Poses behind each other, to be read alone: a tool's axis stands for most of a long motion."""
         some = tuple(parts)
-        if len(some) == 1:
-            return some[0]
-        place, z, spin = (
-            np.concatenate([getattr(part, field.name) for part in some])
-            for field in dataclasses.fields(Poses)
+        z = Runs.of(np.concatenate([part.z[:] for part in some]))
+        place, spin = (
+            getattr(some[0], name)
+            if len(some) == 1
+            else np.concatenate([getattr(part, name) for part in some])
+            for name in ("place", "spin")
         )
         return Poses(place, z, spin)
 
@@ -68,6 +100,8 @@ class Poses:
         return out
 
     def __setitem__(self, rows: Rows, poses: FloatArray) -> None:
+        if isinstance(self.z, Runs):
+            raise TypeError("poses that are packed in runs are read alone")
         x, z = poses[..., :3, 0], poses[..., :3, 2]
         one, other = _across(z)
         self.place[rows], self.z[rows] = poses[..., :3, 3], z
@@ -212,23 +246,29 @@ class Motion:
         return self.node_label[self.node[rows]]
 
 
+_SAMPLES_AT_ONCE = 16_384
+"""Samples that are worked on at once."""
+
+
 def differences(time: FloatArray, q: FloatArray, order: int) -> FloatArray:
     """Speeds (``order`` 1) or accelerations (2) (S, ...) of samples q (S, ...) by central differences on a
     grid that is nearly even; 0 at the ends."""
     out = np.zeros(q.shape)
     if len(time) < 3:
         return out
-    step = np.maximum(np.diff(time), 1e-6)
-    between = 0.5 * (step[1:] + step[:-1])
-    axes = q.reshape(len(q), -1)
-    for axis, found in enumerate(out.reshape(len(q), -1).T):  # one at a time: it needs memory on the way
-        slope = np.diff(axes[:, axis]) / step
-        after, before = slope[1:], slope[:-1]
-        found[1:-1] = (
-            np.where(np.abs(after) > np.abs(before), after, before)
-            if order == 1
-            else (after - before) / between
-        )
+    axes, found = q.reshape(len(q), -1), out.reshape(len(q), -1)
+    for begin in range(1, len(time) - 1, _SAMPLES_AT_ONCE):  # so few at once that all stays in the cache
+        end = min(begin + _SAMPLES_AT_ONCE, len(time) - 1)
+        step = np.maximum(np.diff(time[begin - 1 : end + 1]), 1e-6)
+        between = 0.5 * (step[1:] + step[:-1])
+        for axis in range(axes.shape[1]):
+            slope = np.diff(axes[begin - 1 : end + 1, axis]) / step
+            after, before = slope[1:], slope[:-1]
+            found[begin:end, axis] = (
+                np.where(np.abs(after) > np.abs(before), after, before)
+                if order == 1
+                else (after - before) / between
+            )
     return out
 
 

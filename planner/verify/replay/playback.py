@@ -19,6 +19,7 @@ import numpy as np
 
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray, IntArray, inverse
+from planner.geometry.memory import give_back
 from planner.issues import Issue, TandemError
 from planner.problem import Arm
 from planner.verify.job import JobText, Stage, TaskText
@@ -79,6 +80,7 @@ class _Player:
         if not self.segments:
             self.faults.append(Fault("motion", "the programs move no arm", "", 0, 0))
             self._still()
+        give_back()  # what a long stage leaves free counts where its arrays are joined
         p = {key: self._joined(key) for key in list(self.parts)}
         names = [arm.name for arm in self.arms]
         return Motion(

@@ -437,6 +437,8 @@ def _raw(task: TaskText, name: str) -> list[str]:
     for path, text in task.files.items():
         if CHECK_MODULE.match(PurePosixPath(path).name):
             continue
+        if re.search(rf"(?i)\b{name}\s*:=", text) is None:
+            continue  # nor without comments, of which each leaves a semicolon
         plain = re.sub(r"(?m)^\s*!.*|;\s*!.*", ";", text)
         found = re.search(rf"(?i)\b{name}\s*:=\s*\[(.*?)\]\s*;", plain, re.DOTALL)
         if found is not None:

@@ -16,6 +16,7 @@ import numpy as np
 from planner.claims.forming import FormingFeed, FormsInOrder, FormsSheet, SheetState, SinksHolder, ToolsLean
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.memory import give_back
 from planner.issues import Issue
 from planner.verify.context import FEED_SLACK, Begin, Context, Outcome, at_node, at_sample, mm, rule
 from planner.verify.forming.face import Face
@@ -187,8 +188,12 @@ def feed(context: Context, forming: Forming) -> Outcome:
         for arm in claim.arms:
             if arm not in motion.tcp or not len(rows):
                 continue
-            way = np.linalg.norm(motion.tcp[arm].place[rows] - motion.tcp[arm].place[rows - 1], axis=1)
-            speed = way / np.maximum(motion.time[rows] - motion.time[rows - 1], 1e-6)
+            place, speed = motion.tcp[arm].place, np.empty(len(rows))
+            for begin in range(0, len(rows), SAMPLES_AT_ONCE):
+                some = rows[begin : begin + SAMPLES_AT_ONCE]
+                way = np.linalg.norm(place[some] - place[some - 1], axis=1)
+                spent = np.maximum(motion.time[some] - motion.time[some - 1], 1e-6)
+                speed[begin : begin + SAMPLES_AT_ONCE] = way / spent
             if speed.max() / claim.upper > worst:
                 worst, where = float(speed.max() / claim.upper), f"{arm} in {claim.segment}"
             for k in spread(speed > FEED_SLACK * claim.upper):
@@ -221,9 +226,11 @@ def lean(context: Context, forming: Forming) -> Outcome:
             if not len(rows):
                 continue
             toward = -1.0 if above else 1.0
-            parts = np.array_split(rows, len(rows) // SAMPLES_AT_ONCE + 1)
-            upright = np.concatenate([way.axis(column, part)[:, 2] for part in parts])
-            angle = np.arccos(np.clip(toward * upright, -1.0, 1.0))
+            angle = np.empty(len(rows))
+            for begin in range(0, len(rows), SAMPLES_AT_ONCE):
+                some = slice(begin, begin + SAMPLES_AT_ONCE)
+                upright = way.axis(column, rows[some])[:, 2]
+                angle[some] = np.arccos(np.clip(toward * upright, -1.0, 1.0))
             k = int(np.argmax(angle))
             if angle[k] - claim.upper > worst:
                 worst, limit = float(angle[k] - claim.upper), claim.upper
@@ -330,6 +337,7 @@ def _all(
     heads = begin(insides, [*asked, Inside(face, places, still, state.tolerance, there)])
     if former:
         return heads, []
+    give_back()  # what divided faces leave free would count beside what the balls are held against
     return heads, _own_side(one, centre, max(-float(profile[0, 0]), 0.0), state, level)
 
 

@@ -97,11 +97,19 @@ def _facing(context: Context, one: Opened) -> list[Issue]:
     return issues
 
 
+_KNOTS_AT_ONCE = 16_384
+"""Knots that are looked at at once."""
+
+
 def _turned(way: Track, knots: IntArray, face: Face, found: Nearest, side: int, upright: bool) -> FloatArray:
     """How far (K,) [rad] the line of the centres is off the face's normal, as `_off_directions`."""
     between = way.centre[knots, 0] - way.centre[knots, 1]
     between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
-    return _off_directions(between, way, knots, face, found, side, upright)
+    out = np.empty(len(knots))
+    for begin in range(0, len(knots), _KNOTS_AT_ONCE):
+        own = np.arange(begin, min(begin + _KNOTS_AT_ONCE, len(knots)))
+        out[own] = _off_directions(between[own], way, knots[own], face, found.at(own), side, upright)
+    return out
 
 
 def _off_directions(

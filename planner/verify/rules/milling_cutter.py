@@ -8,8 +8,7 @@ block.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import shapely
@@ -28,7 +27,7 @@ from planner.claims.vocabulary import Phase, Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
 from planner.tooling import Mill
-from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
+from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_once, at_sample, mm, rule
 from planner.verify.job import MILL
 from planner.verify.milling import surface_passes
 from planner.verify.milling.following import WRITTEN_ROUNDING, Followed, allowed, rows_to_check
@@ -37,16 +36,16 @@ from planner.verify.milling.tool_motion import (
     BEND_SHARE,
     MOST_FACE_POINTS,
     SIGHT_DISTANCE,
+    Held,
+    Inside,
     Milling,
     Solid,
     Track,
     comes_near,
     edges,
     in_block,
-    near_places,
-    rim_size,
+    insides,
     rim_step,
-    round_size,
     solids,
     sweep,
 )
@@ -267,46 +266,57 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
     face of the part by more than the tolerance; a cutter that engraves is as deep as wanted."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
-    for index, claim in milling.spared:
+    asked = [(index, claim, list(_held(milling, index, claim))) for index, claim in milling.spared]
+    found = _insides(milling, [one for _, _, group in asked for one, _ in group])
+    for index, claim, group in asked:
         issues += _same_cutter(milling, index, claim)
-        labels = tuple(way.key for segment in claim.segments for way in segment.ways)
-        track = milling.track(index, claim.arm, labels)
-        if not len(track.rows):
-            continue
-        pieces, corners = solids(claim.cutter), claim.vertices[claim.faces]
-        for solid, sharp in [*((one, False) for one in pieces), *((one, True) for one in edges(pieces))]:
-            allowed = claim.tolerance + FACET_ERROR + (claim.depth if solid.name == "cutter" else 0.0)
-            near = comes_near(claim.vertices, track.tip, track.axis, solid)
-            if sharp and not near:
+        for one, rows in group:
+            solid, allowed, there = one.solid, one.allowed, next(found)
+            if isinstance(there, int):
+                issues.append(_too_many(claim, solid, there, one.size))
+                worst, limit, where = max(worst, 0.0), mm(allowed), str(claim.segments[0])
                 continue
-            step = rim_step(claim.tolerance) if sharp else _GOUGE_SPACING * _step(solid, claim.tolerance)
-            tip, axis, rows = milling.spaced(index, claim.arm, labels, step, claim.tolerance)
-            points = claim.vertices[:1]
-            if near:
-                size = rim_size if sharp else functools.partial(round_size, solid.radius)
-                found, count = near_places(corners, solid, tip, axis, size(claim.tolerance))
-                if count > MOST_FACE_POINTS:
-                    issues.append(_too_many(claim, solid, count, size(claim.tolerance)))
-                    worst, limit, where = max(worst, 0.0), mm(allowed), str(claim.segments[0])
-                    continue
-                points = np.concatenate([found, points if sharp else claim.vertices])
-            off, place = sweep(points, tip, axis, solid, -allowed)
-            k = int(off.argmin())
-            if -off[k] - allowed > worst:
-                worst, limit = float(-off[k]) - allowed, mm(allowed)
-                where = f"{solid.name} in {context.motion.node_segment[context.motion.node[rows[place[k]]]]}"
-            deep = np.flatnonzero(off < -allowed)
-            first = np.unique(place[deep], return_index=True)[1]
-            for i in deep[first][:: max(1, len(first) // ISSUES_SHOWN)]:
-                at = ", ".join(f"{mm(v):.1f}" for v in points[i])
-                what = f"the {solid.name} is {mm(-off[i]):.3f} mm in the part at {at} mm; allowed: "
+            if -there.least - allowed > worst:
+                worst, limit = -there.least - allowed, mm(allowed)
+                where = f"{solid.name} in {context.motion.node_segment[context.motion.node[rows[there.at]]]}"
+            for i in range(0, len(there.off), max(1, len(there.off) // ISSUES_SHOWN)):
+                at = ", ".join(f"{mm(v):.1f}" for v in there.points[i])
+                what = f"the {solid.name} is {mm(-there.off[i]):.3f} mm in the part at {at} mm; allowed: "
                 what += f"{mm(allowed):.3f} mm"
-                measure = (mm(float(-off[i])), mm(allowed), "mm")
-                row = int(rows[place[i]])
+                measure = (mm(float(-there.off[i])), mm(allowed), "mm")
+                row = int(rows[there.place[i]])
                 issues.append(at_sample("verify.mill_gouge", what, context.motion, claim.arm, row, measure))
     if limit is None:
         return Outcome(tuple(issues), where=NOTHING_MILLED)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+
+
+def _held(milling: Milling, index: int, claim: SparesPart) -> Iterator[tuple[Held, IntArray]]:
+    """What a face is held against, and the rows of the motion at the places of each."""
+    labels = tuple(way.key for segment in claim.segments for way in segment.ways)
+    track = milling.track(index, claim.arm, labels)
+    if not len(track.rows):
+        return
+    pieces = solids(claim.cutter)
+    for solid, sharp in [*((one, False) for one in pieces), *((one, True) for one in edges(pieces))]:
+        near = comes_near(claim.vertices, track.tip, track.axis, solid)
+        if sharp and not near:
+            continue
+        step = rim_step(claim.tolerance) if sharp else _GOUGE_SPACING * _step(solid, claim.tolerance)
+        tip, axis, rows = milling.spaced(index, claim.arm, labels, step, claim.tolerance)
+        allowed = claim.tolerance + FACET_ERROR + (claim.depth if solid.name == "cutter" else 0.0)
+        measure = (claim.tolerance, allowed)
+        yield Held(claim.vertices, claim.faces, solid, sharp, near, tip, axis, *measure), rows
+
+
+def _insides(milling: Milling, held: Sequence[Held]) -> Iterator[Inside | int]:
+    """What is inside of each, in their order; every other one is begun, perhaps in another process."""
+    begun = (milling.begin if len(held) > 1 else at_once)(insides, held[1::2])
+    own = list(insides(held[::2]))
+    for k, one in enumerate(own):
+        yield one
+        if 2 * k + 1 < len(held):
+            yield next(begun)
 
 
 def _too_many(claim: SparesPart, solid: Solid, count: int, size: float) -> Issue:

@@ -130,8 +130,10 @@ def joint_limits(context: Context) -> Outcome:
     for task in context.job.tasks:
         machine, arm = robot(task.arm.robot), task.arm.name
         q = context.motion.q[arm]
-        rows = np.concatenate([q.argmin(axis=0), q.argmax(axis=0)])
-        margin = np.concatenate([q.min(axis=0) - machine.lower, machine.upper - q.max(axis=0)])
+        # one axis at a time: a long motion has many samples
+        rows = np.array([*(int(axis.argmin()) for axis in q.T), *(int(axis.argmax()) for axis in q.T)])
+        ends = q[rows, np.tile(np.arange(q.shape[1]), 2)].reshape(2, -1)
+        margin = np.concatenate([ends[0] - machine.lower, machine.upper - ends[1]])
         k = int(np.argmin(margin))
         i, joint = int(rows[k]), k % len(machine.lower)
         if margin[k] < least:
@@ -281,8 +283,12 @@ def tcp_speed(context: Context) -> Outcome:
     for task in context.job.tasks:
         arm = task.arm.name
         timed = _timed(context)[motion.node[1:]] & (motion.stage[1:] == motion.stage[:-1])
-        step = np.linalg.norm(np.diff(motion.tcp[arm].place, axis=0), axis=1)
-        speed = np.where(timed, step / np.maximum(np.diff(motion.time), 1e-6), 0.0)
+        place, speed = motion.tcp[arm].place, np.zeros(len(timed))
+        for begin in range(0, len(timed), _SAMPLES_AT_ONCE):
+            some = slice(begin, min(begin + _SAMPLES_AT_ONCE, len(timed)))
+            step = np.linalg.norm(np.diff(place[some.start : some.stop + 1], axis=0), axis=1)
+            spent = np.maximum(np.diff(motion.time[some.start : some.stop + 1]), 1e-6)
+            speed[some] = np.where(timed[some], step / spent, 0.0)
         if len(speed):
             k = int(np.argmax(speed))
             if speed[k] > worst:

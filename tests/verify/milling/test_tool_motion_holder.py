@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 from planner.claims.claim import SparesPart
 from planner.claims.vocabulary import Segment
 from planner.tooling import Cutter
-from planner.verify.milling.tool_motion import BEND_SHARE, Milling, Track, signed, solids
-from planner.verify.rules.milling_cutter import _GOUGE_SPACING, _step, mill_gouge
+from planner.verify.context import at_once
+from planner.verify.milling.tool_motion import BEND_SHARE, Milling, Track, insides, signed, solids
+from planner.verify.rules.milling_cutter import _GOUGE_SPACING, _held, _insides, _step, mill_gouge
 
 BEHIND = np.array([[0.06, 0.06], [0.1, 0.06], [0.1, 0.03], [0.3, 0.03]])
 CUTTER = Cutter("cylinder", 0.003, 0.0, 0.02, 0.06, 0.003, BEHIND)
@@ -34,6 +35,19 @@ def _spared(vertices: Any) -> SparesPart:
     return SparesPart((Segment.read("mill/wall"),), "robot", CUTTER, vertices, faces, 0.0, TOLERANCE)
 
 
+def _milling(claim: SparesPart, track: Track) -> Any:
+    milling: Any = SimpleNamespace(
+        spared=((0, claim),),
+        begin=at_once,
+        track=lambda *_: track,
+        spaced=lambda *given: track.spaced(given[-2], BEND_SHARE * given[-1]),
+        mounted=lambda *_: CUTTER,
+        _places={},
+    )
+    milling.places = lambda *given: Milling.places(milling, *given)
+    return milling
+
+
 def _told(claim: SparesPart, track: Track) -> list[Any]:
     count = len(track.rows)
     motion: Any = SimpleNamespace(
@@ -44,14 +58,7 @@ def _told(claim: SparesPart, track: Track) -> list[Any]:
         node_sample=np.arange(count),
         time=0.1 * np.arange(count),
     )
-    milling: Any = SimpleNamespace(
-        spared=((0, claim),),
-        track=lambda *_: track,
-        spaced=lambda *given: track.spaced(given[-2], BEND_SHARE * given[-1]),
-        mounted=lambda *_: CUTTER,
-        _places={},
-    )
-    milling.places = lambda *given: Milling.places(milling, *given)
+    milling = _milling(claim, track)
     context: Any = SimpleNamespace(motion=motion)
     return list(mill_gouge(context, milling).issues)
 
@@ -85,3 +92,15 @@ def test_the_flat_nose_of_a_leaning_holder_is_named() -> None:
         assert abs(deepest + 1e3 * off[i].min()) < 0.2
     far = _spared(points[missed[0]] + corner + np.array([0.0, 0.0, -0.5]))
     assert not _told(far, track)
+
+
+def test_faces_are_told_in_their_order_wherever_they_are_held_against_the_tool() -> None:
+    """Every other one is begun elsewhere: there are as many answers, each in its place."""
+    track = _track()
+    points = track.tip[[40, 80, 120]] + 1e-4 * np.eye(3)
+    milling = _milling(_spared(points), track)
+    held = [one for one, _ in _held(milling, 0, milling.spared[0][1])]
+    for some in (held, held[:-1], held[:1], []):
+        wanted, found = list(insides(some)), list(_insides(milling, some))
+        assert [one.least for one in found] == [one.least for one in wanted]
+        assert [one.at for one in found] == [one.at for one in wanted]

@@ -15,7 +15,7 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import from_parts
 from planner.verify.context import Context
 from planner.verify.replay import arm_model, inverse_kinematics, moves
-from planner.verify.replay.motion import Poses, differences
+from planner.verify.replay.motion import Poses, Runs, differences
 from planner.verify.wire.cut_surface import Sweep, closest, cut_face
 from tests.verify import held_job, small_job
 
@@ -215,3 +215,28 @@ def test_speeds_and_accelerations_are_those_of_each_joint() -> None:
         wanted = (time[1:-1] + 0.005).reshape(-1, *np.ones(q[:, axis].ndim - 1, dtype=int)) * rate
         np.testing.assert_allclose(fast[1:-1], wanted, atol=1e-12)
         np.testing.assert_allclose(hard[1:-1], np.broadcast_to(rate, hard[1:-1].shape), atol=1e-9)
+
+
+def test_speeds_of_long_motions_do_not_depend_on_how_many_samples_are_worked_on_at_once() -> None:
+    rng = np.random.default_rng(9)
+    time, q = np.cumsum(rng.uniform(0.003, 0.005, 40_000)), rng.normal(size=(40_000, 2))
+    step = np.diff(time)
+    slope = np.diff(q, axis=0) / step[:, None]
+    hard = (slope[1:] - slope[:-1]) / (0.5 * (step[1:] + step[:-1]))[:, None]
+    fast = np.where(np.abs(slope[1:]) > np.abs(slope[:-1]), slope[1:], slope[:-1])
+    assert np.array_equal(differences(time, q, 1)[1:-1], fast)
+    assert np.array_equal(differences(time, q, 2)[1:-1], hard)
+
+
+def test_axes_that_stand_are_kept_once_bit_by_bit() -> None:
+    """Runs of one axis take its memory once, and give back what was put in, negative zeros too; axes that
+    turn all the time stay as they are."""
+    rng = np.random.default_rng(8)
+    axes = np.repeat(rng.normal(size=(7, 3)), 40, axis=0)
+    axes[40:80], axes[80:120] = [0.0, 0.0, 1.0], [-0.0, 0.0, 1.0]
+    kept = Runs.of(axes)
+    assert isinstance(kept, Runs) and len(kept) == len(axes) and len(kept.value) == 7
+    for rows in (slice(None), np.arange(0, 280, 3), 85):
+        assert kept[rows].tobytes() == axes[rows].tobytes()
+    turning = rng.normal(size=(280, 3))
+    assert Runs.of(turning) is turning
