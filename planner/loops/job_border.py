@@ -31,8 +31,9 @@ class JobBorder:
 
 
 def job_border(plan: LoopPlan, law: Law, kappa: float = 1.0, model_error: float = MODEL_ERROR) -> JobBorder:
-    """Where a loop stands. q is gain x kappa x (1 + ``model_error``); gamma of a level takes springback under
-    the expected force, its slope, and the depth from the level before."""
+    """Where a loop stands. gamma of a level takes springback under the expected force, times ``kappa`` as the
+    sheet's is, its slope, and the depth from the level before. q is gain x (1 + ``model_error``): the model
+    times kappa is what is known of the sheet."""
     depth = np.array([level.depth for level in plan.levels])
     step = np.diff(depth, prepend=0.0)
     found = np.empty(len(depth))
@@ -42,11 +43,10 @@ def job_border(plan: LoopPlan, law: Law, kappa: float = 1.0, model_error: float 
         nearby = springback(level, 0.999 * force)
         with np.errstate(invalid="ignore", divide="ignore"):
             exponent = np.where(s > 0.0, (s - nearby) / (0.001 * s), 0.0)
-        slope = float(np.max(exponent * s + force / law.stiffness))
+        slope = float(np.max(kappa * exponent * s + force / law.stiffness))
         found[number] = gamma(plan.force_exponent, 1.0, slope, float(step[number]))
     most = border(found, law.rule, law.every, law.weight)
-    ratio = law.gain * kappa * (1.0 + model_error)
-    return JobBorder(found, most, ratio, int(np.argmin(most)))
+    return JobBorder(found, most, law.gain * (1.0 + model_error), int(np.argmin(most)))
 
 
 def require_settling(found: JobBorder, law: Law) -> None:

@@ -137,6 +137,16 @@ def test_lifts_say_how_much_more_the_sheet_comes_back() -> None:
     assert next_loop.kappa(lifts, np.array([[1.0, 1.0, 2.0]] * 2)) == pytest.approx([1.1, 1.0])
 
 
+def test_a_sheet_that_comes_back_more_is_touchier_but_no_worse_foretold() -> None:
+    law = Law(rule="held")
+    one, more = job_border(PLAN, law), job_border(PLAN, law, kappa=1.3)
+    assert more.gamma == pytest.approx(1.3 * one.gamma)
+    assert more.border == pytest.approx(1.0 + 1.0 / more.gamma)
+    assert more.ratio == one.ratio == pytest.approx(1.05)
+    by_hand = 0.18 * 0.6 * float(next_loop.springback(PLAN.levels[4], next_loop.expected(PLAN, law, 4))[0])
+    assert one.gamma[4] == pytest.approx(by_hand / (1.0 * MM), rel=0.01)
+
+
 def test_a_step_takes_far_less_than_a_level() -> None:
     plan = power_plan(levels=60, places=240, points=24)
     measured = [np.full(24, 500.0) for _ in range(59)]
