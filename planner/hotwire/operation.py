@@ -24,7 +24,8 @@ from planner.reading.materials import WireFile
 from planner.reading.strict_yaml import Angle, Far, Name, Strict
 
 AIR_FEED: Final = 0.1
-"""Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
+"""Upper limit of the wire's speed in the air [m/s], if nothing else is stated: faster, a hot wire cools and
+swings."""
 AIR_STEP: Final = 0.012
 """Largest move [m] of any point of the wire between targets in the air."""
 KERF_SPEEDS: Final = (1e-3, 50e-3)
@@ -290,6 +291,10 @@ class Straight(HotWireOperation):
     margin_mm: Annotated[
         float, Field(ge=1, le=300, description="of the wire's ends, and of the wire in the air, to the block")
     ] = 20.0
+    air_feed_mm_s: Annotated[
+        float,
+        Field(gt=0, le=1000, description="of the wire in the air between cuts: faster, it cools and swings"),
+    ] = AIR_FEED / MM
     holder: Annotated[
         Literal["full", "turn"],
         Field(description="what a holder may do: all of it, or only turn about its tool's axis"),

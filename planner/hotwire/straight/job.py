@@ -24,7 +24,7 @@ from planner.geometry.units import DEG, MM
 from planner.hotwire import claims
 from planner.hotwire.kerf.models import most_power
 from planner.hotwire.kerf.test_cuts import HotWire
-from planner.hotwire.operation import AIR_FEED, Straight, SurfaceCut
+from planner.hotwire.operation import Straight, SurfaceCut
 from planner.hotwire.straight.check import check_bow, check_cut, check_holder, check_model
 from planner.hotwire.straight.cut import Cut, make_cut
 from planner.hotwire.straight.order import Lines, Wanted, chord, fastest, grown, wanted_surfaces
@@ -434,7 +434,7 @@ def rounding(op: Straight) -> Rounding:
 def _feeds(op: Straight, todo: list[Wanted], route: Route) -> FloatArray:
     """Upper limit (N,) [m/s] of the wire's speed on the way to each target."""
     known = {way: op.feed(one.cut) for one in todo for way in one.segment.ways}
-    return np.array([known.get(segment, AIR_FEED) for segment in route.segment])
+    return np.array([known.get(segment, op.air_feed_mm_s * MM) for segment in route.segment])
 
 
 def _in_air(pose: FloatArray, span: float) -> FloatArray:

@@ -394,3 +394,20 @@ def test_a_cut_may_have_a_feed_of_its_own() -> None:
     np.testing.assert_allclose(wide, kerf.at(FEED_SHARE * np.array([0.002, 0.006])), atol=2e-5)
     with pytest.raises(ValueError, match="feed_min"):
         blocks.operation(cuts=cuts, feed_min_mm_s=3)
+
+
+def test_the_wire_goes_in_the_air_as_fast_as_is_stated_and_no_faster_in_the_foam() -> None:
+    slow, fast = make(WAVE), make(WAVE, air_feed_mm_s=250)
+    air = np.array([segment.kind != "cut" for segment in slow.segment])
+    cut = ~air
+    assert air.sum() > 2 and cut.sum() > 2
+    assert np.allclose(slow.feed[air], 0.1)
+    assert np.allclose(fast.feed[air], 0.25)
+    assert np.array_equal(fast.feed[cut], slow.feed[cut]) and fast.feed[cut].max() < 0.1
+    assert np.array_equal(fast.pose["left"], slow.pose["left"])
+
+
+@pytest.mark.parametrize("feed", [0.0, -5.0, 1001.0])
+def test_speeds_in_the_air_that_no_arm_has_are_refused(feed: float) -> None:
+    with pytest.raises(ValueError, match="air_feed_mm_s"):
+        make(WAVE, air_feed_mm_s=feed)
