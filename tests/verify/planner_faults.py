@@ -51,6 +51,7 @@ CHECKS: Final[Mapping[str, Change]] = {
         "hotwire.straight.slot_check:check_passed",
         "hotwire.straight.route:check_drops",
         "forming.check:check",
+        "forming.check:clamped_issues",
         "forming.check:of_die",
         "forming.check:shift_issues",
         "forming.two_point:holder_issues",

@@ -48,8 +48,8 @@ LOADS = np.array([0.4, 0.7, 1.0])
 """Loads on the way to the wanted one, as shares of it."""
 COARSER = np.array([1.0, 1.3, 1.7, 2.2])
 """Factors by which points are farther apart, until there are few enough."""
-MOST_POINTS = 2_200
-"""Points of a mesh, if the coarsest has no more: two seconds of a processor."""
+MOST_POINTS, MANY_POINTS = 2_200, 4_500
+"""Points of a mesh, if the coarsest has no more: two seconds of a processor; and where that is not enough."""
 PRESSED = 3e-3
 """Width [m] of the square that the tool presses on."""
 
@@ -220,14 +220,17 @@ def _first_of_near(points: FloatArray, within: float) -> IntArray:
     return np.setdiff1d(np.arange(len(points)), pairs.max(axis=1, initial=-1))
 
 
-def comes_back(formed: Formed, sheet: Clamped, place: FloatArray, force: float) -> tuple[float, int]:
+def comes_back(
+    formed: Formed, sheet: Clamped, place: FloatArray, force: float, most: int = MOST_POINTS
+) -> tuple[float, int]:
     """How far [m] the sheet comes back at ``place`` (2,) [m] in plan when ``force`` [N] along the feature's
-    way lets go, infinite where it has no balance under it; and how many triangles said so.
+    way lets go, infinite where it has no balance under it; and how many triangles said so: of ``most``
+    points, if the coarsest mesh has no more.
 
     Raises ``ValueError`` where points have no mesh."""
     for fine in FINE * COARSER:
         points = _points(formed, sheet.opening, place, float(fine))
-        if len(points) <= MOST_POINTS:
+        if len(points) <= most:
             break
     triangles = np.asarray(Delaunay(points).simplices, dtype=np.int64)
     corners = points[triangles]

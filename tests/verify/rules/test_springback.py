@@ -18,6 +18,7 @@ import yaml
 
 import planner
 from planner import processes
+from planner.claims.forming import ComesBack
 from planner.cli.forming import Springback, run_springback
 from planner.geometry.units import MM
 from planner.pipeline import Outcome
@@ -28,6 +29,7 @@ from planner.verify.rules import forming_tool, forming_two_tools, springback
 from tests import small_forming
 from tests.forming.springback import springback_files as files
 from tests.test_whole_forming import UPRIGHT
+from tests.verify import planner_faults
 
 FORCE = 500.0
 PASS = "PROC form_f1()"
@@ -101,8 +103,6 @@ def test_the_tools_are_deeper_and_the_released_ones_are_on_the_part(context: Con
 
 
 def _without_claim(context: Context) -> Mapping[str, Any]:
-    from planner.claims.forming import ComesBack
-
     return {
         name: tuple(c for c in group if not isinstance(c, ComesBack))
         for name, group in context.by_operation.items()
@@ -275,3 +275,47 @@ def test_the_problem_of_a_result_has_the_file_in_it(outcome: Outcome, tmp_path: 
     data = yaml.safe_load(path.read_text())
     assert (path.parent / data["operations"][0]["springback"]["file"]).is_file()
     assert planner.load(path).digest == outcome.problem.digest
+
+
+# ---- faults of the planner itself ----
+
+
+def _turned(old: Callable[..., Any]) -> Callable[..., Any]:
+    """Out of the sheet in place of into it."""
+    return lambda laid, ways: old(laid, [dataclasses.replace(way, shift=-way.shift) for way in ways])
+
+
+def _one_tool(old: Callable[..., Any]) -> Callable[..., Any]:
+    """The support stays where it was."""
+
+    def other(laid: Any, ways: Any) -> Any:
+        still = old(laid, [dataclasses.replace(way, shift=0.0 * way.shift) for way in ways])
+        return [
+            (one, dataclasses.replace(path, support=before.support))
+            for (one, path), (_, before) in zip(old(laid, ways), still, strict=True)
+        ]
+
+    return other
+
+
+def _left_out(old: Callable[..., Any]) -> Callable[..., Any]:
+    """Nothing says that tools are deeper."""
+    return lambda work: tuple(claim for claim in old(work) if not isinstance(claim, ComesBack))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("changes", "caught"),
+    [
+        ({"forming.springback.compensation:shifted": _turned}, {"verify.springback"}),
+        ({"forming.springback.compensation:shifted": _one_tool}, {"verify.gap"}),
+        ({"forming.claims:claims": _left_out}, {"verify.gouge", "verify.springback"}),
+    ],
+)
+def test_faults_of_the_planner_are_not_proven(
+    outcome: Outcome, folder: Path, changes: Any, caught: set[str]
+) -> None:
+    with planner_faults.changed({**planner_faults.CHECKS, **changes}):
+        made = planner.plan(planner.load(folder / "problem.yaml"))
+    assert not made.verified
+    assert caught <= {rule.code for rule in made.proof.rules if rule.ran and not rule.passed}
