@@ -282,6 +282,7 @@ def sheet(context: Context, forming: Forming) -> Outcome:
             continue
         held = state.segment.key in forming.gapped
         asked: list[tuple[str, float, Iterator[_Depths], list[_Depths]]] = []
+        places: dict[int, FloatArray] = {}
         for number, arm in enumerate(state.arms):
             if arm not in way.arms:
                 what = f"{arm} has no program for {state.segment}"
@@ -289,7 +290,7 @@ def sheet(context: Context, forming: Forming) -> Outcome:
                 continue
             allowed = state.tolerance if number == 0 else state.other
             own = dataclasses.replace(state, tolerance=allowed)
-            asked.append((arm, allowed, *_all(formed, way, own, number, held, forming.begin)))
+            asked.append((arm, allowed, *_all(formed, way, own, number, held, forming.begin, places)))
         for arm, allowed, heads, rest in asked:
             for deep, row in (*heads, *rest):
                 k = int(np.argmax(deep)) if len(deep) else -1
@@ -313,10 +314,16 @@ _Depths = tuple[FloatArray, IntArray]
 
 
 def _all(
-    one: Formed | None, way: Track, state: SheetState, number: int, held: bool, begin: Begin
+    one: Formed | None,
+    way: Track,
+    state: SheetState,
+    number: int,
+    held: bool,
+    begin: Begin,
+    places: dict[int, FloatArray],
 ) -> tuple[Iterator[_Depths], list[_Depths]]:
     """What is inside a tool: its head, which is begun, and its ball; ``held``: two tools hold the sheet
-    between them."""
+    between them; ``places`` all over faces, by their ``id``, are worked out for the first tool that asks."""
     profile = state.heads[number]
     column = way.arms.index(state.arms[number])
     centre, axis = way.centres(column), way.axes(column)
@@ -333,8 +340,11 @@ def _all(
     face = Head.of(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
     level = None if former or not held else levels(one)
     there = None if level is None else (state.side, _at_rows(one, level, still.rows))
-    places = _places(one.face if former else one.remaining_face)
-    heads = begin(insides, [*asked, Inside(face, places, still, state.tolerance, there)])
+    here = one.face if former else one.remaining_face
+    if id(here) not in places:
+        give_back()  # what ways of heads leave free would count beside the divided face
+        places[id(here)] = _places(here)
+    heads = begin(insides, [*asked, Inside(face, places[id(here)], still, state.tolerance, there)])
     if former:
         return heads, []
     give_back()  # what divided faces leave free would count beside what the balls are held against
