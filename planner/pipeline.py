@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -231,6 +232,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outc
     programs = write.programs(commanded, problem)
     tell("proof", 0.0)
     del jobs, targets, driven  # what the proof has no need of
+    gc.collect()
     give_back()  # of a long job motion leaves more than 100 MB, beside which the proof would count
     proof = prove.prove(problem, claims, programs, begin)
     tell("proof", 1.0)
