@@ -97,10 +97,12 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     every = [point for _, rows in control for point in rows]
     found = forecast.forecast(laid, control, _solved(work, every, request.triangles))
     _print(work, found, time.perf_counter() - started)
-    if request.output is not None:
-        _write(request.output, problem, work, found)
+    shown = forecast.exhibits(found)
     if request.write is not None:
-        _write_shifts(request.write, problem, job, found, laid)
+        shown |= _write_shifts(request.write, problem, job, found, laid)
+    if request.output is not None:
+        page = request.output.suffix.lower() == ".html"
+        write_output(request.output, _page(problem, work, shown) if page else _csv(found))
     if request.curves is not None:
         from planner.forming.springback.levels import file_data
 
@@ -111,8 +113,8 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
 
 def _write_shifts(
     path: Path, problem: Problem, job: FormingJob, found: Sequence[PassSpringback], laid: Sequence[Any]
-) -> None:
-    """Write the springback file; say what the slope leaves of the forecast."""
+) -> dict[str, Any]:
+    """Write the springback file; say what the slope leaves of the forecast. Exhibits of what it changes."""
     from planner.forming.operation import Springback as Section
     from planner.forming.springback import compensation, compensation_file
 
@@ -134,10 +136,11 @@ def _write_shifts(
     for way, rest in zip(ways, left, strict=True):
         out.print(
             f"pass {way.name}: tools go up to {float(way.shift.max()) / MM:.2f} mm deeper; where the shift "
-            f"grows from 0, by {limits.slope:g} mm/mm at most, up to {float(rest) / MM:.2f} mm are left",
+            f"grows from 0, by {limits.slope:g} mm/mm at most, up to {rest.max() / MM:.2f} mm are left",
             markup=False,
         )
     out.print(f"use it: springback: {{file: {path.name}}} in operation {job.operation.name}", markup=False)
+    return compensation.deviations(ways, left)
 
 
 def _job(problem: Problem, name: str | None) -> FormingJob:
@@ -213,10 +216,6 @@ def _span(values: Any, digits: int) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _write(path: Path, problem: Problem, work: Work, found: Sequence[PassSpringback]) -> None:
-    write_output(path, _csv(found) if path.suffix.lower() == ".csv" else _page(problem, work, found))
-
-
 def _csv(found: Sequence[PassSpringback]) -> str:
     from planner.forming.springback.forecast import rows
 
@@ -228,13 +227,11 @@ def _csv(found: Sequence[PassSpringback]) -> str:
     return text.getvalue()
 
 
-def _page(problem: Problem, work: Work, found: Sequence[PassSpringback]) -> str:
+def _page(problem: Problem, work: Work, shown: dict[str, Any]) -> str:
     import numpy as np
 
-    from planner.forming.springback import forecast
     from planner.report import exhibits, markup
 
-    shown = forecast.exhibits(found)
     block = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]]) * problem.stock.size
     figures, _ = exhibits.draw(shown, block)
     sections = (markup.Section("springback", "Springback", (markup.Grid(tuple(figures)),)),)

@@ -58,10 +58,10 @@ class Way:
 
 def ways(
     work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Sequence[PassSpringback], slope: float
-) -> tuple[tuple[Way, ...], FloatArray]:
+) -> tuple[tuple[Way, ...], tuple[FloatArray, ...]]:
     """The ways of all passes with shifts by the forecast ``found``, of at most ``slope``; and for each pass
-    what the slope leaves of the forecast at most [m]. Raises ``TandemError`` (forming.limit_load) where the
-    sheet snaps under the force."""
+    what they leave of the forecast at its targets (K,) [m]. Raises ``TandemError`` (forming.limit_load) where
+    the sheet snaps under the force."""
     out, left = [], []
     for (one, path), forecast in zip(laid, found, strict=True):
         if not np.isfinite(forecast.springback).all():
@@ -79,11 +79,12 @@ def ways(
         limited = _limited(grid, wanted, slope)
         width = 2.0 * work.heads[work.former(one)].radius
         shift = _smoothed(limited, 0.5 * width / max(float(grid[1]), 1e-12))
-        left.append(float((wanted - shift).max()))
         kept = _refined(path, _numbers(places, _targets(places, grid, shift, 0.5 * width)))
-        by = np.interp(arc_length(kept.former), grid, shift)
+        at = arc_length(kept.former)
+        by = np.interp(at, grid, shift)
         out.append(Way(one.name, kept.former, by, kept.contact.loop))
-    return tuple(out), np.array(left)
+        left.append(np.interp(at, grid, wanted) - by)
+    return tuple(out), tuple(left)
 
 
 def _limited(grid: FloatArray, wanted: FloatArray, slope: float) -> FloatArray:
@@ -261,6 +262,30 @@ def told(given: Sequence[Way], file: str) -> Issue:
         f"{most:.2f} mm (pass {deepest.name}); what it assumes stands in it"
     )
     return Issue("forming.compensated", what, Severity.NOTE, field="springback.file", value=most, unit="mm")
+
+
+def deviations(given: Sequence[Way], left: Sequence[FloatArray]) -> dict[str, Any]:
+    """How much too shallow the part is foretold to be, without the shifts and with them, on one scale;
+    ``left`` as :func:`ways` gives it."""
+    rest = np.concatenate(list(left)) / MM
+    before = rest + np.concatenate([way.shift for way in given]) / MM
+    most = float(max(np.abs(before).max(), np.abs(rest).max()))
+    points = np.concatenate([way.point for way in given])
+    named = {
+        "deviation_before": ("How much too shallow the part will be, without the file", before),
+        "deviation_after": ("How much too shallow the part will be, with it", rest),
+    }
+    return {
+        name: {
+            "kind": "heatmap",
+            "title": title,
+            "points": points,
+            "value": value,
+            "limit": most,
+            "unit": "mm",
+        }
+        for name, (title, value) in named.items()
+    }
 
 
 def exhibit(given: Sequence[Way]) -> dict[str, Any]:
