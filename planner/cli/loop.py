@@ -34,8 +34,12 @@ out = Console(highlight=False, soft_wrap=True)
 
 CURVES = "springback.json"
 """Where curves stand in a result folder, unless a file is named."""
+LEAST_KAPPA, MOST_KAPPA = 0.2, 5.0
+"""Springback of a sheet over that of the model: beyond, it was not measured in mm, or of another sheet."""
 MOST_SHEETS = 10_000
 """Sheets of a simulation at most."""
+MOST_SEED = 1_000_000_000
+"""Seed of the first sheet at most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,8 +98,11 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
 
     _require_suffix(request.output, (".csv", ".json", ".html"))
     plan, law = _plan(request.folder, request.law), _law(request.law)
-    if request.kappa is not None and not 0.2 <= request.kappa <= 5.0:
-        raise TandemError(_out_of_range("kappa", request.kappa, "0.2 to 5"))
+    if request.kappa is not None and not LEAST_KAPPA <= request.kappa <= MOST_KAPPA:
+        raise TandemError(_out_of_range("kappa", request.kappa, f"{LEAST_KAPPA:g} to {MOST_KAPPA:g}"))
+    if request.before_mm is not None and not 0.0 <= request.before_mm <= request.law.most_mm:
+        what = f"0 to {request.law.most_mm:g}, as most_mm has it"
+        raise TandemError(_out_of_range("before_mm", request.before_mm, what))
     measured = Measured((), ()) if request.forces is None else read_forces(request.forces, plan)
     number = len(measured.force)
     if number >= len(plan.levels):
@@ -109,12 +116,21 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     told = next_loop.offsets(plan, law, number, measured.force, kappa, before)
     seconds = time.perf_counter() - begin
     _print_offsets(plan, number, told, kappa, found, seconds)
+    issues = _cut(plan, law, number, told)
+    deeper = _deeper(request.folder)
+    if deeper is not None:
+        what = (
+            f"{request.folder} is planned with the springback file {deeper}: its tools go deeper "
+            "already, and these offsets are from the path without that"
+        )
+        hint = "take the file's shifts off the offsets, or plan without springback: in the operation"
+        issues.append(Issue("forming.loop_curves", what, Severity.WARNING, field="springback", hint=hint))
     if request.output is not None:
         kind = request.output.suffix.lower()
         made = {".csv": _csv, ".json": _json}.get(kind)
         text = _map_page(plan, law, found) if made is None else made(plan, number, told, kappa)
         write_output(request.output, text)
-    return tuple(_cut(plan, law, number, told))
+    return tuple(issues)
 
 
 def _plan(folder: Path, options: LawOptions) -> LoopPlan:
@@ -131,6 +147,14 @@ def _plan(folder: Path, options: LawOptions) -> LoopPlan:
         hint = f"write them for this one: tandem springback {folder}/problem/problem.yaml --curves {file}"
         raise TandemError(Issue("forming.loop_curves", what, file=str(file), field="digest", hint=hint))
     return plan
+
+
+def _deeper(folder: Path) -> str | None:
+    """The springback file that a plan's tools go deeper by, if there is one."""
+    from planner import pipeline
+
+    stated = [getattr(one, "springback", None) for one in pipeline.load_result(folder).operations]
+    return next((one.file.name for one in stated if one is not None), None)
 
 
 def _law(options: LawOptions) -> Law:
@@ -171,16 +195,29 @@ def _require_suffix(path: Path | None, allowed: Sequence[str]) -> None:
 
 
 def _kappa(plan: LoopPlan, measured: Any) -> float:
-    """Springback of the sheet over that of the model, by the lifts of a file."""
+    """Springback of the sheet over that of the model, by the lifts of a file. Raises ``TandemError``
+    (forming.loop_forces) where a lift is far from what the model says."""
     import numpy as np
 
     from planner.loops import next_loop
 
     lifts, models = [np.empty(0)], [np.empty(0)]
-    for level, force, lift in zip(plan.levels, measured.force, measured.lift, strict=False):
-        some = np.isfinite(lift)
+    for number, (level, force, lift) in enumerate(
+        zip(plan.levels, measured.force, measured.lift, strict=False)
+    ):
+        some = np.flatnonzero(np.isfinite(lift))
+        model = next_loop.springback(level, np.minimum(force, level.loads[:, -1]))
+        for k in some:
+            if not LEAST_KAPPA * model[k] <= lift[k] <= MOST_KAPPA * model[k]:
+                what = (
+                    f"level {number}, point {k}: got {lift[k] / MM:g} mm for the tool's lift, allowed "
+                    f"{LEAST_KAPPA * model[k] / MM:.3f} to {MOST_KAPPA * model[k] / MM:.3f} mm: the model "
+                    f"says {model[k] / MM:.3f} mm under {force[k]:.0f} N"
+                )
+                hint = "give how far the sheet came back, in mm; or leave the cell empty"
+                raise TandemError(Issue("forming.loop_forces", what, field="springback_mm", hint=hint))
         lifts.append(lift[some])
-        models.append(next_loop.springback(level, np.minimum(force, level.loads[:, -1]))[some])
+        models.append(model[some])
     return float(next_loop.kappa(np.concatenate(lifts), np.concatenate(models)))
 
 
@@ -259,7 +296,7 @@ def _cut(plan: LoopPlan, law: Law, number: int, told: Offsets) -> list[Issue]:
 def _map_page(plan: LoopPlan, law: Law, found: JobBorder) -> str:
     from planner.loops.job_border import map_exhibit
 
-    return _page(f"Springback loop of {plan.name}", {"map": map_exhibit(found, law)})
+    return _page(f"Springback loop of pass {plan.name}", {"map": map_exhibit(found, law)})
 
 
 def _page(title: str, shown: dict[str, Any]) -> str:
@@ -269,7 +306,7 @@ def _page(title: str, shown: dict[str, Any]) -> str:
 
     figures, _ = exhibits.draw(shown, np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
     sections = (markup.Section("loop", "Loop from level to level", (markup.Grid(tuple(figures)),)),)
-    about = markup.Paragraph("By the model's springback and forces; nothing was measured here.")
+    about = markup.Paragraph("Where the loop settles, by the model's springback and forces.")
     return markup.page(markup.Page(title, title, (), about, (), sections))
 
 
@@ -304,11 +341,17 @@ def run_simulate_loop(request: SimulateLoop) -> tuple[Issue, ...]:
     _require_suffix(request.output, (".html",))
     if not 1 <= request.sheets <= MOST_SHEETS:
         raise TandemError(_out_of_range("sheets", request.sheets, f"1 to {MOST_SHEETS}"))
+    if not 0 <= request.seed <= MOST_SEED:
+        raise TandemError(_out_of_range("seed", request.seed, f"0 to {MOST_SEED}"))
     plant = read_plant(request.plant)
     plan, law = _plan(request.folder, request.law), _law(request.law)
     found = job_border(plan, law, model_error=request.law.model_error)
     require_settling(found, law)
-    depth = plan.levels[-1].depth / len(plan.levels)
+    deepest = plan.levels[-1].depth
+    for lift in request.lifts_mm:
+        if not 0.0 < lift * MM <= deepest:
+            raise TandemError(_out_of_range("lifts_mm", lift, f"above 0, {deepest / MM:g} at most"))
+    depth = deepest / len(plan.levels)
     seeds = [request.seed + k for k in range(request.sheets)]
     half = Law(rule="half", every=max(1, round(MM / depth)), feed_forward=False)
     runs = {
@@ -329,7 +372,7 @@ def run_simulate_loop(request: SimulateLoop) -> tuple[Issue, ...]:
         from planner.loops.job_border import map_exhibit
 
         shown = {"errors": _errors(runs), "map": map_exhibit(found, law)}
-        write_output(request.output, _page(f"Simulated springback loop of {plan.name}", shown))
+        write_output(request.output, _page(f"Simulated springback loop of pass {plan.name}", shown))
     return ()
 
 

@@ -293,7 +293,7 @@ class Straight(HotWireOperation):
     ] = 20.0
     air_feed_mm_s: Annotated[
         float,
-        Field(gt=0, le=1000, description="of the wire in the air between cuts: faster, it cools and swings"),
+        Field(ge=1, le=1000, description="of the wire in the air between cuts: faster, it cools and swings"),
     ] = AIR_FEED / MM
     holder: Annotated[
         Literal["full", "turn"],

@@ -103,13 +103,19 @@ class Machine:
         """Integral gain [m/(N s)] from which the loop counts as unstable."""
         return MOST_GAIN * self._per_gain(share)
 
-    def _per_gain(self, share: float) -> float:
+    def felt(self, share: float) -> tuple[float, float]:
+        """Stiffness [N/m] and dead time [s] of the contact as the support's loop feels it, beside which a
+        ``share`` of the former's deflection is compensated; a loop gain of that below 1."""
         back = share * self.compliance_gain
-        if back >= 1.0:
-            return 0.0
         # with both loops the contact is as stiff as Kc / (1 - back), and gets so with a lag of its own
         late = self.dead_time(self.support) + back / (1.0 - back) * self.dead_time(self.former)
-        return (1.0 - back) / (late * self.contact)
+        return self.contact / (1.0 - back), late
+
+    def _per_gain(self, share: float) -> float:
+        if share * self.compliance_gain >= 1.0:
+            return 0.0
+        stiff, late = self.felt(share)
+        return 1.0 / (late * stiff)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -129,14 +129,18 @@ def _header(file: str, header: list[str]) -> list[Issue]:
 def _key(plan: LoopPlan, level: str, point: str) -> tuple[int, int] | tuple[str, str, str]:
     """Level and point of a row; or field, what is wrong and what to do."""
     count = len(plan.levels)
-    if not level.isdecimal() or int(level) >= count:
-        what = f"got level {level!r}, allowed 0 to {count - 1}"
+    if not _counts(level) or int(level) >= count:
+        what = f"got level {level!r:.40}, allowed 0 to {count - 1}"
         return "level", what, "count levels from 0, as the file of curves has them"
     points = len(plan.levels[int(level)].place)
-    if not point.isdecimal() or int(point) >= points:
-        what = f"got point {point!r}, allowed 0 to {points - 1} on level {level}"
+    if not _counts(point) or int(point) >= points:
+        what = f"got point {point!r:.40}, allowed 0 to {points - 1} on level {level}"
         return "point", what, "take the points of this plan's file of curves"
     return int(level), int(point)
+
+
+def _counts(text: str) -> bool:
+    return text.isascii() and text.isdecimal() and len(text) < 10
 
 
 def _number(text: str) -> float:

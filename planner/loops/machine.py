@@ -219,11 +219,13 @@ def _runs_away(file: MachineFile, machine: Machine) -> Issue:
 
 
 def _oscillates(file: MachineFile, machine: Machine, gain: float, most: float) -> Issue:
-    late = machine.dead_time(machine.support)
+    stiff, late = machine.felt(file.compensate)
+    beside = f", compensation of {file.compensate:g} beside it," if file.compensate > 0.0 else ""
     return Issue(
         "control.unstable",
         f"{file.name}: gain {gain * 1e6:.1f} um/(N s), allowed below {most * 1e6:.1f}: with lags of "
-        f"{late * 1e3:.0f} ms and a contact of {machine.contact * MM:.0f} N/mm the force would swing up",
+        f"{late * 1e3:.0f} ms and a contact of {stiff * MM:.0f} N/mm{beside} the force would swing "
+        "up",
         field="gain_um_ns",
         value=gain * 1e6,
         limit=most * 1e6,

@@ -203,3 +203,69 @@ def test_the_commands_end_with_the_codes_of_what_is_wrong(result: Path, tmp_path
     )
     assert done.returncode == 3, done.stderr
     assert "forming.loop_unstable" in done.stderr
+
+
+@pytest.mark.parametrize("before", [float("nan"), float("inf"), -3.0, 50.0])
+def test_offsets_to_go_on_from_are_within_their_range(result: Path, before: float) -> None:
+    issue = refused(NextLoop(result, LawOptions(), before_mm=before))
+    assert (issue.code, issue.field) == ("forming.loop_law", "before_mm")
+    assert "allowed 0 to 10" in issue.message
+
+
+@pytest.mark.parametrize("lift", ["35", "0.0003", "0"])
+def test_lifts_in_other_units_are_refused_by_level_and_point(result: Path, tmp_path: Path, lift: str) -> None:
+    lines = forces(result, 3).replace("force_n", "force_n,springback_mm").splitlines()
+    lines[1:] = [f"{line}," for line in lines[1:]]
+    points = len(read_plan(result / "springback.json").levels[0].place)
+    row = 1 + 2 * points
+    lines[row] += lift
+    file = tmp_path / "forces.csv"
+    file.write_text("\n".join(lines))
+    issue = refused(NextLoop(result, LawOptions(), file))
+    assert (issue.code, issue.field) == ("forming.loop_forces", "springback_mm")
+    assert f"level 2, point 0: got {float(lift):g} mm" in issue.message
+
+
+def test_numbers_of_levels_are_short(result: Path, tmp_path: Path) -> None:
+    file = tmp_path / "forces.csv"
+    file.write_text(forces(result, 1) + f"\n{'9' * 5000},0,100")
+    issue = refused(NextLoop(result, LawOptions(), file))
+    assert (issue.code, issue.field) == ("forming.loop_forces", "level")
+    assert len(issue.message) < 200
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [({"seed": -5}, "seed"), ({"lifts_mm": (-1.0,)}, "lifts_mm"), ({"lifts_mm": (999.0,)}, "lifts_mm")],
+)
+def test_seeds_and_lifts_of_a_simulation_are_within_their_range(
+    result: Path, tmp_path: Path, wrong: dict[str, Any], field: str
+) -> None:
+    plant = tmp_path / "plant.yaml"
+    plant.write_text("tandem_plant: 1\nsheet: cone\n")
+    issue = refused(SimulateLoop(result, LawOptions(), plant, sheets=2, **wrong))
+    assert (issue.code, issue.field) == ("forming.loop_law", field)
+
+
+def test_a_springback_file_wants_sheets_as_fine_as_the_proof(result: Path, tmp_path: Path) -> None:
+    path = result / "problem" / "problem.yaml"
+    with pytest.raises(TandemError) as error:
+        run_springback(Springback(path, triangles=1500, write=tmp_path / "back.json"), pipeline.load(path))
+    assert error.value.issues[0].field == "triangles"
+    assert "allowed 4000" in error.value.issues[0].message
+    assert not (tmp_path / "back.json").exists()
+
+
+def test_a_plan_that_goes_deeper_already_is_told(result: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "result"
+    (folder / "problem").mkdir(parents=True)
+    made = small_forming.problem(stepdown_mm=0.5, force_n=300, springback={"file": "back.json"})
+    path = small_forming.write(folder / "problem", made)
+    (folder / "problem" / "back.json").write_text("{}")
+    data = json.loads((result / "springback.json").read_text())
+    data["digest"] = pipeline.load_result(folder).digest
+    (folder / "springback.json").write_text(json.dumps(data))
+    assert path.exists()
+    (issue,) = run_next_loop(NextLoop(folder, LawOptions()))
+    assert issue.code == "forming.loop_curves"
+    assert "back.json" in issue.message
