@@ -38,6 +38,8 @@ SUFFIXES = (".csv", ".html")
 """Endings of files that the table or the page are written to."""
 LEAST_TRIANGLES = 300
 """Triangles of an elastic sheet that say anything at all."""
+LEAST_WRITTEN = 3000
+"""Triangles with which control points are near enough to those of the proof."""
 MOST_ROWS = 24
 """Rows of a printed table at most."""
 
@@ -71,7 +73,6 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     """Work out, print and write; warnings come back. Raises `TandemError`."""
     from planner.forming.process_plan import lay_all
     from planner.forming.springback import forecast
-    from planner.forming.springback.curves import TRIANGLES
 
     if request.output is not None and request.output.suffix.lower() not in SUFFIXES:
         what = f"{request.output.name}: a page is .html, a table .csv; name it so"
@@ -86,11 +87,9 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
         if value < least:
             what = f"got {value}, allowed {least} at least"
             raise TandemError(Issue("forming.springback_mode", what, field=name, hint="correct it"))
-    if request.write is not None and request.triangles < TRIANGLES:
-        what = (
-            f"got {request.triangles}, allowed {TRIANGLES} at least with --write: the proof works some of a "
-        )
-        what += "springback file out on finer meshes and takes 3 percent"
+    if request.write is not None and request.triangles < LEAST_WRITTEN:
+        what = f"got {request.triangles}, allowed {LEAST_WRITTEN} at least with --write: the proof "
+        what += "works some of a springback file out on finer meshes and takes 3 percent"
         raise TandemError(Issue("forming.springback_mode", what, field="triangles", hint="leave it out"))
     if request.write is not None and request.write.suffix.lower() != ".json":
         what = f"{request.write.name}: a springback file is .json; name it so"
@@ -131,6 +130,7 @@ def _write_shifts(
     from planner.forming.operation import Springback as Section
     from planner.forming.springback import compensation, compensation_file
 
+    compensation.require_mode(job.planned)
     limits = job.operation.springback or Section(file=path)
     ways, left = compensation.ways(job.planned, laid, found, limits.slope)
     for way in ways:

@@ -247,7 +247,7 @@ class FormingJob(Job[Forming]):
         made, setup = self.planned, self.setup
         given = None
         if self.operation.springback is not None:
-            forecast.require_mode(made)
+            compensation.require_mode(made)
             given = self._compensation(self.operation.springback)
         steps = list(step_issues(made))
         if steps:

@@ -252,7 +252,7 @@ def test_a_springback_file_wants_sheets_as_fine_as_the_proof(result: Path, tmp_p
     with pytest.raises(TandemError) as error:
         run_springback(Springback(path, triangles=1500, write=tmp_path / "back.json"), pipeline.load(path))
     assert error.value.issues[0].field == "triangles"
-    assert "allowed 4000" in error.value.issues[0].message
+    assert "allowed 3000" in error.value.issues[0].message
     assert not (tmp_path / "back.json").exists()
 
 

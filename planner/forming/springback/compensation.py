@@ -22,6 +22,7 @@ from planner.forming.contact import Pass, ToolPath
 from planner.forming.passes import SAME_ANGLE, SUPPORTED_MODES
 from planner.forming.process_plan import Work
 from planner.forming.springback.curves import PassSpringback
+from planner.forming.springback.forecast import require_mode as require_forecast
 from planner.geometry.arrays import FloatArray, IntArray, lengths, unit
 from planner.geometry.curves import along, arc_length
 from planner.geometry.units import DEG, MM
@@ -43,6 +44,19 @@ GROWING: Final = 0.8
 """A shift grows as fast as it may by this share of its slope."""
 STEEPER: Final = 0.5 * DEG
 """Walls that get steeper by less [rad] are as they were."""
+
+
+def require_mode(work: Work) -> None:
+    """Raise ``TandemError`` (forming.springback_mode) where tools of a job may not go deeper alike."""
+    require_forecast(work)
+    op = work.operation
+    if op.mode == "dpif_p":
+        what = (
+            f"{op.name}: mode dpif_p: its second tool supports the feature's border, which has to stay where "
+        )
+        what += "it is, and compensation moves both tools alike; allowed are spif, dsif, dpif_l, heat"
+        hint = "take another mode, or form a test piece and measure it"
+        raise TandemError(Issue("forming.springback_mode", what, field="mode", hint=hint))
 
 
 @dataclasses.dataclass(frozen=True)

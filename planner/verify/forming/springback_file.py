@@ -31,6 +31,8 @@ AT_ONCE = 100_000
 """Places that are looked at once."""
 ROUNDING = 3e-8
 """Shifts are rounded by no more [m], two of them."""
+FARTHEST, LONGEST = 100.0, 5_000.0
+"""Coordinates and lengths of ways at most [m]."""
 LARGEST = 100_000_000
 """Bytes of a file at most."""
 
@@ -114,7 +116,7 @@ def read(path: Path) -> Given:
             for row in data["control_points"]
         )
         belongs, count = dict(data["belongs_to"]), int(data["points"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
     if count != sum(len(way.point) for way in ways.values()) or len(ways) != len(data["passes"]):
         raise ValueError("it has another number of points than it says")
@@ -130,6 +132,11 @@ def _way(rings: list[list[list[float]]]) -> Way:
     both = np.concatenate(tables)
     if len(both) < 2 or not np.isfinite(both).all():
         raise ValueError("a pass has no way")
+    if (
+        np.abs(both).max() > FARTHEST
+        or np.sqrt((np.diff(both[:, :3], axis=0) ** 2).sum(axis=1)).sum() > LONGEST
+    ):
+        raise ValueError(f"a pass goes farther than {FARTHEST:g} m or is longer than {LONGEST:g} m")
     return Way(both[:, :3], both[:, 3], ring)
 
 

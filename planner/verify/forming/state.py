@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -159,15 +159,23 @@ def track(
     return Track(arms, rows, centre, forms, joined, poses, back, lifted, aside)
 
 
+STRAIGHT_OUT: Final = 1e-4
+"""Tools are straight above a place where they are off it in plan by no more [m]."""
+
+
 def _lifted(deeper: Released, former: Centres, forms: BoolArray) -> tuple[FloatArray, FloatArray]:
     """What is added along z (T,) [m] to tools that are deeper, and how far (T,) [m] the former is off the
-    file's way; on the way in and out what the way begins and ends with is added."""
+    file's way. On the way in that is nothing; on the way out what the way ends with, as long as the former
+    is straight above its end: elsewhere the sheet is as it was, and tools are where they are."""
     shift, aside = np.zeros(len(former)), np.zeros(len(former))
     own = np.flatnonzero(forms)
     if len(own):
         for some in np.array_split(own, len(own) // SAMPLES_AT_ONCE + 1):
             shift[some], aside[some] = deeper.deeper.at(former[some, 0])
-        shift[: own[0]], shift[own[-1] + 1 :] = deeper.deeper.way.shift[[0, -1]]
+        end = former[own[-1], 0]
+        for some in np.array_split(np.arange(own[-1] + 1, len(former)), len(former) // SAMPLES_AT_ONCE + 1):
+            above = lengths(former[some, 0][:, :2] - end[:2]) <= STRAIGHT_OUT
+            shift[some] = np.where(above, deeper.deeper.way.shift[-1], 0.0)
     return deeper.lifted(shift), aside
 
 

@@ -9,6 +9,7 @@ mesh with another membrane.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Iterator
 
@@ -16,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.forming import ComesBack, FormsPart, FormsSheet
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.tooling import FormingTool
@@ -43,12 +44,22 @@ LEAST_FORCE = 0.01
 """Forces by formula are this share of the largest at least: where a pass is flat it says 0."""
 BETWEEN = 0.05
 """Shifts are within this share of what lies between the control points around them."""
+OFF_TOUCH = 3e-4
+"""Control points are off the places that the tool touches by no more [m]."""
+OFF_ANGLE = 1.5e-3
+"""Walls so near to a control point [m] are those that it is on."""
+ANGLE = np.deg2rad(2.0)
+"""Walls of control points are as steep as the part's, within this [rad]."""
+PLACES = 3
+"""Places of the ways, anywhere on them, at which shifts are worked out once more."""
+CURVED = 0.25
+"""Between levels springback is off a straight line by no more than this share of what the levels differ."""
 STEP = 1e-3
 """Places of a way at which its shifts are looked at are so far apart [m]."""
 MOST_PLACES = 60_000
 """Places of a way at most."""
-MODES = frozenset({"spif", "dsif", "dpif_l", "dpif_p", "heat"})
-"""Modes in which what is formed comes back as one elastic sheet."""
+MODES = frozenset({"spif", "dsif", "dpif_l", "heat"})
+"""Modes in which what is formed comes back as one elastic sheet, and no tool holds its border."""
 
 
 @rule("verify.springback", ComesBack)
@@ -63,7 +74,8 @@ def springback(context: Context, forming: Forming) -> Outcome:
             issues.append(_issue(one, one.fault))
             continue
         found = [*_belongs(context, forming, one), *_limits(one), *_forces(context, one)]
-        found += _along(context, forming, one) if not found else []
+        found += _placed(forming, one) if not found else []
+        found += _along(forming, one) if not found else []
         found += _way(context, forming, one)
         issues += found
         if found:
@@ -75,6 +87,34 @@ def springback(context: Context, forming: Forming) -> Outcome:
     if not forming.told:
         return Outcome(tuple(issues), where=NOTHING)
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of how far two meshes may be off", where)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Pass:
+    """A pass of a file: its ``claim``, ``way`` and ``controls``. Of P places ``at`` (P,) [m] of the way:
+    ``touch`` (P, 3) [m], where the former touches the claimed face, the wall's ``angle`` (P,) [rad] there,
+    the ``ring`` (P,) and by how much that goes up and down, ``rise`` (P,) [m]."""
+
+    claim: FormsSheet
+    way: Way
+    controls: tuple[Control, ...]
+    at: FloatArray
+    touch: FloatArray
+    angle: FloatArray
+    ring: IntArray
+    rise: FloatArray
+
+    @property
+    def shift(self) -> FloatArray:
+        """Shifts (P,) [m] that the file states."""
+        return np.asarray(np.interp(self.at, _gone(self.way.point), self.way.shift))
+
+    def levels(self) -> tuple[dict[int, float], dict[int, list[Control]]]:
+        """Heights [m] of the levels, and their control points."""
+        groups: dict[int, list[Control]] = {}
+        for control in self.controls:
+            groups.setdefault(control.level, []).append(control)
+        return {k: float(np.mean([c.place[2] for c in some])) for k, some in groups.items()}, groups
 
 
 def _issue(
@@ -190,27 +230,86 @@ def _by_formula(
     return np.asarray(np.maximum(force, LEAST_FORCE * float(force.max())))
 
 
-def _along(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
+def _passes(forming: Forming, one: Told) -> Iterator[_Pass]:
+    """What the file says of each pass that is claimed, with what its former touches."""
+    for made in forming.formed:
+        claim = made.claim
+        if one.given is None or made.setup != one.index or claim.segment not in one.claim.segments:
+            continue
+        way = one.given.ways.get(claim.segment.name)
+        controls = tuple(c for c in one.given.controls if c.segment == claim.segment.name)
+        if way is None or not controls:
+            continue
+        gone = _gone(way.point)
+        count = int(min(MOST_PLACES, np.ceil(gone[-1] / STEP))) + 1
+        at = np.linspace(0.0, float(gone[-1]), count)
+        centre = np.stack([np.interp(at, gone, way.point[:, axis]) for axis in range(3)], axis=1)
+        ring = way.ring[np.clip(np.searchsorted(gone, at), 0, len(way.ring) - 1)]
+        found = made.face.nearest(centre)
+        up = np.abs(centre[:, 2] - found.place[:, 2]) / np.maximum(found.apart, 1e-9)
+        stated = one.operation.stepdown_mm
+        most = claim.radius if stated is None else 2.0 * float(stated) * MM
+        rise = np.zeros(count)
+        for k in np.unique(ring):
+            rows = ring == k
+            rise[rows] = min(float(np.ptp(found.place[rows, 2])), most)
+        angle = np.arccos(np.clip(up, 0.0, 1.0))
+        yield _Pass(claim, way, controls, at, found.place, angle, ring, rise)
+
+
+def _placed(forming: Forming, one: Told) -> Iterator[Issue]:
+    """Whether control points are where the former touches the part, on walls as steep as they say, and their
+    levels are loops from the first one to the last."""
+    for own in _passes(forming, one):
+        tree = cKDTree(own.touch)
+        places = np.array([control.place for control in own.controls])
+        away = np.asarray(tree.query(places)[0])
+        k = int(np.argmax(away))
+        if away[k] > 0.5 * STEP + OFF_TOUCH:
+            x, y, z = places[k] / MM
+            what = f"a control point of {own.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm is "
+            what += f"{mm(away[k]):.2f} mm off what the tool touches"
+            yield _issue(one, what, mm(float(away[k])), mm(0.5 * STEP + OFF_TOUCH), "mm")
+            continue
+        for control, around in zip(own.controls, tree.query_ball_point(places, OFF_ANGLE), strict=True):
+            steep = own.angle[around]
+            off = float(np.abs(steep - control.angle).min(initial=np.inf))
+            if off > ANGLE:
+                what = f"a control point of {own.claim.segment} is on a wall of "
+                what += f"{np.rad2deg(control.angle):.1f} deg, where the part has "
+                what += f"{np.rad2deg(steep.min()):.1f} to {np.rad2deg(steep.max()):.1f} deg"
+                yield _issue(one, what, float(np.rad2deg(off)), float(np.rad2deg(ANGLE)), "deg")
+                break
+        height, _ = own.levels()
+        room = float(own.rise.max()) + OFF_TOUCH
+        for row, control in enumerate(own.controls):
+            if abs(control.place[2] - height[control.level]) > room:
+                what = f"control points of level {control.level} of {own.claim.segment} are of several loops"
+                off_level = mm(abs(float(places[row, 2]) - height[control.level]))
+                yield _issue(one, what, off_level, mm(room), "mm")
+                break
+        low, high = float(own.touch[:, 2].min()), float(own.touch[:, 2].max())
+        bare = max(min(height.values()) - low, high - max(height.values()))
+        if bare > room:
+            what = f"the levels of {own.claim.segment} leave {mm(bare):.2f} mm of its depth without one"
+            yield _issue(one, what, mm(bare), mm(room), "mm")
+
+
+def _along(forming: Forming, one: Told) -> Iterator[Issue]:
     """Whether shifts are what lies between the control points around, as far as the slope lets them."""
-    given, slope = one.given, float(one.operation.springback.slope)
-    for index, claim in forming.by_setup:
-        if given is None or not isinstance(claim, FormsSheet) or index != one.index:
-            continue
-        way = given.ways.get(claim.segment.name)
-        if way is None or claim.segment not in one.claim.segments:
-            continue
-        controls = [control for control in given.controls if control.segment == claim.segment.name]
-        at, low, high = _bounds(way, controls, claim.side, claim.radius)
-        got = np.interp(at, _gone(way.point), way.shift)
-        half = claim.radius
-        least, most = (_mean(at, _slower(at, value, slope), half) for value in (low, high))
+    slope = float(one.operation.springback.slope)
+    for own in _passes(forming, one):
+        low, high, _ = _bounds(own)
+        got, half = own.shift, own.claim.radius
+        least, most = (_mean(own.at, _slower(own.at, value, slope), half) for value in (low, high))
         slack = BETWEEN * most + NOISE + 0.5 * slope * STEP
         off = np.maximum(least - got, got - most) - slack
         k = int(np.argmax(off))
         if off[k] > 0.0:
             what = (
-                f"{claim.segment} is shifted by {mm(got[k]):.3f} mm at {at[k] / MM:.0f} mm of its way; what "
-                f"its control points and the slope make is {mm(least[k]):.3f} to {mm(most[k]):.3f} mm"
+                f"{own.claim.segment} is shifted by {mm(got[k]):.3f} mm at {own.at[k] / MM:.0f} mm of its "
+                f"way; what its control points and the slope make is {mm(least[k]):.3f} to "
+                f"{mm(most[k]):.3f} mm"
             )
             yield _issue(one, what, mm(float(got[k])), mm(float(most[k])), "mm")
 
@@ -221,49 +320,38 @@ def _gone(points: FloatArray) -> FloatArray:
     return np.append(0.0, np.cumsum(np.sqrt((step * step).sum(axis=1))))
 
 
-def _bounds(
-    way: Way, controls: list[Control], side: int, radius: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Places (P,) [m] along a way, and the least and largest springback (P,) [m] that control points say
-    there: on each level from one to the next around the loop, between levels by height, and as the loop
-    itself goes up or down by its step."""
-    gone = _gone(way.point)
-    count = int(min(MOST_PLACES, np.ceil(gone[-1] / STEP))) + 1
-    at = np.linspace(0.0, float(gone[-1]), count)
-    place = np.stack([np.interp(at, gone, way.point[:, axis]) for axis in range(3)], axis=1)
-    ring = way.ring[np.clip(np.searchsorted(gone, at), 0, len(way.ring) - 1)]
-    levels = sorted({control.level for control in controls})
-    groups = [[control for control in controls if control.level == level] for level in levels]
-    # the ball's centre over a place of the wall
-    height = np.array(
-        [np.mean([c.place[2] + side * radius * np.cos(c.angle) for c in some]) for some in groups]
-    )
-    order = np.argsort(height)
-    table = np.empty((len(groups), count))
-    rise = np.zeros(count)
-    for k in np.unique(ring):
-        rows = np.flatnonzero(ring == k)
-        own = at[rows] - at[rows[0]]
-        whole = float(own[-1]) + STEP
-        rise[rows] = np.ptp(place[rows, 2])
-        tree = cKDTree(place[rows, :2])
+def _bounds(own: _Pass) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The least and largest springback (P,) [m] that control points say at the places of a pass: on each
+    level from one to the next around the loop, between levels by height, and as the loop itself goes up or
+    down by its step; and how much (P,) [m] the levels around differ."""
+    count = len(own.at)
+    known, groups = own.levels()
+    order = sorted(groups, key=lambda level: known[level])
+    height = np.array([known[level] for level in order])
+    table = np.empty((len(order), count))
+    for k in np.unique(own.ring):
+        rows = np.flatnonzero(own.ring == k)
+        along = own.at[rows] - own.at[rows[0]]
+        whole = float(along[-1]) + STEP
+        tree = cKDTree(own.touch[rows, :2])
         for row, level in enumerate(order):
             some = groups[level]
-            near = own[tree.query([control.place[:2] for control in some])[1]]
+            wanted = np.array([control.place[:2] for control in some])
+            near = along[np.asarray(tree.query(wanted)[1])]
             value = np.array([control.springback for control in some])
-            table[row, rows] = np.interp(own, near, value, period=whole)
-    height = height[order]
-    either = []
+            table[row, rows] = np.interp(along, near, value, period=whole)
+    either, column = [], np.arange(count)
+    apart = np.zeros(count)
     for off in (-1.0, 0.0, 1.0):
-        z = np.clip(place[:, 2] + off * rise, height[0], height[-1])
+        z = np.clip(own.touch[:, 2] + off * own.rise, height[0], height[-1])
         above = np.clip(np.searchsorted(height, z), 1, max(len(height) - 1, 1))
         below = np.minimum(above - 1, len(height) - 1)
         above = np.minimum(above, len(height) - 1)
         wide = np.where(above > below, height[above] - height[below], 1.0)
         share = np.clip((z - height[below]) / wide, 0.0, 1.0)
-        column = np.arange(count)
         either.append(table[below, column] * (1.0 - share) + table[above, column] * share)
-    return at, np.min(either, axis=0), np.max(either, axis=0)
+        apart = np.maximum(apart, np.abs(table[above, column] - table[below, column]))
+    return np.min(either, axis=0), np.max(either, axis=0), apart
 
 
 def _slower(at: FloatArray, value: FloatArray, slope: float) -> FloatArray:
@@ -324,7 +412,7 @@ def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[
         for claim in shape.claims
     }
     worst, issues = 0.0, []
-    for k in _drawn(context.problem.digest, len(given.controls)):
+    for k in _drawn(context.problem.digest, len(given.controls), DRAWN):
         control = given.controls[k]
         if control.segment not in passes:
             issues.append(_issue(one, f"a control point is of {control.segment}, which is not formed"))
@@ -350,7 +438,62 @@ def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[
             issues.append(
                 _issue(one, what, mm(off) if np.isfinite(off) else mm(control.springback), limit, "mm")
             )
+    for own, k, more in _anywhere(context, forming, one):
+        feature, number, claim = passes[own.claim.segment.name]
+        formed = elastic.Formed(made, feature, number, abs(float(own.touch[k, 2]) - claim.start))
+        force, doubt_of_force = _force_at(context, one, own, k)
+        shift = float(own.shift[k])
+        control = Control(own.claim.segment.name, 0, own.touch[k], float(own.angle[k]), force, shift)
+        x, y, z = control.place / MM
+        named = f"{own.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
+        try:
+            got, doubt = _once_more(formed, held, control)
+        except ValueError as error:
+            issues.append(_issue(one, f"{named}: the sheet there is not worked out: {error}"))
+            continue
+        allowed = (BETWEEN + doubt_of_force) * got + NOISE + doubt + more
+        off = abs(shift - got)
+        worst = max(worst, off / allowed if np.isfinite(got) else np.inf)
+        if not off <= allowed:
+            what = (
+                f"{named} is shifted by {mm(shift):.4f} mm; an elastic sheet comes back by {mm(got):.4f} mm "
+            )
+            what += f"there under {force:.0f} N"
+            limit = mm(allowed) if np.isfinite(got) else 0.0
+            issues.append(_issue(one, what, mm(off) if np.isfinite(off) else mm(shift), limit, "mm"))
     return worst, issues
+
+
+def _anywhere(context: Context, forming: Forming, one: Told) -> list[tuple[_Pass, int, float]]:
+    """Places drawn by lot on the ways of all passes, where shifts are springback itself: where no slope holds
+    them back. With each what the shift may be off besides [m]: by levels that are joined straight, and by the
+    mean over a ball's width."""
+    slope = float(one.operation.springback.slope)
+    found: list[tuple[_Pass, int, float]] = []
+    for own in _passes(forming, one):
+        low, high, apart = _bounds(own)
+        held = np.maximum(low - _slower(own.at, low, slope), high - _slower(own.at, high, slope))
+        radius, shift = own.claim.radius, own.shift
+        reach = int(np.ceil(2.0 * radius / max(float(own.at[1]), 1e-9)))
+        free = np.flatnonzero((held < 1e-6) & (own.at > 2.0 * radius))
+        for k in free[:: max(1, len(free) // 1000)]:
+            near = shift[max(k - reach, 0) : k + reach + 1]
+            found.append((own, int(k), CURVED * float(apart[k]) + 0.5 * float(np.ptp(near))))
+    return [found[k] for k in _drawn(context.problem.digest + " places", len(found), PLACES)]
+
+
+def _force_at(context: Context, one: Told, own: _Pass, k: int) -> tuple[float, float]:
+    """The problem's force [N] at a place of a pass; and the share by which it is in doubt, for a formula
+    hangs on the wall's angle."""
+    operation, setup = one.operation, context.setups[one.index]
+    if operation.force_n is not None:
+        return float(operation.force_n), 0.0
+    sheet = setup.stock.sheet
+    tensile = 0.0 if sheet is None else sheet.metal.tensile_stress
+    around = [float(own.angle[k]) + off for off in (0.0, -ANGLE, ANGLE)]
+    angle = np.maximum(np.array([*around, *(control.angle for control in own.controls)]), 0.0)
+    force = _by_formula(operation, tensile, setup, own.claim.radius, angle)
+    return float(force[0]), float(np.abs(force[1:3] / force[0] - 1.0).max())
 
 
 def _once_more(formed: elastic.Formed, held: elastic.Clamped, control: Control) -> tuple[float, float]:
@@ -364,9 +507,9 @@ def _once_more(formed: elastic.Formed, held: elastic.Clamped, control: Control) 
     return finer, 0.5 * abs(finer - got) if np.isfinite(finer - got) else 0.0
 
 
-def _drawn(digest: str, count: int) -> list[int]:
-    """Which of ``count`` control points are worked out once more: by the problem's digest, so that one that
-    changed has others."""
+def _drawn(digest: str, count: int, most: int) -> list[int]:
+    """Which of ``count`` are worked out once more, ``most`` of them: by the problem's digest, so that one
+    that changed has others."""
     seed = int.from_bytes(hashlib.sha256(f"springback {digest}".encode()).digest()[:8], "big")
-    some = np.random.default_rng(seed).permutation(count)[:DRAWN]
+    some = np.random.default_rng(seed).permutation(count)[:most]
     return sorted(some.tolist())

@@ -224,8 +224,10 @@ def test_what_is_wrong_in_a_file_is_found(context: Context, file: Path, change: 
 def test_what_the_sheet_does_not_say_is_found_where_it_is_drawn(
     context: Context, file: Path, monkeypatch: pytest.MonkeyPatch, factor: float
 ) -> None:
-    first = springback._drawn(context.problem.digest, 5)[0]
-    monkeypatch.setattr(springback, "_drawn", lambda digest, count: [first])
+    first = springback._drawn(context.problem.digest, 5, springback.DRAWN)[0]
+    monkeypatch.setattr(
+        springback, "_drawn", lambda digest, count, most: [first] if most == springback.DRAWN else []
+    )
 
     def other(data: dict[str, Any]) -> None:
         data["control_points"][first]["springback_mm"] *= factor
@@ -238,10 +240,78 @@ def test_what_the_sheet_does_not_say_is_found_where_it_is_drawn(
 
 
 def test_what_is_drawn_follows_the_problem() -> None:
-    some = {tuple(springback._drawn(digest, 40)) for digest in ("a", "b", "c")}
+    some = {tuple(springback._drawn(digest, 40, 5)) for digest in ("a", "b", "c")}
     assert len(some) == 3
     assert all(len(set(one)) == 5 and max(one) < 40 for one in some)
-    assert springback._drawn("a", 3) == [0, 1, 2]
+    assert springback._drawn("a", 3, 5) == [0, 1, 2]
+
+
+def _at_the_rim(data: dict[str, Any]) -> None:
+    for row in data["control_points"]:
+        out = 52.0 / np.hypot(row["x_mm"], row["y_mm"])
+        row["x_mm"], row["y_mm"] = out * row["x_mm"], out * row["y_mm"]
+
+
+def _first_level_alone(data: dict[str, Any]) -> None:
+    data["control_points"] = [row for row in data["control_points"] if row["level"] == 0]
+
+
+def _one_level(data: dict[str, Any]) -> None:
+    for row in data["control_points"]:
+        row["level"] = 0
+
+
+def _steeper(data: dict[str, Any]) -> None:
+    data["control_points"][-1]["wall_deg"] += 10.0
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (_at_the_rim, "mm off what the tool touches"),
+        (_first_level_alone, "of its depth without one"),
+        (_one_level, "are of several loops"),
+        (_steeper, "where the part has"),
+    ],
+)
+def test_control_points_are_on_the_loops_that_the_tool_forms(
+    context: Context, file: Path, change: Any, named: str
+) -> None:
+    file.write_text(files.edited(file.read_text(), change))
+    assert any(named in what for what in messages(context)), messages(context)
+
+
+def test_shifts_are_worked_out_once_more_anywhere(
+    context: Context, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        springback, "_drawn", lambda digest, count, most: [] if most == springback.DRAWN else [count // 3]
+    )
+    forming = Forming(context)
+    off, issues = springback._solved(context, forming, forming.told[0])
+    assert issues == []
+    assert 0.0 < off < 1.0
+    file.write_text(files.edited(file.read_text(), files.twice))
+    forming = Forming(context)
+    off, (issue,) = springback._solved(context, forming, forming.told[0])
+    assert off > 1.0
+    assert "an elastic sheet comes back by" in issue.message
+
+
+def test_a_way_out_that_presses_into_the_flat_sheet_is_found(context: Context) -> None:
+    """Beside the end of the way no file says that the sheet gives way: tools are where they are."""
+    out = dict(context.programs)
+    (name,) = (key for key, text in out.items() if "T_ROB1" in key and "PROC form_f1_out()" in text)
+    head, mark, rest = out[name].partition("PROC form_f1_out()")
+    body, end, tail = rest.partition("ENDPROC")
+    line = next(one for one in body.splitlines(keepends=True) if "MoveL [[" in one)
+    x, y, z = map(float, re.search(r"MoveL \[\[([^\]]*)\]", line)[1].split(","))  # type: ignore[index]
+    beside = re.sub(r"MoveL \[\[[^\]]*\]", f"MoveL [[45,0,{4.935}]", line)
+    assert z > 4.935 and np.hypot(x, y) < 40.0
+    out[name] = head + mark + body.replace(line, beside) + end + tail
+    bad = Context(context.problem, context.by_operation, out)
+    (gouge, *_) = forming_tool.gouge(bad, Forming(bad)).issues
+    assert "flat sheet" in gouge.message
 
 
 # ---- the sheet of the proof's own ----
