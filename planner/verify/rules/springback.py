@@ -23,6 +23,7 @@ from planner.issues import Issue
 from planner.tooling import FormingTool
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.forming import elastic, springback_file
+from planner.verify.forming.face import Face
 from planner.verify.forming.released import Told
 from planner.verify.forming.shapes import PartShapes
 from planner.verify.forming.springback_file import Control, Way
@@ -50,10 +51,13 @@ OFF_ANGLE = 1.5e-3
 """Walls so near to a control point [m] are those that it is on."""
 ANGLE = np.deg2rad(2.0)
 """Walls of control points are as steep as the part's, within this [rad]."""
+ANGLE_BESIDE = np.deg2rad(10.0)
+"""The same in corners where the ball does not fit [rad]."""
 PLACES = 3
 """Places of the ways, anywhere on them, at which shifts are worked out once more."""
-CURVED = 0.25
-"""Between levels springback is off a straight line by no more than this share of what the levels differ."""
+CURVED = 0.5
+"""Between control points shifts are off by no more than this share of what the levels around differ: first
+loops of a pass are flat, and have one point for all of their places."""
 STEP = 1e-3
 """Places of a way at which its shifts are looked at are so far apart [m]."""
 MOST_PLACES = 60_000
@@ -91,11 +95,12 @@ def springback(context: Context, forming: Forming) -> Outcome:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Pass:
-    """A pass of a file: its ``claim``, ``way`` and ``controls``. Of P places ``at`` (P,) [m] of the way:
+    """A pass of a file: its ``claim`` with its ``face``, ``way``, ``controls``. Of P places ``at`` (P,) [m]:
     ``touch`` (P, 3) [m], where the former touches the claimed face, the wall's ``angle`` (P,) [rad] there,
     the ``ring`` (P,) and by how much that goes up and down, ``rise`` (P,) [m]."""
 
     claim: FormsSheet
+    face: Face
     way: Way
     controls: tuple[Control, ...]
     at: FloatArray
@@ -254,7 +259,7 @@ def _passes(forming: Forming, one: Told) -> Iterator[_Pass]:
             rows = ring == k
             rise[rows] = min(float(np.ptp(found.place[rows, 2])), most)
         angle = np.arccos(np.clip(up, 0.0, 1.0))
-        yield _Pass(claim, way, controls, at, found.place, angle, ring, rise)
+        yield _Pass(claim, made.face, way, controls, at, found.place, angle, ring, rise)
 
 
 def _placed(forming: Forming, one: Told) -> Iterator[Issue]:
@@ -263,7 +268,11 @@ def _placed(forming: Forming, one: Told) -> Iterator[Issue]:
     for own in _passes(forming, one):
         tree = cKDTree(own.touch)
         places = np.array([control.place for control in own.controls])
+        found = own.face.nearest(places, OFF_ANGLE)
         away = np.asarray(tree.query(places)[0])
+        # in corners where the ball does not fit a place is beside it that it does not touch
+        beside = (found.apart <= OFF_TOUCH) & (away <= own.claim.radius) & (away > 0.5 * STEP + OFF_TOUCH)
+        away = np.where(beside, 0.0, away)
         k = int(np.argmax(away))
         if away[k] > 0.5 * STEP + OFF_TOUCH:
             x, y, z = places[k] / MM
@@ -271,10 +280,16 @@ def _placed(forming: Forming, one: Told) -> Iterator[Issue]:
             what += f"{mm(away[k]):.2f} mm off what the tool touches"
             yield _issue(one, what, mm(float(away[k])), mm(0.5 * STEP + OFF_TOUCH), "mm")
             continue
-        for control, around in zip(own.controls, tree.query_ball_point(places, OFF_ANGLE), strict=True):
-            steep = own.angle[around]
-            off = float(np.abs(steep - control.angle).min(initial=np.inf))
-            if off > ANGLE:
+        normal = own.face.normal[found.triangle]
+        formula = one.operation.force_n is None  # else nothing hangs on angles
+        for row, control in enumerate(own.controls) if formula else ():
+            around = tree.query_ball_point(places[row], OFF_ANGLE)
+            walls = np.unique(normal[found.row == row].round(6), axis=0)
+            both = walls.sum(axis=0, keepdims=True)  # on an edge the ball rolls from one wall to the other
+            walls = np.concatenate([walls, both / np.linalg.norm(both)])
+            steep = np.append(own.angle[around], np.arccos(np.clip(np.abs(walls[:, 2]), 0.0, 1.0)))
+            off = max(float(steep.min()) - control.angle, control.angle - float(steep.max()))
+            if off > (ANGLE_BESIDE if beside[row] else ANGLE):
                 what = f"a control point of {own.claim.segment} is on a wall of "
                 what += f"{np.rad2deg(control.angle):.1f} deg, where the part has "
                 what += f"{np.rad2deg(steep.min()):.1f} to {np.rad2deg(steep.max()):.1f} deg"

@@ -262,7 +262,7 @@ def _one_level(data: dict[str, Any]) -> None:
 
 
 def _steeper(data: dict[str, Any]) -> None:
-    data["control_points"][-1]["wall_deg"] += 10.0
+    data["control_points"][-1]["wall_deg"] += 30.0
 
 
 @pytest.mark.parametrize(
@@ -271,7 +271,6 @@ def _steeper(data: dict[str, Any]) -> None:
         (_at_the_rim, "mm off what the tool touches"),
         (_first_level_alone, "of its depth without one"),
         (_one_level, "are of several loops"),
-        (_steeper, "where the part has"),
     ],
 )
 def test_control_points_are_on_the_loops_that_the_tool_forms(
@@ -279,6 +278,16 @@ def test_control_points_are_on_the_loops_that_the_tool_forms(
 ) -> None:
     file.write_text(files.edited(file.read_text(), change))
     assert any(named in what for what in messages(context)), messages(context)
+
+
+def test_walls_by_which_a_formula_takes_forces_are_those_of_the_part(context: Context, file: Path) -> None:
+    file.write_text(files.edited(file.read_text(), _steeper))
+    forming = Forming(context)
+    (told,) = forming.told
+    by_formula = told.operation.model_copy(update={"force_n": None})
+    assert list(springback._placed(forming, told)) == []
+    (issue,) = springback._placed(forming, dataclasses.replace(told, operation=by_formula))
+    assert "where the part has" in issue.message
 
 
 def test_shifts_are_worked_out_once_more_anywhere(
