@@ -16,6 +16,9 @@ An exhibit is a mapping of arrays and plain data with ``kind`` and ``title`` (``
               measures.
 ``heatmap``   ``points`` (M, 3) [m] and ``value`` (M,), ``unit``; ``limit`` optional: the colours
               then diverge from 0 up to it.
+``released``  a formed sheet over a grid: ``x`` (W,), ``y`` (H,) [m]; heights (H, W) [m] ``formed`` under the
+              tools and ``released``; ``deviation`` (H, W) from the wanted part, NaN where none is known,
+              ``limit``: the end of its scale, ``unit``. The replay shows both surfaces.
 ``mesh``      ``vertices`` (V, 3) [m], ``faces`` (F, 3): a shaded picture.
 ``tree``      ``nodes``: names; ``parent``: for each node the index of its parent, -1 for a root.
 ``text``      ``text``: a paragraph.
@@ -283,6 +286,16 @@ def _heatmap(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     return _figure(exhibit, body)
 
 
+def _released(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
+    del block
+    x, y = np.meshgrid(exhibit["x"], exhibit["y"])
+    points = np.stack([x, y, np.asarray(exhibit["released"])], axis=-1).reshape(-1, 3)
+    value = np.asarray(exhibit["deviation"], dtype=np.float64).ravel()
+    known = np.isfinite(value)
+    body = charts.value_map(points[known], value[known], exhibit["limit"], str(exhibit.get("unit", "")))
+    return _figure(exhibit, body)
+
+
 def _mesh(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     del block
     vertices = np.asarray(exhibit["vertices"], dtype=np.float64)
@@ -321,6 +334,7 @@ _KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Block]]] = 
     "table": _table,
     "facts": _facts,
     "heatmap": _heatmap,
+    "released": _released,
     "mesh": _mesh,
     "tree": _tree,
     "text": _text,

@@ -50,6 +50,9 @@ DECIDES: Final = (
 )
 """Fields of an operation that decide what the sheet comes back by and where loops run."""
 
+_CONTROL: Final = ("level", "x_mm", "y_mm", "z_mm", "springback_mm")
+"""What is read of a control point."""
+
 
 def belongs_to(work: Work, stock: Stock, part: Part | None) -> dict[str, Any]:
     """What decides how far a sheet comes back, as plain values by name; meshes and outlines by digest."""
@@ -154,13 +157,25 @@ def _dump(value: Any) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
+class Foretold:
+    """What a file foretells of pass ``name`` at its control points: ``point`` (C, 3) [m] of contact,
+    ``level`` (C,) which of its levels each is on, ``springback`` (C,) [m]."""
+
+    name: str
+    point: FloatArray
+    level: IntArray
+    springback: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
 class Compensation:
     """A file that was read: the ``ways`` of all passes, whose shifts change by ``slope`` at most, named
-    ``file``."""
+    ``file``, and what it has ``foretold`` of passes."""
 
     file: str
     ways: tuple[Way, ...]
     slope: float
+    foretold: tuple[Foretold, ...]
 
 
 def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compensation:
@@ -183,7 +198,9 @@ def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compens
     if sum(len(way.point) for way in ways) != data.get("points"):
         raise refused(f"it says {data.get('points')} points and has {sum(len(way.point) for way in ways)}")
     _require_limits(ways, limits.slope, limits.most_mm * MM)
-    return Compensation(path.name, ways, limits.slope)
+    rows = _list(data, "control_points")
+    names = dict.fromkeys(str(row.get("pass")) for row in rows if isinstance(row, dict))
+    return Compensation(path.name, ways, limits.slope, tuple(_foretold(rows, name) for name in names))
 
 
 def _told(value: Any) -> str:
@@ -236,6 +253,17 @@ def _way(one: Any) -> Way:
     whole = np.concatenate(tables)
     loop: IntArray = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
     return Way(name, whole[:, :3], whole[:, 3], loop)
+
+
+def _foretold(rows: Sequence[Any], name: str) -> Foretold:
+    mine = [row for row in rows if isinstance(row, dict) and str(row.get("pass")) == name]
+    try:
+        table = np.array([[row[key] for key in _CONTROL] for row in mine], dtype=np.float64)
+    except (KeyError, TypeError, ValueError):
+        table = np.zeros((0, len(_CONTROL)))
+    if not len(table) or not np.isfinite(table).all():
+        raise refused(f"pass {name}: its control points are no rows of {', '.join(_CONTROL)}")
+    return Foretold(name, table[:, 1:4] * MM, table[:, 0].astype(np.int64), table[:, 4] * MM)
 
 
 def _require_limits(ways: Sequence[Way], slope: float, most: float) -> None:

@@ -6,6 +6,7 @@ So this says how much too shallow a part will about be, and where; measured forc
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
@@ -144,37 +145,54 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
     return out
 
 
-def estimate(work: Work, laid: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """Springback of pass ``number`` of a plan at the targets ``rows`` of its path: ``springback`` each
+    [m]."""
+
+    number: int
+    rows: tuple[int, ...]
+    springback: tuple[float, ...]
+
+
+def estimate(work: Work, laid: Sequence[tuple[Pass, ToolPath]]) -> Estimate | None:
     """What a plan says of springback where the user states the force: two places of the deepest pass, on
-    coarse sheets (forming.springback). Some half a second a place; nothing without ``force_n``."""
+    coarse sheets; some half a second a place. None without ``force_n`` or a forecast of the mode; without
+    places where the sheet snaps or is too coarse, of which `tandem springback` says what to do."""
     if work.operation.force_n is None or work.operation.mode not in MODES:
-        return []
+        return None
     number = int(np.argmax([abs(one.end - one.start) for one in work.passes]))
-    one, path = laid[number]
-    loops = path.contact.loop
-    rows = [int(np.flatnonzero(loops == k)[0]) for k in sorted({int(loops.max()) // 2, int(loops.max())})]
-    found = []
-    for row in rows:
-        point = Point(number, path.contact.point[row], work.operation.force_n)
+    contact = laid[number][1].contact
+    last = int(contact.loop.max())
+    found: dict[int, float] = {}
+    for row in [int(np.flatnonzero(contact.loop == k)[0]) for k in sorted({last // 2, last})]:
+        point = Point(number, contact.point[row], work.operation.force_n)
         try:
             curve = solved(work, point, ESTIMATE_TRIANGLES, ESTIMATE_SHARES)
         except ValueError:
-            continue  # too coarse for this part: tandem springback says so, and with how many it can be done
+            continue
         if not curve.snaps:
-            found.append((float(curve.springback[-1]) / MM, row))
-    if not found:
+            found[row] = float(curve.springback[-1])
+    return Estimate(number, tuple(found), tuple(found.values()))
+
+
+def estimate_issues(work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Estimate) -> list[Issue]:
+    """What the user must know of an estimate (forming.springback)."""
+    one, path = laid[found.number]
+    if not found.rows:
         what = f"pass {one.name}: springback was not estimated: the sheet has no coarse mesh, or it snaps"
         hint = "see tandem springback"
         return [Issue("forming.springback", what, Severity.WARNING, field="force_n", hint=hint)]
-    most, row = max(found)
+    most, row = max(zip(found.springback, found.rows, strict=True))
+    most /= MM
     if most <= TOLD:
         return []
     x, y, z = path.contact.point[row] / MM
+    count = len(found.rows)
     what = (
         f"pass {one.name}: when the tool lets go the sheet will come back by about {most:.1f} mm at "
         f"({x:.1f}, {y:.1f}, {z:.1f}) mm under {work.operation.force_n:g} N: so much too shallow the part "
-        f"will be; estimated at {len(found)} place{'s' * (len(found) > 1)}, of {TOLD:g} mm and less nothing "
-        f"is told"
+        f"will be; estimated at {count} place{'s' * (count > 1)}, of {TOLD:g} mm and less nothing is told"
     )
     hint = "tandem springback says it all over the part; --write makes a file that springback: takes"
     return [
