@@ -127,7 +127,7 @@ def _page(
             "x_label": "force [N]",
             "y_label": "deflection [mm]",
             "series": (
-                {"name": "readings", "y": readings.dial / MM},
+                {"name": "readings", "y": readings.dial / MM, "style": "dots"},
                 {"name": "fit", "y": (readings.dial - found.left) / MM},
             ),
         }

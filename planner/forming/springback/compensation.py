@@ -278,30 +278,6 @@ def told(given: Sequence[Way], file: str) -> Issue:
     return Issue("forming.compensated", what, Severity.NOTE, field="springback.file", value=most, unit="mm")
 
 
-def deviations(given: Sequence[Way], left: Sequence[FloatArray]) -> dict[str, Any]:
-    """How much too shallow the part is foretold to be, without the shifts and with them, on one scale;
-    ``left`` as :func:`ways` gives it."""
-    rest = np.concatenate(list(left)) / MM
-    before = rest + np.concatenate([way.shift for way in given]) / MM
-    most = float(max(np.abs(before).max(), np.abs(rest).max()))
-    points = np.concatenate([way.point for way in given])
-    named = {
-        "deviation_before": ("How much too shallow the part will be, without the file", before),
-        "deviation_after": ("How much too shallow the part will be, with it", rest),
-    }
-    return {
-        name: {
-            "kind": "heatmap",
-            "title": title,
-            "points": points,
-            "value": value,
-            "limit": most,
-            "unit": "mm",
-        }
-        for name, (title, value) in named.items()
-    }
-
-
 def exhibit(given: Sequence[Way]) -> dict[str, Any]:
     """The shifts along the paths, for the report."""
     return {

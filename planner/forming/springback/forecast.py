@@ -237,39 +237,35 @@ def rows(found: Sequence[PassSpringback]) -> list[dict[str, Any]]:
 
 
 def exhibits(found: Sequence[PassSpringback]) -> dict[str, Any]:
-    """Exhibits by name, in the forms that the report knows."""
-    places = np.concatenate([ring.point for one in found for ring in one.control.rings])
-    value = np.concatenate([part for one in found for part in one.along()]) / MM
-    out: dict[str, Any] = {
-        "springback": {
-            "kind": "heatmap",
-            "title": "How far the sheet comes back when the tool lets go",
-            "points": places,
-            "value": value,
-            "unit": "mm",
-        },
-        "springback_curves": _curves(found),
-        "clusters": _clusters(found),
-    }
-    return out
+    """Curves and clusters by name, in the forms that the report knows."""
+    return {"springback_curves": _curves(found), "clusters": _clusters(found)}
 
 
 def _curves(found: Sequence[PassSpringback]) -> dict[str, Any]:
     named = [
-        (f"{one.one.name} z {one.control.point[k, 2] / MM:.1f}", one.curves[k], one.force[k])
+        (f"{one.one.name}, z {one.control.point[k, 2] / MM:.1f} mm", one.curves[k], one.force[k])
         for one in found
         for k in range(len(one.curves))
         if one.control.cluster[k] == 0
     ]
     chosen = np.unique(np.linspace(0, len(named) - 1, min(len(named), CURVES_SHOWN)).round().astype(int))
     series = []
-    for k in chosen:
-        name, curve, _ = named[k]
+    for colour, k in enumerate(chosen):
+        name, curve, expected = named[k]
         x = np.linspace(0.0, float(curve.force[-1]), 60)
-        series.append({"name": name, "x": x, "y": curve.at(x) / MM})
+        at = np.array([expected])
+        drawn = [(x, curve.at(x), ""), (at, curve.at(at), "dots")]
+        if len(curve.force) > 2:
+            a, b = curve.power_law()
+            name += f": {a / MM:.3g} F^{b:.2f}"
+            drawn.append((x, a * x**b, "dashed"))
+        series += [
+            {"name": name, "x": n, "y": s / MM, "colour": colour, "style": style} for n, s, style in drawn
+        ]
     return {
         "kind": "curve",
         "title": "Springback over force",
+        "note": "lines: the elastic sheet; dashed: S = a F^b, fitted; dots: under the force that is expected",
         "x_label": "force along z [N]",
         "y_label": "springback [mm]",
         "series": tuple(series),
@@ -288,4 +284,13 @@ def _clusters(found: Sequence[PassSpringback]) -> dict[str, Any]:
                 if len(inside) > 1:
                     lines.append(ring.point[inside])
                     number.append(float(cluster))
-    return {"kind": "paths", "title": "Loops by the parts that a control point stands for", "curves": lines}
+    return {
+        "kind": "paths",
+        "title": "Loops by the parts that a control point stands for",
+        "curves": lines,
+        "value": np.array(number),
+        "value_name": "number of the part on its loop",
+        "points": np.concatenate([one.control.point for one in found]),
+        "near": True,
+        "note": "dots: control points",
+    }

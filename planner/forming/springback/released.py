@@ -1,4 +1,4 @@
-"""The released part: what a sheet is once the tools have let go, over a grid in plan, for report and replay.
+"""Springback over a formed part, and the part as it is released: over a grid in plan, for pages and replay.
 
 Each place of the path comes back by S, so what is left is the path less S, and the part is S too shallow;
 with a springback file S less the file's shift. Between targets the nearest in plan counts, on floors that of
@@ -22,7 +22,7 @@ from planner.forming.springback.control_points import ControlPoints, Ring
 from planner.forming.springback.curves import PassSpringback
 from planner.forming.springback.forecast import Estimate
 from planner.forming.springback.levels import evenly
-from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.arrays import FloatArray, IntArray, Mesh
 from planner.geometry.curves import arc_length
 from planner.geometry.mesh import small_pieces
 from planner.geometry.units import MM
@@ -90,7 +90,7 @@ def _interpolated(one: Pass, path: ToolPath, given: Foretold) -> FloatArray:
         ring = evenly(contact.point[contact.loop == nearest])
         rings.append(Ring(ring, np.zeros(len(ring)), np.zeros(len(ring), dtype=np.int64)))
         level += [number] * len(points)
-        place += list(map(int, cKDTree(ring[:, :2]).query(points[:, :2])[1]))
+        place += np.atleast_1d(cKDTree(ring[:, :2]).query(points[:, :2])[1]).tolist()
     order = np.argsort(given.level, kind="stable")
     none = np.zeros(len(order), dtype=np.int64)
     control = ControlPoints(
@@ -113,43 +113,95 @@ def _shift(way: Way, path: ToolPath) -> FloatArray:
     return np.interp(places, known * (places[-1] / max(float(known[-1]), 1e-12)), way.shift)
 
 
+def maps(work: Work, laid: Laid, found: Sequence[PassSpringback], ways: Sequence[Way] = ()) -> dict[str, Any]:
+    """A forecast as a map; with ``ways`` also how much too shallow the part will be without their shifts and
+    with them, on one scale."""
+    grid = _Grid(work, laid)
+    back = grid.spread(
+        {one.one.name: one.at(path.contact.point) for one, (_, path) in zip(found, laid, strict=True)}
+    )
+    named = {"springback": ("How far the sheet comes back when the tool lets go", back)}
+    if ways:
+        by_name = {way.name: way for way in ways}
+        left = back - grid.spread({one.name: _shift(by_name[one.name], path) for one, path in laid})
+        named["deviation_before"] = ("How much too shallow the part will be, without the file", back)
+        named["deviation_after"] = ("How much too shallow the part will be, with it", left)
+    end = _scale_end(back)
+    formed = grid.points[np.isfinite(back), :2]
+    low, high = formed.min(axis=0) - AROUND, formed.max(axis=0) + AROUND
+    near = ((grid.points[:, :2] > low) & (grid.points[:, :2] < high)).all(axis=1)
+    return {
+        name: {
+            "kind": "heatmap",
+            "title": title,
+            "points": grid.points[near],
+            "value": value[near] / MM,
+            "unit": "mm",
+            **({} if name == "springback" else {"limit": end}),
+        }
+        for name, (title, value) in named.items()
+    }
+
+
 def _exhibit(
     work: Work, laid: Laid, back: Mapping[str, FloatArray], deeper: Mapping[str, FloatArray], note: str
 ) -> dict[str, Any]:
     """Heights over the grid. ``back`` and ``deeper`` {pass: (N,)} [m] at targets: what the sheet comes back
     by, and what the tools go deeper by; passes that ``back`` does not have are not known."""
-    last = {one.feature: (one, path) for one, path in laid}
-    outline = {feature: shapely.Polygon(one.region[:, :2]) for feature, (one, _) in last.items()}
-    x, y = _grid(list(outline.values()), work.sheet.opening)
-    plan = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    wanted = _height(work.mesh, plan)
-    springback, shift, side = np.full(len(plan), np.nan), np.zeros(len(plan)), np.ones(len(plan))
-    # smaller outlines later: a place belongs to the innermost feature around it
-    for feature in sorted(last, key=lambda feature: -outline[feature].area):
-        one, path = last[feature]
-        inside = np.flatnonzero(shapely.contains_xy(outline[feature], plan[:, 0], plan[:, 1]))
-        nearest = cKDTree(path.contact.point[:, :2]).query(plan[inside])[1]
-        side[inside] = one.side
-        springback[inside] = back[one.name][nearest] if one.name in back else np.nan
-        shift[inside] = deeper[one.name][nearest] if one.name in deeper else 0.0
-    left = springback - shift
-    most = float(np.nanmax(springback)) / MM
-    shape = (len(y), len(x))
+    grid = _Grid(work, laid)
+    springback, shift = grid.spread(back), np.nan_to_num(grid.spread(deeper))
+    left, wanted, shape = springback - shift, grid.points[:, 2], (len(grid.y), len(grid.x))
     return {
         "kind": "released",
         "title": "How much too shallow the part is once the tools have let go",
         "note": note,
-        "x": x,
-        "y": y,
-        "formed": (wanted - side * shift).reshape(shape),
-        "released": (wanted + side * np.nan_to_num(left)).reshape(shape),
+        "x": grid.x,
+        "y": grid.y,
+        "formed": (wanted - grid.side * shift).reshape(shape),
+        "released": (wanted + grid.side * np.nan_to_num(left)).reshape(shape),
         "deviation": left.reshape(shape) / MM,
-        "limit": next((end for end in SCALE_ENDS if end >= most), SCALE_ENDS[-1]),
+        "limit": _scale_end(springback),
         "unit": "mm",
     }
 
 
-def _grid(outlines: Sequence[shapely.Polygon], opening: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _scale_end(springback: FloatArray) -> float:
+    most = float(np.nanmax(springback, initial=0.0)) / MM
+    return next((end for end in SCALE_ENDS if end >= most), SCALE_ENDS[-1])
+
+
+class _Grid:
+    """Places M = H W over a part, row by row: ``points`` (M, 3) [m] of its lower face on lines ``x`` (W,) and
+    ``y`` (H,), ``side`` (M,) of the pass that forms there."""
+
+    def __init__(self, work: Work, laid: Laid) -> None:
+        last = {one.feature: (one, path) for one, path in laid}
+        outline = {feature: shapely.Polygon(one.region[:, :2]) for feature, (one, _) in last.items()}
+        self.x, self.y = _lines(list(outline.values()), work.sheet.opening)
+        plan = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
+        self.points = np.column_stack([plan, _height(work.mesh, plan)])
+        self.side = np.ones(len(plan))
+        inner = np.full(len(plan), -1)
+        # smaller outlines later: a place belongs to the innermost feature around it
+        for feature in sorted(last, key=lambda feature: -outline[feature].area):
+            inner[shapely.contains_xy(outline[feature], plan[:, 0], plan[:, 1])] = feature
+        self._nearest: dict[str, tuple[IntArray, IntArray]] = {}
+        for feature, (one, path) in last.items():
+            inside = np.flatnonzero(inner == feature)
+            self.side[inside] = one.side
+            nearest = np.asarray(cKDTree(path.contact.point[:, :2]).query(plan[inside])[1])
+            self._nearest[one.name] = inside, nearest
+
+    def spread(self, value: Mapping[str, FloatArray]) -> FloatArray:
+        """Values (M,) at the places by those {pass: (N,)} at its targets; NaN where there is none."""
+        out = np.full(len(self.points), np.nan)
+        for name, (inside, nearest) in self._nearest.items():
+            if name in value:
+                out[inside] = value[name][nearest]
+        return out
+
+
+def _lines(outlines: Sequence[shapely.Polygon], opening: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lines of the grid along x (W,) and y (H,) [m]: close over what is formed, then the opening's ends."""
     low, high = np.array(shapely.union_all(outlines).bounds).reshape(2, 2) + np.array([[-AROUND], [AROUND]])
     step = float((high - low).max()) / (MOST_PLACES - 1)

@@ -12,7 +12,7 @@ import pytest
 
 from planner.forming.job import FormingJob
 from planner.forming.process_plan import lay_all
-from planner.forming.springback import released
+from planner.forming.springback import compensation, released
 from planner.forming.springback.forecast import Estimate
 from planner.geometry.units import MM
 from planner.issues import TandemError
@@ -118,3 +118,18 @@ def test_nothing_is_shown_where_no_springback_is_known(tmp_path: Path) -> None:
     made = job(tmp_path)
     operation = made.operation.model_copy(update={"force_n": None})
     assert page(FormingJob(operation, made.setup, made.part).targets()) == []
+
+
+def test_maps_of_a_forecast_are_on_one_scale(together: FormingJob) -> None:
+    laid, found = files.foretold(together)
+    ways, _ = compensation.ways(together.planned, laid, found, 0.05)
+    maps = released.maps(together.planned, laid, found, ways)
+    before, after = maps["deviation_before"], maps["deviation_after"]
+    assert before["limit"] == after["limit"] == 2.0
+    assert before["value"] == pytest.approx(maps["springback"]["value"], nan_ok=True)
+    gone = before["value"] - after["value"]
+    assert np.nanmax(gone) == pytest.approx(ways[0].shift.max() / MM, abs=0.01)
+    assert np.nanmin(gone) >= 0.0
+    inside = np.isfinite(before["value"])
+    depth = -before["points"][inside, 2] / MM
+    assert before["value"][inside] == pytest.approx(1.2 - 0.05 * depth, abs=2.0 * NEAR)
