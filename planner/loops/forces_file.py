@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.files import is_file
+from planner.files import is_file, no_file, not_by_commas
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -96,7 +96,7 @@ def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and rows with their lines."""
     file = str(path)
     if not is_file(path):
-        raise TandemError(_fault(file, None, None, f"{file}: no such file", "check the path"))
+        raise TandemError(_fault(file, None, None, f"{file}: {no_file(path)}", "check the path"))
     if path.stat().st_size > MOST_BYTES:
         what = f"larger than {MOST_BYTES / 1e6:g} MB"
         raise TandemError(_fault(file, None, None, what, "give one row for each point of a level"))
@@ -108,6 +108,10 @@ def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         what = f"cannot be read as CSV: {error}"
         raise TandemError(_fault(file, None, None, what, "save it as CSV, UTF-8, with commas")) from error
     rows = [(line, row) for line, row in rows if any(row) and not row[0].startswith("#")]
+    other = not_by_commas(",".join(rows[0][1])) if rows else None
+    if other is not None:
+        told, hint = other.split("; ")
+        raise TandemError(_fault(file, rows[0][0], None, told, hint))
     return (rows[0][1] if rows else []), rows[1:]
 
 

@@ -208,9 +208,12 @@ def _nearest(sorted_places: FloatArray, wanted: FloatArray) -> IntArray:
     return np.asarray(ahead - back)
 
 
-def refused(what: str) -> TandemError:
+AGAIN: Final = "write it again: tandem springback PROBLEM --write FILE"
+"""What helps where a file of shifts is of another job, damaged or old."""
+
+
+def refused(what: str, hint: str = AGAIN) -> TandemError:
     """What is wrong with a file of shifts, and what to do."""
-    hint = "write it again: tandem springback PROBLEM --write FILE"
     return TandemError(
         Issue(
             "forming.compensation",

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from planner.files import is_file, no_file
 from planner.forming.operation import Forming, Springback
 from planner.forming.process_plan import Work
 from planner.forming.springback import forecast
@@ -208,6 +209,11 @@ def _told(value: Any) -> str:
 
 
 def _data(path: Path) -> dict[str, Any]:
+    if not is_file(path):
+        hint = (
+            "check the path, which starts at the problem file's folder, or write the file: tandem springback "
+        )
+        raise refused(f"{path}: {no_file(path)}", f"{hint}PROBLEM --write FILE")
     try:
         if path.stat().st_size > LARGEST:
             raise refused(f"{path.name} has more than {LARGEST // 1_000_000} MB")
