@@ -88,7 +88,7 @@ def read_forces(path: Path, plan: LoopPlan) -> Measured:
     if not issues:
         issues = _too_small(file, plan, force)
     if issues:
-        raise TandemError(issues[:MOST_TOLD])
+        raise TandemError(_together(issues)[:MOST_TOLD])
     return _value(plan, force, lift)
 
 
@@ -115,15 +115,33 @@ def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     return (rows[0][1] if rows else []), rows[1:]
 
 
+def _together(issues: list[Issue]) -> list[Issue]:
+    """Faults of one kind as the first of them, with how many rows have it."""
+    kinds: dict[tuple[str | None, str | None], list[Issue]] = {}
+    for issue in issues:
+        alike = (issue.field, issue.hint) if issue.line is not None else (issue.field, issue.message)
+        kinds.setdefault(alike, []).append(issue)
+    return [
+        dataclasses.replace(some[0], message=f"{some[0].message}; so in {len(some)} rows")
+        if len(some) > 1
+        else some[0]
+        for some in kinds.values()
+    ]
+
+
 def _header(file: str, header: list[str]) -> list[Issue]:
     wanted = f"the columns are {', '.join(COLUMNS)} and, where the tool was lifted, {LIFT}"
     issues = [
         _fault(file, 1, name, f"got the column {name!r} {header.count(name)} times, allowed once", wanted)
+        if name in header
+        else _fault(file, 1, name, f"got no column {name!r}", wanted)
         for name in COLUMNS
         if header.count(name) != 1
     ]
     issues += [
-        _fault(file, 1, name or None, f"got the column {name!r} {header.count(name)} times", wanted)
+        _fault(file, 1, name or None, f"got the column {name!r}, which is none of a file of forces", wanted)
+        if name != LIFT
+        else _fault(file, 1, name, f"got the column {name!r} {header.count(name)} times", wanted)
         for name in dict.fromkeys(header)
         if name not in COLUMNS and (name != LIFT or header.count(name) > 1)
     ]

@@ -16,6 +16,7 @@ from planner.forming.contact import Pass, ToolPath
 from planner.forming.process_plan import Work
 from planner.forming.springback.control_points import MOST_POINTS, ControlPoints, control_points
 from planner.forming.springback.curves import (
+    LOAD_SHARES,
     TRIANGLES,
     Curve,
     PassSpringback,
@@ -129,11 +130,13 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
         snaps = np.flatnonzero(np.isnan(one.springback))
         if len(snaps):
             reached = one.curves[snaps[0]].force[-1]
+            least = LOAD_SHARES[0] * one.force[snaps[0]]
+            holds = f"holds {reached:.0f} N" if reached > 0.0 else f"does not hold {least:.0f} N"
             out.append(
                 Issue(
                     "forming.limit_load",
                     f"pass {one.one.name}: at z = {one.control.point[snaps[0], 2] / MM:.1f} mm the sheet "
-                    f"holds {reached:.0f} N, {one.force[snaps[0]]:.0f} N are expected; beyond, it snaps "
+                    f"{holds}, {one.force[snaps[0]]:.0f} N are expected; beyond, it snaps "
                     f"or buckles",
                     Severity.WARNING,
                     value=float(one.force[snaps[0]]),

@@ -120,6 +120,8 @@ def maps(work: Work, laid: Laid, found: Sequence[PassSpringback], ways: Sequence
     back = grid.spread(
         {one.one.name: one.at(path.contact.point) for one, (_, path) in zip(found, laid, strict=True)}
     )
+    if np.isnan(back).all():
+        return {}  # the sheet snaps wherever it was asked
     named = {"springback": ("How far the sheet comes back when the tool lets go", back)}
     if ways:
         by_name = {way.name: way for way in ways}
