@@ -229,6 +229,8 @@ def _levels(one: PassSpringback) -> Iterator[tuple[str, ...]]:
 
 
 def _span(values: Any, digits: int) -> str:
+    if (values != values).any():
+        return "snaps"
     low, high = f"{values.min():.{digits}f}", f"{values.max():.{digits}f}"
     return low if low == high else f"{low} to {high}"
 
