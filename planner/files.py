@@ -49,6 +49,22 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def no_file(path: Path) -> str:
+    """What is wrong with ``path``, of which :func:`is_file` says no, for a message."""
+    try:
+        return "is a folder, not a file" if path.is_dir() else "no such file"
+    except (OSError, ValueError):
+        return "no such file"
+
+
+def not_by_commas(header: str) -> str | None:
+    """What to say of a CSV whose first line has no commas but another separator, else None."""
+    for mark, name in ((";", "';'"), ("\t", "tabs")):
+        if mark in header and "," not in header:
+            return f"columns are separated by {name}; separate them by commas, and write decimals with points"
+    return None
+
+
 def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file through a temporary name in its folder, then rename: readers see the old file or the new
     one.

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from planner import files
+from planner import files, pipeline
+from planner.align import probing
+from planner.forming.paths import adsif_response
+from planner.forming.springback import clamp_calibration
+from planner.geometry import mesh, wing
+from planner.issues import TandemError
+from planner.loops import forces_file, loop_plan, machine, plant
+from planner.loops.loop_plan import LoopPlan
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_litter(
@@ -48,3 +56,57 @@ def test_an_interrupted_folder_keeps_what_was_there(tmp_path: Path, monkeypatch:
         files.write_folder(tmp_path, {"programs/x.mod": "new", "programs/y.mod": "new"}, owned)
     assert (tmp_path / "programs" / "x.mod").read_text() == "old"
     assert not list(tmp_path.glob(".tandem-*"))
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "curves": loop_plan.read_plan,
+    "forces": lambda path: forces_file.read_forces(path, LoopPlan("f1", "", 1, 0.005, 0.18, ())),
+    "plant": plant.read_plant,
+    "machine": machine.read_machine,
+    "plate test": lambda path: clamp_calibration.read_readings(path, 1e-5),
+    "adsif": adsif_response.table_text,
+    "points": lambda path: probing.read(path, ("left", "right")),
+    "problem": pipeline.load,
+    "mesh": lambda path: mesh.read_mesh(path, 1e-3),
+    "airfoil": lambda path: wing.read_airfoil(path, "part"),
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_folder_and_no_file_are_told_apart(reader: str, tmp_path: Path) -> None:
+    for path, said in ((tmp_path, "is a folder, not a file"), (tmp_path / "none.csv", "no such file")):
+        with pytest.raises(TandemError) as refused:
+            READERS[reader](path)
+        (issue,) = refused.value.issues
+        assert said in issue.message
+        assert issue.file == str(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "mark"),
+    [
+        ("level;point;force_n;springback_mm\n0;0;400;0,5\n", "';'"),
+        ("level\tpoint\tforce_n\n0\t0\t400\n", "tabs"),
+        ("force_n;dial_mm\n0;0,0\n20;0,74\n", "';'"),
+    ],
+)
+def test_another_separator_is_told_once_with_what_to_do(text: str, mark: str, tmp_path: Path) -> None:
+    file = tmp_path / "some.csv"
+    file.write_text(f"# measured\n{text}")
+    with pytest.raises(TandemError) as refused:
+        READERS["plate test" if "dial" in text else "forces"](file)
+    (issue,) = refused.value.issues
+    assert issue.line == 2
+    whole = f"{issue.message}; {issue.hint}"
+    assert f"columns are separated by {mark}" in whole
+    assert "separate them by commas" in whole
+
+
+def test_a_plant_that_is_no_yaml_is_not_called_a_problem(tmp_path: Path) -> None:
+    for text in ("sheet: [cone\n", "- cone\n", ""):
+        (tmp_path / "plant.yaml").write_text(text)
+        with pytest.raises(TandemError) as refused:
+            plant.read_plant(tmp_path / "plant.yaml")
+        (issue,) = refused.value.issues
+        assert "problem" not in issue.message
+        assert "write a mapping" in issue.message

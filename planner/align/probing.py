@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 
 from planner.catalogue.robots import robot
-from planner.files import is_file
+from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray, to_rpy
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
@@ -89,7 +89,7 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Lines with their cells, the headings first."""
     file = str(path)
     if not is_file(path):
-        raise TandemError(_fault(file, None, None, f"{file}: no such file", "check the path"))
+        raise TandemError(_fault(file, None, None, f"{file}: {no_file(path)}", "check the path"))
     try:
         if path.stat().st_size > MAX_BYTES:
             raise TandemError(_fault(file, None, None, f"larger than {MAX_BYTES / 1e6:g} MB", "cut it down"))

@@ -78,7 +78,7 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
     _print(found, plate, request.thickness_tol_mm is None)
     if request.output is not None:
         write_output(request.output, _page(request, problem, plate, readings, found))
-    return clamp_calibration.unclear(found, plate, readings)
+    return clamp_calibration.unclear(found, plate, readings, request.thickness_tol_mm is None)
 
 
 def _require(name: str, value: float, least: float, most: float, unit: str) -> None:
@@ -127,7 +127,7 @@ def _page(
             "x_label": "force [N]",
             "y_label": "deflection [mm]",
             "series": (
-                {"name": "readings", "y": readings.dial / MM},
+                {"name": "readings", "y": readings.dial / MM, "style": "dots"},
                 {"name": "fit", "y": (readings.dial - found.left) / MM},
             ),
         }

@@ -28,6 +28,7 @@ from planner.issues import Issue, TandemError
 if TYPE_CHECKING:
     from planner.forming.job import FormingJob
     from planner.forming.process_plan import Work
+    from planner.forming.springback.compensation import Way
     from planner.forming.springback.curves import Curve, PassSpringback, Point
     from planner.loops.machine import Found, MachineFile
     from planner.problem import Problem
@@ -72,7 +73,7 @@ class Springback:
 def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     """Work out, print and write; warnings come back. Raises `TandemError`."""
     from planner.forming.process_plan import lay_all
-    from planner.forming.springback import forecast
+    from planner.forming.springback import forecast, released
 
     if request.output is not None and request.output.suffix.lower() not in SUFFIXES:
         what = f"{request.output.name}: a page is .html, a table .csv; name it so"
@@ -103,11 +104,10 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     every = [point for _, rows in control for point in rows]
     found = forecast.forecast(laid, control, _solved(work, every, request.triangles))
     _print(work, found, time.perf_counter() - started)
-    shown = forecast.exhibits(found)
-    if request.write is not None:
-        shown |= _write_shifts(request.write, problem, job, found, laid)
+    ways = () if request.write is None else _write_shifts(request.write, problem, job, found, laid)
     if request.output is not None:
         page = request.output.suffix.lower() == ".html"
+        shown = {**released.maps(work, laid, found, ways), **forecast.exhibits(found)} if page else {}
         write_output(request.output, _page(problem, work, shown) if page else _csv(found))
     if request.curves is not None:
         from planner.forming.springback.levels import file_data
@@ -125,8 +125,8 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
 
 def _write_shifts(
     path: Path, problem: Problem, job: FormingJob, found: Sequence[PassSpringback], laid: Sequence[Any]
-) -> dict[str, Any]:
-    """Write the springback file; say what the slope leaves of the forecast. Exhibits of what it changes."""
+) -> tuple[Way, ...]:
+    """Write the springback file; say what the slope leaves of the forecast. The ways with their shifts."""
     from planner.forming.operation import Springback as Section
     from planner.forming.springback import compensation, compensation_file
 
@@ -157,7 +157,7 @@ def _write_shifts(
         "from the problem file's folder",
         markup=False,
     )
-    return compensation.deviations(ways, left)
+    return ways
 
 
 def _job(problem: Problem, name: str | None) -> FormingJob:
@@ -229,6 +229,8 @@ def _levels(one: PassSpringback) -> Iterator[tuple[str, ...]]:
 
 
 def _span(values: Any, digits: int) -> str:
+    if (values != values).any():
+        return "snaps"
     low, high = f"{values.min():.{digits}f}", f"{values.max():.{digits}f}"
     return low if low == high else f"{low} to {high}"
 
@@ -348,9 +350,9 @@ def _control_page(name: str, file: MachineFile, found: Found) -> str:
             "x_label": "time [s]",
             "y_label": "force [N]",
             "series": (
-                {"name": "force", "y": run.force[0]},
-                {"name": "as measured", "y": run.measured[0]},
-                {"name": "commanded", "y": run.wanted[0]},
+                {"name": "as measured", "y": run.measured[0], "colour": 1},
+                {"name": "force", "y": run.force[0], "colour": 0},
+                {"name": "commanded", "y": run.wanted[0], "colour": 2},
             ),
             "limits": band,
         }

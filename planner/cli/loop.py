@@ -25,6 +25,7 @@ from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
+    from planner.loops.forces_file import Measured
     from planner.loops.job_border import JobBorder
     from planner.loops.loop_plan import LoopPlan
     from planner.loops.next_loop import Law, Offsets
@@ -36,6 +37,8 @@ CURVES = "springback.json"
 """Where curves stand in a result folder, unless a file is named."""
 LEAST_KAPPA, MOST_KAPPA = 0.2, 5.0
 """Springback of a sheet over that of the model: beyond, it was not measured in mm, or of another sheet."""
+LIFTS_SHOWN = 8
+"""Lifts of a picture at most."""
 MOST_SHEETS = 10_000
 """Sheets of a simulation at most."""
 MOST_SEED = 1_000_000_000
@@ -85,7 +88,7 @@ class NextLoop:
     before_mm: float | None = None
     """the offset at which the level before ends; this one goes on from there within the slope"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """offsets along the level's path, .csv or .json; .html: the map of stability"""
+    """offsets along the level's path, .csv or .json; .html: lifts over the curves, the map of stability"""
 
 
 def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
@@ -128,7 +131,10 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     if request.output is not None:
         kind = request.output.suffix.lower()
         made = {".csv": _csv, ".json": _json}.get(kind)
-        text = _map_page(plan, law, found) if made is None else made(plan, number, told, kappa)
+        if made is None:
+            text = _map_page(plan, law, found, measured, kappa)
+        else:
+            text = made(plan, number, told, kappa)
         write_output(request.output, text)
     return tuple(issues)
 
@@ -293,10 +299,50 @@ def _cut(plan: LoopPlan, law: Law, number: int, told: Offsets) -> list[Issue]:
     return [Issue("forming.loop_range", what, Severity.WARNING, field="most_mm", hint=hint)]
 
 
-def _map_page(plan: LoopPlan, law: Law, found: JobBorder) -> str:
+def _map_page(plan: LoopPlan, law: Law, found: JobBorder, measured: Measured, kappa: float) -> str:
     from planner.loops.job_border import map_exhibit
 
-    return _page(f"Springback loop of pass {plan.name}", {"map": map_exhibit(found, law)})
+    shown = {"lifts": _lifts(plan, measured, kappa), "map": map_exhibit(found, law)}
+    return _page(f"Springback loop of pass {plan.name}", {k: one for k, one in shown.items() if one})
+
+
+def _lifts(plan: LoopPlan, measured: Measured, kappa: float) -> dict[str, Any]:
+    """What lifts of the tool have shown, over the curves of their points, some of them; nothing without
+    one."""
+    import numpy as np
+
+    from planner.loops.next_loop import springback
+
+    made = [
+        (number, int(k)) for number, row in enumerate(measured.lift) for k in np.flatnonzero(np.isfinite(row))
+    ]
+    chosen = np.unique(np.linspace(0, len(made) - 1, min(len(made), LIFTS_SHOWN)).round().astype(int))
+    series: list[dict[str, Any]] = []
+    for colour, (number, k) in enumerate(made[i] for i in chosen):
+        level = plan.levels[number]
+        x = np.linspace(0.0, float(level.loads[k, -1]), 60)
+        model = np.array([springback(level, np.full(len(level.place), n))[k] for n in x])
+        rows = (
+            (x, model, ""),
+            (x, kappa * model, "dashed"),
+            (measured.force[number][[k]], measured.lift[number][[k]], "dots"),
+        )
+        name = f"level {number}, point {k}"
+        series += [
+            {"name": name, "x": n, "y": s / MM, "colour": colour, "style": style} for n, s, style in rows
+        ]
+    return (
+        {}
+        if not series
+        else {
+            "kind": "curve",
+            "title": "Springback over force, and what lifts have shown",
+            "note": f"lines: the model; dashed: times kappa {kappa:.3f}; dots: lifts of the tool",
+            "x_label": "force along z [N]",
+            "y_label": "springback [mm]",
+            "series": tuple(series),
+        }
+    )
 
 
 def _page(title: str, shown: dict[str, Any]) -> str:

@@ -46,7 +46,7 @@ from planner.forming.process_plan import (
     work,
 )
 from planner.forming.sheet_mechanics import thickness_map, thinnest, wall_angle_map
-from planner.forming.springback import compensation, compensation_file, forecast
+from planner.forming.springback import compensation, compensation_file, forecast, released
 from planner.forming.support.opposite import DRIFT_SHARE
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts, read_only
 from planner.geometry.units import DEG, MM
@@ -265,8 +265,13 @@ class FormingJob(Job[Forming]):
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         if given is None:
-            issues += forecast.estimate(made, paths)
-            return _targets(made, setup, paths, paths, issues, self.claims())
+            estimate = forecast.estimate(made, paths)
+            shown = {}
+            if estimate is not None:
+                issues += forecast.estimate_issues(made, paths, estimate)
+                shown = {"released": released.estimated(made, paths, estimate)} if estimate.rows else {}
+            found = _targets(made, setup, paths, paths, issues, self.claims())
+            return dataclasses.replace(found, exhibits={**found.exhibits, **shown})
         deeper = compensation.shifted(paths, given.ways)
         issues += [
             *compensation.steeper(made, paths, given.ways, given.slope),
@@ -276,9 +281,11 @@ class FormingJob(Job[Forming]):
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         found = _targets(made, setup, paths, deeper, issues, self.claims())
-        return dataclasses.replace(
-            found, exhibits={**found.exhibits, "compensation": compensation.exhibit(given.ways)}
-        )
+        shown = {
+            "compensation": compensation.exhibit(given.ways),
+            "released": released.compensated(made, paths, given),
+        }
+        return dataclasses.replace(found, exhibits={**found.exhibits, **shown})
 
     def _compensation(self, wanted: Springback) -> compensation_file.Compensation:
         identity = compensation_file.belongs_to(self.planned, self.setup.stock, self.part)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from planner.files import is_file
+from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.issues import Issue, TandemError
 
@@ -45,7 +45,7 @@ def read_mesh(path: Path, unit: float) -> TriangleMesh:
     without faces, with numbers that are not finite, or of a size that says that the unit is wrong.
     """
     if not is_file(path):
-        raise _refuse("problem.missing_file", path, "there is no such file; check the path")
+        raise _refuse("problem.missing_file", path, f"{no_file(path)}; check the path")
     size = path.stat().st_size
     if size > MAX_MESH_BYTES:
         raise _refuse(

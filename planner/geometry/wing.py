@@ -32,7 +32,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 from shapely.geometry import LineString
 
-from planner.files import is_file
+from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import Guide, turned
 from planner.geometry.matching import Match, join
@@ -260,7 +260,7 @@ def read_airfoil(path: Path, field: str) -> tuple[FloatArray, list[Issue]]:
     ``part.airfoil_open``, ``part.airfoil_points`` or ``part.airfoil_crossing``.
     """
     if not is_file(path):
-        raise _refuse_file("problem.missing_file", path, field, "there is no such file; check the path")
+        raise _refuse_file("problem.missing_file", path, field, f"{no_file(path)}; check the path")
     if path.stat().st_size > _MAX_SECTION_BYTES:
         raise _refuse_file(
             "problem.too_large", path, field, "more than 2 MB; an airfoil has some hundred points"

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.files import is_file
+from planner.files import is_file, no_file, not_by_commas
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -88,7 +88,7 @@ def read_forces(path: Path, plan: LoopPlan) -> Measured:
     if not issues:
         issues = _too_small(file, plan, force)
     if issues:
-        raise TandemError(issues[:MOST_TOLD])
+        raise TandemError(_together(issues)[:MOST_TOLD])
     return _value(plan, force, lift)
 
 
@@ -96,7 +96,7 @@ def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and rows with their lines."""
     file = str(path)
     if not is_file(path):
-        raise TandemError(_fault(file, None, None, f"{file}: no such file", "check the path"))
+        raise TandemError(_fault(file, None, None, f"{file}: {no_file(path)}", "check the path"))
     if path.stat().st_size > MOST_BYTES:
         what = f"larger than {MOST_BYTES / 1e6:g} MB"
         raise TandemError(_fault(file, None, None, what, "give one row for each point of a level"))
@@ -108,18 +108,40 @@ def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         what = f"cannot be read as CSV: {error}"
         raise TandemError(_fault(file, None, None, what, "save it as CSV, UTF-8, with commas")) from error
     rows = [(line, row) for line, row in rows if any(row) and not row[0].startswith("#")]
+    other = not_by_commas(",".join(rows[0][1])) if rows else None
+    if other is not None:
+        told, hint = other.split("; ")
+        raise TandemError(_fault(file, rows[0][0], None, told, hint))
     return (rows[0][1] if rows else []), rows[1:]
+
+
+def _together(issues: list[Issue]) -> list[Issue]:
+    """Faults of one kind as the first of them, with how many rows have it."""
+    kinds: dict[tuple[str | None, str | None], list[Issue]] = {}
+    for issue in issues:
+        alike = (issue.field, issue.hint) if issue.line is not None else (issue.field, issue.message)
+        kinds.setdefault(alike, []).append(issue)
+    return [
+        dataclasses.replace(some[0], message=f"{some[0].message}; so in {len(some)} rows")
+        if len(some) > 1
+        else some[0]
+        for some in kinds.values()
+    ]
 
 
 def _header(file: str, header: list[str]) -> list[Issue]:
     wanted = f"the columns are {', '.join(COLUMNS)} and, where the tool was lifted, {LIFT}"
     issues = [
         _fault(file, 1, name, f"got the column {name!r} {header.count(name)} times, allowed once", wanted)
+        if name in header
+        else _fault(file, 1, name, f"got no column {name!r}", wanted)
         for name in COLUMNS
         if header.count(name) != 1
     ]
     issues += [
-        _fault(file, 1, name or None, f"got the column {name!r} {header.count(name)} times", wanted)
+        _fault(file, 1, name or None, f"got the column {name!r}, which is none of a file of forces", wanted)
+        if name != LIFT
+        else _fault(file, 1, name, f"got the column {name!r} {header.count(name)} times", wanted)
         for name in dict.fromkeys(header)
         if name not in COLUMNS and (name != LIFT or header.count(name) > 1)
     ]

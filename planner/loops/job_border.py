@@ -76,21 +76,30 @@ def map_exhibit(found: JobBorder, law: Law) -> dict[str, Any]:
     """The stability map: borders of q over gamma of each rule, and where the job's levels are."""
     most = max(2.0 * float(found.gamma.max()), 1.0)
     x = np.geomspace(0.02 * most, most, SHOWN)
-    top = max(2.5, 1.2 * found.ratio)
+    top = max(2.5, 1.2 * found.ratio, 1.3 * float(border(most, law.rule, law.every, law.weight)))
     rules: tuple[Rule, ...] = (*RULES, "model")
     series: list[dict[str, Any]] = [
-        {"name": f"border, rule {rule}", "y": np.minimum(border(x, rule, law.every, law.weight), top)}
+        {"name": f"border, rule {rule}", "y": _below(border(x, rule, law.every, law.weight), top)}
         for rule in rules
     ]
-    ends = np.array([found.gamma.min(), found.gamma.max()])
-    series.append({"name": f"this job, rule {law.rule}", "x": ends, "y": np.full(2, found.ratio)})
+    job = f"levels of this job, rule {law.rule}"
+    series.append(
+        {"name": job, "x": found.gamma, "y": np.full(len(found.gamma), found.ratio), "style": "dots"}
+    )
     return {
         "kind": "curve",
         "title": "Where the loop settles: below the border of its rule",
-        "note": f"gamma = m b S / dz; q: slope of the model over that of the sheet; borders above {top:.2g} "
-        "are drawn there",
+        "note": "gamma = m b S / dz, without a unit; q: slope of the model over that of the sheet",
         "x": x,
-        "x_label": "gamma",
-        "y_label": "q",
+        "x_label": "gamma [-]",
+        "y_label": "q [-]",
         "series": tuple(series),
     }
+
+
+def _below(value: FloatArray, top: float) -> FloatArray:
+    """Values (N,) as far as they are below ``top``, NaN beyond, where nothing is drawn; at least the last
+    one, which is then at ``top``."""
+    out = np.where(value <= top, value, np.nan)
+    out[-1] = min(value[-1], top)
+    return out

@@ -16,7 +16,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from planner.files import is_file
+from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -146,7 +146,7 @@ def read_plan(path: Path, name: str | None = None) -> LoopPlan:
     file = str(path)
     again = "write it again: tandem springback PROBLEM --curves FILE"
     if not is_file(path):
-        raise TandemError(_wrong(file, None, f"{file}: no such file", again))
+        raise TandemError(_wrong(file, None, f"{file}: {no_file(path)}", again))
     if path.stat().st_size > MOST_BYTES:
         raise TandemError(_wrong(file, None, f"larger than {MOST_BYTES / 1e6:g} MB", again))
     try:

@@ -109,8 +109,9 @@ def _wrong(fault: dict[str, object], document: strict_yaml.Document) -> Issue:
     field = ".".join(map(str, place)) if isinstance(place, tuple) else ""
     return Issue(
         "control.machine",
-        f"{document.path}: {field}: {fault['msg']}; got {fault.get('input')!r}",
+        f"{fault['msg']}; got {fault.get('input')!r:.80}",
         file=str(document.path),
+        line=document.line(place if isinstance(place, tuple) else ()),
         field=field,
         hint="correct it, in the units of the field's name",
     )

@@ -119,7 +119,7 @@ def _wrong(fault: dict[str, object], document: strict_yaml.Document) -> Issue:
     field = ".".join(map(str, steps))
     return Issue(
         "forming.loop_plant",
-        f"{document.path}: {field}: {fault['msg']}; got {fault.get('input')!r:.80}",
+        f"{fault['msg']}; got {fault.get('input')!r:.80}",
         file=str(document.path),
         line=document.line(steps),
         field=field,

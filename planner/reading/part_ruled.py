@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from planner.files import is_file
+from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import Guide, polyline, spline, with_corners
 from planner.geometry.matching import aligned, join
@@ -136,7 +136,7 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
     ``problem.too_large``, ``part.extra_missing`` or ``part.dxf``.
     """
     if not is_file(path):
-        raise _refuse("problem.missing_file", path, field, "there is no such file; check the path")
+        raise _refuse("problem.missing_file", path, field, f"{no_file(path)}; check the path")
     if path.stat().st_size > _MAX_DXF_BYTES:
         raise _refuse("problem.too_large", path, field, "more than 50 MB; export only the curves")
     try:

@@ -17,7 +17,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from planner.claims import claim as claimed
 from planner.claims.claim import Claim
 from planner.claims.vocabulary import OperatorDialogue, Segment
-from planner.files import is_file
+from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, from_parts, from_quaternion
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
@@ -269,7 +269,7 @@ def _rows(operation: Posed) -> list[Mapping[str, Any]]:
         raise TandemError(
             Issue(
                 "problem.missing_file",
-                f"{path}: no such file of targets; check the path, which starts at the problem file's folder",
+                f"{path}: {no_file(path)}; check the path, which starts at the problem file's folder",
                 file=str(path),
                 field="operations.file",
             )

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from planner.files import is_file
+from planner.files import is_file, no_file
 from planner.issues import Issue, TandemError
 
 try:  # libyaml, where PyYAML was built with it: twenty times faster, and the same marks
@@ -113,14 +113,16 @@ def read(path: Path) -> Document:
     """
     name = str(path)
     if not is_file(path):
-        raise TandemError(Issue("problem.missing_file", f"{name}: no such file; check the path", file=name))
+        raise TandemError(
+            Issue("problem.missing_file", f"{name}: {no_file(path)}; check the path", file=name)
+        )
     size = path.stat().st_size
     if size > MAX_YAML_BYTES:
         raise TandemError(
             Issue(
                 "problem.too_large",
-                f"{name}: {size / 1e6:.1f} MB, at most {MAX_YAML_BYTES / 1e6:.0f} MB are read as a problem "
-                "file; put meshes and point lists into files of their own",
+                f"{name}: {size / 1e6:.1f} MB, at most {MAX_YAML_BYTES / 1e6:.0f} MB are read as YAML; "
+                "put meshes and point lists into files of their own",
                 file=name,
                 value=size / 1e6,
                 limit=MAX_YAML_BYTES / 1e6,
@@ -158,12 +160,12 @@ def parse(raw: bytes, name: str) -> tuple[dict[str, Any], yaml.Node | None]:
         detail = getattr(error, "problem", None) or str(error).splitlines()[0]
         line = mark.line + 1 if mark else None
         tabs = line is not None and "\t" in (text.splitlines()[line - 1 : line] or [""])[0]
-        remedy = "indent with spaces, not tabs" if tabs else "a problem file is a mapping such as 'tandem: 1'"
+        remedy = "indent with spaces, not tabs" if tabs else "write a mapping, a name and its value a line"
         what = f"is not YAML: {detail}; {remedy}"
         raise _not_yaml(name, what, line) from error
     if not isinstance(data, dict):
         got = type(data).__name__ if data is not None else "nothing"
-        what = f"has {got} at its top level; write a mapping that begins with 'tandem: 1'"
+        what = f"has {got} at its top level; write a mapping, a name and its value a line"
         raise _not_yaml(name, what, 1)
     return data, root
 

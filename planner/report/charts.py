@@ -36,13 +36,15 @@ _NO_DATA: Final = Paragraph("no data", "empty")
 
 @dataclasses.dataclass(frozen=True)
 class Line:
-    """One curve: x, y (N,), NaN where there is none; ``color`` 0..7 of the page's palette."""
+    """One curve: x, y (N,), NaN where there is none; ``color`` 0..7 of the page's palette; ``dots``: its
+    points alone, as of readings."""
 
     name: str
     x: FloatArray
     y: FloatArray
     color: int = 0
     dashed: bool = False
+    dots: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,6 +163,9 @@ def _curves(frame: _Frame, lines: Sequence[Line]) -> list[str]:
     x, y, w, h = box.split()
     out = [f'<svg x="{x}" y="{y}" width="{w}" height="{h}" viewBox="{box}">']
     for line in lines:
+        if line.dots:
+            out += _dots(frame, line)
+            continue
         xs, ys = _thinned(line.x, line.y)
         dash = " dashed" if line.dashed else ""
         for run in _runs(ys):
@@ -171,6 +176,17 @@ def _curves(frame: _Frame, lines: Sequence[Line]) -> list[str]:
                 f'<polyline class="line c{line.color % 8}{dash}" data-name="{name}" points="{points}"/>'
             )
     return [*out, "</svg>"]
+
+
+def _dots(frame: _Frame, line: Line) -> list[str]:
+    known = np.isfinite(line.x) & np.isfinite(line.y)
+    places = zip(frame.px(line.x[known]), frame.py(line.y[known]), strict=True)
+    name = html.escape(line.name)
+    return [
+        f'<circle class="dot c{line.color % 8}" cx="{x:.1f}" cy="{y:.1f}" r="3.2">'
+        f"<title>{name}</title></circle>"
+        for x, y in places
+    ]
 
 
 def padded(low: float, high: float) -> tuple[float, float]:
@@ -469,7 +485,7 @@ def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: 
     """A heat map of any value (M,) at points (M, 3) [m]: about 0 with ``limit``, else from least to most."""
     if points.shape != (len(value), 3):
         raise ValueError(f"points {points.shape} and value {value.shape} do not belong together")
-    uv, _ = laid(points)
+    uv, words = laid(points)
     grid, extent = binned(uv, value)
     inside = np.isfinite(grid)
     low, high = float(np.nanmin(value)), float(np.nanmax(value))
@@ -487,4 +503,5 @@ def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: 
         f'preserveAspectRatio="none"/><text class="ytick" x="84" y="14">{markup.number(low, 3)}</text>'
         f'<text x="356" y="14">{markup.number(high, 3)} {markup.text(unit)}</text></svg>'
     )
-    return Group((_field(markup.png(color, inside.astype(np.float64)), extent), key))
+    field = _field(markup.png(color, inside.astype(np.float64)), extent)
+    return Group((field, key, Paragraph(words, "note")))

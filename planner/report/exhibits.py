@@ -6,16 +6,20 @@ An exhibit is a mapping of arrays and plain data with ``kind`` and ``title`` (``
               optional; ``value`` (S,), ``value_name``, ``unit`` optional: colours the curves. Drawn
               in space within the block, and laid over one another in their planes.
 ``paths``     ``curves``: sequence of (P, 3) [m] in the stock frame, drawn in space, coloured in
-              their order.
+              their order, or by ``value`` (S,), called ``value_name``; optional ``points`` (M, 3) [m]:
+              dots; ``near``: seen as near as the curves allow, not within the block.
 ``curve``     ``x`` (N,), ``x_label``, ``y_label``; ``series``: sequence of {``name``, ``y`` (N,),
-              ``x`` if its own}; optional ``limits``: sequence of {``name``, ``value``}, ``equal``:
-              one scale.
+              ``x`` if its own, ``colour`` if shared, ``style``: "dashed" or "dots"}; optional
+              ``limits``: sequence of {``name``, ``value``}, ``equal``: one scale.
 ``table``     ``columns``: names; ``rows``: sequence of sequences.
 ``facts``     ``items``: sequence of (name, value) or (name, value, unit).
 ``setup``     as ``facts``, but shown in the setup sheet: what an operator mounts, cuts, sets or
               measures.
 ``heatmap``   ``points`` (M, 3) [m] and ``value`` (M,), ``unit``; ``limit`` optional: the colours
               then diverge from 0 up to it.
+``released``  a formed sheet over a grid: ``x`` (W,), ``y`` (H,) [m]; heights (H, W) [m] ``formed`` under the
+              tools and ``released``; ``deviation`` (H, W) from the wanted part, NaN where none is known,
+              ``limit``: the end of its scale, ``unit``. The replay shows both surfaces.
 ``mesh``      ``vertices`` (V, 3) [m], ``faces`` (F, 3): a shaded picture.
 ``tree``      ``nodes``: names; ``parent``: for each node the index of its parent, -1 for a root.
 ``text``      ``text``: a paragraph.
@@ -40,9 +44,11 @@ _MOST_CURVES = 60
 """Curves of one exhibit that are drawn, evenly chosen where there are more."""
 
 
-def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray) -> Drawing:
+def in_space(
+    curves: Sequence[FloatArray], value: FloatArray, block: FloatArray, points: FloatArray | None = None
+) -> Drawing:
     """Curves (P, 3) [m] in a parallel view with the edges of the block, whose lowest and highest
-    corner are ``block`` (2, 3)."""
+    corner are ``block`` (2, 3); dots at ``points`` (M, 3)."""
     size = block[1] - block[0]
     toward = np.array([-0.62, 1.0, -0.55]) if size[1] <= size[0] else np.array([-1.0, 0.62, -0.55])
     z = toward / np.linalg.norm(toward)
@@ -70,8 +76,11 @@ def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray)
                 )
     colors = _colours(value)
     for i in _evenly_chosen(len(curves)):
-        points = " ".join(f"{u:.1f},{v:.1f}" for u, v in (flat[i] - low) * scale + 12.0)
-        parts.append(f'<polyline class="thin" style="stroke:{colors[i]}" points="{points}"/>')
+        drawn_points = " ".join(f"{u:.1f},{v:.1f}" for u, v in (flat[i] - low) * scale + 12.0)
+        parts.append(f'<polyline class="thin" style="stroke:{colors[i]}" points="{drawn_points}"/>')
+    if points is not None:
+        for u, v in (points @ axes - low) * scale + 12.0:
+            parts.append(f'<circle class="dot" cx="{u:.1f}" cy="{v:.1f}" r="2.6"/>')
     parts.append("</svg>")
     return Drawing("".join(parts))
 
@@ -223,8 +232,13 @@ def _figure(exhibit: Mapping[str, Any], content: Block) -> markup.Figure:
 
 def _paths(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     curves = [np.asarray(c, dtype=np.float64) for c in exhibit["curves"]]
-    order = np.arange(len(curves), dtype=np.float64)
-    return _figure(exhibit, markup.Group((in_space(curves, order, block), colour_key(order, "in order"))))
+    value = np.asarray(exhibit.get("value", np.arange(len(curves))), dtype=np.float64)
+    points = np.asarray(exhibit.get("points", np.zeros((0, 3))), dtype=np.float64)
+    if exhibit.get("near"):
+        every = np.concatenate(curves)
+        block = np.array([every.min(axis=0), every.max(axis=0)])
+    key = colour_key(value, str(exhibit.get("value_name", "in order")))
+    return _figure(exhibit, markup.Group((in_space(curves, value, block, points), key)))
 
 
 def _sections(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
@@ -249,7 +263,9 @@ def _curve(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
             str(item["name"]),
             np.asarray(item.get("x", x), dtype=np.float64),
             np.asarray(item["y"], dtype=np.float64),
-            i,
+            int(item.get("colour", i)),
+            dashed=item.get("style") == "dashed",
+            dots=item.get("style") == "dots",
         )
         for i, item in enumerate(exhibit["series"])
     ]
@@ -280,6 +296,15 @@ def _heatmap(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     del block
     points, value = np.asarray(exhibit["points"]), np.asarray(exhibit["value"], dtype=np.float64)
     body = charts.value_map(points, value, exhibit.get("limit"), str(exhibit.get("unit", "")))
+    return _figure(exhibit, body)
+
+
+def _released(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
+    del block
+    x, y = np.meshgrid(exhibit["x"], exhibit["y"])
+    points = np.stack([x, y, np.asarray(exhibit["released"])], axis=-1).reshape(-1, 3)
+    value = np.asarray(exhibit["deviation"], dtype=np.float64).ravel()
+    body = charts.value_map(points, value, exhibit["limit"], str(exhibit.get("unit", "")))
     return _figure(exhibit, body)
 
 
@@ -321,6 +346,7 @@ _KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Block]]] = 
     "table": _table,
     "facts": _facts,
     "heatmap": _heatmap,
+    "released": _released,
     "mesh": _mesh,
     "tree": _tree,
     "text": _text,

@@ -458,8 +458,9 @@ svg .mid{text-anchor:middle}.limit-name{text-anchor:end;fill:var(--bad)}
 .limit{stroke:var(--bad);stroke-width:1.2;stroke-dasharray:5 4}.line{fill:none;stroke-width:1.7;
 stroke-linejoin:round}
 .thin{fill:none;stroke-width:1.1;stroke-linejoin:round}.dashed{stroke-dasharray:4 3}
+.dot{fill:var(--c,currentColor);stroke:none}
 .edge{fill:none;stroke:var(--soft);stroke-width:1}.edge.back{stroke-dasharray:3 3;opacity:.55}
-.bar{fill:var(--c0);opacity:.75}.dot{stroke:none}
+.bar{fill:var(--c0);opacity:.75}
 .c0{stroke:var(--c0);--c:var(--c0)}.c1{stroke:var(--c1);--c:var(--c1)}.c2{stroke:var(--c2);--c:var(--c2)}
 .c3{stroke:var(--c3);--c:var(--c3)}.c4{stroke:var(--c4);--c:var(--c4)}.c5{stroke:var(--c5);--c:var(--c5)}
 .c6{stroke:var(--c6);--c:var(--c6)}.c7{stroke:var(--c7);--c:var(--c7)}

@@ -151,7 +151,7 @@ def how_it_was_made(plan: Plan, programs: Sequence[tuple[str, int]]) -> Block:
     figures = [row for op in plan.operations for row in _figures(op.metrics)]
     if figures:
         rows = dict.fromkeys(figures)
-        parts.append(markup.Figure("Figures of the plan", markup.table(("figure", "value"), rows)))
+        parts.append(markup.Figure("Figures of the plan", markup.table(("figure", "value", "unit"), rows)))
     digest = ("problem hash", markup.Code(plan.digest))
     parts.append(markup.Figure("Versions", markup.Facts((*plan.versions.items(), digest))))
     if programs:
@@ -159,10 +159,30 @@ def how_it_was_made(plan: Plan, programs: Sequence[tuple[str, int]]) -> Block:
     return markup.Grid(tuple(parts))
 
 
-def _figures(metrics: Mapping[str, Any]) -> Iterable[tuple[str, object]]:
+_FIGURE_UNITS: Final = {
+    "mm": "mm",
+    "deg": "deg",
+    "time": "s",
+    "share": "of 1",
+    "gain": "of 1",
+    "windows": "windows",
+    "targets": "targets",
+    "rounds": "rounds",
+    "iterations": "rounds",
+    "asked": "targets",
+    "checks": "postures",
+    "choices": "branches",
+}
+"""Units of a plan's figures by the last word of their names."""
+
+
+def _figures(metrics: Mapping[str, Any]) -> Iterable[tuple[str, object, str]]:
     for name, value in metrics.items():
         if name not in _IN_TILES and isinstance(value, int | float | str | bool | np.generic):
-            yield name.replace("_", " "), value
+            words = name.split("_")
+            unit = _FIGURE_UNITS.get(words[-1], "")
+            shown = words[:-1] if words[-1] == unit and unit in ("mm", "deg") else words
+            yield " ".join(shown), value, unit
 
 
 _FACE_WORDS = {"form": ("ball", charts.FORMED_WORDS), "mill": ("cutter", charts.MILLED_WORDS)}

@@ -24,7 +24,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, Mesh
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.problem import Problem, Setup
-from planner.report import raster
+from planner.report import raster, released_sheet
 from planner.report import scene as scenes
 from planner.report.scene import MOTION_TIME, SETUP_SEGMENT, Track, track
 from planner.verify.result import Proof
@@ -247,7 +247,7 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
     title = f"{problem.name} – Tandem replay"
     bar = time_bar(problem.name, run, _clock(run, proof), plan.duration or None)
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>")
-    return page.replace("</body>", f"{bar}</body>", 1)
+    return page.replace("</body>", f"{bar}{released_sheet.switch(plan)}</body>", 1)
 
 
 def _filmed(model: CellModel, problem: Problem, plan: Plan) -> tuple[Any, Track]:

@@ -20,6 +20,7 @@ from planner.cli.forming import Springback, run_springback
 from planner.cli.loop import LawOptions, NextLoop, SimulateLoop, run_next_loop, run_simulate_loop
 from planner.issues import TandemError
 from planner.loops.loop_plan import read_plan
+from planner.loops.next_loop import springback
 from tests import small_forming
 from tests.remedies.advice import said
 
@@ -43,6 +44,28 @@ def forces(result: Path, levels: int, share: float = 1.0) -> str:
         for p in range(len(plan.levels[k].place))
     ]
     return "\n".join(["level,point,force_n", *rows])
+
+
+def test_lifts_stand_in_the_picture_of_springback_over_force(result: Path, tmp_path: Path) -> None:
+    plan = read_plan(result / "springback.json")
+    rows = forces(result, 2).splitlines()
+    rows = [f"{rows[0]},springback_mm", *(f"{row}," for row in rows[1:])]
+    lift = 1.1 * 1e3 * float(springback(plan.levels[1], 0.5 * plan.levels[1].force)[3])
+    at = next(k for k, row in enumerate(rows) if row.startswith("1,3,"))
+    rows[at] += f"{lift:.4f}"
+    (tmp_path / "forces.csv").write_text("\n".join(rows))
+    page = tmp_path / "next.html"
+    assert run_next_loop(NextLoop(result, LawOptions(), tmp_path / "forces.csv", output=page)) == ()
+    html = page.read_text()
+    assert "times kappa 1.1" in html
+    assert "level 1, point 3" in html
+    # the lift, and every level in the map of stability
+    assert html.count('class="dot c') == 1 + len(plan.levels)
+    # the lift lies on the model's curve times kappa
+    x, y = (float(v) for v in re.findall(r'class="dot c0" cx="([\d.]+)" cy="([\d.]+)"', html)[0])
+    dashed = re.findall(r'class="line c0 dashed" data-name="level 1, point 3" points="(.*?)"', html)[0]
+    curve = np.array([[float(v) for v in point.split(",")] for point in dashed.split()])
+    assert np.interp(x, curve[:, 0], curve[:, 1]) == pytest.approx(y, abs=4.0)
 
 
 def refused(request: NextLoop | SimulateLoop) -> Any:

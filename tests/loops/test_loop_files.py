@@ -99,9 +99,9 @@ GOOD = forces(3)
 @pytest.mark.parametrize(
     ("text", "field", "said"),
     [
-        ("", "level", "0 times"),
-        ("level,point,force\n0,0,5\n", "force_n", "0 times"),
-        ("level,point,force_n,temperature\n0,0,5,20\n", "temperature", "1 times"),
+        ("", "level", "got no column 'level'"),
+        ("level,point,force\n0,0,5\n", "force_n", "got no column 'force_n'"),
+        ("level,point,force_n,temperature\n0,0,5,20\n", "temperature", "none of a file of forces"),
         ("level,point,force_n,force_n\n0,0,5,5\n", "force_n", "2 times"),
         (GOOD.replace("1,3,500.0", "1,3,-500.0"), "force_n", "'-500.0'"),
         (GOOD.replace("1,3,500.0", "1,3,nan"), "force_n", "'nan'"),
@@ -131,6 +131,15 @@ def test_correcting_the_row_that_is_named_is_enough(tmp_path: Path) -> None:
     assert issue.line is not None
     lines[issue.line - 1] = lines[issue.line - 1].replace("-", "")
     assert len(read_text(tmp_path, "\n".join(lines)).force) == 3
+
+
+def test_rows_with_the_same_fault_are_told_once(tmp_path: Path) -> None:
+    wrong = GOOD.replace(",500.0", ",-500.0")
+    rows = [line for line, row in enumerate(wrong.splitlines(), 1) if ",-500.0" in row]
+    assert len(rows) > 2
+    (issue,) = refused(lambda: read_text(tmp_path, wrong))
+    assert (issue.field, issue.line) == ("force_n", rows[0])
+    assert f"so in {len(rows)} rows" in issue.message
 
 
 def test_a_file_of_forces_that_is_missing_or_no_text_is_refused(tmp_path: Path) -> None:

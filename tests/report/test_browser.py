@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import shutil
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from planner.plans import Plan
 from planner.report import output
 from tests.report import synthetic_job as job
 
@@ -78,3 +80,37 @@ def test_the_replay_draws_orange_robots(files: dict[str, str], tmp_path: Path) -
     orange = (red > 150) & (red - blue > 90) & (green - blue > 10)
     above_the_bar = orange[: int(0.8 * len(orange))]
     assert above_the_bar.mean() > 0.005
+
+
+def with_a_released_sheet(plan: Plan) -> Plan:
+    """The plan with a sheet that is too deep everywhere, wide over the block."""
+    x = np.linspace(-0.3, 0.3, 12)
+    flat = np.zeros((12, 12))
+    sheet = {
+        "kind": "released",
+        "title": "too deep",
+        "x": x,
+        "y": x,
+        "formed": flat + 0.38,
+        "released": flat + 0.40,
+        "deviation": flat - 2.0,
+        "limit": 2.0,
+        "unit": "mm",
+    }
+    (own,) = plan.operations
+    targets = dataclasses.replace(own.targets, exhibits={"released": sheet})
+    return dataclasses.replace(plan, operations=(dataclasses.replace(own, targets=targets),))
+
+
+def test_the_replay_draws_a_released_sheet_in_the_colour_of_its_key(tmp_path: Path) -> None:
+    plan = job.plan()
+    shares = []
+    for name, one in (("none", plan), ("sheet", with_a_released_sheet(plan))):
+        html = output.files(job.problem(), one, None)["replay.html"]
+        (tmp_path / name).mkdir()
+        shot, log = look(html, tmp_path / name, "--timeout=15000")
+        assert not console_errors(log)
+        red, green, blue = (shot[..., i].astype(int) for i in range(3))
+        shares.append(((blue > 1.6 * green) & (blue > 2.5 * red) & (blue > 90)).mean())
+        assert ("let go" in html) is (name == "sheet")
+    assert shares[1] > 2.0 * shares[0] + 0.002

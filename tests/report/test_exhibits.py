@@ -159,3 +159,35 @@ def test_a_ruled_surface_is_laid_flat() -> None:
         uv[:, 1], np.hypot(0.1, 0.3) * share, atol=0.5 * np.hypot(0.1, 0.3) / 40 + 1e-4
     )
     assert "laid flat" in words
+
+
+def test_readings_are_dots_where_the_axes_have_them() -> None:
+    x, y = np.array([0.0, 50.0, 100.0]), np.array([0.0, 1.0, 4.0])
+    rows = (
+        {"name": "model", "x": x, "y": y, "colour": 3},
+        {"name": "model", "x": x, "y": 1.1 * y, "colour": 3, "style": "dashed"},
+        {"name": "lift", "x": x[1:], "y": y[1:], "colour": 3, "style": "dots"},
+    )
+    shown = {"kind": "curve", "title": "b", "x_label": "force [N]", "y_label": "S [mm]", "series": rows}
+    (figure,), issues = exhibits.draw({"curve": shown}, BLOCK)
+    html = markup.render(figure)
+    assert not issues
+    dots = re.findall(r'<circle class="dot c3" cx="([\d.]+)" cy="([\d.]+)"', html)
+    lines = re.findall(r'<polyline class="line c3(.*?)" data-name="model" points="(.*?)"', html)
+    assert [dash.strip() for dash, _ in lines] == ["", "dashed"]
+    corners = [point.split(",") for point in lines[0][1].split()]
+    assert [list(dot) for dot in dots] == corners[1:]
+    # one key for each name and colour
+    assert html.count(">model</span>") == 1
+
+
+def test_paths_are_coloured_by_their_value_with_dots() -> None:
+    shown = {"kind": "paths", "title": "p", "curves": (CURVES[0], CURVES[1], CURVES[2])}
+    rows = {"value": np.array([0.0, 1.0, 0.0]), "value_name": "part of a loop", "points": CURVES[0][:4]}
+    (figure,), issues = exhibits.draw({"paths": {**shown, **rows, "near": True}}, BLOCK)
+    html = markup.render(figure)
+    assert not issues
+    one, two, three = re.findall(r'<polyline class="thin" style="stroke:(.*?)"', html)
+    assert one == three != two
+    assert html.count('<circle class="dot"') == 4
+    assert "part of a loop" in html

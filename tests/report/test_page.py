@@ -15,7 +15,7 @@ from planner.cell import kinematics
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.report import markup, motion_charts, output, replay, setup_sheet
+from planner.report import markup, motion_charts, output, page_sections, replay, setup_sheet
 from planner.report.output import Extra
 from planner.verify.result import Proof
 from tests.post import krl_job
@@ -296,3 +296,16 @@ def test_setup_sheet_speaks_of_hot_wires_where_there_are_some(problem: Problem, 
     milled = dataclasses.replace(problem, operations=(dataclasses.replace(own, process="milling"),))
     shown = markup.render(setup_sheet.sheet(milled, plan))
     assert "TandemPower.sys" in shown and "while the wire is hot" not in shown
+
+
+def test_figures_of_a_plan_have_units() -> None:
+    metrics = {"program_windows": 3, "program_targets": 120, "ladder_time": 1.5, "path_deviation_mm": 0.05}
+    plan = job.plan()
+    own = dataclasses.replace(plan.operations[0], metrics=metrics)
+    html = markup.render(page_sections.how_it_was_made(dataclasses.replace(plan, operations=(own,)), ()))
+    rows = re.findall(r"<tr><td>(.*?)</td><td[^>]*>(.*?)</td><td[^>]*>(.*?)</td></tr>", html)
+    found = {re.sub("<.*?>", "", name): re.sub("<.*?>", "", unit) for name, _, unit in rows}
+    assert found["program windows"] == "windows"
+    assert found["program targets"] == "targets"
+    assert found["ladder time"] == "s"
+    assert found["path deviation"] == "mm"

@@ -28,7 +28,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.files import is_file
+from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
@@ -285,7 +285,7 @@ def table_text(path: Path) -> str:
     """The text of a table's file; raises `TandemError` (forming.adsif_table)."""
     name = str(path)
     if not is_file(path):
-        raise TandemError(_fault(name, None, None, f"{name}: no such file", "check the path"))
+        raise TandemError(_fault(name, None, None, f"{name}: {no_file(path)}", "check the path"))
     try:
         if path.stat().st_size > MAX_RESPONSE_BYTES:
             raise TandemError(

@@ -26,6 +26,7 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
+from planner.files import is_file, no_file, not_by_commas
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
@@ -287,8 +288,9 @@ TIED: Final = 0.8
 _NAMES: Final = ("the border", "the thickness", "kappa")
 
 
-def unclear(found: Calibration, plate: Plate, readings: Readings) -> tuple[Issue, ...]:
-    """What the readings do not tell, or not apart, as warnings (``forming.clamp_unclear``)."""
+def unclear(found: Calibration, plate: Plate, readings: Readings, assumed: bool) -> tuple[Issue, ...]:
+    """What the readings do not tell, or not apart, as warnings (``forming.clamp_unclear``). ``assumed``:
+    nobody has stated the thickness's tolerance."""
     out = []
     deep = float(readings.dial.max()) / plate.thickness
     if not found.grip.told:
@@ -296,8 +298,11 @@ def unclear(found: Calibration, plate: Plate, readings: Readings) -> tuple[Issue
         what += f"sheet sank by {deep:.1f} of its thickness; press harder, until it sinks by three or more"
         out.append(what)
     if not found.thickness.told:
-        what = "the readings do not tell the thickness, which is as you stated it; measure it, and state its "
-        out.append(f"{what}tolerance")
+        what = "the readings do not tell the thickness, which is as you stated it, within "
+        what += f"{plate.tolerance / MM:.3g} mm"
+        if assumed:
+            what += " as assumed; measure it, and state how far it may be off (--thickness-tol-mm)"
+        out.append(what)
     tied = np.abs(found.tied) > TIED
     some = [name for k, name in enumerate(_NAMES) if np.count_nonzero(tied[k]) > 1]
     if some:
@@ -324,6 +329,9 @@ def read_readings(path: Path, error: float) -> Readings:
     kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and line[:1] != "#"]
     rows = list(csv.reader(io.StringIO("\n".join(line for _, line in kept))))
     header = [name.strip().lower() for name in rows[0]] if rows else []
+    other = not_by_commas(kept[0][1]) if kept else None
+    if other is not None:
+        raise TandemError(_wrong(path, kept[0][0], other))
     if sorted(header) != sorted(COLUMNS):
         got = ", ".join(header)[:80] or "nothing"
         what = f"the columns are {got}; wanted: {', '.join(COLUMNS)} (newtons, millimetres, decimal points)"
@@ -371,6 +379,8 @@ def _require_plausible(path: Path, forces: FloatArray, dials: FloatArray) -> Non
 
 
 def _text(path: Path) -> str:
+    if not is_file(path):
+        raise TandemError(_wrong(path, None, f"{no_file(path)}; check the path"))
     try:
         if path.stat().st_size > MOST_BYTES:
             raise TandemError(_wrong(path, None, f"is over {MOST_BYTES / 1e6:g} MB, which no such test is"))

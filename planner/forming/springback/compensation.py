@@ -208,9 +208,12 @@ def _nearest(sorted_places: FloatArray, wanted: FloatArray) -> IntArray:
     return np.asarray(ahead - back)
 
 
-def refused(what: str) -> TandemError:
+AGAIN: Final = "write it again: tandem springback PROBLEM --write FILE"
+"""What helps where a file of shifts is of another job, damaged or old."""
+
+
+def refused(what: str, hint: str = AGAIN) -> TandemError:
     """What is wrong with a file of shifts, and what to do."""
-    hint = "write it again: tandem springback PROBLEM --write FILE"
     return TandemError(
         Issue(
             "forming.compensation",
@@ -276,30 +279,6 @@ def told(given: Sequence[Way], file: str) -> Issue:
         f"{most:.2f} mm (pass {deepest.name}); what it assumes stands in it"
     )
     return Issue("forming.compensated", what, Severity.NOTE, field="springback.file", value=most, unit="mm")
-
-
-def deviations(given: Sequence[Way], left: Sequence[FloatArray]) -> dict[str, Any]:
-    """How much too shallow the part is foretold to be, without the shifts and with them, on one scale;
-    ``left`` as :func:`ways` gives it."""
-    rest = np.concatenate(list(left)) / MM
-    before = rest + np.concatenate([way.shift for way in given]) / MM
-    most = float(max(np.abs(before).max(), np.abs(rest).max()))
-    points = np.concatenate([way.point for way in given])
-    named = {
-        "deviation_before": ("How much too shallow the part will be, without the file", before),
-        "deviation_after": ("How much too shallow the part will be, with it", rest),
-    }
-    return {
-        name: {
-            "kind": "heatmap",
-            "title": title,
-            "points": points,
-            "value": value,
-            "limit": most,
-            "unit": "mm",
-        }
-        for name, (title, value) in named.items()
-    }
 
 
 def exhibit(given: Sequence[Way]) -> dict[str, Any]:

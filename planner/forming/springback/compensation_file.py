@@ -17,10 +17,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from planner.files import is_file, no_file
 from planner.forming.operation import Forming, Springback
 from planner.forming.process_plan import Work
 from planner.forming.springback import forecast
-from planner.forming.springback.compensation import Way, refused
+from planner.forming.springback.compensation import AGAIN, Way, refused
 from planner.forming.springback.curves import PassSpringback
 from planner.geometry.arrays import FloatArray, IntArray, Mesh, lengths
 from planner.geometry.units import MM
@@ -49,6 +50,9 @@ DECIDES: Final = (
     "force_n",
 )
 """Fields of an operation that decide what the sheet comes back by and where loops run."""
+
+_CONTROL: Final = ("level", "x_mm", "y_mm", "z_mm", "springback_mm")
+"""What is read of a control point."""
 
 
 def belongs_to(work: Work, stock: Stock, part: Part | None) -> dict[str, Any]:
@@ -154,13 +158,25 @@ def _dump(value: Any) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
+class Foretold:
+    """What a file foretells of pass ``name`` at its control points: ``point`` (C, 3) [m] of contact,
+    ``level`` (C,) which of its levels each is on, ``springback`` (C,) [m]."""
+
+    name: str
+    point: FloatArray
+    level: IntArray
+    springback: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
 class Compensation:
     """A file that was read: the ``ways`` of all passes, whose shifts change by ``slope`` at most, named
-    ``file``."""
+    ``file``, and what it has ``foretold`` of passes."""
 
     file: str
     ways: tuple[Way, ...]
     slope: float
+    foretold: tuple[Foretold, ...]
 
 
 def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compensation:
@@ -183,7 +199,9 @@ def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compens
     if sum(len(way.point) for way in ways) != data.get("points"):
         raise refused(f"it says {data.get('points')} points and has {sum(len(way.point) for way in ways)}")
     _require_limits(ways, limits.slope, limits.most_mm * MM)
-    return Compensation(path.name, ways, limits.slope)
+    rows = _list(data, "control_points")
+    names = dict.fromkeys(str(row.get("pass")) for row in rows if isinstance(row, dict))
+    return Compensation(path.name, ways, limits.slope, tuple(_foretold(rows, name) for name in names))
 
 
 def _told(value: Any) -> str:
@@ -191,6 +209,11 @@ def _told(value: Any) -> str:
 
 
 def _data(path: Path) -> dict[str, Any]:
+    if not is_file(path):
+        hint = (
+            "check the path, which starts at the problem file's folder, or write the file: tandem springback "
+        )
+        raise refused(f"{path}: {no_file(path)}", f"{hint}PROBLEM --write FILE")
     try:
         if path.stat().st_size > LARGEST:
             raise refused(f"{path.name} has more than {LARGEST // 1_000_000} MB")
@@ -200,6 +223,9 @@ def _data(path: Path) -> dict[str, Any]:
         raise refused(what) from None
     body, mark, tail = content.rpartition('"sha256"')
     stated = tail.replace('"', " ").replace(":", " ").replace("}", " ").split()
+    if content.lstrip().startswith('{"tandem_loop"'):
+        what = f"{path.name} has curves for tandem next-loop, as --curves writes them, and no shifts"
+        raise refused(what)
     if not mark or len(stated) != 1:
         raise refused(f"{path.name} is cut short: its last line is no checksum")
     if hashlib.sha256(body.encode()).hexdigest() != stated[0]:
@@ -238,16 +264,29 @@ def _way(one: Any) -> Way:
     return Way(name, whole[:, :3], whole[:, 3], loop)
 
 
+def _foretold(rows: Sequence[Any], name: str) -> Foretold:
+    mine = [row for row in rows if isinstance(row, dict) and str(row.get("pass")) == name]
+    try:
+        table = np.array([[row[key] for key in _CONTROL] for row in mine], dtype=np.float64)
+    except (KeyError, TypeError, ValueError):
+        table = np.zeros((0, len(_CONTROL)))
+    if not len(table) or not np.isfinite(table).all():
+        raise refused(f"pass {name}: its control points are no rows of {', '.join(_CONTROL)}")
+    return Foretold(name, table[:, 1:4] * MM, table[:, 0].astype(np.int64), table[:, 4] * MM)
+
+
 def _require_limits(ways: Sequence[Way], slope: float, most: float) -> None:
     issues: list[Issue] = []
     for way in ways:
         step = lengths(np.diff(way.point, axis=0))
         steep = np.abs(np.diff(way.shift)) - ROUNDING - slope * step
+        if way.shift.max() > most:
+            what = f"pass {way.name} has a shift of {way.shift.max() / MM:.3f} mm, "
+            what += f"most_mm allows {most / MM:g} mm"
+            issues += refused(what, f"allow more (springback: most_mm), or {AGAIN}").issues
         wrong = []
         if way.shift.min() < 0.0:
             wrong.append(f"a shift of {way.shift.min() / MM:.3f} mm, allowed 0 and more")
-        if way.shift.max() > most:
-            wrong.append(f"a shift of {way.shift.max() / MM:.3f} mm, most_mm allows {most / MM:g} mm")
         if abs(way.shift[0]) > ROUNDING:
             wrong.append(f"a shift of {way.shift[0] / MM:.3f} mm at its beginning, allowed 0")
         if len(steep) and steep.max() > 0.0:

@@ -59,6 +59,8 @@ class Curve:
 
     def at(self, force: float | FloatArray) -> FloatArray:
         """Springback [m] under ``force`` [N], NaN beyond the last force."""
+        if len(self.force) < 2:  # it snaps under the first load already
+            return np.where(np.asarray(force) > 0.0, np.nan, 0.0)
         return np.asarray(PchipInterpolator(self.force, self.springback, extrapolate=False)(force))
 
     def power_law(self) -> tuple[float, float]:

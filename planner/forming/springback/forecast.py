@@ -6,6 +6,7 @@ So this says how much too shallow a part will about be, and where; measured forc
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
@@ -15,6 +16,7 @@ from planner.forming.contact import Pass, ToolPath
 from planner.forming.process_plan import Work
 from planner.forming.springback.control_points import MOST_POINTS, ControlPoints, control_points
 from planner.forming.springback.curves import (
+    LOAD_SHARES,
     TRIANGLES,
     Curve,
     PassSpringback,
@@ -128,11 +130,13 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
         snaps = np.flatnonzero(np.isnan(one.springback))
         if len(snaps):
             reached = one.curves[snaps[0]].force[-1]
+            least = LOAD_SHARES[0] * one.force[snaps[0]]
+            holds = f"holds {reached:.0f} N" if reached > 0.0 else f"does not hold {least:.0f} N"
             out.append(
                 Issue(
                     "forming.limit_load",
                     f"pass {one.one.name}: at z = {one.control.point[snaps[0], 2] / MM:.1f} mm the sheet "
-                    f"holds {reached:.0f} N, {one.force[snaps[0]]:.0f} N are expected; beyond, it snaps "
+                    f"{holds}, {one.force[snaps[0]]:.0f} N are expected; beyond, it snaps "
                     f"or buckles",
                     Severity.WARNING,
                     value=float(one.force[snaps[0]]),
@@ -144,37 +148,54 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
     return out
 
 
-def estimate(work: Work, laid: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """Springback of pass ``number`` of a plan at the targets ``rows`` of its path: ``springback`` each
+    [m]."""
+
+    number: int
+    rows: tuple[int, ...]
+    springback: tuple[float, ...]
+
+
+def estimate(work: Work, laid: Sequence[tuple[Pass, ToolPath]]) -> Estimate | None:
     """What a plan says of springback where the user states the force: two places of the deepest pass, on
-    coarse sheets (forming.springback). Some half a second a place; nothing without ``force_n``."""
+    coarse sheets; some half a second a place. None without ``force_n`` or a forecast of the mode; without
+    places where the sheet snaps or is too coarse, of which `tandem springback` says what to do."""
     if work.operation.force_n is None or work.operation.mode not in MODES:
-        return []
+        return None
     number = int(np.argmax([abs(one.end - one.start) for one in work.passes]))
-    one, path = laid[number]
-    loops = path.contact.loop
-    rows = [int(np.flatnonzero(loops == k)[0]) for k in sorted({int(loops.max()) // 2, int(loops.max())})]
-    found = []
-    for row in rows:
-        point = Point(number, path.contact.point[row], work.operation.force_n)
+    contact = laid[number][1].contact
+    last = int(contact.loop.max())
+    found: dict[int, float] = {}
+    for row in [int(np.flatnonzero(contact.loop == k)[0]) for k in sorted({last // 2, last})]:
+        point = Point(number, contact.point[row], work.operation.force_n)
         try:
             curve = solved(work, point, ESTIMATE_TRIANGLES, ESTIMATE_SHARES)
         except ValueError:
-            continue  # too coarse for this part: tandem springback says so, and with how many it can be done
+            continue
         if not curve.snaps:
-            found.append((float(curve.springback[-1]) / MM, row))
-    if not found:
+            found[row] = float(curve.springback[-1])
+    return Estimate(number, tuple(found), tuple(found.values()))
+
+
+def estimate_issues(work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Estimate) -> list[Issue]:
+    """What the user must know of an estimate (forming.springback)."""
+    one, path = laid[found.number]
+    if not found.rows:
         what = f"pass {one.name}: springback was not estimated: the sheet has no coarse mesh, or it snaps"
         hint = "see tandem springback"
         return [Issue("forming.springback", what, Severity.WARNING, field="force_n", hint=hint)]
-    most, row = max(found)
+    most, row = max(zip(found.springback, found.rows, strict=True))
+    most /= MM
     if most <= TOLD:
         return []
     x, y, z = path.contact.point[row] / MM
+    count = len(found.rows)
     what = (
         f"pass {one.name}: when the tool lets go the sheet will come back by about {most:.1f} mm at "
         f"({x:.1f}, {y:.1f}, {z:.1f}) mm under {work.operation.force_n:g} N: so much too shallow the part "
-        f"will be; estimated at {len(found)} place{'s' * (len(found) > 1)}, of {TOLD:g} mm and less nothing "
-        f"is told"
+        f"will be; estimated at {count} place{'s' * (count > 1)}, of {TOLD:g} mm and less nothing is told"
     )
     hint = "tandem springback says it all over the part; --write makes a file that springback: takes"
     return [
@@ -219,39 +240,35 @@ def rows(found: Sequence[PassSpringback]) -> list[dict[str, Any]]:
 
 
 def exhibits(found: Sequence[PassSpringback]) -> dict[str, Any]:
-    """Exhibits by name, in the forms that the report knows."""
-    places = np.concatenate([ring.point for one in found for ring in one.control.rings])
-    value = np.concatenate([part for one in found for part in one.along()]) / MM
-    out: dict[str, Any] = {
-        "springback": {
-            "kind": "heatmap",
-            "title": "How far the sheet comes back when the tool lets go",
-            "points": places,
-            "value": value,
-            "unit": "mm",
-        },
-        "springback_curves": _curves(found),
-        "clusters": _clusters(found),
-    }
-    return out
+    """Curves and clusters by name, in the forms that the report knows."""
+    return {"springback_curves": _curves(found), "clusters": _clusters(found)}
 
 
 def _curves(found: Sequence[PassSpringback]) -> dict[str, Any]:
     named = [
-        (f"{one.one.name} z {one.control.point[k, 2] / MM:.1f}", one.curves[k], one.force[k])
+        (f"{one.one.name}, z {one.control.point[k, 2] / MM:.1f} mm", one.curves[k], one.force[k])
         for one in found
         for k in range(len(one.curves))
         if one.control.cluster[k] == 0
     ]
     chosen = np.unique(np.linspace(0, len(named) - 1, min(len(named), CURVES_SHOWN)).round().astype(int))
     series = []
-    for k in chosen:
-        name, curve, _ = named[k]
+    for colour, k in enumerate(chosen):
+        name, curve, expected = named[k]
         x = np.linspace(0.0, float(curve.force[-1]), 60)
-        series.append({"name": name, "x": x, "y": curve.at(x) / MM})
+        at = np.array([expected])
+        drawn = [(x, curve.at(x), ""), (at, curve.at(at), "dots")]
+        if len(curve.force) > 2:
+            a, b = curve.power_law()
+            name += f": {a / MM:.3g} F^{b:.2f}"
+            drawn.append((x, a * x**b, "dashed"))
+        series += [
+            {"name": name, "x": n, "y": s / MM, "colour": colour, "style": style} for n, s, style in drawn
+        ]
     return {
         "kind": "curve",
         "title": "Springback over force",
+        "note": "lines: the elastic sheet; dashed: S = a F^b, fitted; dots: under the force that is expected",
         "x_label": "force along z [N]",
         "y_label": "springback [mm]",
         "series": tuple(series),
@@ -270,4 +287,13 @@ def _clusters(found: Sequence[PassSpringback]) -> dict[str, Any]:
                 if len(inside) > 1:
                     lines.append(ring.point[inside])
                     number.append(float(cluster))
-    return {"kind": "paths", "title": "Loops by the parts that a control point stands for", "curves": lines}
+    return {
+        "kind": "paths",
+        "title": "Loops by the parts that a control point stands for",
+        "curves": lines,
+        "value": np.array(number),
+        "value_name": "number of the part on its loop",
+        "points": np.concatenate([one.control.point for one in found]),
+        "near": True,
+        "note": "dots: control points",
+    }

@@ -69,7 +69,7 @@ def _levels(one: Pass, path: ToolPath, found: PassSpringback) -> list[dict[str, 
         if len(points) < 3 or depth - last < LEAST_STEP:
             continue
         last = depth
-        ring = _even(points)
+        ring = evenly(points)
         place = _places(ring, found)
         loads, springback, force = mix.at(ring[place])
         out.append(
@@ -90,8 +90,8 @@ def _levels(one: Pass, path: ToolPath, found: PassSpringback) -> list[dict[str, 
     return out
 
 
-def _even(points: FloatArray) -> FloatArray:
-    """A closed loop (K, 3) whose places are equally far apart."""
+def evenly(points: FloatArray) -> FloatArray:
+    """A closed loop of points (N, 3) [m] as places (K, 3) that are equally far apart."""
     ends = np.vstack([points, points[:1]])
     way = arc_length(ends)
     count = int(np.clip(round(float(way[-1]) / SPACING), *PLACES))

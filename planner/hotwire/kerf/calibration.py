@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from planner.catalogue.materials import Foam, KerfFit, KerfTests
-from planner.files import is_file
+from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.units import MM
 from planner.hotwire.kerf import models
@@ -352,7 +352,7 @@ def _rows(path: Path) -> tuple[list[str], list[Row]]:
     """The headings, and each row with its line."""
     name = str(path)
     if not is_file(path):
-        raise TandemError(Issue("kerf.file", f"{name}: got no such file", file=name, hint="check the path"))
+        raise TandemError(Issue("kerf.file", f"{name}: {no_file(path)}", file=name, hint="check the path"))
     try:
         if path.stat().st_size > MAX_TEST_CUT_BYTES:
             raise TandemError(

@@ -99,12 +99,19 @@ def test_what_is_not_told_is_said() -> None:
     lightly = Readings(*(np.concatenate([getattr(r, n)[:2] for r in some]) for n in ("force", "dial")), ERROR)
     found = calibrate(PLATE, lightly, response())
     assert not found.grip.told
-    told = " ".join(issue.message for issue in unclear(found, PLATE, lightly))
-    assert {issue.code for issue in unclear(found, PLATE, lightly)} == {"forming.clamp_unclear"}
+    told = " ".join(issue.message for issue in unclear(found, PLATE, lightly, True))
+    assert {issue.code for issue in unclear(found, PLATE, lightly, True)} == {"forming.clamp_unclear"}
     assert "press harder" in told
     clear = calibrate(PLATE, full, response())
-    assert "press harder" not in " ".join(i.message for i in unclear(clear, PLATE, full))
-    assert "the thickness and kappa go together" in " ".join(i.message for i in unclear(clear, PLATE, full))
+    assert "press harder" not in " ".join(i.message for i in unclear(clear, PLATE, full, True))
+    # a tolerance that is given is not asked for
+    assert "--thickness-tol-mm" in told
+    given = " ".join(issue.message for issue in unclear(found, PLATE, lightly, False))
+    assert "tell the thickness" in given
+    assert "--thickness-tol-mm" not in given
+    assert "the thickness and kappa go together" in " ".join(
+        i.message for i in unclear(clear, PLATE, full, True)
+    )
     # the remedy: a thickness measured to a hundredth
     exact = dataclasses.replace(PLATE, tolerance=1e-5)
     sure = calibrate(exact, full, response())

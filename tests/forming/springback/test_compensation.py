@@ -72,9 +72,6 @@ def test_shifts_begin_at_nothing_and_keep_their_slope(together: FormingJob) -> N
     later = gone > 1.5 * 1.2 * MM / SLOPE
     assert way.shift[later] == pytest.approx(1.2 * MM - 0.05 * depth[later], abs=0.1 * MM)
     assert left[0].max() == pytest.approx(1.2 * MM, abs=0.05 * MM)
-    before, after = compensation.deviations([way], left).values()
-    assert before["limit"] == after["limit"] == pytest.approx(np.abs(before["value"]).max())
-    assert before["value"] - after["value"] == pytest.approx(way.shift / MM)
 
 
 def test_a_steeper_slope_leaves_less(together: FormingJob) -> None:
@@ -173,7 +170,7 @@ def test_an_edited_file_is_refused_and_one_that_is_written_again_is_good(
     missing = given(together, tmp_path, text)
     (tmp_path / "back.json").unlink()
     (what,) = said(missing)
-    assert "cannot be read" in what
+    assert "no such file" in what
     files.written(tmp_path / "back.json", text)
     assert missing.targets()
 

@@ -19,7 +19,7 @@ import pytest
 
 from planner import pipeline
 from planner.forming.process_plan import Work, lay_all, work
-from planner.forming.springback import curves, forecast
+from planner.forming.springback import curves, forecast, released
 from planner.forming.springback.formed_sheet import thickness, walls
 from planner.geometry.arrays import Mesh
 from planner.geometry.units import MM
@@ -209,12 +209,33 @@ def test_the_command_writes_what_it_found(tmp_path: Path) -> None:
 
 def test_a_plan_says_it_where_the_force_is_stated(tmp_path: Path) -> None:
     made = of(tmp_path, shapes.cone(45.0, 0.020, 0.050, 120), force_n=400.0, stepdown_mm=4)
-    (said,) = forecast.estimate(made, lay_all(made))
+    laid = lay_all(made)
+    found = forecast.estimate(made, laid)
+    assert found is not None
+    (said,) = forecast.estimate_issues(made, laid, found)
     # by the trials 3.80 mm at the floor and about 4.1 in the middle; the sheet is of another E here
     assert said.code == "forming.springback"
     assert said.value == pytest.approx(4.0, abs=0.25)
     assert "400 N" in said.message
     alone = dataclasses.replace(made, operation=made.operation.model_copy(update={"force_n": None}))
-    assert forecast.estimate(alone, lay_all(made)) == []
+    assert forecast.estimate(alone, laid) is None
     weak = dataclasses.replace(made, operation=made.operation.model_copy(update={"force_n": 5.0}))
-    assert forecast.estimate(weak, lay_all(made)) == []
+    little = forecast.estimate(weak, laid)
+    assert little is not None
+    assert forecast.estimate_issues(weak, laid, little) == []
+
+
+def test_a_sheet_that_snaps_under_the_first_load_is_told(tmp_path: Path) -> None:
+    made = of(tmp_path, shapes.cone(45.0, 0.020, 0.050, 120), force_n=400.0, stepdown_mm=4)
+    laid = lay_all(made)
+    control = forecast.points(made, laid, 3)
+    snapped = curves.Curve(np.zeros(1), np.zeros(1), True)
+    assert np.isnan(snapped.at(5.0))
+    assert snapped.at(0.0) == 0.0
+    found = forecast.forecast(laid, control, [snapped] * sum(len(rows) for _, rows in control))
+    (said,) = forecast.issues(found)
+    assert said.code == "forming.limit_load"
+    assert "does not hold 60 N" in said.message
+    assert released.maps(made, laid, found) == {}
+    assert forecast.exhibits(found)
+    assert forecast.rows(found)
