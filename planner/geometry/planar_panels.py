@@ -1,0 +1,231 @@
+"""A surface divided into an asked number of thick planar panels, and what the panels came out as."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.even_points import (
+    FineSurface,
+    bending,
+    cells,
+    cut_fine,
+    middles,
+    spread,
+    synclastic,
+)
+from planner.geometry.face_offset import Rim, ThickPanel, side_quads, thick_panels
+from planner.geometry.guided_projection import LONGEST_WAY, Weights, planarised
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.mesh_queries import Nearness
+from planner.geometry.panel_pattern import pattern_of
+from planner.geometry.units import DEG
+
+LEAST_COUNT: Final = 4
+"""Fewer panels have no inner knot."""
+MOST_COUNT: Final = 5000
+"""More panels are refused: time and memory grow with their number."""
+STEEPEST: Final = 30.0 * DEG
+"""Sides lean no further from their panel's normal."""
+_FLAT: Final = 1e-9
+"""Corners are in the planes of faces and sides within this [m]."""
+_TRIES: Final = (Weights(), Weights(stay=0.15, fair=0.03, hinge=2.0), Weights(stay=0.1, fair=0.05, rounds=60))
+_STRAIGHT: Final = 0.05
+"""Where the ratio of principal curvatures is less, the surface is taken as bent in one way only."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PanelCheck:
+    """What N panels are, each (N,).
+
+    ``off_plane``, ``off_side`` [m]: corners off the planes of their face and sides; ``concave``, ``simple``:
+    outlines of either face; ``least_edge`` [m] of both faces; ``width`` [m] of the bottom; ``off_surface``
+    [m], the farthest; ``tilt`` [rad] and ``stretch`` [thickness] of the worst edge from face to face, but
+    for those on the ground; ``bend`` [1/m^2]: the surface's Gaussian curvature. ``zones``: ids of panels
+    that hang together where it is negative, the largest zone first.
+    """
+
+    off_plane: FloatArray
+    off_side: FloatArray
+    concave: BoolArray
+    simple: BoolArray
+    least_edge: FloatArray
+    width: FloatArray
+    off_surface: FloatArray
+    tilt: FloatArray
+    stretch: FloatArray
+    bend: FloatArray
+    zones: tuple[IntArray, ...]
+
+    def faulty(self, least_edge: float) -> BoolArray:
+        """Panels (N,) that cannot be made: crossing, not planar, an edge under ``least_edge`` [m], or a side
+        that leans over 30 degrees or is over 1.15 thicknesses long."""
+        return np.asarray(
+            ~self.simple
+            | (self.off_plane > _FLAT)
+            | (self.off_side > _FLAT)
+            | (self.least_edge < least_edge)
+            | (self.tilt > STEEPEST)
+            | (self.stretch > LONGEST_WAY)
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class PanelShell:
+    """A surface as ``panels``, ids by their order, and their ``check``."""
+
+    panels: tuple[ThickPanel, ...]
+    check: PanelCheck
+
+
+def planar_shell(
+    mesh: TriangleMesh,
+    count: int,
+    thickness: float,
+    least_edge: float = 0.05,
+    rim: Rim = "square",
+    ground: float | None = None,
+) -> PanelShell:
+    """Exactly ``count`` planar panels of an open surface [m], ``thickness`` [m] along its normals (negative:
+    against them).
+
+    ``least_edge`` [m]: edges of both faces are to be longer. ``ground`` [m]: height on which the rim stands,
+    where it does. Panels that come out faulty are in the result, named by its check; the caller refuses them.
+    Raises ``ValueError`` for a count that is not 4 to 5000 or a thickness of zero, ``PatternError`` (one,
+    too) where the surface has no room for panels side by side.
+    """
+    if not LEAST_COUNT <= count <= MOST_COUNT:
+        raise ValueError(f"got {count} panels, allowed are {LEAST_COUNT} to {MOST_COUNT}")
+    if not (np.isfinite(thickness) and thickness != 0.0):
+        raise ValueError(f"got a thickness of {1e3 * thickness:g} mm, any but 0 is allowed")
+    surface = cut_fine(mesh, count)
+    points = spread(surface, count)
+    near = Nearness(mesh, 0.25 * surface.spacing)
+    return _best(surface, points, thickness, least_edge, rim, ground, near)
+
+
+def _best(
+    surface: FineSurface,
+    points: FloatArray,
+    thickness: float,
+    least_edge: float,
+    rim: Rim,
+    ground: float | None,
+    near: Nearness,
+) -> PanelShell:
+    """The first result without faults, else the one with the fewest."""
+    label = cells(surface, points)
+    middle = middles(surface, label, points)
+    pattern = pattern_of(surface, label, len(points))
+    normal, curvature, _ = bending(surface, middle)
+    convex = synclastic(curvature)
+    bend = curvature.prod(axis=1)
+    bend[np.abs(bend) < _STRAIGHT * np.abs(curvature).max(axis=1) ** 2] = 0.0
+    found: list[tuple[int, PanelShell]] = []
+    for weights in _TRIES:
+        faces = planarised(surface, pattern, middle, normal, convex, thickness, least_edge, ground, weights)
+        panels = thick_panels(faces, thickness, rim)
+        shell = PanelShell(panels, check_panels(panels, near, bend, thickness > 0.0))
+        found.append((int(shell.check.faulty(least_edge).sum()), shell))
+        if found[-1][0] == 0:
+            break
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def check_panels(
+    panels: tuple[ThickPanel, ...], surface: Nearness, bend: FloatArray, under: bool = True
+) -> PanelCheck:
+    """What the panels are, measured from their corners; ``bend`` (N,) [1/m^2]: Gaussian curvature of the
+    surface at each; ``under``: it is the panels' bottoms that are to lie on the ``surface``, or else their
+    tops."""
+    rows = [_measured(panel) for panel in panels]
+    off_plane, off_side, concave, simple, least, width, tilt, stretch = (
+        np.array(v) for v in zip(*rows, strict=True)
+    )
+    samples, owner = [], []
+    for k, panel in enumerate(panels):
+        ring = panel.bottom if under else panel.top
+        middle = ring.mean(axis=0)
+        both = np.concatenate(
+            [ring, 0.5 * (ring + np.roll(ring, -1, axis=0)), 0.5 * (ring + middle), middle[None]]
+        )
+        samples.append(both)
+        owner.append(np.full(len(both), k))
+    off = np.zeros(len(panels))
+    np.maximum.at(off, np.concatenate(owner), surface.distance(np.concatenate(samples))[0])
+    return PanelCheck(
+        off_plane,
+        off_side,
+        concave,
+        simple,
+        least,
+        width,
+        off,
+        tilt,
+        stretch,
+        bend,
+        _zones(panels, bend < 0.0),
+    )
+
+
+def _measured(panel: ThickPanel) -> tuple[float, float, bool, bool, float, float, float, float]:
+    off_plane, concave, simple, least = 0.0, False, True, np.inf
+    n = panel.normal
+    one = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
+    one /= np.linalg.norm(one)
+    axes = np.stack([one, np.cross(n, one)], axis=1)
+    for ring in (panel.bottom, panel.top):
+        height = ring @ n
+        off_plane = max(off_plane, float(np.ptp(height)))
+        flat = ring @ axes
+        edge = np.roll(flat, -1, axis=0) - flat
+        after = np.roll(edge, -1, axis=0)
+        size = np.linalg.norm(edge, axis=1)
+        sine = (edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0]) / np.maximum(
+            size * np.roll(size, -1), 1e-300
+        )
+        concave |= bool((sine < -1e-9).any())
+        outline = shapely.Polygon(flat)
+        simple &= bool(outline.is_valid and outline.exterior.is_ccw)
+        least = min(least, float(size.min()))
+    hull = np.asarray(shapely.convex_hull(shapely.MultiPoint(panel.bottom @ axes)).exterior.coords)
+    run = np.diff(hull, axis=0)
+    across = (
+        np.stack([-run[:, 1], run[:, 0]], axis=1) / np.maximum(np.linalg.norm(run, axis=1), 1e-300)[:, None]
+    )
+    width = float(np.ptp(hull @ across.T, axis=0).min())
+    rise = panel.top - panel.bottom
+    size, up = np.linalg.norm(rise, axis=1), rise @ n
+    level = panel.level.astype(np.bool_)
+    free = ~(level | np.roll(level, 1))
+    cosine = np.where(free, up / np.maximum(size, 1e-300), 1.0)
+    tilt = float(np.arccos(np.clip(cosine.min(), -1.0, 1.0)))
+    stretch = float(np.where(free, size / np.maximum(np.abs(up), 1e-300), 1.0).max())
+    off_side = 0.0
+    for quad in side_quads(panel):
+        rest = quad - quad.mean(axis=0)
+        off_side = max(off_side, float(np.abs(rest @ np.linalg.svd(rest)[2][2]).max()))
+    return off_plane, off_side, concave, simple, least, width, tilt, stretch
+
+
+def _zones(panels: tuple[ThickPanel, ...], chosen: BoolArray) -> tuple[IntArray, ...]:
+    """Ids of chosen panels that are neighbours of each other, the largest zone first."""
+    pairs = [
+        (a, b)
+        for a, panel in enumerate(panels)
+        for b in panel.across.tolist()
+        if b > a and chosen[a] and chosen[b]
+    ]
+    rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    size = (len(panels), len(panels))
+    _, part = connected_components(
+        coo_array((np.ones(len(rows)), (rows[:, 0], rows[:, 1])), shape=size), False
+    )
+    groups = [np.flatnonzero(chosen & (part == p)) for p in np.unique(part[chosen])]
+    return tuple(sorted(groups, key=lambda group: (-len(group), int(group[0]))))
