@@ -22,6 +22,7 @@ from planner.forming.contact import Pass, ToolPath
 from planner.forming.passes import SAME_ANGLE, SUPPORTED_MODES
 from planner.forming.process_plan import Work
 from planner.forming.springback.curves import PassSpringback
+from planner.forming.springback.forecast import along as forces_along
 from planner.forming.springback.forecast import require_mode as require_forecast
 from planner.geometry.arrays import FloatArray, IntArray, lengths, unit
 from planner.geometry.curves import along, arc_length
@@ -89,9 +90,11 @@ def ways(
         count = int(min(MOST_PLACES, np.ceil(places[-1] / GRID))) + 1
         grid = np.linspace(0.0, float(places[-1]), count)
         contact = along(path.contact.point, places, grid)
-        wanted = np.concatenate([forecast.at(contact[k : k + AT_ONCE]) for k in range(0, count, AT_ONCE)])
-        limited = _limited(grid, wanted, slope)
         width = 2.0 * work.heads[work.former(one)].radius
+        force = forces_along(work, 0.5 * width, np.interp(grid, places, path.contact.angle), forecast)
+        pieces = [slice(k, k + AT_ONCE) for k in range(0, count, AT_ONCE)]
+        wanted = np.concatenate([forecast.at(contact[some], force[some]) for some in pieces])
+        limited = _limited(grid, wanted, slope)
         shift = _smoothed(limited, 0.5 * width / max(float(grid[1]), 1e-12))
         kept = _refined(path, _numbers(places, _targets(places, grid, shift, 0.5 * width)))
         at = arc_length(kept.former)

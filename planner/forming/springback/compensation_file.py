@@ -28,7 +28,7 @@ from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Stock
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Number of the file's form."""
 LARGEST: Final = 64_000_000
 """Bytes of a file at most."""

@@ -14,7 +14,9 @@ method for cluster analysis", Communications in Statistics 3 (1974) 1,
 
 with W the spread within clusters, B that between them, and a floor f: without it a clean shape is
 divided until nothing but its smeared corners is left. A spread below the floor is one cluster, as
-that of a cone.
+that of a cone. Where a pass begins or ends tools roll over an edge, and a loop there shows little of the
+shape beside the rolling: one that is divided half as much as most loops of its pass is divided as the next
+one below that is not.
 """
 
 from __future__ import annotations
@@ -39,12 +41,16 @@ PLACES_PER_RADIUS: Final = 5
 """Places of a loop in one tool radius of its length; curvature is fitted to as many on either side."""
 LEAST_PLACES: Final = 4 * PLACES_PER_RADIUS
 """Places of a loop at least, however short it is."""
+FEW: Final = 0.5
+"""Clusters of a loop, as a share of what most loops of its pass have, that are too few."""
 MOST_CLUSTERS: Final = 24
 """Clusters of a loop at most."""
 MOST_POINTS: Final = 60
 """Control points of a pass at most, but for `LEAST_LEVELS`."""
 LEAST_LEVELS: Final = 3
 """Levels of a pass that get control points at least, if it has as many loops."""
+TURNING: Final = 0.25
+"""A turn of the wall by `ANGLE_UNIT` counts as this share of a pass' depth where levels are chosen."""
 LEVEL_SPACING: Final = 1.0 * MM
 """Depth between levels with control points at least [m]: springback changes slowly with depth."""
 
@@ -85,9 +91,12 @@ def control_points(
     ``radius`` [m]. At most ``most`` points, as long as `LEAST_LEVELS` allow.
     """
     numbers = np.unique(loop)
-    rings = _labelled([_even(point[loop == k], angle[loop == k], radius) for k in numbers], radius)
+    rings = [_even(point[loop == k], angle[loop == k], radius) for k in numbers]
+    rings = _as_neighbours(_labelled(rings, radius))
     clusters = np.array([int(ring.label.max()) + 1 for ring in rings])
-    chosen = _levels(np.array([float(ring.point[:, 2].mean()) for ring in rings]), clusters, most)
+    depth = np.array([float(ring.point[:, 2].mean()) for ring in rings])
+    steep = np.array([float(ring.angle.mean()) for ring in rings])
+    chosen = _levels(depth, steep, clusters, most)
     rows = [
         (level, place, cluster)
         for level, k in enumerate(chosen)
@@ -107,13 +116,18 @@ def control_points(
     )
 
 
-def _levels(depth: FloatArray, clusters: IntArray, most: int) -> IntArray:
-    """Which loops get control points, by their mean z (M,) [m]: the first, the last, and others between."""
+def _levels(depth: FloatArray, steep: FloatArray, clusters: IntArray, most: int) -> IntArray:
+    """Which loops get control points, by their mean z (M,) [m] and wall angle (M,) [rad]: the first, the
+    last, and others between, evenly by depth and by how the wall turns: there force and sheet change."""
     down = np.abs(depth - depth[0])
+    whole = max(float(down.max()), 1e-12)
+    gone = np.append(
+        0.0, np.cumsum(np.abs(np.diff(depth)) / whole + TURNING * np.abs(np.diff(steep)) / ANGLE_UNIT)
+    )
     wanted = 1 + int(np.ceil(float(down.max()) / LEVEL_SPACING))
     for count in range(min(wanted, len(depth)), 0, -1):
-        goals = np.linspace(0.0, float(down.max()), count) if count > 1 else down.max(keepdims=True)
-        chosen = np.unique(np.abs(down[:, None] - goals).argmin(axis=0))
+        goals = np.linspace(0.0, float(gone[-1]), count) if count > 1 else gone[-1:]
+        chosen = np.unique(np.abs(gone[:, None] - goals).argmin(axis=0))
         if clusters[chosen].sum() <= most or count <= LEAST_LEVELS:
             break
     return np.asarray(chosen)
@@ -150,6 +164,25 @@ def _labelled(rings: Sequence[Ring], radius: float) -> list[Ring]:
         plan = curvature_in_plan(ring.point[:, :2], PLACES_PER_RADIUS)
         features = np.stack([ring.angle / ANGLE_UNIT, plan * radius, turn * radius], axis=1)
         out.append(dataclasses.replace(ring, label=ring_clusters(features)))
+    return out
+
+
+def _as_neighbours(rings: Sequence[Ring]) -> list[Ring]:
+    """Rings of which those with few clusters beside most are divided at the places that are nearest in plan
+    to where the next ring that has as many as most is divided: of those below, or else above."""
+    count = np.array([int(ring.label.max()) + 1 for ring in rings])
+    usual = float(np.median(count))
+    full = np.flatnonzero(count >= usual)
+    out = list(rings)
+    for k in np.flatnonzero(count <= FEW * usual).tolist():
+        ahead = full[full > k]
+        like = rings[int(ahead[0] if len(ahead) else full[-1])]
+        own = rings[k].point[:, :2]
+        begins = like.point[like.label != np.roll(like.label, 1), :2]
+        starts = np.zeros(len(own), dtype=np.bool_)
+        starts[lengths(own[:, None] - begins[None]).argmin(axis=0)] = True
+        label = (np.cumsum(starts) - 1) % np.count_nonzero(starts)
+        out[k] = dataclasses.replace(rings[k], label=label)
     return out
 
 

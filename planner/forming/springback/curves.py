@@ -24,7 +24,7 @@ from planner.forming.process_plan import Work
 from planner.forming.sheet_mechanics import axial_force, scallop_height
 from planner.forming.springback.control_points import ControlPoints
 from planner.forming.springback.formed_sheet import thickness, walls
-from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.arrays import FloatArray, IntArray, Mesh
 from planner.geometry.units import MM
 from planner.shell.element import Sheet
 from planner.shell.mesh import mesh_walls
@@ -40,12 +40,13 @@ SQUARE: Final = 3.0 * MM
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """What is to be solved: pass ``number``, ``place`` (3,) [m] of contact, ``force`` [N] that is
-    expected."""
+    """What is to be solved: pass ``number``, ``place`` (3,) [m] of contact, ``force`` [N] that is expected
+    there, ``most`` [N] on the levels around."""
 
     number: int
     place: FloatArray
     force: float
+    most: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,14 +81,14 @@ class PassSpringback:
     force: FloatArray
     springback: FloatArray
 
-    def at(self, points: FloatArray) -> FloatArray:
-        """Springback (N,) [m] at places (N, 3) [m] of the contact's path: that of the nearest places in plan
-        of the rings above and below, linear in z between them."""
+    def at(self, points: FloatArray, force: FloatArray) -> FloatArray:
+        """Springback (N,) [m] at places (N, 3) [m] of the contact's path under the forces (N,) [N] there:
+        that of the nearest places in plan of the rings above and below, linear in z between them."""
         height = np.array([float(ring.point[:, 2].mean()) for ring in self.control.rings])
         each = np.stack(
             [
-                value[cKDTree(ring.point[:, :2]).query(points[:, :2])[1]]
-                for ring, value in zip(self.control.rings, self.along(), strict=True)
+                self._under(level, np.asarray(cKDTree(ring.point[:, :2]).query(points[:, :2])[1]), force)
+                for level, ring in enumerate(self.control.rings)
             ]
         )
         order = np.argsort(height)
@@ -99,6 +100,24 @@ class PassSpringback:
         share = np.clip((points[:, 2] - height[below]) / rise, 0.0, 1.0)
         rows = np.arange(len(points))
         return np.asarray((1.0 - share) * each[below, rows] + share * each[above, rows])
+
+    def _under(self, level: int, at: IntArray, force: FloatArray) -> FloatArray:
+        """Springback (N,) [m] at places (N,) of a level's ring under forces (N,) [N], of a curve no more than
+        its last one: linear from one control point to the next, along the ring."""
+        mine = np.flatnonzero(self.control.level == level)
+        mine = mine[np.argsort(self.control.place[mine])]
+        knots, count = self.control.place[mine], len(self.control.rings[level].point)
+        before = (np.searchsorted(knots, at, side="right") - 1) % len(mine)
+        after = (before + 1) % len(mine)
+        gap = (knots[after] - knots[before] - 1) % count + 1
+        share = ((at - knots[before]) % count) / gap
+        out = np.zeros(len(at))
+        for k, row in enumerate(mine):
+            curve = self.curves[row]
+            for end, weight in ((before, 1.0 - share), (after, share)):
+                some = end == k
+                out[some] += weight[some] * curve.at(np.minimum(force[some], curve.force[-1]))
+        return out
 
     def along(self) -> list[FloatArray]:
         """Springback (N,) [m] at the places of each of the control points' rings: linear from one control
@@ -126,7 +145,7 @@ def forces(work: Work, radius: float, angle: FloatArray) -> FloatArray:
 
 def solved(work: Work, point: Point, triangles: int = TRIANGLES, shares: FloatArray = LOAD_SHARES) -> Curve:
     """The curve at a point of a pass, on the sheet as formed when the tool is there, at ``shares`` (K,) of
-    the expected force.
+    the expected force; where more is expected around, at this force and at shares of that one up to it.
 
     Raises ``ValueError`` where the sheet as formed cannot be divided into triangles.
     """
@@ -137,6 +156,8 @@ def solved(work: Work, point: Point, triangles: int = TRIANGLES, shares: FloatAr
     metal = work.sheet.metal
     sheet = Sheet(made.nodes, made.triangles, thickness(work, point.number, mesh), metal.young, metal.poisson)
     loads = point.force * shares
+    if point.most > loads[-1]:
+        loads = np.unique(np.append(point.most * shares[shares <= 1.0], point.force))
     way = np.array([0.0, 0.0, -float(one.side)])
     try:
         held = Loading(sheet, clamped(sheet, _border(work)))

@@ -24,7 +24,7 @@ from planner.forming.springback.curves import (
     forces,
     solved,
 )
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
 
@@ -66,9 +66,27 @@ def points(
         control = control_points(contact.point, contact.angle, contact.loop, radius, most)
         force = forces(work, radius, control.angle)
         force = np.maximum(force, LEAST_FORCE_SHARE * float(force.max()))
-        rows = [Point(number, place, float(n)) for place, n in zip(control.point, force, strict=True)]
+        around = _around(control, contact.loop, forces(work, radius, contact.angle))
+        rows = [
+            Point(number, place, float(n), float(around[level]))
+            for place, n, level in zip(control.point, force, control.level, strict=True)
+        ]
         out.append((control, rows))
     return out
+
+
+def _around(control: ControlPoints, loop: IntArray, force: FloatArray) -> FloatArray:
+    """The largest force (L,) [N] on the loops from the level above each level to the one below; ``loop`` (N,)
+    and ``force`` (N,) [N] of the path's targets."""
+    ends = np.concatenate([control.loop[:1], control.loop, control.loop[-1:]])
+    pairs = zip(ends[:-2], ends[2:], strict=True)
+    return np.array([float(force[(loop >= low) & (loop <= high)].max()) for low, high in pairs])
+
+
+def along(work: Work, radius: float, angle: FloatArray, found: PassSpringback) -> FloatArray:
+    """Forces (N,) [N] along the path of a pass, on walls at ``angle`` (N,) [rad] under a ball of ``radius``
+    [m], no smaller than where it is flat."""
+    return np.maximum(forces(work, radius, angle), LEAST_FORCE_SHARE * float(found.force.max()))
 
 
 def curves(work: Work, some: Sequence[Point], triangles: int = TRIANGLES) -> Iterator[Curve]:

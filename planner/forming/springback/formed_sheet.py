@@ -30,6 +30,10 @@ SAME_PLACE: Final = 1e-6
 """Points of a contour nearer than this [m] are one."""
 LEAST_AREA: Final = 4.0 * MM**2
 """Contours around less than this [m^2] are a tip: the floor takes their place."""
+LEAST_LEDGE: Final = 0.5 * MM
+"""Ledges between a wall and an earlier one that are narrower [m] somewhere have no row of their own."""
+LEAST_ROW: Final = 0.2 * MM
+"""Contours of an earlier wall are so far apart in plan at least [m]."""
 EDGE: Final = 0.02 * MM
 """How far inside of its edges [m] a wall is cut, where it is flat."""
 
@@ -88,8 +92,19 @@ def _partly(one: Pass, earlier: list[Pass], level: float) -> list[FloatArray]:
     down = 1.0 if one.end < one.start else -1.0
     rings = _cut(one, one.start, level)
     if earlier and down * (level - earlier[-1].end) > LEAST_STEP:
-        rings += _cut(earlier[-1], level, earlier[-1].end)
+        # from its last ring on, which is the floor's, up to where there is room
+        below: list[FloatArray] = []
+        for ring in reversed(_cut(earlier[-1], level, earlier[-1].end)):
+            if _room(rings[-1], ring) > LEAST_LEDGE and (not below or _room(ring, below[-1]) > LEAST_ROW):
+                below.append(ring)
+        rings += below[::-1]
     return [np.subtract(ring, [0.0, 0.0, one.start]) for ring in rings]
+
+
+def _room(ring: FloatArray, inner: FloatArray) -> float:
+    """How far a ring is from one inside of it, in plan [m]; below 0 where that is not inside."""
+    around, other = (shapely.Polygon(one[:, :2]) for one in (ring, inner))
+    return float(around.exterior.distance(other)) if around.contains(other) else -1.0
 
 
 def _cut(one: Pass, top: float, bottom: float) -> list[FloatArray]:

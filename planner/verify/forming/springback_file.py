@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, Mesh
@@ -31,6 +32,8 @@ AT_ONCE = 100_000
 """Places that are looked at once."""
 ROUNDING = 3e-8
 """Shifts are rounded by no more [m], two of them."""
+OFF_CURVE = 0.01
+"""Springback of a control point is off its own curve by this share at most: figures are rounded."""
 FARTHEST, LONGEST = 100.0, 5_000.0
 """Coordinates and lengths of ways at most [m]."""
 LARGEST = 100_000_000
@@ -40,7 +43,8 @@ LARGEST = 100_000_000
 @dataclasses.dataclass(frozen=True)
 class Control:
     """A control point of the file: the ``segment``'s name, its ``level``, ``place`` (3,) [m] on the face, the
-    ``angle`` [rad] of the wall that it states, ``force`` [N] and ``springback`` [m]."""
+    ``angle`` [rad] of the wall that it states, ``force`` [N] and ``springback`` [m]; its curve, of ``loads``
+    (K,) [N], from 0, and ``moved`` (K,) [m]."""
 
     segment: str
     level: int
@@ -48,6 +52,29 @@ class Control:
     angle: float
     force: float
     springback: float
+    loads: FloatArray
+    moved: FloatArray
+
+    def under(self, force: FloatArray) -> FloatArray:
+        """What the sheet comes back by [m] under ``force`` [N]: from load to load a power of it, S = a F^b,
+        and a line to the first one."""
+        first = force < self.loads[1]
+        power = np.interp(
+            np.log(np.maximum(force, self.loads[1])), np.log(self.loads[1:]), np.log(self.moved[1:])
+        )
+        return np.asarray(np.where(first, force / self.loads[1] * self.moved[1], np.exp(power)))
+
+    def fault(self) -> str:
+        """What is wrong with its curve, if anything."""
+        loads, moved = self.loads, self.moved
+        if len(loads) < 3 or len(loads) != len(moved) or loads[0] != 0.0 or moved[0] != 0.0:
+            return "has no curve from 0 on"
+        if not (np.diff(loads) > 0.0).all() or not (np.diff(moved) > 0.0).all():
+            return "has a curve that does not grow"
+        at = float(PchipInterpolator(loads, moved)(min(self.force, float(loads[-1]))))
+        if not abs(at - self.springback) <= OFF_CURVE * self.springback + 10.0 * ROUNDING:
+            return f"has {self.springback / MM:.4f} mm beside its curve, which has {at / MM:.4f} mm"
+        return ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -112,6 +139,8 @@ def read(path: Path) -> Given:
                 float(np.deg2rad(row["wall_deg"])),
                 float(row["force_n"]),
                 float(row["springback_mm"]) * MM,
+                np.array(row["forces_n"], dtype=np.float64),
+                np.array(row["displacements_mm"], dtype=np.float64) * MM,
             )
             for row in data["control_points"]
         )
@@ -120,8 +149,13 @@ def read(path: Path) -> Given:
         raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
     if count != sum(len(way.point) for way in ways.values()) or len(ways) != len(data["passes"]):
         raise ValueError("it has another number of points than it says")
-    figures = [np.append(one.place, [one.force, one.springback, one.angle]) for one in controls]
-    if not controls or not np.isfinite(figures).all():
+    for one in controls:
+        figures = [*one.place, one.force, one.springback, one.angle, *one.loads.ravel(), *one.moved.ravel()]
+        if not np.isfinite(figures).all():
+            raise ValueError("a control point has no figures")
+        if one.fault():
+            raise ValueError(f"a control point of {one.segment} {one.fault()}")
+    if not controls:
         raise ValueError("a control point has no figures")
     return Given(belongs, controls, ways)
 

@@ -55,13 +55,19 @@ ANGLE_BESIDE = np.deg2rad(10.0)
 """The same in corners where the ball does not fit [rad]."""
 PLACES = 3
 """Places of the ways, anywhere on them, at which shifts are worked out once more."""
-CURVED = 0.5
-"""Between control points shifts are off by no more than this share of what the levels around differ: first
-loops of a pass are flat, and have one point for all of their places."""
+CURVED = 0.35
+"""Between levels shifts are off by no more than this share of what these differ under the force there: where
+a tool rolls onto the floor one level is on the wall's edge and the next one on the floor."""
+ALONG, ANGLE_ALONG = 2, np.deg2rad(0.3)
+"""Walls by which a formula takes a force are those so many steps of `STEP` around, within this [rad]."""
+BEYOND = 1.5
+"""Curves that go on to so many times the force of their point are worked out at their end as well."""
 STEP = 1e-3
 """Places of a way at which its shifts are looked at are so far apart [m]."""
 MOST_PLACES = 60_000
 """Places of a way at most."""
+NO_CURVE = np.zeros(0)
+"""Of a place that is no control point."""
 MODES = frozenset({"spif", "dsif", "dpif_l", "heat"})
 """Modes in which what is formed comes back as one elastic sheet, and no tool holds its border."""
 
@@ -78,8 +84,8 @@ def springback(context: Context, forming: Forming) -> Outcome:
             issues.append(_issue(one, one.fault))
             continue
         found = [*_belongs(context, forming, one), *_limits(one), *_forces(context, one)]
-        found += _placed(forming, one) if not found else []
-        found += _along(forming, one) if not found else []
+        found += _placed(context, forming, one) if not found else []
+        found += _along(context, forming, one) if not found else []
         found += _way(context, forming, one)
         issues += found
         if found:
@@ -97,7 +103,8 @@ def springback(context: Context, forming: Forming) -> Outcome:
 class _Pass:
     """A pass of a file: its ``claim`` with its ``face``, ``way``, ``controls``. Of P places ``at`` (P,) [m]:
     ``touch`` (P, 3) [m], where the former touches the claimed face, the wall's ``angle`` (P,) [rad] there,
-    the ``ring`` (P,) and by how much that goes up and down, ``rise`` (P,) [m]."""
+    the least and largest ``force`` (2, P) [N], the ``ring`` (P,) and by how much that goes up and down,
+    ``rise`` (P,) [m]."""
 
     claim: FormsSheet
     face: Face
@@ -106,6 +113,7 @@ class _Pass:
     at: FloatArray
     touch: FloatArray
     angle: FloatArray
+    force: FloatArray
     ring: IntArray
     rise: FloatArray
 
@@ -235,7 +243,23 @@ def _by_formula(
     return np.asarray(np.maximum(force, LEAST_FORCE * float(force.max())))
 
 
-def _passes(forming: Forming, one: Told) -> Iterator[_Pass]:
+def _along_way(context: Context, one: Told, angle: FloatArray, radius: float, some: FloatArray) -> FloatArray:
+    """The least and largest force (2, P) [N] at places of a way by the walls' ``angle`` (P,) [rad] around;
+    ``some`` (C,) [rad] are those of its control points."""
+    operation, setup = one.operation, context.setups[one.index]
+    if operation.force_n is not None:
+        return np.full((2, len(angle)), float(operation.force_n))
+    sheet = setup.stock.sheet
+    tensile = 0.0 if sheet is None else sheet.metal.tensile_stress
+    wide = np.lib.stride_tricks.sliding_window_view(np.pad(angle, ALONG, mode="edge"), 2 * ALONG + 1)
+    each = [np.maximum(wide.min(axis=1) - ANGLE_ALONG, 0.0), angle, wide.max(axis=1) + ANGLE_ALONG]
+    force = np.array(
+        [_by_formula(operation, tensile, setup, radius, np.append(some, own))[len(some) :] for own in each]
+    )
+    return np.stack([force.min(axis=0), force.max(axis=0)])
+
+
+def _passes(context: Context, forming: Forming, one: Told) -> Iterator[_Pass]:
     """What the file says of each pass that is claimed, with what its former touches."""
     for made in forming.formed:
         claim = made.claim
@@ -259,13 +283,15 @@ def _passes(forming: Forming, one: Told) -> Iterator[_Pass]:
             rows = ring == k
             rise[rows] = min(float(np.ptp(found.place[rows, 2])), most)
         angle = np.arccos(np.clip(up, 0.0, 1.0))
-        yield _Pass(claim, made.face, way, controls, at, found.place, angle, ring, rise)
+        some = np.array([control.angle for control in controls])
+        force = _along_way(context, one, angle, claim.radius, some)
+        yield _Pass(claim, made.face, way, controls, at, found.place, angle, force, ring, rise)
 
 
-def _placed(forming: Forming, one: Told) -> Iterator[Issue]:
+def _placed(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
     """Whether control points are where the former touches the part, on walls as steep as they say, and their
     levels are loops from the first one to the last."""
-    for own in _passes(forming, one):
+    for own in _passes(context, forming, one):
         tree = cKDTree(own.touch)
         places = np.array([control.place for control in own.controls])
         found = own.face.nearest(places, OFF_ANGLE)
@@ -310,10 +336,10 @@ def _placed(forming: Forming, one: Told) -> Iterator[Issue]:
             yield _issue(one, what, mm(bare), mm(room), "mm")
 
 
-def _along(forming: Forming, one: Told) -> Iterator[Issue]:
+def _along(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
     """Whether shifts are what lies between the control points around, as far as the slope lets them."""
     slope = float(one.operation.springback.slope)
-    for own in _passes(forming, one):
+    for own in _passes(context, forming, one):
         low, high, _ = _bounds(own)
         got, half = own.shift, own.claim.radius
         least, most = (_mean(own.at, _slower(own.at, value, slope), half) for value in (low, high))
@@ -337,13 +363,13 @@ def _gone(points: FloatArray) -> FloatArray:
 
 def _bounds(own: _Pass) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The least and largest springback (P,) [m] that control points say at the places of a pass: on each
-    level from one to the next around the loop, between levels by height, and as the loop itself goes up or
-    down by its step; and how much (P,) [m] the levels around differ."""
+    level from one to the next around the loop, each under the force there, between levels by height, and as
+    the loop itself goes up or down by its step; and how much (P,) [m] the levels around differ."""
     count = len(own.at)
     known, groups = own.levels()
     order = sorted(groups, key=lambda level: known[level])
     height = np.array([known[level] for level in order])
-    table = np.empty((len(order), count))
+    table = np.empty((len(order), 2, count))
     for k in np.unique(own.ring):
         rows = np.flatnonzero(own.ring == k)
         along = own.at[rows] - own.at[rows[0]]
@@ -353,8 +379,7 @@ def _bounds(own: _Pass) -> tuple[FloatArray, FloatArray, FloatArray]:
             some = groups[level]
             wanted = np.array([control.place[:2] for control in some])
             near = along[np.asarray(tree.query(wanted)[1])]
-            value = np.array([control.springback for control in some])
-            table[row, rows] = np.interp(along, near, value, period=whole)
+            table[row, :, rows] = _between(along, near, some, own.force[:, rows], whole).T
     either, column = [], np.arange(count)
     apart = np.zeros(count)
     for off in (-1.0, 0.0, 1.0):
@@ -364,9 +389,34 @@ def _bounds(own: _Pass) -> tuple[FloatArray, FloatArray, FloatArray]:
         above = np.minimum(above, len(height) - 1)
         wide = np.where(above > below, height[above] - height[below], 1.0)
         share = np.clip((z - height[below]) / wide, 0.0, 1.0)
-        either.append(table[below, column] * (1.0 - share) + table[above, column] * share)
-        apart = np.maximum(apart, np.abs(table[above, column] - table[below, column]))
+        for low, high in zip(
+            (table[below, end, column] for end in (0, 1)),
+            (table[above, end, column] for end in (0, 1)),
+            strict=True,
+        ):
+            either.append(low * (1.0 - share) + high * share)
+            apart = np.maximum(apart, np.abs(high - low))
     return np.min(either, axis=0), np.max(either, axis=0), apart
+
+
+def _between(
+    along: FloatArray, near: FloatArray, some: list[Control], force: FloatArray, whole: float
+) -> FloatArray:
+    """Springback (2, R) [m] at places of a loop, ``along`` (R,) [m] of ``whole`` [m], under ``force`` (2, R)
+    [N]: linear from one of ``some`` control points, ``near`` (C,) [m], to the next."""
+    order = np.argsort(near)
+    knots = near[order]
+    before = (np.searchsorted(knots, along, side="right") - 1) % len(knots)
+    after = (before + 1) % len(knots)
+    gap = (knots[after] - knots[before]) % whole
+    gap = np.where(gap > 0.0, gap, whole)
+    share = ((along - knots[before]) % whole) / gap
+    out = np.zeros_like(force)
+    for k, row in enumerate(order):
+        for end, weight in ((before, 1.0 - share), (after, share)):
+            mine = end == k
+            out[:, mine] += weight[mine] * some[row].under(force[:, mine])
+    return out
 
 
 def _slower(at: FloatArray, value: FloatArray, slope: float) -> FloatArray:
@@ -427,8 +477,7 @@ def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[
         for claim in shape.claims
     }
     worst, issues = 0.0, []
-    for k in _drawn(context.problem.digest, len(given.controls), DRAWN):
-        control = given.controls[k]
+    for k, control in _to_solve(context, given.controls):
         if control.segment not in passes:
             issues.append(_issue(one, f"a control point is of {control.segment}, which is not formed"))
             continue
@@ -458,7 +507,9 @@ def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[
         formed = elastic.Formed(made, feature, number, abs(float(own.touch[k, 2]) - claim.start))
         force, doubt_of_force = _force_at(context, one, own, k)
         shift = float(own.shift[k])
-        control = Control(own.claim.segment.name, 0, own.touch[k], float(own.angle[k]), force, shift)
+        control = Control(
+            own.claim.segment.name, 0, own.touch[k], float(own.angle[k]), force, shift, NO_CURVE, NO_CURVE
+        )
         x, y, z = control.place / MM
         named = f"{own.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
         try:
@@ -479,13 +530,23 @@ def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[
     return worst, issues
 
 
+def _to_solve(context: Context, controls: tuple[Control, ...]) -> Iterator[tuple[int, Control]]:
+    """Control points drawn by lot, by their number; where a curve goes far beyond the force of its point,
+    for around it tools press more, its end besides."""
+    for k in _drawn(context.problem.digest, len(controls), DRAWN):
+        one = controls[k]
+        yield k, one
+        if one.loads[-1] > BEYOND * one.force:
+            yield k, dataclasses.replace(one, force=float(one.loads[-1]), springback=float(one.moved[-1]))
+
+
 def _anywhere(context: Context, forming: Forming, one: Told) -> list[tuple[_Pass, int, float]]:
     """Places drawn by lot on the ways of all passes, where shifts are springback itself: where no slope holds
     them back. With each what the shift may be off besides [m]: by levels that are joined straight, and by the
     mean over a ball's width."""
     slope = float(one.operation.springback.slope)
     found: list[tuple[_Pass, int, float]] = []
-    for own in _passes(forming, one):
+    for own in _passes(context, forming, one):
         low, high, apart = _bounds(own)
         held = np.maximum(low - _slower(own.at, low, slope), high - _slower(own.at, high, slope))
         radius, shift = own.claim.radius, own.shift

@@ -63,7 +63,20 @@ def twice(data: dict[str, Any]) -> None:
     """Twice the springback, everywhere, so that the file agrees with itself."""
     each_point(lambda p: p.__setitem__(3, 2.0 * p[3]))(data)
     for row in data["control_points"]:
-        row["springback_mm"] *= 2.0
+        scaled(row, 2.0)
+
+
+def scaled(row: dict[str, Any], factor: float) -> None:
+    """A control point comes back by ``factor`` as much, with its curve."""
+    row["springback_mm"] *= factor
+    row["displacements_mm"] = [factor * one for one in row["displacements_mm"]]
+
+
+def under_less(data: dict[str, Any]) -> None:
+    """One point is under four fifths of its force, with its curve."""
+    row = data["control_points"][1]
+    row["force_n"] *= 0.8
+    row["forces_n"] = [0.8 * one for one in row["forces_n"]]
 
 
 def turned(data: dict[str, Any]) -> None:

@@ -98,6 +98,24 @@ def test_each_sharp_corner_is_a_cluster_of_its_own(shape: object, noise: float) 
     assert good >= 0.95 * len(found.rings)
 
 
+def test_loops_at_an_edge_are_divided_as_the_wall_below() -> None:
+    """Where a pass begins the ball rolls over an edge: wide corners, and along each loop the wall gets
+    steeper."""
+    outlines = [square(0.0445 - 5e-4 * k, 0.028) for k in range(5)]
+    outlines += [square(0.042 - 1e-4 * k, 0.010) for k in range(40)]
+    points, loops = path(outlines, 1e-3)
+    along = np.concatenate([np.linspace(0.0, 1.0, np.count_nonzero(loops == k)) for k in range(45)])
+    rolled = np.minimum(loops + along, 5.0) / 5.0
+    found = cp.control_points(points, np.radians(60.0) * rolled, loops, RADIUS)
+    assert set(found.clusters) <= {8, 9}  # nine where a loop's seam is within a side
+    assert len(found.point) <= 60
+    assert found.loop[0] == 0
+    first = found.point[found.level == 0, :2]
+    aside = np.abs(np.abs(first[:, 0]) - np.abs(first[:, 1]))
+    assert np.count_nonzero(aside < 4e-3) == 4
+    assert len(first) - 4 >= 4
+
+
 def test_a_wall_that_grows_steeper_is_told_from_a_straight_one() -> None:
     """Two halves of a circle, one of 30 and one of 60 deg, as an eccentric cone has."""
     rings = [arc((0.0, 0.0), 0.040 - 5e-4 * k, 0.0, 354.0) for k in range(20)]

@@ -109,6 +109,15 @@ def test_passes_of_steep_walls_keep_what_is_formed_already_and_stay_thin(tmp_pat
     assert t[thinned] == pytest.approx(MM * np.cos(np.radians(45.0)), rel=0.02)
 
 
+@pytest.mark.parametrize("z", [-0.1, -1.1, -3.1])
+def test_a_pass_that_has_just_left_an_earlier_wall_has_a_mesh(z: float) -> None:
+    """There the ledge between both walls is narrower than any row of a mesh, at corners none at all."""
+    found = pipeline.load(Path(__file__).parents[3] / "problems" / "pyramid_steep")
+    made = work(found.operations[0], found.setups[0], found.part)  # type: ignore[arg-type]
+    place = np.array([[0.0533, 0.0533, z * MM]])
+    assert len(mesh_walls(walls(made, 1, z * MM), made.sheet.opening, 4000, place).triangles) > 2000
+
+
 def told(folder: Path, **fields: Any) -> list[Issue]:
     made = of(folder, shapes.cone(45.0, 0.010, 0.050, 120), **fields)
     laid = lay_all(made)
@@ -184,7 +193,9 @@ def test_between_control_points_s_is_as_if_solved_there(tmp_path: Path) -> None:
         force = float(curves.forces(made, 0.006, path.angle[row : row + 1])[0])
         x = curves.Point(0, path.point[row], force)
         alone = float(curves.solved(made, x, COARSE).at(force))
-        assert found.at(path.point[row : row + 1])[0] == pytest.approx(alone, rel=0.03, abs=1e-4)
+        assert found.at(path.point[row : row + 1], np.array([force]))[0] == pytest.approx(
+            alone, rel=0.03, abs=1e-4
+        )
 
 
 def test_the_command_writes_what_it_found(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from planner.cli.forming import Springback, run_springback
 from planner.geometry.units import MM
 from planner.pipeline import Outcome
 from planner.verify.context import Context
-from planner.verify.forming import elastic
+from planner.verify.forming import elastic, springback_file
 from planner.verify.forming.state import Forming
 from planner.verify.rules import forming_tool, forming_two_tools, springback
 from tests import small_forming
@@ -210,7 +210,10 @@ def test_a_file_that_is_cut_short_or_edited_is_not_read(context: Context, file: 
         (lambda data: data["belongs_to"].update(part="0" * 32), "of another job: part"),
         (lambda data: data["belongs_to"].update({"sheet.poisson": 0.3}), "of another job: sheet.poisson"),
         (lambda data: data["belongs_to"].pop("operation.force_n"), "of another job: operation.force_n"),
-        (lambda data: data["control_points"][1].update(force_n=400.0), "under 400.0 N"),
+        (files.under_less, "under 400.0 N"),
+        (lambda data: data["control_points"][1].update(force_n=400.0), "beside its curve"),
+        (lambda data: data["control_points"][1]["displacements_mm"].reverse(), "no curve from 0 on"),
+        (lambda data: data["control_points"][1]["forces_n"].__setitem__(3, 1.0), "does not grow"),
         (lambda data: data.update(control_points=[]), "no figures"),
         (lambda data: data["passes"][0].update(name="f2"), "has the passes ['f2']"),
     ],
@@ -230,7 +233,7 @@ def test_what_the_sheet_does_not_say_is_found_where_it_is_drawn(
     )
 
     def other(data: dict[str, Any]) -> None:
-        data["control_points"][first]["springback_mm"] *= factor
+        files.scaled(data["control_points"][first], factor)
 
     file.write_text(files.edited(file.read_text(), other))
     forming = Forming(context)
@@ -285,8 +288,8 @@ def test_walls_by_which_a_formula_takes_forces_are_those_of_the_part(context: Co
     forming = Forming(context)
     (told,) = forming.told
     by_formula = told.operation.model_copy(update={"force_n": None})
-    assert list(springback._placed(forming, told)) == []
-    (issue,) = springback._placed(forming, dataclasses.replace(told, operation=by_formula))
+    assert list(springback._placed(context, forming, told)) == []
+    (issue,) = springback._placed(context, forming, dataclasses.replace(told, operation=by_formula))
     assert "where the part has" in issue.message
 
 
@@ -321,6 +324,66 @@ def test_a_way_out_that_presses_into_the_flat_sheet_is_found(context: Context) -
     bad = Context(context.problem, context.by_operation, out)
     (gouge, *_) = forming_tool.gouge(bad, Forming(bad)).issues
     assert "flat sheet" in gouge.message
+
+
+def _steep_pass(value: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> springback._Pass:
+    """The begin of a pass in which a ball rolls from the flat onto a wall, 4 mm deep, around a square whose
+    corners give way more: control points under 16 N on the flat and 250 N on the wall, of curves that are
+    ``value`` of the corner (0 or 1) and the force."""
+    loads = np.array([0.0, 16.0, 60.0, 140.0, 260.0, 400.0])
+    controls = []
+    for level, (z, force) in enumerate([(0.0, 16.0), (-4.0 * MM, 250.0)]):
+        for k in range(8):
+            turn = 0.25 * np.pi * k
+            place = np.array([0.05 * np.cos(turn), 0.05 * np.sin(turn), z])
+            moved = np.append(0.0, value(np.array(k % 2), loads[1:]))
+            at = float(np.interp(force, loads, moved))
+            controls.append(springback_file.Control("f1", level, place, 0.0, force, at, loads, moved))
+    turn = np.linspace(0.0, 8.0 * np.pi, 1257)
+    touch = np.stack([0.05 * np.cos(turn), 0.05 * np.sin(turn), -1.0 * MM * turn / (2.0 * np.pi)], axis=1)
+    at = 1e-3 * np.arange(len(turn))
+    angle = np.arccos(np.clip(1.0 + touch[:, 2] / 6e-3, 0.0, 1.0))
+    force = 16.0 + 284.0 * np.sin(np.minimum(1.5 * angle, 2.2))
+    ring = np.minimum(turn // (2.0 * np.pi), 3).astype(np.int64)
+    way = springback_file.Way(touch, 0.0 * at, ring)
+    return springback._Pass(
+        None,  # type: ignore[arg-type]
+        None,  # type: ignore[arg-type]
+        way,
+        tuple(controls),
+        at,
+        touch,
+        angle,
+        np.stack([force, force]),
+        ring,
+        np.full(len(at), 0.1 * MM),
+    )
+
+
+def test_between_a_flat_level_and_a_wall_shifts_are_those_of_the_force_there() -> None:
+    """What used to be laid: one springback a level, from level to level straight, is not what lies between;
+    neither is a point for all places of a flat loop."""
+
+    def of(corner: np.ndarray, force: np.ndarray) -> np.ndarray:
+        return np.asarray((1.0 + 0.4 * corner) * 1e-3 * (force / 300.0) ** 0.6)
+
+    own = _steep_pass(of)
+    low, high, apart = springback._bounds(own)
+    corner = 1.0 - np.abs((4.0 * np.arctan2(own.touch[:, 1], own.touch[:, 0]) / np.pi) % 2.0 - 1.0)
+    truth = of(corner, own.force[0])
+    slack = springback.BETWEEN * high + springback.NOISE
+    assert (truth > low - slack).all()
+    assert (truth < high + slack).all()
+    assert springback.CURVED * apart.max() < 1e-6
+    by_level = [np.mean([c.springback for c in own.controls if c.level == k]) for k in range(2)]
+    straight = np.interp(-own.touch[:, 2], [0.0, 4.0 * MM], by_level)
+    assert (low - straight).max() > 0.3 * MM
+    flat = [dataclasses.replace(c, moved=own.controls[0].moved) for c in own.controls if c.level == 0]
+    for one in (flat[:1], flat):
+        off = springback._bounds(dataclasses.replace(own, controls=(*one, *own.controls[8:])))
+        # the rule holds places off it by what its levels differ
+        assert off[2].max() > 0.2 * MM
+        assert (truth - off[1]).max() > slack.max() + springback.CURVED * off[2].max()
 
 
 # ---- the sheet of the proof's own ----
