@@ -122,9 +122,8 @@ def skew(v: FloatArray) -> FloatArray:
 
 def exp_rotation(w: FloatArray) -> FloatArray:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad] (Rodrigues)."""
-    angle = np.linalg.norm(w, axis=-1)[..., None, None]
-    k = skew(w)
-    return np.asarray(np.eye(3) + _sinc(angle) * k + _cosc(angle) * (k @ k))
+    angle, k = np.linalg.norm(w, axis=-1)[..., None, None], skew(w)
+    return _turned(angle, k, k @ k, _cosc(angle))
 
 
 def log_rotation(r: FloatArray) -> FloatArray:
@@ -141,10 +140,15 @@ def log_rotation(r: FloatArray) -> FloatArray:
 def exp_twist(xi: FloatArray) -> FloatArray:
     """Poses (..., 4, 4) of twists (..., 6), angular part first (Murray, Li, Sastry 1994, section 2.3)."""
     w, v = xi[..., :3], xi[..., 3:]
-    angle = np.linalg.norm(w, axis=-1)[..., None, None]
-    k = skew(w)
-    left = np.eye(3) + _cosc(angle) * k + _sinc3(angle) * (k @ k)
-    return from_parts(exp_rotation(w), (left @ v[..., None])[..., 0])
+    angle, k = np.linalg.norm(w, axis=-1)[..., None, None], skew(w)
+    square, cosc = k @ k, _cosc(angle)
+    left = np.eye(3) + cosc * k + _sinc3(angle) * square
+    return from_parts(_turned(angle, k, square, cosc), (left @ v[..., None])[..., 0])
+
+
+def _turned(angle: FloatArray, k: FloatArray, square: FloatArray, cosc: FloatArray) -> FloatArray:
+    """Rotations by angles (..., 1, 1) of cross-product matrices and their squares (..., 3, 3)."""
+    return np.asarray(np.eye(3) + _sinc(angle) * k + cosc * square)
 
 
 def log_pose(pose: FloatArray) -> FloatArray:

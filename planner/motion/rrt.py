@@ -259,8 +259,13 @@ EVENNESS: Final = 0.02
 ones."""
 ROOM_PRICE: Final = 1e3
 """Price [rad/m] of room that lacks: 1 mm is worth more than any detour."""
+HOPEFUL_ROUNDS: Final = 3
+"""After so many rounds there is no hope for a bent line that lacks more room [m] than this:"""
+HOPEFUL_M: Final = 0.01
 SAME_POINT: Final = 1e-9
 """Waypoints [rad] nearer than this are one."""
+SAME_TRAVEL_RAD: Final = 1e-6
+"""A way that is longer than the straight line by less [rad] is as short as can be."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -281,22 +286,40 @@ def travel(way: FloatArray) -> float:
     return float(np.abs(np.diff(way, axis=0)).sum())
 
 
-def shortened(way: FloatArray, task: Task) -> FloatArray | None:
+def shortened(way: FloatArray, task: Task, looks: int = LAST_LOOKS) -> FloatArray | None:
     """A way (K, D) of less travel between the ends of ``way`` (M, D), free as ``task.blocked`` finds it and
     without corners that it can do without; None where none was found. ``way`` itself need not be free.
 
-    The work is bounded by :data:`LAST_LOOKS`, :data:`ROUNDS`, :data:`REPAIR_ROUNDS` and the looks that a line
+    The work is bounded by last ``looks``, :data:`ROUNDS`, :data:`REPAIR_ROUNDS` and the looks that a line
     has; the same way has the same answer.
     """
+    return _optimised_free(way, task, looks, bent=False)
+
+
+def bent(line: FloatArray, task: Task) -> FloatArray | None:
+    """A free way (K, D) between the ends of a straight ``line`` (2, D) that is not free, of no more travel
+    than that; None where none was found. Of two that know this and a tree, this one is asked first: its work
+    is over as soon as there is nothing left to gain, or no hope after :data:`HOPEFUL_ROUNDS`."""
+    out = _optimised_free(line, task, LAST_LOOKS, bent=True)
+    return None if out is None or travel(out) > travel(line) + SAME_TRAVEL_RAD else out
+
+
+def _optimised_free(way: FloatArray, task: Task, looks: int, bent: bool) -> FloatArray | None:
+    """What :func:`shortened`, or :func:`bent`, gives."""
     ready = solvers()
     if not ready or len(way) < 2:
         return None
-    now, also = _padded(way, task.lever), NOWHERE
-    for number in range(LAST_LOOKS):
-        now = _optimised(now, also, task, ready[0], REPAIR_ROUNDS if number else ROUNDS)
+    now, also, bad = _padded(way, task.lever), NOWHERE, NOWHERE
+    for number in range(looks):
+        before, failed = now, bad
+        now = _optimised(now, also, task, ready[0], REPAIR_ROUNDS if number else ROUNDS, bent)
+        if bent and travel(now) > travel(way) + SAME_TRAVEL_RAD:
+            break
         bad = task.blocked(now, True)
         if not len(bad.move):
             return _with_fewer_corners(now, task)
+        if len(failed.move) == len(bad.move) and np.array_equal(before, now):
+            break  # what was fed back has moved nothing
         also = also.and_also(bad.thinned(FED_BACK))
     return None
 
@@ -338,6 +361,11 @@ class _Looked:
     wanting: FloatArray
     merit: float
 
+    @property
+    def lacks(self) -> float:
+        """The room [m] that lacks most."""
+        return float(self.wanting.max(initial=0.0))
+
 
 def _look(way: FloatArray, also: Places, task: Task, weight: FloatArray, ends: float) -> _Looked:
     """Looks at a way; ``ends``: the least room at its ends [m]."""
@@ -361,14 +389,19 @@ def _look(way: FloatArray, also: Places, task: Task, weight: FloatArray, ends: f
 
 
 def _optimised(
-    way: FloatArray, also: Places, task: Task, program: SolverInterface, rounds: int
+    way: FloatArray, also: Places, task: Task, program: SolverInterface, rounds: int, bent: bool
 ) -> FloatArray:
-    """The way with its corners moved so that cost and lacking room become least, near where they were."""
+    """The way with its corners moved so that cost and lacking room become least, near where they were.
+    ``bent``: only until its travel is that of the straight line, and as long as there is hope of it."""
     weight = task.lever / task.lever.max()
     ends = task.near(way[[0, -1]])
     best = _look(way, also, task, weight, float(ends.room.min(initial=np.inf)))
-    trust = TRUST_RAD
-    for _ in range(rounds):
+    trust, least = TRUST_RAD, travel(way[[0, -1]]) + SAME_TRAVEL_RAD
+    for number in range(rounds):
+        if bent and number >= HOPEFUL_ROUNDS and best.lacks > HOPEFUL_M:
+            break
+        if bent and best.lacks <= 0.0 and travel(best.way) <= least:
+            break
         moved = _step(best, task, weight, trust, program)
         if moved is None:
             break

@@ -1,6 +1,7 @@
 """Ways of arms from home to the first target, and home from the last one.
 
-Each arm goes alone while the others stand, or all of them at once where one controller moves them and that is
+Where one controller moves all arms they go at once, straight, or bent about what is in the way without a
+detour; where that does not do, each arm goes alone while the others stand, or all of them at once if that is
 no farther and faster. Ways are free of everything at and between all places; of those that are found, corners
 are moved until they are shorter.
 """
@@ -23,9 +24,11 @@ from planner.issues import Issue, TandemError
 from planner.motion.planning_scene import Scene
 from planner.motion.rrt import (
     MOST_MOVES,
+    SAME_TRAVEL_RAD,
     Places,
     Rooms,
     Task,
+    bent,
     blocked_places,
     connect,
     shortened,
@@ -42,9 +45,6 @@ FINE_STEP_M = 1e-3
 
 NEAR_M = 0.1
 """Bodies [m] that have more room than this do not count in one round of making a way shorter."""
-
-SAME_TRAVEL_RAD = 1e-6
-"""A way that is longer than the straight line by less [rad] is as short as can be."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,6 +127,12 @@ def _found(
     scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...], synchronised: bool
 ) -> Iterator[Ways | _Stuck]:
     """The first ways from home to the joints {arm: (6,)}, then what they are improved to."""
+    if synchronised and len(order) > 1:
+        straight = _straight(scene, goal, order)
+        if straight is not None:
+            yield straight
+            yield straight
+            return
     ways = _ways(scene, goal, order)
     yield ways
     if isinstance(ways, Ways):
@@ -134,17 +140,14 @@ def _found(
 
 
 def _improved(scene: Scene, ways: Ways, synchronised: bool) -> Ways:
-    """The ways of all arms at once where they are synchronised and there are such ones, or else each arm's
-    own made shorter."""
-    at_once = _at_once(scene, ways) if synchronised and len(ways.order) > 1 else ways
-    if at_once.together:
-        return at_once
+    """Each arm's own ways made shorter, and where they are synchronised all of them at once."""
     standing = {arm: scene.chains[arm].home for arm in ways.order}
     own = {}
     for arm in ways.order:
         own[arm] = _Moving(scene, dict(standing), (arm,)).shorter(ways.way[arm])
         standing[arm] = ways.way[arm][-1]
-    return dataclasses.replace(ways, way=own)
+    ways = dataclasses.replace(ways, way=own)
+    return _at_once(scene, ways) if synchronised and len(ways.order) > 1 else ways
 
 
 def _backwards(ways: Ways) -> Ways:
@@ -223,6 +226,12 @@ def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: Float
         if not len(moving.blocked(way, False).move):
             return way
     return None
+
+
+def _apart(way: FloatArray, order: tuple[str, ...]) -> Ways:
+    """The ways of all arms that go at once along a way (M, D) of all of them."""
+    parts = {arm: way[:, 6 * k : 6 * k + 6].copy() for k, arm in enumerate(order)}
+    return Ways(parts, order, together=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -358,6 +367,8 @@ class _Moving:
 
 LATER: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of the way of the arm that goes first after which the next one starts, tried one after the other."""
+AT_ONCE_LOOKS: Final = 2
+"""Last looks at a way of all arms at once: those that are found need no more."""
 PACE_M_S: Final = 0.25
 """Speed of tools [m/s] by which times of ways are told apart: that of programs on their ways in and out."""
 PACE_RAD_S: Final = float(np.deg2rad(45.0))
@@ -366,23 +377,41 @@ PACE_STEPS: Final = 32
 """Parts of a joint move whose lengths make up that of the tool's way."""
 
 
+def _straight(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...]) -> Ways | None:
+    """The ways of all arms at once from home straight to the joints {arm: (6,)}, or as short and bent about
+    what is in the way; None where that needs a detour, or saves no time."""
+    moving = _Moving(scene, {}, order)
+    line = np.array(
+        [np.concatenate([scene.chains[a].home for a in order]), np.concatenate([goal[a] for a in order])]
+    )
+    way = line if not len(moving.blocked(line, False).move) else bent(line, moving.task)
+    if way is None:
+        return None
+    out = _apart(way, order)
+    return out if moving.pace(way) < _pace_alone(scene, out) else None
+
+
+def _pace_alone(scene: Scene, ways: Ways) -> float:
+    """What :meth:`_Moving.pace` gives of the same ways gone one after the other."""
+    return sum(_Moving(scene, {}, (arm,)).pace(way) for arm, way in ways.way.items())
+
+
 def _at_once(scene: Scene, ways: Ways) -> Ways:
     """Ways of all arms at once between the same ends, of no more travel and in less time, in at most
     :data:`MOST_MOVES`; the same ones where there are none."""
     moving = _Moving(scene, {}, ways.order)
-    before = travel(_overlapped(ways, 1.0))
+    before = sum(travel(way) for way in ways.way.values())
     found = next((way for way in _candidates(ways) if not len(moving.blocked(way, False).move)), None)
     if found is None:
         return ways
     if len(found) > 2:
-        shorter = shortened(found, moving.task)
+        shorter = shortened(found, moving.task, AT_ONCE_LOOKS)
         if shorter is not None and _better(moving, shorter, found):
             found = shorter
-    pace = sum(_Moving(scene, {}, (arm,)).pace(way) for arm, way in ways.way.items())
+    pace = _pace_alone(scene, ways)
     if len(found) - 1 > MOST_MOVES or travel(found) > before + SAME_TRAVEL_RAD or moving.pace(found) >= pace:
         return ways
-    parts = {arm: found[:, 6 * k : 6 * k + 6].copy() for k, arm in enumerate(ways.order)}
-    return Ways(parts, ways.order, together=True)
+    return _apart(found, ways.order)
 
 
 def _better(moving: _Moving, way: FloatArray, before: FloatArray) -> bool:
@@ -391,9 +420,8 @@ def _better(moving: _Moving, way: FloatArray, before: FloatArray) -> bool:
 
 
 def _candidates(ways: Ways) -> Iterator[FloatArray]:
-    """Ways (M, D) of all arms at once: straight, then each on its own way, the next arm later and later, at
-    last one after the other."""
-    yield np.concatenate([ways.way[arm][[0, -1]] for arm in ways.order], axis=1)
+    """Ways (M, D) of all arms at once, each on its own way, the next arm later and later, at last one after
+    the other."""
     for later in LATER:
         yield _overlapped(ways, later)
 

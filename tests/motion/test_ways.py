@@ -43,6 +43,32 @@ def test_a_way_around_a_post_is_shorter_than_the_tree_s_and_drake_sees_it_clear(
     assert np.array_equal(way, moving.shorter(tree))
 
 
+def test_arms_bend_about_a_post_in_no_more_travel_than_straight_and_drake_sees_them_clear() -> None:
+    scene, _ = pair(20)
+    home = {arm: chain.home for arm, chain in scene.chains.items()}
+    turn = np.deg2rad([75.0, 20.0, 10.0, 30.0, 20.0, -40.0])
+    goal = {"left": home["left"] + turn, "right": home["right"] + 0.2 * turn}
+    x, y, z = scene.chains["left"].pose(0.5 * (home["left"] + goal["left"]))[:3, 3]
+    scene, _ = pair(20, (box("post", (0.05, 0.05, z + 0.04), (x, y, 0.5 * (z + 0.04))),))
+    assert scene.model is not None
+    found = ways._straight(scene, goal, ("left", "right"))
+    assert found is not None
+    assert found.together
+    assert len(found.way["left"]) > 2  # straight the arm meets the post
+    far = sum(rrt.travel(way) for way in found.way.values())
+    assert far <= sum(np.abs(goal[arm] - home[arm]).sum() for arm in goal) + rrt.SAME_TRAVEL_RAD
+    for a, b in itertools.pairwise(range(len(found.way["left"]))):
+        share = np.linspace(0.0, 1.0, 1500)[:, None]
+        rows = {arm: way[a] + share * (way[b] - way[a]) for arm, way in found.way.items()}
+        assert clearance.witness(scene.model, rows, 0.05).distance.min() >= scene.settings.clearance
+
+
+def test_arms_that_are_there_go_nowhere_at_once() -> None:
+    scene, targets = pair(20)
+    home = {arm: chain.home for arm, chain in scene.chains.items()}
+    assert ways._straight(scene, home, targets.arms) is None
+
+
 def test_a_way_to_home_itself_is_no_way() -> None:
     scene, _ = pair(20)
     home = {arm: chain.home for arm, chain in scene.chains.items()}
