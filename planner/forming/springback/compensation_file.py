@@ -133,6 +133,11 @@ def text(
     lines = [f"{_dump(key)}: {_dump(value)}" for key, value in head.items()]
     points = ",\n".join(_dump(row) for row in rows)
     lines.append(f'"control_points": [\n{points}\n]')
+    return sealed([*lines, *way_lines(ways)])
+
+
+def way_lines(ways: Sequence[Way]) -> list[str]:
+    """Ways as lines of a file: passes with their rings, and how many points they have."""
     passes = []
     for way in ways:
         rings = []
@@ -143,8 +148,11 @@ def text(
         joined = ",\n".join(rings)
         passes.append(f'{{"name": {_dump(way.name)}, "rings": [\n{joined}\n]}}')
     both = ",\n".join(passes)
-    lines.append(f'"passes": [\n{both}\n]')
-    lines.append(f'"points": {sum(len(way.point) for way in ways)}')
+    return [f'"passes": [\n{both}\n]', f'"points": {sum(len(way.point) for way in ways)}']
+
+
+def sealed(lines: Sequence[str]) -> str:
+    """A file of these lines, its checksum the last one."""
     body = "{\n" + ",\n".join(lines) + ",\n"
     return body + f'"sha256": "{hashlib.sha256(body.encode()).hexdigest()}"\n}}\n'
 
@@ -166,7 +174,18 @@ class Compensation:
 def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compensation:
     """Read a file of shifts for what ``identity`` says. Raises ``TandemError`` (forming.compensation): all
     that is wrong with what it belongs to at once."""
-    data = _data(path)
+    data = read_data(path, "tandem_springback")
+    require_same(data, identity)
+    limits = operation.springback or Springback(file=path)
+    ways = tuple(read_way(one) for one in _list(data, "passes"))
+    if sum(len(way.point) for way in ways) != data.get("points"):
+        raise refused(f"it says {data.get('points')} points and has {sum(len(way.point) for way in ways)}")
+    require_limits(ways, limits.slope, limits.most_mm * MM)
+    return Compensation(path.name, ways, limits.slope)
+
+
+def require_same(data: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
+    """Raise ``TandemError`` (forming.compensation) where a file belongs to another job than ``identity``."""
     theirs = data.get("belongs_to")
     theirs = theirs if isinstance(theirs, dict) else {}
     mine = json.loads(_dump(dict(identity)))
@@ -178,19 +197,14 @@ def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compens
     if differ:
         issues = [issue for what in differ for issue in refused(f"it belongs to another job: {what}").issues]
         raise TandemError(issues)
-    limits = operation.springback or Springback(file=path)
-    ways = tuple(_way(one) for one in _list(data, "passes"))
-    if sum(len(way.point) for way in ways) != data.get("points"):
-        raise refused(f"it says {data.get('points')} points and has {sum(len(way.point) for way in ways)}")
-    _require_limits(ways, limits.slope, limits.most_mm * MM)
-    return Compensation(path.name, ways, limits.slope)
 
 
 def _told(value: Any) -> str:
     return "none" if value is None else _dump(value)
 
 
-def _data(path: Path) -> dict[str, Any]:
+def read_data(path: Path, kind: str) -> dict[str, Any]:
+    """A file of a ``kind`` whose checksum is right. Raises ``TandemError`` (forming.compensation)."""
     try:
         if path.stat().st_size > LARGEST:
             raise refused(f"{path.name} has more than {LARGEST // 1_000_000} MB")
@@ -210,8 +224,8 @@ def _data(path: Path) -> dict[str, Any]:
         data = json.loads(content)
     except ValueError as error:
         raise refused(f"{path.name} is no JSON: {error}") from None
-    if not isinstance(data, dict) or data.get("tandem_springback") != VERSION:
-        raise refused(f"{path.name} is no springback file of version {VERSION}")
+    if not isinstance(data, dict) or data.get(kind) != VERSION:
+        raise refused(f"{path.name} is no file {kind} of version {VERSION}")
     return data
 
 
@@ -222,7 +236,8 @@ def _list(data: Mapping[str, Any], name: str) -> list[Any]:
     return value
 
 
-def _way(one: Any) -> Way:
+def read_way(one: Any) -> Way:
+    """A pass of a file. Raises ``TandemError`` (forming.compensation)."""
     name = str(one.get("name")) if isinstance(one, dict) else ""
     tables: list[FloatArray] = []
     for ring in _list(one if isinstance(one, dict) else {}, "rings"):
@@ -238,7 +253,9 @@ def _way(one: Any) -> Way:
     return Way(name, whole[:, :3], whole[:, 3], loop)
 
 
-def _require_limits(ways: Sequence[Way], slope: float, most: float) -> None:
+def require_limits(ways: Sequence[Way], slope: float, most: float, first: float = 0.0) -> None:
+    """Raise ``TandemError`` (forming.compensation) where shifts are below 0, above ``most`` [m], change by
+    more than ``slope`` along a way, or begin with another than ``first`` [m]."""
     issues: list[Issue] = []
     for way in ways:
         step = lengths(np.diff(way.point, axis=0))
@@ -248,8 +265,8 @@ def _require_limits(ways: Sequence[Way], slope: float, most: float) -> None:
             wrong.append(f"a shift of {way.shift.min() / MM:.3f} mm, allowed 0 and more")
         if way.shift.max() > most:
             wrong.append(f"a shift of {way.shift.max() / MM:.3f} mm, most_mm allows {most / MM:g} mm")
-        if abs(way.shift[0]) > ROUNDING:
-            wrong.append(f"a shift of {way.shift[0] / MM:.3f} mm at its beginning, allowed 0")
+        if abs(way.shift[0] - first) > ROUNDING:
+            wrong.append(f"a shift of {way.shift[0] / MM:.3f} mm at its beginning, allowed {first / MM:g}")
         if len(steep) and steep.max() > 0.0:
             k = int(np.argmax(steep))
             got = abs(way.shift[k + 1] - way.shift[k]) / max(float(step[k]), 1e-12)
