@@ -29,6 +29,8 @@ from planner.problem import Part, Stock
 
 VERSION: Final = 1
 """Number of the file's form."""
+KINDS: Final = {"tandem_springback": "springback file", "tandem_level": "file of one level"}
+"""What files are, by what they have with their version."""
 LARGEST: Final = 64_000_000
 """Bytes of a file at most."""
 DECIMALS: Final = 5
@@ -225,7 +227,7 @@ def read_data(path: Path, kind: str) -> dict[str, Any]:
     except ValueError as error:
         raise refused(f"{path.name} is no JSON: {error}") from None
     if not isinstance(data, dict) or data.get(kind) != VERSION:
-        raise refused(f"{path.name} is no file {kind} of version {VERSION}")
+        raise refused(f"{path.name} is no {KINDS[kind]} of version {VERSION}")
     return data
 
 
