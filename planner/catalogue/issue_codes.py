@@ -380,6 +380,11 @@ CODES: Final[dict[str, Code]] = {
         "or what that says is wrong",
         remedy="write the file again (tandem springback PROBLEM --write FILE) and plan again",
     ),
+    "verify.level": Code(
+        "one level of a pass is not the one that the problem states, or deeper by another amount than its "
+        "file says, or that is of another job or beyond its limits",
+        remedy="write problem and file again (tandem next-loop OUT --problem FILE) and plan again",
+    ),
     "verify.forming_feed": Code("a tool moves faster on the sheet than it may"),
     "verify.lean": Code("a forming tool leans farther than the problem lets it"),
     "verify.ridge": Code("a ridge or groove stands out of the cut surface"),

@@ -19,6 +19,7 @@ from planner.claims.forming import (
     FormingFeed,
     FormsByTable,
     FormsInOrder,
+    FormsLevel,
     FormsPart,
     FormsSheet,
     SheetState,
@@ -315,6 +316,7 @@ Claim = (
     | ArmSags
     | FormsSheet
     | ComesBack
+    | FormsLevel
     | FormsByTable
     | FormsPart
     | ToolGap

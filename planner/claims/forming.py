@@ -163,6 +163,15 @@ class ComesBack:
 
 
 @dataclasses.dataclass(frozen=True)
+class FormsLevel:
+    """Of all that ``operation`` is claimed to form one level alone is formed now, within ``segment``: which
+    one, and by how much tools are deeper there, is what the problem says. All other segments are not."""
+
+    operation: str
+    segment: Segment
+
+
+@dataclasses.dataclass(frozen=True)
 class FormsInOrder:
     """The segments that form the sheet come in this order, each once, and all of them."""
 

@@ -89,6 +89,8 @@ class NextLoop:
     """the offset at which the level before ends; this one goes on from there within the slope"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """offsets along the level's path, .csv or .json; .html: lifts over the curves, the map of stability"""
+    problem: Path | None = None
+    """the level as a problem of its own, .yaml: `tandem plan` writes and proves its programs"""
 
 
 def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
@@ -120,7 +122,7 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     seconds = time.perf_counter() - begin
     _print_offsets(plan, number, told, kappa, found, seconds)
     issues = _cut(plan, law, number, told)
-    deeper = _deeper(request.folder)
+    deeper = _deeper(request.folder) if request.problem is None or request.output is not None else None
     if deeper is not None:
         what = (
             f"{request.folder} is planned with the springback file {deeper}: its tools go deeper "
@@ -136,6 +138,15 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
         else:
             text = made(plan, number, told, kappa)
         write_output(request.output, text)
+    if request.problem is not None:
+        from planner import pipeline
+        from planner.cli.next_level import write_level
+
+        whole = pipeline.load_result(request.folder)
+        # where a level begins is for the level's own path to say, which is no closed loop
+        free = next_loop.offsets(plan, law, number, measured.force, kappa)
+        path = write_level(request.problem, whole, plan, number, free, law, kappa, request.before_mm)
+        out.print(f"written to {path}; next: tandem plan {path} -o FOLDER")
     return tuple(issues)
 
 

@@ -105,7 +105,9 @@ def force(work: Work, one: Pass, path: ToolPath) -> ForceEstimate:
 
 def _clear(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
     found = states(work.tree, work.mesh, work.passes, work.thickness)
-    for (one, path), state in zip(paths, found, strict=True):
+    state_of = {one.name: state for one, state in zip(work.passes, found, strict=True)}
+    for one, path in paths:
+        state = state_of[one.name]
         arms = tuple(filter(None, (work.former(one), work.supporter(one))))
         heads = [work.heads[arm] for arm in arms]
         support = heads[1] if len(heads) > 1 else None

@@ -18,6 +18,7 @@ from planner.claims.forming import (
     FormingFeed,
     FormsByTable,
     FormsInOrder,
+    FormsLevel,
     FormsPart,
     FormsSheet,
     SheetState,
@@ -36,6 +37,7 @@ from planner.claims.vocabulary import (
 )
 from planner.forming import two_point
 from planner.forming.contact import Pass
+from planner.forming.level import pass_of
 from planner.forming.operation import GAP_MODES, Forming
 from planner.forming.paths import adsif_response, level_lines
 from planner.forming.process_plan import Work, segment
@@ -67,6 +69,9 @@ def claims(work: Work) -> tuple[Claim, ...]:
     out: list[Claim] = [FormsInOrder(tuple(segment(one) for one in work.passes))]
     if work.operation.springback is not None:
         out.append(ComesBack(work.operation.name, tuple(segment(one) for one in work.passes)))
+    if work.operation.level is not None:
+        own = pass_of(work, work.operation.level)
+        out.append(FormsLevel(work.operation.name, segment(own)))
     sinking = two_point.holder_claim(work)
     if sinking is not None:
         out.append(sinking)
@@ -244,9 +249,14 @@ def dialogue(
     ]
     if wanted.sinking is not None:
         first.append(question_step(words.RIM, high_mm=float(np.ptp(wanted.vertices[:, 2])) / MM))
+    level = operation.level
+    if level is not None:
+        name = level.pass_name or words.FIRST_PASS
+        first.append(question_step(words.LEVEL, number=level.number, name=name))
     first.append(question_step(words.SHEET_READY))
+    done = words.FORMED if level is None else words.LEVEL_FORMED
     stops: tuple[DialogueStop, ...] = ()
     if sinks is not None:
         pulse = (*power_on_steps(sinks.signal, sinks.pulse), *power_off_steps(sinks.signal, sinks.pulse))
         stops = (DialogueStop(sinks.segment, "in", pulse, repeats=True),)
-    return OperatorDialogue(operation.arms, tuple(first), (question_step(words.FORMED),), stops)
+    return OperatorDialogue(operation.arms, tuple(first), (question_step(done),), stops)

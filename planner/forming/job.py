@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +23,7 @@ from planner.claims import vocabulary
 from planner.claims.claim import Claim
 from planner.claims.forming import FormsSheet
 from planner.forming import claims as forming_claims
+from planner.forming import level as one_level
 from planner.forming import two_point
 from planner.forming.check import (
     check,
@@ -34,7 +36,7 @@ from planner.forming.check import (
 )
 from planner.forming.claims import scallop
 from planner.forming.contact import Pass, ToolPath
-from planner.forming.operation import GAP_MODES, Forming, Springback
+from planner.forming.operation import GAP_MODES, Forming, Level, Springback
 from planner.forming.process_plan import (
     LEAST_MOVE_TIME,
     TOO_NARROW,
@@ -46,7 +48,7 @@ from planner.forming.process_plan import (
     work,
 )
 from planner.forming.sheet_mechanics import thickness_map, thinnest, wall_angle_map
-from planner.forming.springback import compensation, compensation_file, forecast, released
+from planner.forming.springback import compensation, compensation_file, forecast, level_file, released
 from planner.forming.support.opposite import DRIFT_SHARE
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts, read_only
 from planner.geometry.units import DEG, MM
@@ -257,15 +259,18 @@ class FormingJob(Job[Forming]):
         refused = [*two_point.holder_issues(made), *shift_issues(made), *early]
         if refused:
             raise TandemError(refused)
+        level = self.operation.level
         try:
-            paths = lay_all(made)
+            paths = lay_all(made) if level is None else [self._level(level)]
         except TandemError as error:
             raise TandemError(_or_allowed(made, error.issues, corners)) from None
+        if level is not None and level.file is not None:
+            given = self._of_level(level, level.file, paths)
         issues = [*corners, *dies, *check(made, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         if given is None:
-            estimate = forecast.estimate(made, paths)
+            estimate = forecast.estimate(made, paths) if level is None else None
             shown = {}
             if estimate is not None:
                 issues += forecast.estimate_issues(made, paths, estimate)
@@ -281,15 +286,22 @@ class FormingJob(Job[Forming]):
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         found = _targets(made, setup, paths, deeper, issues, self.claims())
-        shown = {
-            "compensation": compensation.exhibit(given.ways),
-            "released": released.compensated(made, paths, given),
-        }
+        shown = {"compensation": compensation.exhibit(given.ways)}
+        if level is None:
+            shown["released"] = released.compensated(made, paths, given)
         return dataclasses.replace(found, exhibits={**found.exhibits, **shown})
 
     def _compensation(self, wanted: Springback) -> compensation_file.Compensation:
         identity = compensation_file.belongs_to(self.planned, self.setup.stock, self.part)
         return compensation_file.read(wanted.file, self.operation, identity)
+
+    def _level(self, level: Level) -> tuple[Pass, ToolPath]:
+        one = one_level.pass_of(self.planned, level)
+        return one, one_level.alone(self.planned, one, level)
+
+    def _of_level(self, level: Level, file: Path, paths: Laid) -> compensation_file.Compensation:
+        identity = compensation_file.belongs_to(self.planned, self.setup.stock, self.part)
+        return level_file.read(file, level, paths[0][0].name, identity)
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
@@ -407,7 +419,12 @@ def _actions(
     if two_point.holder_sinks(made):
         high = abs(one.start - one.end) / MM
         out.append(Action(0, "confirm", vocabulary.RIM.filled(high_mm=high)))
+    level = made.operation.level
+    if level is not None:
+        named = vocabulary.LEVEL.filled(number=level.number, name=level.pass_name or vocabulary.FIRST_PASS)
+        out.append(Action(0, "confirm", named))
     out.append(Action(0, "confirm", vocabulary.SHEET_READY.filled()))
     first = route.segment.index(segment(one).at("in"))
     out += two_point.holder_actions(made, one, path, first)
-    return (*out, Action(len(route.segment) - 1, "confirm", vocabulary.FORMED.filled()))
+    done = vocabulary.FORMED if level is None else vocabulary.LEVEL_FORMED
+    return (*out, Action(len(route.segment) - 1, "confirm", done.filled()))

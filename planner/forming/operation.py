@@ -134,6 +134,33 @@ class Springback(Strict):
     most_mm: Annotated[float, Field(gt=0, le=12, description="largest shift")] = 10.0
 
 
+LEVEL_MODES = frozenset({"spif", "dsif", "dpif_l", "heat"})
+"""Modes that form level by level, each on its own: where the sheet is one elastic sheet held by its clamp."""
+
+
+class Level(Strict):
+    """One level of one pass alone, in the sheet as the levels before it have left it.
+
+    ``number`` counts from 0, as the file of curves of `tandem springback --curves` does; ``pass_name``: none
+    is the first pass. ``file``: the shifts of this level, which `tandem next-loop --problem` writes beside
+    the problem, of the problem with the digest ``plan``; none: tools stay on their path. Shifts change along
+    the path by no more than ``slope``, are nowhere more than ``most_mm``, and begin with ``before_mm``, at
+    which the level before ends.
+    """
+
+    number: Annotated[int, Field(ge=0, lt=100_000)]
+    pass_name: Name | None = None
+    file: Annotated[Path | None, AfterValidator(_from_the_problem_file)] = None
+    plan: Annotated[
+        str | None, Field(pattern="^[0-9a-f]{64}$", description="digest of the problem that the file is of")
+    ] = None
+    slope: Annotated[float, Field(ge=0.001, le=0.5, description="of the shift along the path, in mm/mm")] = (
+        0.05
+    )
+    most_mm: Annotated[float, Field(gt=0, le=12, description="largest shift")] = 10.0
+    before_mm: Annotated[float, Field(ge=0, le=12, description="shift at which the level before ends")] = 0.0
+
+
 class Forming(Strict):
     """Incremental forming of the clamped sheet by the tools of one or two arms.
 
@@ -214,6 +241,7 @@ class Forming(Strict):
     adsif: Adsif = Adsif()
     die: Die | None = None
     springback: Springback | None = None
+    level: Level | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -236,7 +264,23 @@ class Forming(Strict):
             not self.passes or list(self.passes) != sorted(set(self.passes)) or not 0 < self.passes[0] <= 90
         ):
             raise ValueError("passes: wall angles must ascend, each above 0 and at most 90")
+        self._one_level()
         return self
+
+    def _one_level(self) -> None:
+        """What a level asks of its operation."""
+        if self.level is None:
+            return
+        if self.mode not in LEVEL_MODES:
+            raise ValueError(f"level belongs to the modes {', '.join(sorted(LEVEL_MODES))}, not {self.mode}")
+        if self.stepdown_mm is None:
+            raise ValueError("level: levels are counted by stepdown_mm; state it in place of scallop_mm")
+        if self.springback is not None:
+            raise ValueError("level: has a file of its own; take springback out")
+        if (self.level.file is None) != (self.level.plan is None):
+            raise ValueError("level: give file and plan, or neither")
+        if self.level.before_mm > self.level.most_mm:
+            raise ValueError("level: before_mm is above most_mm")
 
     def leaves(self, stock: Stock) -> Stock:
         """The sheet as it stays clamped: what stands out of it is part of its solids from the beginning."""

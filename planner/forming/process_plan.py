@@ -8,7 +8,7 @@ over the sheet to each pass, down onto it, along it, and off again.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -213,8 +213,9 @@ def lay_all(work: Work) -> list[tuple[Pass, ToolPath]]:
     return out
 
 
-def lay(work: Work, one: Pass) -> ToolPath:
-    """Where the tools are over a pass. Raises ``TandemError`` with the codes ``forming.*``."""
+def lay(work: Work, one: Pass, part: Callable[[ContactPath], ContactPath] | None = None) -> ToolPath:
+    """Where the tools are over a pass, or over the ``part`` of its contact's path that is kept. Raises
+    ``TandemError`` with the codes ``forming.*``."""
     op, other = work.operation, work.supporter(one)
     former = work.heads[work.former(one)]
     if op.mode == "adsif" and other is not None:
@@ -225,6 +226,7 @@ def lay(work: Work, one: Pass) -> ToolPath:
     contact = make_path(one, former.radius, options)
     if work.tree.feature(one.feature).sign == one.side:
         contact = _off_the_top(contact, LEAST_MOVE_TIME * op.feed_mm_s * MM)
+    contact = contact if part is None else part(contact)
     support = None if other is None else work.heads[other]
     return tool_path(one, contact, op, former, support, work.thickness, work.clamp, work.every)
 

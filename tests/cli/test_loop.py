@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline
+from planner import pipeline, processes
 from planner.cli.forming import Springback, run_springback
 from planner.cli.loop import LawOptions, NextLoop, SimulateLoop, run_next_loop, run_simulate_loop
 from planner.issues import TandemError
@@ -292,3 +292,43 @@ def test_a_plan_that_goes_deeper_already_is_told(result: Path, tmp_path: Path) -
     (issue,) = run_next_loop(NextLoop(folder, LawOptions()))
     assert issue.code == "forming.loop_curves"
     assert "back.json" in issue.message
+
+
+def test_the_next_level_is_written_as_a_problem_of_its_own(result: Path, tmp_path: Path) -> None:
+    file = tmp_path / "forces.csv"
+    file.write_text(forces(result, 4))
+    path = tmp_path / "level" / "next.yaml"
+    request = NextLoop(result, LawOptions(), file, before_mm=0.2, problem=path)
+    assert run_next_loop(request) == ()
+    problem = pipeline.load(path)
+    (operation,) = problem.operations
+    level = operation.level  # type: ignore[attr-defined]
+    assert (level.number, level.pass_name, level.before_mm) == (4, "f1", 0.2)
+    assert level.plan == pipeline.load_result(result).digest
+    job = processes.job(problem, 0)
+    made = job.targets()
+    assert "forming.compensated" in {issue.code for issue in made.issues}
+    whole = processes.job(pipeline.load_result(result), 0).targets()
+    assert len(made.segment) < 0.4 * len(whole.segment)
+    # the path of the level is that of the whole part, as much deeper as the file says
+    data = json.loads(level.file.read_text())
+    rows = np.array([row for ring in data["passes"][0]["rings"] for row in ring])
+    assert rows[0, 3] == pytest.approx(0.2)
+    assert 0.2 < rows[:, 3].max() < 5.0
+    assert np.abs(np.diff(rows[:, 3])).max() > 0.0
+    below = made.pose["robot"][:, 2, 3].min() / 1e-3
+    assert below == pytest.approx((rows[:, 2] - rows[:, 3]).min(), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("more", "field"),
+    [({"problem": Path("next.json")}, "problem"), ({"problem": Path("next.yaml")}, "before_mm")],
+)
+def test_a_level_as_a_problem_wants_to_know_where_the_one_before_ended(
+    result: Path, tmp_path: Path, more: dict[str, Any], field: str
+) -> None:
+    file = tmp_path / "forces.csv"
+    file.write_text(forces(result, 2))
+    more = {"problem": tmp_path / more["problem"]}
+    assert refused(NextLoop(result, LawOptions(), file, **more)).field == field
+    assert not more["problem"].exists()

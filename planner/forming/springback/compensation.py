@@ -13,7 +13,8 @@ lets go of the sheet is the path as it was laid: the released part.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -22,7 +23,7 @@ from planner.forming.contact import Pass, ToolPath
 from planner.forming.passes import SAME_ANGLE, SUPPORTED_MODES
 from planner.forming.process_plan import Work
 from planner.forming.springback.curves import PassSpringback
-from planner.forming.springback.forecast import along as forces_along
+from planner.forming.springback.forecast import along as springback_along
 from planner.forming.springback.forecast import require_mode as require_forecast
 from planner.geometry.arrays import FloatArray, IntArray, lengths, unit
 from planner.geometry.curves import along, arc_length
@@ -86,30 +87,47 @@ def ways(
             what += "the tools makes up for that"
             hint = "hold the sheet nearer to the part, form in more passes, or take thicker sheet"
             raise TandemError(Issue("forming.limit_load", what, field="force_n", hint=hint))
-        places = arc_length(path.former)
-        count = int(min(MOST_PLACES, np.ceil(places[-1] / GRID))) + 1
-        grid = np.linspace(0.0, float(places[-1]), count)
-        contact = along(path.contact.point, places, grid)
-        width = 2.0 * work.heads[work.former(one)].radius
-        force = forces_along(work, 0.5 * width, np.interp(grid, places, path.contact.angle), forecast)
-        pieces = [slice(k, k + AT_ONCE) for k in range(0, count, AT_ONCE)]
-        wanted = np.concatenate([forecast.at(contact[some], force[some]) for some in pieces])
-        limited = _limited(grid, wanted, slope)
-        shift = _smoothed(limited, 0.5 * width / max(float(grid[1]), 1e-12))
-        kept = _refined(path, _numbers(places, _targets(places, grid, shift, 0.5 * width)))
-        at = arc_length(kept.former)
-        by = np.interp(at, grid, shift)
-        out.append(Way(one.name, kept.former, by, kept.contact.loop))
-        left.append(np.interp(at, grid, wanted) - by)
+        radius = work.heads[work.former(one)].radius
+        way, rest = way_of(one.name, path, radius, functools.partial(springback_along, work, forecast), slope)
+        out.append(way)
+        left.append(rest)
     return tuple(out), tuple(left)
 
 
-def _limited(grid: FloatArray, wanted: FloatArray, slope: float) -> FloatArray:
-    """The largest curve (N,) below ``wanted`` (N,) of at most ``slope`` over ``grid`` (N,) [m], from 0."""
+def way_of(
+    name: str,
+    path: ToolPath,
+    radius: float,
+    asked: Callable[[FloatArray, FloatArray], FloatArray],
+    slope: float,
+    first: float = 0.0,
+) -> tuple[Way, FloatArray]:
+    """A path shifted by what is ``asked`` (N,) [m] at places (N, 3) of its contact on walls at (N,) [rad], as
+    far as ``slope`` lets it from ``first`` [m] on; and what that leaves at its targets (K,) [m].
+    ``radius`` [m] of the ball."""
+    places = arc_length(path.former)
+    count = int(min(MOST_PLACES, np.ceil(places[-1] / GRID))) + 1
+    grid = np.linspace(0.0, float(places[-1]), count)
+    contact = along(path.contact.point, places, grid)
+    angle = np.interp(grid, places, path.contact.angle)
+    pieces = [slice(k, k + AT_ONCE) for k in range(0, count, AT_ONCE)]
+    wanted = np.concatenate([asked(contact[some], angle[some]) for some in pieces])
+    limited = _limited(grid, wanted, slope, first)
+    shift = _smoothed(limited, radius / max(float(grid[1]), 1e-12))
+    kept = _refined(path, _numbers(places, _targets(places, grid, shift, radius)))
+    at = arc_length(kept.former)
+    by = np.interp(at, grid, shift)
+    return Way(name, kept.former, by, kept.contact.loop), np.interp(at, grid, wanted) - by
+
+
+def _limited(grid: FloatArray, wanted: FloatArray, slope: float, first: float) -> FloatArray:
+    """The largest curve (N,) below ``wanted`` (N,) of at most ``slope`` over ``grid`` (N,) [m] from ``first``
+    [m] on, above ``wanted`` where it cannot be down there yet."""
     below = np.maximum(wanted, 0.0)
-    below[0] = 0.0
+    below[0] = first
     ahead = slope * grid + np.minimum.accumulate(below - slope * grid)
-    return np.asarray(np.minimum.accumulate((ahead + slope * grid)[::-1])[::-1] - slope * grid)
+    least = np.minimum.accumulate((ahead + slope * grid)[::-1])[::-1] - slope * grid
+    return np.asarray(np.maximum(least, first - slope * grid))
 
 
 def _smoothed(value: FloatArray, half: float) -> FloatArray:

@@ -22,7 +22,7 @@ from planner.forming.operation import Forming, Springback
 from planner.forming.process_plan import Work
 from planner.forming.springback import forecast
 from planner.forming.springback.compensation import AGAIN, Way, refused
-from planner.forming.springback.curves import PassSpringback
+from planner.forming.springback.curves import Curve, PassSpringback
 from planner.geometry.arrays import FloatArray, IntArray, Mesh, lengths
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -30,6 +30,8 @@ from planner.problem import Part, Stock
 
 VERSION: Final = 2
 """Number of the file's form."""
+KINDS: Final = {"tandem_springback": "springback file", "tandem_level": "file of one level"}
+"""What files are, by what they have with their version."""
 LARGEST: Final = 64_000_000
 """Bytes of a file at most."""
 DECIMALS: Final = 5
@@ -51,8 +53,9 @@ DECIDES: Final = (
 )
 """Fields of an operation that decide what the sheet comes back by and where loops run."""
 
-_CONTROL: Final = ("level", "x_mm", "y_mm", "z_mm", "springback_mm")
-"""What is read of a control point."""
+_CONTROL: Final = ("level", "x_mm", "y_mm", "z_mm", "springback_mm", "force_n")
+_CURVE: Final = ("forces_n", "displacements_mm")
+"""What is read of a control point, and of its curve."""
 
 
 def belongs_to(work: Work, stock: Stock, part: Part | None) -> dict[str, Any]:
@@ -137,6 +140,11 @@ def text(
     lines = [f"{_dump(key)}: {_dump(value)}" for key, value in head.items()]
     points = ",\n".join(_dump(row) for row in rows)
     lines.append(f'"control_points": [\n{points}\n]')
+    return sealed([*lines, *way_lines(ways)])
+
+
+def way_lines(ways: Sequence[Way]) -> list[str]:
+    """Ways as lines of a file: passes with their rings, and how many points they have."""
     passes = []
     for way in ways:
         rings = []
@@ -147,8 +155,11 @@ def text(
         joined = ",\n".join(rings)
         passes.append(f'{{"name": {_dump(way.name)}, "rings": [\n{joined}\n]}}')
     both = ",\n".join(passes)
-    lines.append(f'"passes": [\n{both}\n]')
-    lines.append(f'"points": {sum(len(way.point) for way in ways)}')
+    return [f'"passes": [\n{both}\n]', f'"points": {sum(len(way.point) for way in ways)}']
+
+
+def sealed(lines: Sequence[str]) -> str:
+    """A file of these lines, its checksum the last one."""
     body = "{\n" + ",\n".join(lines) + ",\n"
     return body + f'"sha256": "{hashlib.sha256(body.encode()).hexdigest()}"\n}}\n'
 
@@ -160,29 +171,45 @@ def _dump(value: Any) -> str:
 @dataclasses.dataclass(frozen=True)
 class Foretold:
     """What a file foretells of pass ``name`` at its control points: ``point`` (C, 3) [m] of contact,
-    ``level`` (C,) which of its levels each is on, ``springback`` (C,) [m]."""
+    ``level`` (C,) which of its levels each is on, ``curves``, and ``springback`` (C,) [m] under the expected
+    ``force`` (C,) [N]."""
 
     name: str
     point: FloatArray
     level: IntArray
+    curves: tuple[Curve, ...]
+    force: FloatArray
     springback: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
 class Compensation:
     """A file that was read: the ``ways`` of all passes, whose shifts change by ``slope`` at most, named
-    ``file``, and what it has ``foretold`` of passes."""
+    ``file``, and what it has ``foretold`` of passes: nothing of a level alone."""
 
     file: str
     ways: tuple[Way, ...]
     slope: float
-    foretold: tuple[Foretold, ...]
+    foretold: tuple[Foretold, ...] = ()
 
 
 def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compensation:
     """Read a file of shifts for what ``identity`` says. Raises ``TandemError`` (forming.compensation): all
     that is wrong with what it belongs to at once."""
-    data = _data(path)
+    data = read_data(path, "tandem_springback")
+    require_same(data, identity)
+    limits = operation.springback or Springback(file=path)
+    ways = tuple(read_way(one) for one in _list(data, "passes"))
+    if sum(len(way.point) for way in ways) != data.get("points"):
+        raise refused(f"it says {data.get('points')} points and has {sum(len(way.point) for way in ways)}")
+    require_limits(ways, limits.slope, limits.most_mm * MM)
+    rows = _list(data, "control_points")
+    names = dict.fromkeys(str(row.get("pass")) for row in rows if isinstance(row, dict))
+    return Compensation(path.name, ways, limits.slope, tuple(_foretold(rows, name) for name in names))
+
+
+def require_same(data: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
+    """Raise ``TandemError`` (forming.compensation) where a file belongs to another job than ``identity``."""
     theirs = data.get("belongs_to")
     theirs = theirs if isinstance(theirs, dict) else {}
     mine = json.loads(_dump(dict(identity)))
@@ -194,21 +221,14 @@ def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compens
     if differ:
         issues = [issue for what in differ for issue in refused(f"it belongs to another job: {what}").issues]
         raise TandemError(issues)
-    limits = operation.springback or Springback(file=path)
-    ways = tuple(_way(one) for one in _list(data, "passes"))
-    if sum(len(way.point) for way in ways) != data.get("points"):
-        raise refused(f"it says {data.get('points')} points and has {sum(len(way.point) for way in ways)}")
-    _require_limits(ways, limits.slope, limits.most_mm * MM)
-    rows = _list(data, "control_points")
-    names = dict.fromkeys(str(row.get("pass")) for row in rows if isinstance(row, dict))
-    return Compensation(path.name, ways, limits.slope, tuple(_foretold(rows, name) for name in names))
 
 
 def _told(value: Any) -> str:
     return "none" if value is None else _dump(value)
 
 
-def _data(path: Path) -> dict[str, Any]:
+def read_data(path: Path, kind: str) -> dict[str, Any]:
+    """A file of a ``kind`` whose checksum is right. Raises ``TandemError`` (forming.compensation)."""
     if not is_file(path):
         hint = (
             "check the path, which starts at the problem file's folder, or write the file: tandem springback "
@@ -236,8 +256,8 @@ def _data(path: Path) -> dict[str, Any]:
         data = json.loads(content)
     except ValueError as error:
         raise refused(f"{path.name} is no JSON: {error}") from None
-    if not isinstance(data, dict) or data.get("tandem_springback") != VERSION:
-        raise refused(f"{path.name} is no springback file of version {VERSION}")
+    if not isinstance(data, dict) or data.get(kind) != VERSION:
+        raise refused(f"{path.name} is no {KINDS[kind]} of version {VERSION}")
     return data
 
 
@@ -248,7 +268,8 @@ def _list(data: Mapping[str, Any], name: str) -> list[Any]:
     return value
 
 
-def _way(one: Any) -> Way:
+def read_way(one: Any) -> Way:
+    """A pass of a file. Raises ``TandemError`` (forming.compensation)."""
     name = str(one.get("name")) if isinstance(one, dict) else ""
     tables: list[FloatArray] = []
     for ring in _list(one if isinstance(one, dict) else {}, "rings"):
@@ -268,14 +289,27 @@ def _foretold(rows: Sequence[Any], name: str) -> Foretold:
     mine = [row for row in rows if isinstance(row, dict) and str(row.get("pass")) == name]
     try:
         table = np.array([[row[key] for key in _CONTROL] for row in mine], dtype=np.float64)
+        curves = [np.array([row[key] for key in _CURVE], dtype=np.float64) for row in mine]
     except (KeyError, TypeError, ValueError):
-        table = np.zeros((0, len(_CONTROL)))
-    if not len(table) or not np.isfinite(table).all():
-        raise refused(f"pass {name}: its control points are no rows of {', '.join(_CONTROL)}")
-    return Foretold(name, table[:, 1:4] * MM, table[:, 0].astype(np.int64), table[:, 4] * MM)
+        table, curves = np.zeros((0, len(_CONTROL))), []
+    whole = [table, *curves]
+    rising = all(len(n) > 1 and (np.diff(n) > 0.0).all() for n, _ in curves)
+    if not len(table) or not all(np.isfinite(one).all() for one in whole) or not rising:
+        what = f"pass {name}: its control points are no rows of {', '.join((*_CONTROL, *_CURVE))}, with "
+        raise refused(what + "forces that grow")
+    return Foretold(
+        name,
+        table[:, 1:4] * MM,
+        table[:, 0].astype(np.int64),
+        tuple(Curve(n, s * MM, False) for n, s in curves),
+        table[:, 5],
+        table[:, 4] * MM,
+    )
 
 
-def _require_limits(ways: Sequence[Way], slope: float, most: float) -> None:
+def require_limits(ways: Sequence[Way], slope: float, most: float, first: float = 0.0) -> None:
+    """Raise ``TandemError`` (forming.compensation) where shifts are below 0, above ``most`` [m], change by
+    more than ``slope`` along a way, or begin with another than ``first`` [m]."""
     issues: list[Issue] = []
     for way in ways:
         step = lengths(np.diff(way.point, axis=0))
@@ -287,8 +321,8 @@ def _require_limits(ways: Sequence[Way], slope: float, most: float) -> None:
         wrong = []
         if way.shift.min() < 0.0:
             wrong.append(f"a shift of {way.shift.min() / MM:.3f} mm, allowed 0 and more")
-        if abs(way.shift[0]) > ROUNDING:
-            wrong.append(f"a shift of {way.shift[0] / MM:.3f} mm at its beginning, allowed 0")
+        if abs(way.shift[0] - first) > ROUNDING:
+            wrong.append(f"a shift of {way.shift[0] / MM:.3f} mm at its beginning, allowed {first / MM:g}")
         if len(steep) and steep.max() > 0.0:
             k = int(np.argmax(steep))
             got = abs(way.shift[k + 1] - way.shift[k]) / max(float(step[k]), 1e-12)

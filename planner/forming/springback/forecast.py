@@ -83,10 +83,11 @@ def _around(control: ControlPoints, loop: IntArray, force: FloatArray) -> FloatA
     return np.array([float(force[(loop >= low) & (loop <= high)].max()) for low, high in pairs])
 
 
-def along(work: Work, radius: float, angle: FloatArray, found: PassSpringback) -> FloatArray:
-    """Forces (N,) [N] along the path of a pass, on walls at ``angle`` (N,) [rad] under a ball of ``radius``
-    [m], no smaller than where it is flat."""
-    return np.maximum(forces(work, radius, angle), LEAST_FORCE_SHARE * float(found.force.max()))
+def along(work: Work, found: PassSpringback, points: FloatArray, angle: FloatArray) -> FloatArray:
+    """Springback (N,) [m] at places (N, 3) [m] along the contact of a pass, on walls at ``angle`` (N,) [rad],
+    under the force there, which is no smaller than where it is flat."""
+    force = forces(work, work.heads[work.former(found.one)].radius, angle)
+    return found.at(points, np.maximum(force, LEAST_FORCE_SHARE * float(found.force.max())))
 
 
 def curves(work: Work, some: Sequence[Point], triangles: int = TRIANGLES) -> Iterator[Curve]:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.forming.contact import Pass, ToolPath
+from planner.forming.level import first_loops
 from planner.forming.process_plan import Work
 from planner.forming.sheet_mechanics import OF_SCALLOP
 from planner.forming.springback.curves import PassSpringback
@@ -31,8 +32,6 @@ POINTS: Final = 48
 """Points of a level at least."""
 SHARES: Final = np.array([0.0, 0.1, 0.25, 0.46, 0.7, 1.0])
 """Forces of a curve over its largest one."""
-LEAST_STEP: Final = 0.01 * MM
-"""Loops that are less deeper [m] than the last one belong to its level: floors."""
 
 
 def file_data(
@@ -61,14 +60,11 @@ def file_data(
 
 
 def _levels(one: Pass, path: ToolPath, found: PassSpringback) -> list[dict[str, Any]]:
-    contact, out, last = path.contact, [], 0.0
+    contact, out = path.contact, []
     mix = _Mixed(found)
-    for number in np.unique(contact.loop):
+    for number in first_loops(one, contact):
         points = contact.point[contact.loop == number]
         depth = abs(float(points[:, 2].mean()) - one.start)
-        if len(points) < 3 or depth - last < LEAST_STEP:
-            continue
-        last = depth
         ring = evenly(points)
         place = _places(ring, found)
         loads, springback, force = mix.at(ring[place])

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from planner.forming.contact import Pass, ToolPath
 from planner.forming.process_plan import Work
+from planner.forming.springback import forecast
 from planner.forming.springback.compensation import Way, refused
 from planner.forming.springback.compensation_file import Compensation, Foretold
 from planner.forming.springback.control_points import ControlPoints, Ring
@@ -51,7 +52,7 @@ def compensated(work: Work, laid: Laid, given: Compensation) -> dict[str, Any]:
     for one, path in laid:
         if one.name not in by_name:
             raise refused(f"it has no control points for pass {one.name}")
-        back[one.name] = _interpolated(one, path, by_name[one.name])
+        back[one.name] = _interpolated(work, one, path, by_name[one.name])
         deeper[one.name] = _shift(ways[one.name], path)
     note = f"by {given.file}: its forecast less what the tools go deeper; nothing was measured"
     return _exhibit(work, laid, back, deeper, note)
@@ -76,7 +77,7 @@ def estimated(work: Work, laid: Laid, found: Estimate) -> dict[str, Any]:
     return _exhibit(work, laid, back, {}, note)
 
 
-def _interpolated(one: Pass, path: ToolPath, given: Foretold) -> FloatArray:
+def _interpolated(work: Work, one: Pass, path: ToolPath, given: Foretold) -> FloatArray:
     """Springback (N,) [m] at the targets of a path by the control points of a file."""
     contact = path.contact
     loops = np.unique(contact.loop)
@@ -103,8 +104,9 @@ def _interpolated(one: Pass, path: ToolPath, given: Foretold) -> FloatArray:
         none,
         none,
     )
-    found = PassSpringback(one, control, (), np.zeros(len(order)), given.springback[order])
-    return found.at(contact.point)
+    curves = tuple(given.curves[k] for k in order)
+    found = PassSpringback(one, control, curves, given.force[order], given.springback[order])
+    return forecast.along(work, found, contact.point, contact.angle)
 
 
 def _shift(way: Way, path: ToolPath) -> FloatArray:
@@ -118,7 +120,10 @@ def maps(work: Work, laid: Laid, found: Sequence[PassSpringback], ways: Sequence
     with them, on one scale."""
     grid = _Grid(work, laid)
     back = grid.spread(
-        {one.one.name: one.at(path.contact.point) for one, (_, path) in zip(found, laid, strict=True)}
+        {
+            one.one.name: forecast.along(work, one, path.contact.point, path.contact.angle)
+            for one, (_, path) in zip(found, laid, strict=True)
+        }
     )
     if np.isnan(back).all():
         return {}  # the sheet snaps wherever it was asked

@@ -12,6 +12,7 @@ from planner.claims.forming import ComesBack, FormsSheet
 from planner.geometry.arrays import FloatArray
 from planner.problem import Problem
 from planner.verify.forming import springback_file
+from planner.verify.forming.level import OneLevel
 from planner.verify.forming.springback_file import Deeper, Given
 
 
@@ -58,9 +59,17 @@ def told(problem: Problem, by_setup: Sequence[tuple[int, Claim]]) -> tuple[Told,
     return tuple(out)
 
 
-def released(found: Sequence[Told], by_setup: Sequence[tuple[int, Claim]]) -> dict[tuple[str, int], Released]:
-    """Of each segment, in its setup, whose tools are deeper by a file."""
-    out = {}
+def released(
+    found: Sequence[Told], levels: Sequence[OneLevel], by_setup: Sequence[tuple[int, Claim]]
+) -> dict[tuple[str, int], Released]:
+    """Of each segment, in its setup, whose tools are deeper by a file, of a part or of one level."""
+    out = {
+        (one.claim.segment.key, one.index): Released(
+            one.sheet.arm, one.sheet.side, Deeper(one.given.way, one.sheet.side)
+        )
+        for one in levels
+        if one.given is not None and one.sheet is not None
+    }
     for one in found:
         for index, claim in by_setup:
             if not isinstance(claim, FormsSheet) or index != one.index or one.given is None:

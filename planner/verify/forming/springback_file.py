@@ -86,16 +86,17 @@ class Way:
     shift: FloatArray
     ring: IntArray
 
-    def faults(self, slope: float, most: float) -> list[tuple[str, float, float, str]]:
-        """What of it is beyond the problem's limits: what, got, allowed, unit."""
+    def faults(self, slope: float, most: float, first: float = 0.0) -> list[tuple[str, float, float, str]]:
+        """What of it is beyond the problem's limits, of which ``first`` [m] is the shift that it begins with:
+        what, got, allowed, unit."""
         out = []
-        low, high, first = float(self.shift.min()), float(self.shift.max()), float(self.shift[0])
+        low, high, begins = float(self.shift.min()), float(self.shift.max()), float(self.shift[0])
         if low < 0.0:
             out.append(("a shift out of the sheet", low / MM, 0.0, "mm"))
         if high > most:
             out.append(("a shift that is too large", high / MM, most / MM, "mm"))
-        if abs(first) > ROUNDING:
-            out.append(("a shift where the tool comes to the sheet", first / MM, 0.0, "mm"))
+        if abs(begins - first) > ROUNDING:
+            out.append(("another shift where the tool comes to the sheet", begins / MM, first / MM, "mm"))
         step = np.sqrt(((self.point[1:] - self.point[:-1]) ** 2).sum(axis=1))
         rise = np.maximum(np.abs(self.shift[1:] - self.shift[:-1]) - ROUNDING, 0.0)
         steep = rise > slope * step
@@ -114,8 +115,20 @@ class Given:
     ways: dict[str, Way]
 
 
-def read(path: Path) -> Given:
-    """Read a file. Raises ``ValueError``: what is wrong with it."""
+@dataclasses.dataclass(frozen=True)
+class GivenLevel:
+    """A file of one level: what it ``belongs`` to by name, of which ``plan``, ``name`` of a pass and
+    ``number`` of its level, and the ``way`` of that."""
+
+    belongs: dict[str, Any]
+    plan: Any
+    name: str
+    number: Any
+    way: Way
+
+
+def _sealed(path: Path) -> Any:
+    """What a file whose checksum is right holds. Raises ``ValueError``: what is wrong with it."""
     try:
         if path.stat().st_size > LARGEST:
             raise ValueError("it is too large")
@@ -129,7 +142,33 @@ def read(path: Path) -> Given:
     if hashlib.sha256(content[:at]).hexdigest().encode() != end[:64]:
         raise ValueError("its text is not the one of its checksum")
     try:
-        data = json.loads(content.decode("utf-8"))
+        return json.loads(content.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
+
+
+def read_level(path: Path) -> GivenLevel:
+    """Read the file of one level. Raises ``ValueError``: what is wrong with it."""
+    data = _sealed(path)
+    try:
+        if data["tandem_level"] != 1:
+            raise ValueError("it is of another version")
+        (one,) = data["passes"]
+        found = GivenLevel(
+            dict(data["belongs_to"]), data["plan"], str(one["name"]), data["level"], _way(one["rings"])
+        )
+        count = int(data["points"])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
+    if count != len(found.way.point):
+        raise ValueError("it has another number of points than it says")
+    return found
+
+
+def read(path: Path) -> Given:
+    """Read a file. Raises ``ValueError``: what is wrong with it."""
+    data = _sealed(path)
+    try:
         ways = {str(one["name"]): _way(one["rings"]) for one in data["passes"]}
         controls = tuple(
             Control(

@@ -19,6 +19,8 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse, lengths
 from planner.verify.context import Begin, Context, at_once
 from planner.verify.forming.face import Face, Nearest, left_by
+from planner.verify.forming.level import OneLevel, now
+from planner.verify.forming.level import told as levels_told
 from planner.verify.forming.released import Released, Told, released, told
 from planner.verify.forming.shapes import PartShapes, in_order
 from planner.verify.replay.motion import Poses, Rows, during
@@ -165,17 +167,18 @@ STRAIGHT_OUT: Final = 1e-4
 
 def _lifted(deeper: Released, former: Centres, forms: BoolArray) -> tuple[FloatArray, FloatArray]:
     """What is added along z (T,) [m] to tools that are deeper, and how far (T,) [m] the former is off the
-    file's way. On the way in that is nothing; on the way out what the way ends with, as long as the former
-    is straight above its end: elsewhere the sheet is as it was, and tools are where they are."""
+    file's way. On the way in that is what the way begins with, on the way out what it ends with, where the
+    former is straight above that place: elsewhere the sheet is as it was, and tools are where they are."""
     shift, aside = np.zeros(len(former)), np.zeros(len(former))
     own = np.flatnonzero(forms)
     if len(own):
         for some in np.array_split(own, len(own) // SAMPLES_AT_ONCE + 1):
             shift[some], aside[some] = deeper.deeper.at(former[some, 0])
-        end = former[own[-1], 0]
-        for some in np.array_split(np.arange(own[-1] + 1, len(former)), len(former) // SAMPLES_AT_ONCE + 1):
-            above = lengths(former[some, 0][:, :2] - end[:2]) <= STRAIGHT_OUT
-            shift[some] = np.where(above, deeper.deeper.way.shift[-1], 0.0)
+        for end, air in ((0, np.arange(own[0])), (-1, np.arange(own[-1] + 1, len(former)))):
+            place = former[own[end], 0]
+            for some in np.array_split(air, len(air) // SAMPLES_AT_ONCE + 1):
+                above = lengths(former[some, 0][:, :2] - place[:2]) <= STRAIGHT_OUT
+                shift[some] = np.where(above, deeper.deeper.way.shift[end], 0.0)
     return deeper.lifted(shift), aside
 
 
@@ -352,7 +355,7 @@ class Balls:
 class Formed:
     """The face of a pass and the way of its tools; ``knots`` (K + 1,) rows of the track where its pieces
     meet, ``near`` what of the face is nearest to the forming ball there; ``left`` what :func:`left_of` says
-    where that has been begun."""
+    where that has been begun. ``level``: the one that is formed alone, if so."""
 
     claim: FormsSheet
     setup: int
@@ -362,6 +365,12 @@ class Formed:
     face: Face
     balls: Balls
     left: Iterator[Face | None] | None = None
+    level: OneLevel | None = None
+
+    @property
+    def begun(self) -> float:
+        """How deep [m] below the flat around it the face is formed already."""
+        return 0.0 if self.level is None else self.level.depths[0]
 
     @property
     def near(self) -> Nearest:
@@ -445,7 +454,7 @@ Left = Mapping[int, Iterator[Face | None]]
 def begun_faces(context: Context, begin: Begin) -> Left:
     """Begins what is left of faces on whose other side a tool supports the sheet: that follows from claims
     alone, so it is worked out while texts are read, where another process has the time."""
-    claims = [claim for setup in context.setup_claims for group in setup.groups for claim in group]
+    claims = [claim for setup in context.setup_claims for group in setup.groups for claim in now(group)]
     held = {c.segment.key for c in claims if isinstance(c, SheetState) and len(c.arms) > 1}
     formed = [c for c in claims if isinstance(c, FormsSheet) and c.segment.key in held]
     return {} if begin is at_once else {id(claim): begin(left_of, claim) for claim in formed}
@@ -465,8 +474,20 @@ class Forming:
             (index, claim)
             for index, setup in enumerate(context.setup_claims)
             for group in setup.groups
-            for claim in group
+            for claim in now(group)
         )
+
+    @cached_property
+    def levels(self) -> tuple[OneLevel, ...]:
+        """All levels that are formed alone, with their files."""
+        groups = [(k, group) for k, setup in enumerate(self.context.setup_claims) for group in setup.groups]
+        return levels_told(self.context.problem, groups)
+
+    def level(self, segment: Segment, index: int) -> OneLevel | None:
+        """The level that alone is formed of a segment in setup ``index``, if so; one with no operation is
+        told of by its rule."""
+        same = (one for one in self.levels if one.claim.segment == segment and one.index == index)
+        return next((one for one in same if getattr(one.operation, "level", None) is not None), None)
 
     @cached_property
     def parts(self) -> tuple[tuple[PartShapes | None, tuple[Claim, ...]], ...]:
@@ -532,7 +553,7 @@ class Forming:
 
     @cached_property
     def _released(self) -> dict[tuple[str, int], Released]:
-        return released(self.told, self.by_setup)
+        return released(self.told, self.levels, self.by_setup)
 
     def track(self, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:
         """The track of a segment, of the released tools, worked out once."""
@@ -567,7 +588,8 @@ class Forming:
         knots = np.unique(np.concatenate([parts.first, parts.last]))
         face = self._face(claim.vertices, claim.faces, claim.radius)
         left = self._left.get(id(claim))
-        return Formed(claim, index, way, parts, knots, face, self._ball(way, face), left)
+        level = self.level(claim.segment, index)
+        return Formed(claim, index, way, parts, knots, face, self._ball(way, face), left, level)
 
     def _opened(self, claim: ToolGap, index: int) -> Opened:
         way = self.track(claim.segment, index, claim.arms)

@@ -31,6 +31,10 @@ _WALL_SAMPLES = 40_000
 """Places of the walls that are asked, about, at least."""
 _WALL_STEP = 0.002
 """Largest size [m] of the triangles and pieces of a way that stand for places."""
+REACHED_RIDGES = 2.0
+"""Where one level is formed alone, places that the ball is off by more ridges are of others: as claimed."""
+_CONTOUR_STEP = 0.0005
+"""Places along a contour are so far apart [m] at most."""
 _NEIGHBOURS = 16
 """Pieces of a way with the nearest middles to a point, of which the nearest is taken."""
 
@@ -38,19 +42,21 @@ _NEIGHBOURS = 16
 @dataclasses.dataclass(frozen=True)
 class Swept:
     """A pass as its ball sweeps it: its ``claim`` and ``face``, and the straight pieces from ``start`` to
-    ``end`` (K, 3) [m] of the centre's way while it forms."""
+    ``end`` (K, 3) [m] of the centre's way while it forms. ``contour`` [m]: the height z of the contour that
+    it has to pass where one level is formed alone."""
 
     claim: FormsSheet
     face: Face
     start: FloatArray
     end: FloatArray
+    contour: float | None = None
 
     @staticmethod
     def of(one: Formed) -> Swept:
         """Of a pass; without its track, which long motions have many samples of."""
         use = one.track.own[one.pieces.first]
-        ends = (one.track.centre[rows[use], 0] for rows in (one.pieces.first, one.pieces.last))
-        return Swept(one.claim, one.face, *ends)
+        start, end = (one.track.centre[rows[use], 0] for rows in (one.pieces.first, one.pieces.last))
+        return Swept(one.claim, one.face, start, end, None if one.level is None else one.level.contour)
 
 
 def envelopes(some: Sequence[Swept]) -> Iterator[CutFace]:
@@ -66,11 +72,14 @@ def envelope(one: Swept) -> CutFace:
     claim = one.claim
     rows = np.flatnonzero(_walls(claim))
     walls = claim.vertices[claim.faces[rows]]
-    size = min(_WALL_STEP, float(np.sqrt(areas(walls).sum() / _WALL_SAMPLES)) * 2.0)
-    parts, owner = divided(walls, max(size, 1e-4))
-    area = areas(parts)
-    points = parts.mean(axis=1)
-    del parts
+    if one.contour is None:
+        size = min(_WALL_STEP, float(np.sqrt(areas(walls).sum() / _WALL_SAMPLES)) * 2.0)
+        parts, owner = divided(walls, max(size, 1e-4))
+        area = areas(parts)
+        points = parts.mean(axis=1)
+        del parts
+    else:
+        points, area, owner = _along_contour(walls, one.contour)
     off = swept(one, points) - claim.radius
     allowed = claim.scallop[rows[owner]]
     # where no ball of its size comes nearer, that is what is left there
@@ -97,6 +106,27 @@ def envelope(one: Swept) -> CutFace:
     )
 
 
+def _along_contour(corners: FloatArray, height: float) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Places (N, 3) along the contour of triangles (T, 3, 3) at a height z [m], what way (N,) [m] each stands
+    for, and the triangles (N,) that they are on."""
+    above = corners[:, :, 2] > height
+    crossed = np.flatnonzero(above.any(axis=1) & ~above.all(axis=1))
+    ends = []
+    for one, two in ((0, 1), (1, 2), (2, 0)):
+        a, b = corners[crossed, one], corners[crossed, two]
+        cuts = above[crossed, one] != above[crossed, two]
+        share = (height - a[:, 2]) / np.where(cuts, b[:, 2] - a[:, 2], 1.0)
+        ends.append(np.where(cuts[:, None], a + share[:, None] * (b - a), np.nan))
+    all_ends = np.stack(ends, axis=1)
+    two_ends = all_ends[np.isfinite(all_ends[:, :, 0])].reshape(-1, 2, 3)
+    way = lengths(two_ends[:, 1] - two_ends[:, 0])
+    count = np.maximum(np.ceil(way / _CONTOUR_STEP).astype(np.int64), 1)
+    row = np.repeat(np.arange(len(count)), count)
+    share = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[row]
+    points = two_ends[row, 0] + share[:, None] * (two_ends[row, 1] - two_ends[row, 0])
+    return points, (way / count)[row], crossed[row]
+
+
 def obj(forming: Forming) -> str:
     """The formed faces as OBJ text in mm: the walls of each with their vertices moved to where the ball
     leaves the sheet, at the level at which they are formed; empty where nothing is formed."""
@@ -110,7 +140,8 @@ def obj(forming: Forming) -> str:
         off = swept(Swept.of(one), claim.vertices[own]) - claim.radius
         moved = claim.vertices.copy()
         normals = vertex_normals(claim.vertices, claim.faces)[own]
-        moved[own] += claim.side * np.where(np.isfinite(off), off, 0.0)[:, None] * normals
+        reached = np.isfinite(off) & ((one.level is None) | (off <= REACHED_RIDGES * claim.scallop.max()))
+        moved[own] += claim.side * np.where(reached, off, 0.0)[:, None] * normals
         lines.append(f"o {claim.segment.word}")
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (moved / MM).tolist()]
         lines += [f"f {a} {b} {c}" for a, b, c in (claim.faces + offset).tolist()]
@@ -155,12 +186,13 @@ _SEGMENTS_AT_ONCE = 3_000
 
 def levels(one: Formed) -> FloatArray:
     """The height (K + 1,) [m] toward the forming tool down to which a face is formed at the knots of a pass:
-    that of the start before the ball touches it. Of places that it touches at once the lowest counts."""
+    that of the start, or of the levels before, until the ball touches it. Of places that it touches at once
+    the lowest counts."""
     claim, near = one.claim, one.near
     own = one.track.own[one.knots]
     low = np.full(len(one.knots), np.inf)
     np.minimum.at(low, near.row, claim.side * near.tied[:, 2])
-    start = claim.side * claim.start
+    start = claim.side * claim.start - one.begun
     return np.minimum(np.minimum.accumulate(np.where(own & one.touches, low, np.inf)), start)
 
 

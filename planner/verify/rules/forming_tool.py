@@ -290,7 +290,8 @@ def sheet(context: Context, forming: Forming) -> Outcome:
                 continue
             allowed = state.tolerance if number == 0 else state.other
             own = dataclasses.replace(state, tolerance=allowed)
-            asked.append((arm, allowed, *_all(formed, way, own, number, held, forming.begin, places)))
+            begun = 0.0 if formed is None else formed.begun
+            asked.append((arm, allowed, *_all(formed, way, own, number, held, forming.begin, places, begun)))
         for arm, allowed, heads, rest in asked:
             for deep, row in (*heads, *rest):
                 k = int(np.argmax(deep)) if len(deep) else -1
@@ -321,9 +322,11 @@ def _all(
     held: bool,
     begin: Begin,
     places: dict[int, FloatArray],
+    begun: float,
 ) -> tuple[Iterator[_Depths], list[_Depths]]:
     """What is inside a tool: its head, which is begun, and its ball; ``held``: two tools hold the sheet
-    between them; ``places`` all over faces, by their ``id``, are worked out for the first tool that asks."""
+    between them; ``places`` all over faces, by their ``id``, are worked out for the first tool that asks;
+    ``begun`` [m]: how deep the face is formed already."""
     profile = state.heads[number]
     column = way.arms.index(state.arms[number])
     centre, axis = way.centres(column), way.axes(column)
@@ -332,7 +335,7 @@ def _all(
     still = HeadWay.of(centre, axis, np.zeros(len(centre)), float(profile[-1, 0]))
     asked = [Inside(whole, state.fixed, still, state.tolerance)]
     if len(state.carried):
-        sinking = HeadWay.of(centre, axis, _sunk(way, state), float(profile[-1, 0]))
+        sinking = HeadWay.of(centre, axis, _sunk(way, state, begun), float(profile[-1, 0]))
         asked.append(Inside(whole, state.carried, sinking, state.tolerance))
     if one is None:
         return begin(insides, asked), []
@@ -385,14 +388,14 @@ def _own_side(
     return [(deep, one.knots), (ball - between + off[doubt], last[doubt])]
 
 
-def _sunk(way: Track, state: SheetState) -> FloatArray:
+def _sunk(way: Track, state: SheetState, begun: float) -> FloatArray:
     """How far (T,) [m] what is carried has moved along z: by the farthest level that the forming ball's
-    surface has reached, from the start."""
+    surface has reached, from the start; by ``begun`` [m] before."""
     former = way.arms.index(state.arms[0])
     level = way.centre[:, former][:, 2] + state.side * float(state.heads[0][0, 0])
     if state.side > 0:
-        return np.minimum(np.minimum.accumulate(level) - state.start, 0.0)
-    return np.maximum(np.maximum.accumulate(level) - state.start, 0.0)
+        return np.minimum(np.minimum.accumulate(level) - state.start, -begun)
+    return np.maximum(np.maximum.accumulate(level) - state.start, begun)
 
 
 def _places(face: Face) -> FloatArray:

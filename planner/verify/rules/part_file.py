@@ -341,7 +341,15 @@ def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None
         return
     shares = min(op.share for op in operations) - SHARE_NOISE
     tolerance = min(op.gouge_tol_mm for op in operations) / 1000.0
-    if forming.formed:
+    level = next(iter(forming.levels), None)
+    whole = (
+        None if level is None else next((m.part for m, g in forming.parts if m and level.claim in g), None)
+    )
+    if level is not None and whole is not None:
+        # all passes are claimed and held against this part, though one level alone is formed
+        off = np.abs(comparison.off_mesh(sheet.walls.points, whole.vertices, whole.faces))
+        allowed, segment = np.full(len(off), tolerance), str(level.claim.segment)
+    elif forming.formed:
         shifted = any(op.strategy == "virgin" for op in operations)
         thickness = float(context.problem.stock.size[2])
         off, allowed = comparison.off_sheet(forming, sheet, thickness, shifted)
