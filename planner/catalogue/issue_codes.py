@@ -59,6 +59,19 @@ CODES: Final[dict[str, Code]] = {
         "nothing is stated on which a block stands", accepts="nothing is stated on which a block stands"
     ),
     "stock.footprint": Code("the gripper's face does not lie within the block's or the part's bottom face"),
+    # building elements
+    "element.surface": Code(
+        "the surface of an element has holes, folds over its plane, or fills no rectangle", given=True
+    ),
+    "element.wire": Code("no wire is long enough for the smallest panel at some place of an element"),
+    "element.tolerance": Code("no wire meets the surface of an element at some place"),
+    "element.block": Code("no block holds the smallest panel at some place of an element"),
+    "element.held": Code("none of the wires of an element is held safely in the shapes of some panels"),
+    "element.joint": Code("neighbouring panels of an element meet with a step larger than asked"),
+    "element.jobs": Code(
+        "a template of an element is none, or a panel is meant by none of the templates or by several",
+        given=True,
+    ),
     # catalogue and cell
     "catalogue.missing_data": Code("a data file that is part of Tandem is missing or cannot be read"),
     "cell.body_name": Code(

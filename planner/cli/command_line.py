@@ -26,6 +26,7 @@ from rich.table import Table
 from planner.cli import batch as batch_commands
 from planner.cli import batch as compare_commands
 from planner.cli import clamp as clamp_commands
+from planner.cli import element as element_commands
 from planner.cli import forming as forming_commands
 from planner.cli import loop as loop_commands
 from planner.cli import preparation as align_commands
@@ -335,6 +336,17 @@ def batch(request: tyro.conf.OmitArgPrefixes[batch_commands.Batch]) -> int:
         return batch_commands.run_batch(request)
     except TandemError as error:
         return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+
+
+@app.command
+def element(request: tyro.conf.OmitArgPrefixes[element_commands.ElementRequest]) -> int:
+    """Divide a building element into panels and write a problem for each."""
+    _pipeline()
+    try:
+        _print_issues(element_commands.run_element(request))
+    except TandemError as error:
+        return _refused(error, _infeasible_code(error))
+    return DONE
 
 
 @app.command

@@ -79,6 +79,34 @@ ELSEWHERE: Final = {
         "test_processes",
         "test_what_cannot_be_used_is_refused_where_a_problem_names_it",
     ),
+    "element.surface": (
+        "element/test_element_file",
+        "test_surfaces_that_are_none_are_refused_with_their_place",
+    ),
+    "element.wire": (
+        "element/test_element_file",
+        "test_wires_too_short_are_refused_with_the_length_that_reaches",
+    ),
+    "element.tolerance": (
+        "element/test_element_file",
+        "test_noise_is_out_of_tolerance_and_the_tolerance_advised_is_enough",
+    ),
+    "element.block": (
+        "element/test_element_file",
+        "test_blocks_too_thin_are_refused_with_the_thickness_that_fits",
+    ),
+    "element.held": (
+        "element/test_element_file",
+        "test_panels_that_no_wire_holds_are_named_and_more_lengths_help",
+    ),
+    "element.joint": (
+        "element/test_element_file",
+        "test_joints_beyond_the_step_asked_are_told_and_the_step_advised_is_kept",
+    ),
+    "element.jobs": (
+        "element/test_element_file",
+        "test_templates_that_overlap_or_leave_a_panel_out_are_refused_by_panel",
+    ),
     "part.mesh_noise": (
         "reading/test_sheet",
         "test_noise_beyond_the_stated_tolerance_is_told_and_its_remedy_works",

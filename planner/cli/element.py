@@ -1,0 +1,54 @@
+"""``tandem element FILE -o OUT``: one building element into panels, each an ordinary problem of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from rich.console import Console
+
+from planner.files import claim_folder, write_folder
+from planner.geometry.units import MM
+from planner.issues import Issue
+
+out = Console(highlight=False, soft_wrap=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class ElementRequest:
+    """Divide a building element into panels and write a problem for each, with a table and a drawing.
+
+    What is written is planned by `tandem batch OUT/panels -o RUN`.
+    """
+
+    file: tyro.conf.Positional[Path]
+    """the element file"""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
+    """folder for panels/, panels.csv, panels.svg and element.json"""
+
+
+def run_element(request: ElementRequest) -> tuple[Issue, ...]:
+    """Divide, write and print; what is to be said. Raises ``TandemError``."""
+    from planner.element import elastic, element_file, output
+
+    start = time.perf_counter()
+    claim_folder(request.output, output.OWNED, keep=request.file)
+    element = element_file.read(request.file)
+    panels = elastic.divide_elastic(elastic.search(element.surface, element.cells, element.rules))
+    files, told = output.folder(element, panels)
+    write_folder(request.output, files, output.OWNED)
+    steps = np.concatenate([joint.steps.ravel() for joint in elastic.joints(panels)] or [np.zeros(1)]) / MM
+    off = max(panel.misfit for panel in panels) / MM
+    out.print(
+        f"{element.file.name}: {len(panels)} panels, at most {off:.2f} mm off the surface; "
+        f"steps at joints {np.percentile(steps, output.JOINT_SHARE):.2f} mm at "
+        f"{output.JOINT_SHARE:g} %, {steps.max():.2f} mm at most",
+        markup=False,
+    )
+    seconds = time.perf_counter() - start
+    out.print(f"divided in {seconds:.1f} s; see {request.output / 'panels.svg'}", markup=False)
+    return told

@@ -1,0 +1,1 @@
+"""One building element in, a folder of ordinary problems out."""

@@ -1,0 +1,467 @@
+"""The kind ``elastic``: a free-form surface divided into panels whose faces a bent wire cuts.
+
+Which rectangles of the grid may be panels says a table: the misfit of every section for every wire and both
+directions, and the box of the panel in every block. The cheapest guillotine division of that is exact
+(`geometry/guillotine.py`). Then each of its panels is fitted again in the planes of its own tilted block,
+front and back, by a wire that is held safely there where one is; a panel that is out of tolerance there is
+struck off the table, and the division is made anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+
+from planner.element.misfit import (
+    MISFIT_STEP,
+    SECTIONS_PER_CELL,
+    misfits,
+    section_places,
+    sections_of,
+    worst_over,
+)
+from planner.element.panel_box import Nodes, block_axes, box_sizes, grid_nodes, plane_normals
+from planner.element.panel_faces import CutWire, bend, cut_out
+from planner.element.surface import ElementSurface, Profile, profiles
+from planner.geometry.arrays import BoolArray, FloatArray, from_parts
+from planner.geometry.guillotine import divide
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.units import MM
+from planner.issues import Issue, TandemError
+
+FITS: Final = 1e-6
+"""A panel that is larger than its block by no more than this [m] fits."""
+WELL_WITHIN: Final = 0.5
+"""Share of the tolerance below which a shorter wire counts more than a smaller misfit."""
+_MOST_ROUNDS = 200
+"""Divisions that are tried at most, each without the panels that failed in the one before."""
+_SURE = 1e-3  # m: how much more room is advised than nodes between which a surface is bent need
+_THINNER = 1e-3
+"""Steps [m] in which a thickness is sought that would fit."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Rules:
+    """What panels are held to: wires, shortest first, sizes (3,) of ``blocks`` and the foam that a block has
+    more than its panel at each side, ``sides`` and ``faces`` (above and below); ``tolerance`` of a face;
+    weight of the ends of sections. All in m."""
+
+    wires: tuple[CutWire, ...]
+    blocks: tuple[FloatArray, ...]
+    sides: float
+    faces: float
+    tolerance: float
+    end_weight: float
+
+
+@dataclasses.dataclass(frozen=True)
+class ElasticPanel:
+    """A panel over the cells ``rectangle`` (x0, x1, y0, y1), its wire along the element's x (``along`` 0) or
+    y (1).
+
+    ``front``, ``back``: faces as the wire leaves them, in the frame of the block of ``size`` (3,), whose
+    ``pose`` (4, 4) is in the element frame. ``misfit``: how far they are off the surface at most; ``held``:
+    whether the wire is held safely there. ``flat`` (R, 2): where the vertices on its sides are in the
+    element's plane; ``off`` (2, R): how far front and back are off the surface there. In m.
+    """
+
+    rectangle: tuple[int, int, int, int]
+    along: int
+    wire: int
+    block: int
+    pose: FloatArray
+    size: FloatArray
+    front: TriangleMesh
+    back: TriangleMesh
+    misfit: float
+    held: bool
+    flat: FloatArray
+    off: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Search:
+    """An element and its grid: ``lines`` across x (nx + 1,) and y (ny + 1,) [m], what every rule asks of
+    it."""
+
+    surface: ElementSurface
+    lines: tuple[FloatArray, FloatArray]
+    rules: Rules
+    profiles: tuple[Profile, Profile]
+    nodes: Nodes
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """Cells along x and y."""
+        return len(self.lines[0]) - 1, len(self.lines[1]) - 1
+
+
+def search(surface: ElementSurface, cells: tuple[int, int], rules: Rules) -> Search:
+    """What the table and the division start from. Raises ``TandemError``: ``element.surface``."""
+    x, y = (np.linspace(0.0, surface.size[i], cells[i] + 1) for i in range(2))
+    along = (
+        profiles(surface.front, surface.size, 0, section_places(y)),
+        profiles(surface.front, surface.size, 1, section_places(x)),
+    )
+    return Search(surface, (x, y), rules, along, grid_nodes(surface, *cells))
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """Rectangles (nx, ny, nx, ny), [w - 1, h - 1, x, y]: ``boxes`` (2, ...): whether a block holds the panel
+    with its wire along x and along y; ``misfits`` [m], one for each way, an index over wires and directions
+    (2 wire + along), infinite where no block holds it or the wire does not reach; single cells have theirs
+    whatever their boxes."""
+
+    boxes: BoolArray
+    misfits: tuple[FloatArray, ...]
+
+    def best(self, tolerance: float) -> FloatArray:
+        """The least misfit of each rectangle, infinite where nothing makes it."""
+        limit = tolerance + 0.5 * MISFIT_STEP
+        best = np.full(self.boxes.shape[1:], np.inf)
+        for number, found in enumerate(self.misfits):
+            better = self.boxes[number % 2] & (found <= limit) & (found < best)
+            best[better] = found[better]
+        return best
+
+    def ways(self, place: tuple[int, int, int, int], tolerance: float) -> list[int]:
+        """All ways to make one rectangle: those well within the tolerance first, with the shortest wire
+        first, since that holds best against errors of its ends; then by misfit."""
+        found = {
+            number: float(one[place])
+            for number, one in enumerate(self.misfits)
+            if self.boxes[(number % 2, *place)] and one[place] <= tolerance + 0.5 * MISFIT_STEP
+        }
+
+        def rank(number: int) -> tuple[float, float, int]:
+            well = found[number] < WELL_WITHIN * tolerance
+            return (0.0, number // 2, number) if well else (1.0, found[number], number)
+
+        return sorted(found, key=rank)
+
+
+def table(made: Search) -> Table:
+    """Which rectangles a block holds, and how well wires meet those."""
+    nx, ny = made.cells
+    rules = made.rules
+    boxes = np.zeros((2, nx, ny, nx, ny), dtype=np.bool_)
+    small = _small_enough(made)
+    for along in range(2):
+        sizes = box_sizes(made.nodes, small, along)
+        boxes[along] = np.any([_fits(sizes, block, rules) for block in rules.blocks], axis=0)
+    found = []
+    for cut in rules.wires:
+        for along in range(2):
+            asked = boxes[along].copy()
+            asked[0, 0] = True
+            asked = asked if along == 0 else asked.transpose(1, 0, 3, 2)
+            fitted = misfits(
+                made.profiles[along],
+                made.lines[along],
+                sections_of(asked),
+                cut.length,
+                cut.outside,
+                cut.wire.load,
+                rules.end_weight,
+            )
+            worst = worst_over(fitted, (ny, nx)[along])
+            found.append(worst if along == 0 else worst.transpose(1, 0, 3, 2))
+    return Table(boxes, tuple(found))
+
+
+def _small_enough(made: Search) -> BoolArray:
+    """Rectangles (nx, ny, nx, ny) in the grid that are no longer in plan than the diagonal of a block."""
+    nx, ny = made.cells
+    longest = max(float(np.linalg.norm(block)) for block in made.rules.blocks)
+    w, h, x, y = np.ogrid[1 : nx + 1, 1 : ny + 1, 0:nx, 0:ny]
+    step = made.surface.size / (nx, ny)
+    return np.asarray((x + w <= nx) & (y + h <= ny) & (np.maximum(w * step[0], h * step[1]) <= longest))
+
+
+def _needed(sizes: FloatArray, rules: Rules) -> FloatArray:
+    """Blocks (..., 3) that boxes need, the longer side first."""
+    flat = np.sort(sizes[..., :2], axis=-1)[..., ::-1] + 2.0 * rules.sides
+    return np.concatenate([flat, sizes[..., 2:] + 2.0 * rules.faces], axis=-1)
+
+
+def _fits(sizes: FloatArray, block: FloatArray, rules: Rules) -> BoolArray:
+    longest, shortest = max(block[:2]), min(block[:2])
+    return np.asarray((_needed(sizes, rules) <= np.array([longest, shortest, block[2]]) + FITS).all(axis=-1))
+
+
+def divide_elastic(made: Search) -> tuple[ElasticPanel, ...]:
+    """The panels of the best division, by rows of the grid.
+
+    Raises ``TandemError``: ``element.wire``, ``element.tolerance``, ``element.block`` for places that no
+    panel can cover, each with the nearest remedy.
+    """
+    found = table(made)
+    misfit = found.best(made.rules.tolerance)
+    known: dict[tuple[int, ...], ElasticPanel | None] = {}
+    for _ in range(_MOST_ROUNDS):
+        division = divide(misfit)
+        if division is None:
+            raise TandemError(_refusals(made, found, misfit))
+        panels = []
+        for x0, x1, y0, y1 in division.rectangles.tolist():
+            place = x1 - x0 - 1, y1 - y0 - 1, x0, y0
+            if place not in known:
+                known[place] = _best_panel(made, found, (x0, x1, y0, y1))
+            panel = known[place]
+            if panel is None:
+                misfit[place] = np.inf
+            else:
+                panels.append(panel)
+        if len(panels) == len(division.rectangles):
+            return tuple(panels)
+    what = f"after {_MOST_ROUNDS} divisions some panels still fail in the planes of their own blocks"
+    raise TandemError(
+        Issue("element.tolerance", what, field="panels.elastic", hint="allow more, or take more cells")
+    )
+
+
+def _best_panel(made: Search, found: Table, rectangle: tuple[int, int, int, int]) -> ElasticPanel | None:
+    """The panel by the first wire that is held safely, else by the first that is within tolerance."""
+    x0, x1, y0, y1 = rectangle
+    best: ElasticPanel | None = None
+    for way in found.ways((x1 - x0 - 1, y1 - y0 - 1, x0, y0), made.rules.tolerance):
+        panel = _panel(made, rectangle, way)
+        if panel is not None and panel.held:
+            return panel
+        best = best or panel
+    return best
+
+
+def _panel(made: Search, rectangle: tuple[int, int, int, int], way: int) -> ElasticPanel | None:
+    """The panel in its block; None where a face is off the wire by more than the tolerance, or no block holds
+    it."""
+    number, along = divmod(way, 2)
+    cut, rules = made.rules.wires[number], made.rules
+    x0, x1, y0, y1 = rectangle
+    x, y = made.lines
+    bounds = float(x[x0]), float(x[x1]), float(y[y0]), float(y[y1])
+    front, back = cut_out(made.surface.front, made.surface.back, bounds)
+    axes = block_axes(plane_normals(made.nodes.under(rectangle)), along)
+    cloud = np.concatenate([front.vertices, back.vertices]) @ axes.T
+    box = np.ptp(cloud, axis=0)
+    blocks = [i for i, block in enumerate(rules.blocks) if _fits(box, block, rules)]
+    if not blocks:
+        return None
+    best = min(blocks, key=lambda i: (float(np.prod(rules.blocks[i])), i))
+    size = box + 2.0 * np.array([rules.sides, rules.sides, rules.faces])
+    middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
+    origin = middle - np.array([0.0, 0.0, 0.5 * size[2]])
+    pose = from_parts(axes.T, axes.T @ origin)
+    made_faces, off, misfit, held = [], [], 0.0, True
+    for mesh in (front, back):
+        laid = TriangleMesh(mesh.vertices @ axes.T - origin, mesh.faces)
+        bent = bend(laid, axes[:, 2], cut, 0.5 * float(size[0]), rules.end_weight)
+        if bent is None or bent.misfit > rules.tolerance + 0.5 * MISFIT_STEP:
+            return None
+        moved = laid.vertices + bent.shift[:, None] * axes[:, 2]
+        made_faces.append(TriangleMesh(moved, laid.faces))
+        off.append(bent.off)
+        misfit, held = max(misfit, bent.misfit), held and bent.held
+    flat = front.vertices[:, :2]
+    rim = np.any(
+        [flat[:, 0] == bounds[0], flat[:, 0] == bounds[1], flat[:, 1] == bounds[2], flat[:, 1] == bounds[3]],
+        axis=0,
+    )
+    turned = TriangleMesh(made_faces[1].vertices, made_faces[1].faces[:, ::-1])
+    return ElasticPanel(
+        rectangle,
+        along,
+        number,
+        best,
+        pose,
+        size,
+        made_faces[0],
+        turned,
+        misfit,
+        held,
+        flat[rim],
+        np.stack(off)[:, rim],
+    )
+
+
+def _refusals(made: Search, found: Table, misfit: FloatArray) -> list[Issue]:
+    """Why cells can be no panel even alone: one issue for each cause, of the cell that is farthest from its
+    limit."""
+    rules, (nx, ny) = made.rules, made.cells
+    single = [np.asarray(one[0, 0]) for one in found.misfits]
+    least = np.min(single, axis=0)
+    alone = ~np.isfinite(misfit[0, 0])
+    short = alone & ~np.isfinite(least)
+    far = alone & ~short & (least > rules.tolerance + 0.5 * MISFIT_STEP)
+    issues = []
+    if short.any():
+        needs = np.stack([_longest(made, along) for along in range(2)]).min(axis=0)
+        at = np.unravel_index(int(np.argmax(np.where(short, needs, -1.0))), short.shape)
+        need = float(needs[at]) + min(cut.outside for cut in rules.wires)
+        longest = max(cut.length for cut in rules.wires)
+        what = (
+            f"{_where(made, at)}: its sections and the wire's free ends take {need / MM:.0f} mm, the longest "
+            f"wire has {longest / MM:.0f} mm"
+        )
+        hint = f"give a wire of {np.ceil(need / MM / 5.0) * 5.0:.0f} mm, or more cells than {nx} x {ny}"
+        issues.append(
+            _limit("element.wire", what, "panels.elastic.wires", longest, need, hint, int(short.sum()))
+        )
+    if far.any():
+        at = np.unravel_index(int(np.argmax(np.where(far, least, -1.0))), far.shape)
+        worst = float(least[at])
+        what = (
+            f"{_where(made, at)}: the best wire is {worst / MM:.2f} mm off the surface, allowed are "
+            f"{rules.tolerance / MM:g} mm"
+        )
+        hint = (
+            f"allow tolerance_mm: {np.ceil(worst / MM * 100.0) / 100.0 + 0.01:.2f}, give more cells than "
+            f"{nx} x {ny}, or smooth the surface if that is noise"
+        )
+        issues.append(
+            _limit(
+                "element.tolerance",
+                what,
+                "panels.elastic.tolerance_mm",
+                worst,
+                rules.tolerance,
+                hint,
+                int(far.sum()),
+            )
+        )
+    large = alone & ~short & ~far & ~found.boxes[:, 0, 0].any(axis=0)
+    if large.any():
+        issues.append(_too_large(made, large))
+    left = alone & ~short & ~far & ~large
+    if left.any() and not issues:
+        at = np.unravel_index(int(np.argmax(left)), left.shape)
+        what = f"{_where(made, at)}: it is at the very limit of its block or of the tolerance, and beyond it "
+        what += "where it is measured by its facets"
+        hint = f"allow 0.1 mm more of tolerance_mm, 1 mm more of blocks, or more cells than {nx} x {ny}"
+        issues.append(
+            _limit(
+                "element.tolerance",
+                what,
+                "panels.elastic",
+                rules.tolerance,
+                rules.tolerance,
+                hint,
+                int(left.sum()),
+            )
+        )
+    return issues
+
+
+def _limit(code: str, what: str, field: str, value: float, limit: float, hint: str, cells: int) -> Issue:
+    return Issue(
+        code,
+        f"{cells} of the cells can be no panel even alone, the worst is {what}",
+        field=field,
+        value=value / MM,
+        limit=limit / MM,
+        unit="mm",
+        hint=hint,
+    )
+
+
+def _where(made: Search, at: tuple[np.intp, ...]) -> str:
+    place = " x ".join(
+        f"{made.lines[i][at[i]] / MM:.0f} to {made.lines[i][at[i] + 1] / MM:.0f}" for i in range(2)
+    )
+    return f"the cell {at[0] + 1}, {at[1] + 1} ({place} mm)"
+
+
+def _longest(made: Search, along: int) -> FloatArray:
+    """Length [m] of the longest section along an axis in each cell (nx, ny)."""
+    profile, lines = made.profiles[along], made.lines[along]
+    arc = np.stack(
+        [
+            np.diff(np.interp(lines, place, length))
+            for place, length in zip(profile.place, profile.length, strict=True)
+        ]
+    )
+    parts = SECTIONS_PER_CELL
+    longest = np.max([arc[i : len(arc) - parts + i : parts] for i in range(parts + 1)], axis=0)
+    return np.asarray(longest.T if along == 0 else longest)
+
+
+def _too_large(made: Search, cells: BoolArray) -> Issue:
+    """Cells whose boxes fit no block: what would hold the worst of them, and the thickness that would fit."""
+    rules = made.rules
+
+    def needed(nodes: Nodes) -> FloatArray:
+        only = np.zeros((*made.cells, *made.cells), dtype=np.bool_)
+        only[0, 0] = cells
+        return np.stack([_needed(box_sizes(nodes, only, along)[0, 0], rules) for along in range(2)])
+
+    def excess(sizes: FloatArray) -> FloatArray:
+        limits = np.array([[max(b[:2]), min(b[:2]), b[2]] for b in rules.blocks])
+        over = (sizes[:, None] - limits[:, None, None]).max(axis=-1)  # (2, blocks, nx, ny)
+        return np.asarray(np.where(cells, over.min(axis=(0, 1)), -np.inf))
+
+    sizes = needed(made.nodes)
+    over = excess(sizes)
+    at = np.unravel_index(int(np.argmax(over)), over.shape)
+    way = np.argmin(sizes.max(axis=-1), axis=0)[None, ..., None]
+    size = np.take_along_axis(sizes, way, axis=0)[0][cells].max(axis=0)  # what holds all of them
+    worst = float(over[at])
+    text = " x ".join(f"{np.ceil((v + _SURE) / MM):.0f}" for v in size)
+    thickness = None
+    for thin in np.arange(made.surface.thickness - _THINNER, 0.0, -_THINNER):
+        back = made.nodes.front + (made.nodes.back - made.nodes.front) * (thin / made.surface.thickness)
+        if (excess(needed(dataclasses.replace(made.nodes, back=back))) <= -_SURE).all():
+            thickness = float(thin)
+            break
+    fits = f"thickness_mm: {np.floor(thickness / MM + 1e-6):.0f} would fit, " if thickness is not None else ""
+    what = f"{_where(made, at)}: with foam around it no block holds it by {worst / MM:.1f} mm"
+    hint = f"{fits}a block of {text} mm would, or give more cells than {made.cells[0]} x {made.cells[1]}"
+    largest = max(rules.blocks, key=lambda block: float(np.prod(block)))
+    return _limit("element.block", what, "blocks", float(size[2]), float(largest[2]), hint, int(cells.sum()))
+
+
+@dataclasses.dataclass(frozen=True)
+class Joint:
+    """Where two panels meet: their numbers, ``length`` [m] along the joint, ``steps`` (2, R) [m] of the
+    fronts and of the backs across the surface at its vertices; ``wire_ends``: whether wires of both end
+    there."""
+
+    panels: tuple[int, int]
+    length: float
+    steps: FloatArray
+    wire_ends: bool
+
+
+def joints(panels: tuple[ElasticPanel, ...]) -> tuple[Joint, ...]:
+    """All joints along which neighbours have more than a corner in common."""
+    rims = [
+        {(round(x * 1e7), round(y * 1e7)): k for k, (x, y) in enumerate(panel.flat.tolist())}
+        for panel in panels
+    ]
+    found = []
+    for a, one in enumerate(panels):
+        for b in range(a + 1, len(panels)):
+            other = panels[b]
+            axis = _side(one.rectangle, other.rectangle)
+            if axis is None:
+                continue
+            shared = sorted(rims[a].keys() & rims[b].keys())
+            rows = np.array([[rims[a][key], rims[b][key]] for key in shared])
+            place = one.flat[rows[:, 0]]
+            steps = np.abs(one.off[:, rows[:, 0]] - other.off[:, rows[:, 1]])
+            ends = one.along == other.along == axis
+            found.append(Joint((a, b), float(np.ptp(place[:, 1 - axis])), steps, ends))
+    return tuple(found)
+
+
+def _side(one: tuple[int, ...], other: tuple[int, ...]) -> int | None:
+    """The axis across the line on which two rectangles meet; None where they share no more than a corner."""
+    for axis in range(2):
+        across, along = slice(2 * axis, 2 * axis + 2), slice(2 - 2 * axis, 4 - 2 * axis)
+        (a0, a1), (b0, b1) = one[across], other[across]
+        (c0, c1), (d0, d1) = one[along], other[along]
+        if (a1 == b0 or b1 == a0) and min(c1, d1) > max(c0, d0):
+            return axis
+    return None

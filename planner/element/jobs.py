@@ -1,0 +1,109 @@
+"""Panels as ordinary problem files: ids by rows, a template for each, meshes of its two faces."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from planner.element.elastic import ElasticPanel
+from planner.element.element_file import Element, Template
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.units import MM
+from planner.issues import Issue, TandemError
+from planner.reading import strict_yaml
+
+SIZE_STEP_MM = 0.1
+"""Sizes of blocks are rounded up to this."""
+
+
+def ids(panels: tuple[ElasticPanel, ...]) -> tuple[str, ...]:
+    """A01, A02 ... B01 ...: a letter for each row of panels that begin on the same line, from the lowest, and
+    numbers along it. They follow from cells alone, so they stay while the surface moves a little."""
+    rows = sorted({panel.rectangle[2] for panel in panels})
+    count: dict[int, int] = {}
+    names = []
+    for panel in panels:  # by rows already
+        row = rows.index(panel.rectangle[2])
+        count[row] = count.get(row, 0) + 1
+        letters = (chr(64 + row // 26) if row >= 26 else "") + chr(65 + row % 26)
+        names.append(f"{letters}{count[row]:02d}")
+    return tuple(names)
+
+
+def block_mm(panel: ElasticPanel) -> tuple[float, float, float]:
+    """The size of a panel's block [mm], rounded up."""
+    x, y, z = np.ceil(np.round(panel.size / MM / SIZE_STEP_MM, 6)) * SIZE_STEP_MM
+    return round(float(x), 3), round(float(y), 3), round(float(z), 3)
+
+
+def chosen_templates(
+    element: Element, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
+) -> tuple[Template, ...]:
+    """The template of each panel. Raises ``TandemError``: ``element.jobs`` where none or several are
+    meant."""
+    chosen, issues = [], []
+    for panel, name in zip(panels, names, strict=True):
+        size = block_mm(panel)
+        found = [t for t in element.templates if t.when.holds(size)]
+        chosen += found[:1]
+        if len(found) != 1:
+            text = " x ".join(f"{v:g}" for v in size)
+            which = " and ".join(t.file for t in found) or "no job"
+            issues.append(
+                Issue(
+                    "element.jobs",
+                    f"panel {name} with its block of {text} mm is meant by {which}, exactly one must be",
+                    field="jobs",
+                    hint="let the ranges of when (from, below) follow one another without gaps",
+                )
+            )
+    if issues:
+        first = dataclasses.replace(issues[0], count=len(issues))
+        raise TandemError(first)
+    return tuple(chosen)
+
+
+def problem(element: Element, panel: ElasticPanel, name: str, template: Template) -> dict[str, Any]:
+    """A panel's problem as a file has it: the template with the panel's block, faces, wire and sweep."""
+    data = copy.deepcopy(template.data)
+    spec = element.file
+    block = spec.blocks[panel.block]
+    stock = {"size_mm": list(block_mm(panel)), **(data.pop("stock", None) or {})}
+    if block.foam is not None:
+        stock.setdefault("foam", block.foam)
+    operations = data.pop("operations")
+    wire = element.wires[panel.wire].model_dump(exclude_none=True)
+    for operation in operations:
+        if isinstance(operation, dict) and operation.get("process") == "elastic_wire":
+            operation.setdefault("wire", wire)
+            operation.setdefault("sweep", "y")
+    faces = {
+        side: {"mesh": {"file": f"meshes/{name}_{side}.obj", "unit": "mm"}} for side in ("front", "back")
+    }
+    head = {"tandem": 1, "name": f"{spec.name}_{name}", "cell": data.pop("cell")}
+    rest = {key: value for key, value in data.items() if key not in ("tandem", "name")}
+    part = {**faces, "in_stock": {"xyz_mm": [0.0, 0.0, 0.0]}}
+    return {**head, **rest, "stock": stock, "part": part, "operations": operations}
+
+
+def panel_files(element: Element, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> dict[str, str]:
+    """Problem files and meshes by their places in the folder. Raises ``TandemError`` as
+    `chosen_templates`."""
+    files = {}
+    for panel, name, template in zip(panels, names, chosen_templates(element, panels, names), strict=True):
+        head = f"# Panel {name} of {element.file.name}, written by tandem element.\n"
+        files[f"panels/{name}.yaml"] = head + strict_yaml.dump(problem(element, panel, name, template))
+        files[f"panels/meshes/{name}_front.obj"] = _obj(panel.front, f"front of {name}")
+        files[f"panels/meshes/{name}_back.obj"] = _obj(panel.back, f"back of {name}")
+    return files
+
+
+def _obj(mesh: TriangleMesh, what: str) -> str:
+    """A mesh in the frame of its block, in millimetres."""
+    lines = [f"# {what}, in the frame of its block, mm"]
+    lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in (mesh.vertices / MM).tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,210 @@
+"""What a divided element leaves in a folder: problems, a table and a drawing of its panels, and all of it as
+data."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import Any, Final
+
+import numpy as np
+
+from planner.element.elastic import ElasticPanel, Joint, joints
+from planner.element.element_file import Element
+from planner.element.jobs import block_mm, ids, panel_files
+from planner.geometry.units import MM
+from planner.issues import Issue, Severity
+
+OWNED: Final = ("element.json", "panels", "panels.csv", "panels.svg")
+"""What the folder of an element holds; anything else in it is left alone."""
+JOINT_SHARE: Final = 95.0
+"""Percent of a joint's points that must be within the step that is allowed."""
+_PAGE: Final = 1200.0  # width of the drawing [px]
+
+
+def folder(element: Element, panels: tuple[ElasticPanel, ...]) -> tuple[dict[str, str], tuple[Issue, ...]]:
+    """All files by their names, and what is to be said: ``element.held`` for panels in whose shapes no wire
+    is safe, ``element.joint`` for joints beyond the step asked.
+
+    Raises ``TandemError``: ``element.jobs``.
+    """
+    names = ids(panels)
+    met = joints(panels)
+    files = panel_files(element, panels, names)
+    rows = [_row(element, panel, name) for panel, name in zip(panels, names, strict=True)]
+    files["panels.csv"] = _csv(rows)
+    files["panels.svg"] = drawing(element, panels, names)
+    files["element.json"] = json.dumps(_data(element, panels, names, met, rows), indent=1) + "\n"
+    return files, (*_unsteady(panels, names), *_told(element, names, met))
+
+
+def _row(element: Element, panel: ElasticPanel, name: str) -> dict[str, Any]:
+    x, y = _bounds(element, panel)
+    wire = element.wires[panel.wire]
+    block = element.file.blocks[panel.block]
+    return {
+        "id": name,
+        "from_x_mm": round(x[0], 3),
+        "to_x_mm": round(x[1], 3),
+        "from_y_mm": round(y[0], 3),
+        "to_y_mm": round(y[1], 3),
+        "wire_along": "xy"[panel.along],
+        "wire": str(wire),
+        **{f"block_{axis}_mm": v for axis, v in zip("xyz", block_mm(panel), strict=True)},
+        "raw_block_mm": " x ".join(f"{v:g}" for v in block.size_mm),
+        "wire_held": "yes" if panel.held else "no",
+        "off_surface_mm": round(panel.misfit / MM, 3),
+    }
+
+
+def _bounds(element: Element, panel: ElasticPanel) -> tuple[tuple[float, float], tuple[float, float]]:
+    """From and to along the element's x and y [mm]."""
+    step = element.surface.size / np.array(element.cells) / MM
+    x0, x1, y0, y1 = panel.rectangle
+    return (x0 * float(step[0]), x1 * float(step[0])), (y0 * float(step[1]), y1 * float(step[1]))
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _step(joint: Joint) -> float:
+    """The step [mm] that most of a joint's points keep."""
+    return float(np.percentile(joint.steps, JOINT_SHARE)) / MM
+
+
+def _data(
+    element: Element,
+    panels: tuple[ElasticPanel, ...],
+    names: tuple[str, ...],
+    met: tuple[Joint, ...],
+    rows: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """The element as data; poses are (4, 4) in mm, of the element in the surface's file and of blocks in the
+    element."""
+
+    def pose(value: Any) -> list[list[float]]:
+        out = np.array(value)
+        out[:3, 3] /= MM
+        return [[round(float(v), 9) + 0.0 for v in row] for row in out]
+
+    steps = [
+        {
+            "panels": [names[joint.panels[0]], names[joint.panels[1]]],
+            "length_mm": round(joint.length / MM, 3),
+            "step_95_mm": round(_step(joint), 4),
+            "step_largest_mm": round(float(joint.steps.max()) / MM, 4),
+            "at_wire_ends": joint.wire_ends,
+        }
+        for joint in met
+    ]
+    return {
+        "element": 1,
+        "name": element.file.name,
+        "pose": pose(element.surface.pose),
+        "size_mm": [round(float(v) / MM, 3) for v in element.surface.size],
+        "cells": list(element.cells),
+        "panels": [
+            {**row, "cells": list(panel.rectangle), "block_pose": pose(panel.pose)}
+            for row, panel in zip(rows, panels, strict=True)
+        ],
+        "joints": steps,
+    }
+
+
+def _told(element: Element, names: tuple[str, ...], met: tuple[Joint, ...]) -> tuple[Issue, ...]:
+    limit = element.file.panels.elastic.joint_mm
+    over = [joint for joint in met if _step(joint) > limit]
+    if not over:
+        return ()
+    worst = max(over, key=_step)
+    a, b = (names[i] for i in worst.panels)
+    what = (
+        f"{len(over)} of {len(met)} joints have a step above {limit:g} mm at {JOINT_SHARE:g} % of their "
+        f"points, the worst is {a} to {b} with {_step(worst):.2f} mm; the others: "
+        + (
+            ", ".join(f"{names[j.panels[0]]} to {names[j.panels[1]]}" for j in over if j is not worst)
+            or "none"
+        )
+    )
+    hint = f"allow joint_mm: {np.ceil(_step(worst) * 100.0) / 100.0:.2f}, or ask for a smaller tolerance_mm"
+    return (
+        Issue(
+            "element.joint",
+            what,
+            Severity.WARNING,
+            field="panels.elastic.joint_mm",
+            value=_step(worst),
+            limit=limit,
+            unit="mm",
+            hint=hint,
+        ),
+    )
+
+
+def _unsteady(panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> tuple[Issue, ...]:
+    """Panels in whose shapes no wire is held safely, named before any foam is cut."""
+    found = [name for panel, name in zip(panels, names, strict=True) if not panel.held]
+    if not found:
+        return ()
+    what = (
+        f"{len(found)} of {len(panels)} panels have shapes in which none of the wires is held safely (it may "
+        f"snap, or errors of its ends move it too far): {', '.join(found)}"
+    )
+    hint = "give wires of more lengths or thinner ones, or smaller blocks; check these panels first"
+    return (Issue("element.held", what, Severity.WARNING, field="wires", hint=hint),)
+
+
+def drawing(element: Element, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> str:
+    """All panels in the element's plane, seen from the front: ids, the wire's direction, how far off."""
+    size = element.surface.size / MM
+    scale = _PAGE / float(size[0])
+    high = float(size[1]) * scale
+    limit = element.file.panels.elastic.tolerance_mm
+    worst = max(panel.misfit for panel in panels) / MM
+    title = f"{element.file.name}: {len(panels)} panels"
+    legend = "seen from the front; lines in a panel lie as its wire does; numbers are how far it is off the "
+    legend += f"surface, at most {worst:.2f} of {limit:g} mm"
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-70 -90 {_PAGE + 110:.0f} {high + 170:.0f}" '
+        'font-family="sans-serif" fill="#1a1a1a">',
+        f'<rect x="-70" y="-90" width="{_PAGE + 110:.0f}" height="{high + 170:.0f}" fill="#ffffff"/>',
+        f'<text x="0" y="-52" font-size="28" font-weight="600">{title}</text>',
+        f'<text x="0" y="-20" font-size="18">{legend}</text>',
+    ]
+    for panel, name in zip(panels, names, strict=True):
+        (x0, x1), (y0, y1) = _bounds(element, panel)
+        left, right, top, bottom = x0 * scale, x1 * scale, high - y1 * scale, high - y0 * scale
+        share = min(panel.misfit / MM / limit, 1.0)
+        shade = [round(255 + share * (c - 255)) for c in (122, 170, 214)]
+        middle, level = 0.5 * (left + right), 0.5 * (top + bottom)
+        out.append(
+            f'<rect x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" height="{bottom - top:.1f}" '
+            f'fill="rgb({shade[0]},{shade[1]},{shade[2]})" stroke="#1a1a1a" stroke-width="1.5"/>'
+        )
+        for part in (0.12, 0.88):
+            x, y = left + part * (right - left), top + part * (bottom - top)
+            a = (left + 8, y, right - 8, y) if panel.along == 0 else (x, top + 8, x, bottom - 8)
+            ends = " ".join(f'{k}="{v:.1f}"' for k, v in zip(("x1", "y1", "x2", "y2"), a, strict=True))
+            out.append(f'<line {ends} stroke="#5a6b7a" stroke-width="1"/>')
+        text = min(26.0, 0.3 * (right - left), 0.3 * (bottom - top))
+        out.append(
+            f'<text x="{middle:.1f}" y="{level:.1f}" font-size="{text:.1f}" font-weight="600" '
+            f'text-anchor="middle">{name}</text>'
+            f'<text x="{middle:.1f}" y="{level + 0.85 * text:.1f}" font-size="{0.6 * text:.1f}" '
+            f'text-anchor="middle">{panel.misfit / MM:.2f}</text>'
+        )
+    below, extent = f"{high + 34:.0f}", f"x {size[0]:.0f} mm"
+    out += [
+        f'<text x="0" y="{below}" font-size="18">x 0</text>',
+        f'<text x="{_PAGE:.0f}" y="{below}" font-size="18" text-anchor="end">{extent}</text>',
+        f'<text x="-12" y="{high:.0f}" font-size="18" text-anchor="end">y 0</text>',
+        f'<text x="-12" y="18" font-size="18" text-anchor="end">{size[1]:.0f}</text>',
+        "</svg>",
+    ]
+    return "\n".join(out) + "\n"
