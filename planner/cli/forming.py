@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from planner.forming.job import FormingJob
     from planner.forming.process_plan import Work
     from planner.forming.springback.compensation import Way
+    from planner.forming.springback.control_points import ControlPoints
     from planner.forming.springback.curves import Curve, PassSpringback, Point
     from planner.loops.machine import Found, MachineFile
     from planner.problem import Problem
@@ -41,6 +42,12 @@ LEAST_TRIANGLES = 300
 """Triangles of an elastic sheet that say anything at all."""
 LEAST_WRITTEN = 3000
 """Triangles with which control points are near enough to those of the proof."""
+FINER = 2.25
+"""Triangles of the finer sheet, over those of the other: edges are two thirds as long."""
+SETTLED = 0.015
+"""Share by which both may differ: half of what the proof takes."""
+MOST_TRIANGLES = 20_000
+"""Triangles of an elastic sheet at most."""
 MOST_ROWS = 24
 """Rows of a printed table at most."""
 
@@ -59,8 +66,9 @@ class Springback:
     """which forming operation; else the first"""
     most_points: int = 60
     """control points of a pass at most; at least three levels get some"""
-    triangles: int = 4000
-    """of the elastic sheet at most; 1500 take a third of the time and may be 6 percent off"""
+    triangles: int | None = None
+    """of the elastic sheet at most: 4000, with --write as many as a finer sheet agrees with; 1500 take a
+    third of the time and may be 6 percent off"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """what to write: .csv (control points with their curves) or .html (map, curves, clusters)"""
     write: Path | None = None
@@ -74,6 +82,7 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     """Work out, print and write; warnings come back. Raises `TandemError`."""
     from planner.forming.process_plan import lay_all
     from planner.forming.springback import forecast, released
+    from planner.forming.springback.curves import TRIANGLES
 
     if request.output is not None and request.output.suffix.lower() not in SUFFIXES:
         what = f"{request.output.name}: a page is .html, a table .csv; name it so"
@@ -85,10 +94,10 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
         ("most_points", request.most_points, 1),
         ("triangles", request.triangles, LEAST_TRIANGLES),
     ):
-        if value < least:
+        if value is not None and value < least:
             what = f"got {value}, allowed {least} at least"
             raise TandemError(Issue("forming.springback_mode", what, field=name, hint="correct it"))
-    if request.write is not None and request.triangles < LEAST_WRITTEN:
+    if request.write is not None and (request.triangles or LEAST_WRITTEN) < LEAST_WRITTEN:
         what = f"got {request.triangles}, allowed {LEAST_WRITTEN} at least with --write: the proof "
         what += "works some of a springback file out on finer meshes and takes 3 percent"
         raise TandemError(Issue("forming.springback_mode", what, field="triangles", hint="leave it out"))
@@ -102,7 +111,10 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     laid = lay_all(work)
     control = forecast.points(work, laid, request.most_points)
     every = [point for _, rows in control for point in rows]
-    found = forecast.forecast(laid, control, _solved(work, every, request.triangles))
+    triangles = request.triangles or TRIANGLES
+    if request.write is not None and request.triangles is None:
+        triangles = _settled(work, control)
+    found = forecast.forecast(laid, control, _solved(work, every, triangles))
     _print(work, found, time.perf_counter() - started)
     ways = () if request.write is None else _write_shifts(request.write, problem, job, found, laid)
     if request.output is not None:
@@ -171,6 +183,28 @@ def _job(problem: Problem, name: str | None) -> FormingJob:
         what = f"{problem.name}: got operation {name or 'of forming'}, forming operations are: {have}"
         raise TandemError(Issue("forming.no_sheet", what, field="operation"))
     return chosen[0]
+
+
+def _settled(work: Work, control: Sequence[tuple[ControlPoints, list[Point]]]) -> int:
+    """Triangles with which some points of each pass, from its first level to its last, come back as with more
+    of them."""
+    from planner.forming.springback import forecast
+    from planner.forming.springback.curves import TRIANGLES
+
+    asked = forecast.some_points(control)
+    triangles, found = TRIANGLES, _solved(work, asked, TRIANGLES)
+    while triangles < MOST_TRIANGLES:
+        finer = min(int(FINER * triangles), MOST_TRIANGLES)
+        better = _solved(work, asked, finer)
+        off = forecast.apart(asked, found, better)
+        if off <= SETTLED:
+            break
+        out.print(
+            f"with {triangles} triangles places come back by up to {100.0 * off:.1f} % other than with "
+            f"{finer}: {finer} are taken"
+        )
+        triangles, found = finer, better
+    return triangles
 
 
 def _solved(work: Work, points: Sequence[Point], triangles: int) -> list[Curve]:

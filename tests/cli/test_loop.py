@@ -9,15 +9,18 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import yaml
 
 from planner import pipeline, processes
+from planner.cli import forming
 from planner.cli.forming import Springback, run_springback
 from planner.cli.loop import LawOptions, NextLoop, SimulateLoop, run_next_loop, run_simulate_loop
+from planner.forming.springback import forecast
+from planner.forming.springback.curves import Curve, Point
 from planner.issues import TandemError
 from planner.loops.loop_plan import read_plan
 from planner.loops.next_loop import springback
@@ -277,6 +280,23 @@ def test_a_springback_file_wants_sheets_as_fine_as_the_proof(result: Path, tmp_p
     assert error.value.issues[0].field == "triangles"
     assert "allowed 3000" in error.value.issues[0].message
     assert not (tmp_path / "back.json").exists()
+
+
+def test_sheets_of_springback_files_are_so_fine_that_a_finer_one_agrees(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def solved(_: Any, some: list[Point], triangles: int) -> list[Curve]:
+        # what is left out of a sheet of triangles falls with their number: 5 % at 4,000
+        n = np.array([0.0, 100.0, 200.0])
+        return [Curve(n, n * 1e-5 * (1.0 - 200.0 / triangles), False) for _ in some]
+
+    monkeypatch.setattr(forming, "_solved", solved)
+    points = [Point(0, np.zeros(3), 150.0, 150.0)] * 9
+    assert forming._settled(cast(Any, None), [(cast(Any, None), points)]) == 9000
+    assert "2.8 % other than with 9000" in capsys.readouterr().out
+    snapped = Curve(np.array([0.0, 100.0]), np.array([0.0, 1e-3]), True)
+    assert forecast.apart(points[:1], [snapped], [snapped]) == 0.0
+    assert forecast.apart(points[:1], [snapped], solved(None, points[:1], 4000)) == np.inf
 
 
 def test_a_plan_that_goes_deeper_already_is_told(result: Path, tmp_path: Path) -> None:

@@ -39,6 +39,8 @@ TOLD: Final = 0.5
 """Springback [mm] from which a part is called too shallow: what industry asks of such parts."""
 LEAST_FORCE_SHARE: Final = 0.01
 """Forces of a pass are at least this share of its largest: where it is flat the formula says 0."""
+TRIED: Final = 4
+"""Points of each pass at which a sheet is held against a finer one."""
 ESTIMATE_TRIANGLES: Final = 1200
 """Triangles of a sheet of which a plan says about how far it comes back."""
 ESTIMATE_SHARES: Final = np.array([0.4, 1.0])
@@ -88,6 +90,27 @@ def along(work: Work, found: PassSpringback, points: FloatArray, angle: FloatArr
     under the force there, which is no smaller than where it is flat."""
     force = forces(work, work.heads[work.former(found.one)].radius, angle)
     return found.at(points, np.maximum(force, LEAST_FORCE_SHARE * float(found.force.max())))
+
+
+def some_points(control: Sequence[tuple[ControlPoints, Sequence[Point]]]) -> list[Point]:
+    """Points of each pass at which a sheet is held against a finer one, from its first level to its last."""
+    out = []
+    for _, every in control:
+        out += [every[k] for k in np.unique(np.linspace(0, len(every) - 1, TRIED).round().astype(int))]
+    return out
+
+
+def apart(some: Sequence[Point], found: Sequence[Curve], other: Sequence[Curve]) -> float:
+    """The largest share by which places come back by other than with ``other`` curves, under their forces;
+    0 where both snap."""
+    back = np.array(
+        [[curve.at(point.force) for curve in pair] for point, *pair in zip(some, found, other, strict=True)]
+    )
+    snaps = np.isnan(back)
+    if (snaps[:, 0] != snaps[:, 1]).any():
+        return float("inf")
+    off = np.abs(back[:, 0] / back[:, 1] - 1.0)
+    return float(np.nan_to_num(off).max(initial=0.0))
 
 
 def curves(work: Work, some: Sequence[Point], triangles: int = TRIANGLES) -> Iterator[Curve]:
