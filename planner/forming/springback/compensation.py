@@ -80,18 +80,23 @@ def ways(
     the sheet snaps under the force."""
     out, left = [], []
     for (one, path), forecast in zip(laid, found, strict=True):
-        if not np.isfinite(forecast.springback).all():
-            what = (
-                f"pass {one.name}: the sheet snaps or buckles under the force that is expected: no shift of "
-            )
-            what += "the tools makes up for that"
-            hint = "hold the sheet nearer to the part, form in more passes, or take thicker sheet"
-            raise TandemError(Issue("forming.limit_load", what, field="force_n", hint=hint))
         radius = work.heads[work.former(one)].radius
-        way, rest = way_of(one.name, path, radius, functools.partial(springback_along, work, forecast), slope)
+        way, rest = way_of(one.name, path, radius, functools.partial(_asked, work, forecast), slope)
         out.append(way)
         left.append(rest)
     return tuple(out), tuple(left)
+
+
+def _asked(work: Work, forecast: PassSpringback, points: FloatArray, angle: FloatArray) -> FloatArray:
+    """Springback (N,) [m] as `forecast.along` says. Raises ``TandemError``: forming.limit_load where the
+    sheet snaps."""
+    back = springback_along(work, forecast, points, angle)
+    if not np.isfinite(back).all():
+        what = f"pass {forecast.one.name}: the sheet snaps or buckles under the force that is expected: no "
+        what += "shift of the tools makes up for that"
+        hint = "hold the sheet nearer to the part, form in more passes, or take thicker sheet"
+        raise TandemError(Issue("forming.limit_load", what, field="force_n", hint=hint))
+    return back
 
 
 def way_of(

@@ -99,11 +99,12 @@ class PassSpringback:
         rise = np.where(above > below, height[above] - height[below], 1.0)
         share = np.clip((points[:, 2] - height[below]) / rise, 0.0, 1.0)
         rows = np.arange(len(points))
-        return np.asarray((1.0 - share) * each[below, rows] + share * each[above, rows])
+        return _between(each[below, rows], each[above, rows], share)
 
     def _under(self, level: int, at: IntArray, force: FloatArray) -> FloatArray:
-        """Springback (N,) [m] at places (N,) of a level's ring under forces (N,) [N], of a curve no more than
-        its last one: linear from one control point to the next, along the ring."""
+        """Springback (N,) [m] at places (N,) of a level's ring under forces (N,) [N]: linear from one control
+        point to the next, along the ring. Of a curve no more force than its last one is asked, but where
+        the sheet snaps beyond that: NaN."""
         mine = np.flatnonzero(self.control.level == level)
         mine = mine[np.argsort(self.control.place[mine])]
         knots, count = self.control.place[mine], len(self.control.rings[level].point)
@@ -111,13 +112,14 @@ class PassSpringback:
         after = (before + 1) % len(mine)
         gap = (knots[after] - knots[before] - 1) % count + 1
         share = ((at - knots[before]) % count) / gap
-        out = np.zeros(len(at))
+        ends = np.zeros((2, len(at)))
         for k, row in enumerate(mine):
             curve = self.curves[row]
-            for end, weight in ((before, 1.0 - share), (after, share)):
+            most = np.inf if curve.snaps else curve.force[-1]
+            for end, value in zip((before, after), ends, strict=True):
                 some = end == k
-                out[some] += weight[some] * curve.at(np.minimum(force[some], curve.force[-1]))
-        return out
+                value[some] = curve.at(np.minimum(force[some], most))
+        return _between(ends[0], ends[1], share)
 
     def along(self) -> list[FloatArray]:
         """Springback (N,) [m] at the places of each of the control points' rings: linear from one control
@@ -128,6 +130,12 @@ class PassSpringback:
             place, value = self.control.place[mine].astype(np.float64), self.springback[mine]
             out.append(np.interp(np.arange(len(ring.point)), place, value, period=float(len(ring.point))))
         return out
+
+
+def _between(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
+    """From ``first`` to ``second`` (N,) by a ``share`` (N,); at an end whatever the other one is, NaN too."""
+    mixed = (1.0 - share) * first + share * second
+    return np.asarray(np.where(share <= 0.0, first, np.where(share >= 1.0, second, mixed)))
 
 
 def forces(work: Work, radius: float, angle: FloatArray) -> FloatArray:

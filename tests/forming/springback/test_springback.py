@@ -19,7 +19,7 @@ import pytest
 
 from planner import pipeline
 from planner.forming.process_plan import Work, lay_all, work
-from planner.forming.springback import curves, forecast, released
+from planner.forming.springback import compensation, curves, forecast, released
 from planner.forming.springback.formed_sheet import thickness, walls
 from planner.geometry.arrays import Mesh
 from planner.geometry.units import MM
@@ -249,4 +249,14 @@ def test_a_sheet_that_snaps_under_the_first_load_is_told(tmp_path: Path) -> None
     assert "does not hold 60 N" in said.message
     assert released.maps(made, laid, found) == {}
     assert forecast.exhibits(found)
+    # nor is anything laid for places beside a control point that just holds its own force
+    holds = curves.Curve(np.array([0.0, 200.0, 400.0]), np.array([0.0, 1e-3, 2e-3]), True)
+    count = sum(len(rows) for _, rows in control)
+    held = forecast.forecast(laid, control, [holds] * count)
+    compensation.ways(made, laid, held, 0.1)
+    (one,) = forecast.forecast(laid, control, [holds] * (count - 1) + [snapped])
+    more = one.at(laid[0][1].contact.point, np.full(len(laid[0][1].contact.point), 401.0))
+    assert np.isnan(more).all()
+    with pytest.raises(TandemError, match="snaps or buckles"):
+        compensation.ways(made, laid, [one], 0.1)
     assert forecast.rows(found)

@@ -52,8 +52,10 @@ def test_a_face_is_there_down_to_where_the_ball_has_been():
     claim = SimpleNamespace(side=1, start=0.0, radius=radius, tolerance=5e-5)
     touches = near.apart <= radius
     track = SimpleNamespace(own=own)
-    one = SimpleNamespace(claim=claim, near=near, track=track, knots=np.arange(6), touches=touches)
+    one = SimpleNamespace(claim=claim, near=near, track=track, knots=np.arange(6), touches=touches, begun=0.0)
     np.testing.assert_allclose(swept.levels(one), [0.0, -1e-3, -3e-3, -3e-3, -3e-3, -5e-3])
+    one.begun = 2e-3  # levels before it are there already
+    np.testing.assert_allclose(swept.levels(one), [-2e-3, -2e-3, -3e-3, -3e-3, -3e-3, -5e-3])
 
 
 def shift(texts, k, by):
