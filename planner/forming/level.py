@@ -61,12 +61,14 @@ def alone(work: Work, one: Pass, level: Level) -> ToolPath:
         begin = 0 if level.number == 0 else loops[level.number]
         end = loops[level.number + 1] if level.number + 1 < len(loops) else int(contact.loop.max()) + 1
         rows = np.flatnonzero((contact.loop >= begin) & (contact.loop < end))
+        if work.operation.path == "helical" and contact.working[rows[0]]:
+            rows = np.append(rows[0] - 1, rows)  # the seam, at which the loop before ends
         away = lengths(contact.centre[rows] - contact.point[rows])
         near = away < work.heads[work.former(one)].radius + max(ON_FACE, _spared(work))
         rows = rows[int(np.argmax(near)) :]  # over to it in the air is what the way in does
         _require_height(work, one, contact.point[rows, 2], level)
         kept = {f.name: getattr(contact, f.name)[rows].copy() for f in dataclasses.fields(contact)}
-        kept["loop"] -= kept["loop"][0]
+        kept["loop"] = np.maximum(kept["loop"], begin) - begin
         kept["working"][0] = False
         return ContactPath(**kept)
 

@@ -104,6 +104,7 @@ class Work:
             direction=op.direction,
             longest=op.longest_mm * MM,
             missed=max(MISSED_DISTANCE, self.tolerance) if op.unreached_mm is None else np.inf,
+            seams=op.level is not None,
         )
 
 

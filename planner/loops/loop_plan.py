@@ -26,6 +26,12 @@ MOST_BYTES: Final = 50_000_000
 """Bytes of a file of curves at most."""
 FARTHEST: Final = 10_000.0
 """Coordinates up to this [mm] are read."""
+OTHER_KINDS: Final = {
+    "tandem_springback": "is a springback file, as tandem springback --write writes it",
+    "tandem_level": "has the shifts of one level, as tandem next-loop --problem writes them",
+    "tandem_offsets": "has the offsets of one level, as tandem next-loop -o writes them",
+}
+"""What files with shifts and no curves are, by what they have in place of ``tandem_loop``."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,12 +158,18 @@ def read_plan(path: Path, name: str | None = None) -> LoopPlan:
     try:
         found = TypeAdapter(LoopFile).validate_json(path.read_bytes())
     except ValidationError as error:
+        wrong = error.errors()
+        other = [OTHER_KINDS[name] for name in OTHER_KINDS if any(one["loc"] == (name,) for one in wrong)]
+        if other:
+            what = f"{path.name} {other[0]}; wanted: the curves of every level"
+            hint = "give the file of curves: tandem springback PROBLEM --curves FILE writes it"
+            raise TandemError(_wrong(file, None, what, hint)) from error
         raise TandemError(
             [
                 _wrong(
                     file, ".".join(map(str, one["loc"])), f"{one['msg']}; got {one.get('input')!r:.80}", again
                 )
-                for one in error.errors()[:10]
+                for one in wrong[:10]
             ]
         ) from error
     some = [one for one in found.passes if name in (None, one.name)]

@@ -19,12 +19,14 @@ from planner import pipeline, processes
 from planner.cli import forming
 from planner.cli.forming import Springback, run_springback
 from planner.cli.loop import LawOptions, NextLoop, SimulateLoop, run_next_loop, run_simulate_loop
+from planner.forming.job import FormingJob
 from planner.forming.springback import forecast
 from planner.forming.springback.curves import Curve, Point
 from planner.issues import TandemError
 from planner.loops.loop_plan import read_plan
 from planner.loops.next_loop import springback
 from tests import small_forming
+from tests.forming.springback import springback_files
 from tests.remedies.advice import said
 
 
@@ -106,6 +108,25 @@ def test_offsets_of_the_next_level_are_written_along_its_path(result: Path, tmp_
     made = json.loads(data.read_text())
     assert made["way"] == [0, 0, -1]
     assert [place["offset_mm"] for place in made["places"]] == pytest.approx(1.1 * offset, abs=2e-4)
+
+
+def test_files_with_shifts_and_no_curves_are_told_in_one_message(result: Path, tmp_path: Path) -> None:
+    job = processes.job(pipeline.load(result / "problem" / "problem.yaml"), 0)
+    assert isinstance(job, FormingJob)
+    back = tmp_path / "back.json"
+    back.write_text(springback_files.text_of(job))
+    offsets = tmp_path / "offsets.json"
+    run_next_loop(NextLoop(result, LawOptions(), output=offsets))
+    run_next_loop(NextLoop(result, LawOptions(), problem=tmp_path / "next.yaml"))
+    level = pipeline.load(tmp_path / "next.yaml").operations[0].level.file  # type: ignore[attr-defined]
+    for file, what in ((back, "springback file"), (offsets, "offsets of one level"), (level, "of one level")):
+        request = NextLoop(result, LawOptions(springback=file))
+        with pytest.raises(TandemError) as error:
+            run_next_loop(request)
+        (issue,) = error.value.issues
+        assert issue.code == "forming.loop_curves"
+        assert what in issue.message
+        assert "--curves FILE" in str(issue.hint)
 
 
 def test_lifts_in_the_file_scale_the_offsets(result: Path, tmp_path: Path) -> None:

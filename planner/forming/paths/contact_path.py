@@ -329,7 +329,8 @@ def _path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
                 "the face",
             )
         )
-    curve = spiral_curve(loops, ways) if options.kind == "helical" else loop_curve(loops, ways)
+    helical = options.kind == "helical"
+    curve = spiral_curve(loops, ways, options.seams) if helical else loop_curve(loops, ways)
     return _contact_path(targets(curve, face, creases, options, one.name), curve, face, options, one.side)
 
 

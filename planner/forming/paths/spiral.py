@@ -41,6 +41,7 @@ class PathOptions:
     stays farther off than this (and than the mesh's own facets make it) is too narrow for the tool;
     infinite where a stated tolerance is asked before. ``spare`` [m]: fillets that a ball so
     much larger does not fit count as creases; 0 where nothing depends on the place that the ball touches.
+    ``seams``: every loop of a spiral gets a target at its seam, so that it can be formed alone.
     """
 
     kind: Kind = "contour"
@@ -55,6 +56,7 @@ class PathOptions:
     lift: float = 5e-3
     missed: float = MISSED_DISTANCE
     spare: float = 0.0
+    seams: bool = False
 
 
 Way = Literal["join", "step", "lift"]
@@ -159,16 +161,17 @@ def loop_curve(loops: Sequence[Loop], ways: Sequence[Way]) -> Curve:
     )
 
 
-def spiral_curve(loops: Sequence[Loop], ways: Sequence[Way]) -> Curve:
+def spiral_curve(loops: Sequence[Loop], ways: Sequence[Way], seams: bool = False) -> Curve:
     """One spiral through all loops that are joined: flat along the first one, then from each to the next
-    p = (1 - s) C_i(s) + s C_i+1(s), s the fraction of the loops' length, and flat along the last one."""
+    p = (1 - s) C_i(s) + s C_i+1(s), s the fraction of the loops' length, and flat along the last one.
+    ``seams``: targets are kept where each loop ends."""
     parts: list[Curve] = []
     start = 0
     number = 0
     for stop in range(1, len(loops) + 1):
         if stop < len(loops) and ways[stop - 1] == "join":
             continue
-        part = _spiral(loops[start:stop], number, len(parts))
+        part = _spiral(loops[start:stop], number, len(parts), seams)
         parts.append(part)
         number = int(part.loop[-1]) + 1
         start = stop
@@ -184,7 +187,7 @@ def spiral_curve(loops: Sequence[Loop], ways: Sequence[Way]) -> Curve:
     )
 
 
-def _spiral(loops: Sequence[Loop], number: int, piece: int) -> Curve:
+def _spiral(loops: Sequence[Loop], number: int, piece: int, seams: bool) -> Curve:
     share = [_shares(one) for one in loops]
     point, normal, off = [loops[0].point], [loops[0].normal], [np.zeros(len(loops[0].point) - 1, dtype=bool)]
     for k in range(len(loops) - 1):
@@ -209,6 +212,8 @@ def _spiral(loops: Sequence[Loop], number: int, piece: int) -> Curve:
     keep[[0, count[0] - 1, sum(count) - 1]] = True
     if len(loops) > 1:
         keep[sum(count[:-1]) - 1] = True
+    if seams:
+        keep[np.cumsum(count) - 1] = True
     return Curve(
         np.concatenate(point),
         np.concatenate(normal),

@@ -28,10 +28,10 @@ from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Stock
 
-VERSION: Final = 2
-"""Number of the file's form."""
+VERSIONS: Final = {"tandem_springback": 2, "tandem_level": 1}
+"""Numbers of the files' forms, by what files have them with."""
 KINDS: Final = {"tandem_springback": "springback file", "tandem_level": "file of one level"}
-"""What files are, by what they have with their version."""
+"""What files are, by the same."""
 LARGEST: Final = 64_000_000
 """Bytes of a file at most."""
 DECIMALS: Final = 5
@@ -130,7 +130,7 @@ def text(
     """The file."""
     rows = forecast.rows(found)
     head = {
-        "tandem_springback": VERSION,
+        "tandem_springback": VERSIONS["tandem_springback"],
         "problem": title,
         "operation": work.operation.name,
         "belongs_to": dict(identity),
@@ -256,8 +256,8 @@ def read_data(path: Path, kind: str) -> dict[str, Any]:
         data = json.loads(content)
     except ValueError as error:
         raise refused(f"{path.name} is no JSON: {error}") from None
-    if not isinstance(data, dict) or data.get(kind) != VERSION:
-        raise refused(f"{path.name} is no {KINDS[kind]} of version {VERSION}")
+    if not isinstance(data, dict) or data.get(kind) != VERSIONS[kind]:
+        raise refused(f"{path.name} is no {KINDS[kind]} of version {VERSIONS[kind]}")
     return data
 
 

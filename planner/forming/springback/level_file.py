@@ -64,7 +64,7 @@ def text(
 ) -> str:
     """The file of a level; ``why`` its shifts are as they are, by name."""
     head = {
-        KIND: compensation_file.VERSION,
+        KIND: compensation_file.VERSIONS[KIND],
         "problem": title,
         "operation": operation,
         "belongs_to": dict(identity),
