@@ -113,6 +113,8 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     if number >= len(plan.levels):
         what = f"got forces of all {number} levels of {plan.name}: there is no next one"
         raise TandemError(Issue("forming.loop_forces", what, field="level", hint="leave out the last level"))
+    if number == 0 and request.before_mm:
+        raise TandemError(_out_of_range("before_mm", request.before_mm, "0 for level 0: none is before it"))
     begin = time.perf_counter()
     kappa = _kappa(plan, measured) if request.kappa is None else request.kappa
     found = job_border(plan, law, kappa, request.law.model_error)

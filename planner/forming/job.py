@@ -280,7 +280,7 @@ class FormingJob(Job[Forming]):
         deeper = compensation.shifted(paths, given.ways)
         issues += [
             *compensation.steeper(made, paths, given.ways, given.slope),
-            compensation.told(given.ways, given.file),
+            compensation.told(given.ways, given.file, None if level is None else level.number),
         ]
         issues += clamped_issues(made, deeper)
         if has_errors(issues):

@@ -281,6 +281,8 @@ class Forming(Strict):
             raise ValueError("level: give file and plan, or neither")
         if self.level.before_mm > self.level.most_mm:
             raise ValueError("level: before_mm is above most_mm")
+        if self.level.number == 0 and self.level.before_mm > 0.0:
+            raise ValueError("level: before_mm is 0 for level 0: none is before it")
 
     def leaves(self, stock: Stock) -> Stock:
         """The sheet as it stays clamped: what stands out of it is part of its solids from the beginning."""

@@ -259,6 +259,12 @@ def test_offsets_to_go_on_from_are_within_their_range(result: Path, before: floa
     assert "allowed 0 to 10" in issue.message
 
 
+def test_before_the_first_level_there_is_no_offset(result: Path) -> None:
+    issue = refused(NextLoop(result, LawOptions(), before_mm=0.3))
+    assert (issue.code, issue.field) == ("forming.loop_law", "before_mm")
+    assert "none is before it" in issue.message
+
+
 @pytest.mark.parametrize("lift", ["35", "0.0003", "0"])
 def test_lifts_in_other_units_are_refused_by_level_and_point(result: Path, tmp_path: Path, lift: str) -> None:
     lines = forces(result, 3).replace("force_n", "force_n,springback_mm").splitlines()

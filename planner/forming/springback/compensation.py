@@ -296,15 +296,18 @@ def steeper(
             )
 
 
-def told(given: Sequence[Way], file: str) -> Issue:
-    """A note of what a plan shifts its tools by."""
+def told(given: Sequence[Way], file: str, level: int | None = None) -> Issue:
+    """A note of what a plan shifts its tools by: all passes, or one ``level``."""
     deepest = max(given, key=lambda way: float(way.shift.max()))
     most = float(deepest.shift.max()) / MM
+    field, why, of = "springback.file", "what it assumes stands in it", ""
+    if level is not None:
+        field, why, of = "level.file", "that follows from forces as they were measured", f"level {level} of "
     what = (
-        f"both tools go deeper than the part by what the sheet comes back by, as {file} says: up to "
-        f"{most:.2f} mm (pass {deepest.name}); what it assumes stands in it"
+        f"tools go deeper than the part by what the sheet comes back by, as {file} says: up to {most:.2f} mm "
+        f"({of}pass {deepest.name}); {why}"
     )
-    return Issue("forming.compensated", what, Severity.NOTE, field="springback.file", value=most, unit="mm")
+    return Issue("forming.compensated", what, Severity.NOTE, field=field, value=most, unit="mm")
 
 
 def exhibit(given: Sequence[Way]) -> dict[str, Any]:

@@ -84,6 +84,9 @@ def _stated(one: OneLevel) -> Iterator[Issue]:
     elif stated.number >= one.count:
         what = f"{one.claim.segment} has levels 0 to {one.count - 1}, not {stated.number}"
         yield _issue(one, what, float(stated.number), float(one.count - 1))
+    elif stated.number == 0 and stated.before_mm > 0.0:
+        what = f"the first level begins with a shift of {stated.before_mm:g} mm, as if one were before it"
+        yield _issue(one, what, float(stated.before_mm), 0.0, "mm")
 
 
 def _file(context: Context, one: OneLevel) -> Iterator[Issue]:

@@ -251,6 +251,7 @@ def test_limits_of_the_problem_hold_for_its_file(outcome: Outcome) -> None:
     assert any("comes to the sheet" in what for what in messages(context_of(outcome, before_mm=0.0)))
     assert any("levels 0 to 3" in what for what in messages(context_of(outcome, number=9)))
     assert any("level is 1, here 2" in what for what in messages(context_of(outcome, number=2)))
+    assert any("as if one were before it" in what for what in messages(context_of(outcome, number=0)))
 
 
 def test_a_level_that_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -266,6 +267,7 @@ def test_a_level_that_is_not_there_is_refused(tmp_path: Path) -> None:
     [
         ({"number": 1, "file": "level.json"}, {}, "file and plan"),
         ({"number": 1, "before_mm": 5, "most_mm": 4}, {}, "before_mm"),
+        ({"number": 0, "before_mm": 0.3}, {}, "before_mm"),
         ({"number": 1}, {"scallop_mm": 0.1}, "stepdown_mm"),
         ({"number": 1}, {"springback": {"file": "back.json"}}, "springback"),
         ({"number": 1}, {"mode": "dpif_p"}, "modes"),
