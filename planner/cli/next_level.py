@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from planner.files import is_file
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 
@@ -47,6 +48,7 @@ def write_level(
     if path.suffix.lower() not in (".yaml", ".yml"):
         what = f"{path.name}: a problem is .yaml; name it so"
         raise TandemError(Issue("output.folder", what, field="problem"))
+    _require_free(path, problem)
     if number > 0 and before_mm is None:
         what = f"got no shift at which level {number - 1} ended"
         hint = "give --before-mm: the last one of its shifts, or 0 where it had none"
@@ -56,14 +58,17 @@ def write_level(
         "pass_name": plan.name,
         "slope": law.slope,
         "most_mm": law.most / MM,
-        "before_mm": round(before_mm or 0.0, DECIMALS),
     }
+    begins = round(before_mm or 0.0, DECIMALS)
     place = _formed(problem, plan.name)
     first = build(_document(problem, place, stated), processes.readers())
     job = processes.job(first, place)
     if not isinstance(job, FormingJob) or job.operation.level is None:
         raise TypeError(f"{job} forms no level")
-    work, level = job.planned, job.operation.level.model_copy(update={"plan": problem.digest})
+    work, level = (
+        job.planned,
+        job.operation.level.model_copy(update={"plan": problem.digest, "before_mm": begins}),
+    )
     one = pass_of(work, level)
     loop = alone(work, one, level)
     step = (work.operation.stepdown_mm or 0.0) * MM
@@ -81,8 +86,29 @@ def write_level(
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "level.json"
         file.write_text(text, encoding="utf-8")
-        stated |= {"file": str(file), "plan": problem.digest}
+        stated |= {"file": str(file), "plan": problem.digest, "before_mm": begins}
         return pipeline.save(build(_document(problem, place, stated), processes.readers()), path, True)
+
+
+def _require_free(path: Path, problem: Problem) -> None:
+    """Raise ``TandemError`` (output.folder) where ``path`` is a file of the planned problem's own, or another
+    than a level that was written before."""
+    from planner.reading import strict_yaml
+
+    what = ""
+    if path.resolve().is_relative_to(problem.path.resolve().parent):
+        what = "is where the plan's own problem lies"
+    elif is_file(path):
+        try:
+            operations = strict_yaml.read(path).data.get("operations")
+        except TandemError:
+            operations = None
+        some = operations if isinstance(operations, list) else []
+        if not any(isinstance(one, dict) and "level" in one for one in some):
+            what = "is another file, and no level of a part"
+    if what:
+        hint = "give the level a name of its own"
+        raise TandemError(Issue("output.folder", f"{path} {what}", field="problem", hint=hint))
 
 
 def _formed(problem: Problem, name: str) -> int:

@@ -281,6 +281,8 @@ class Forming(Strict):
             raise ValueError("level: give file and plan, or neither")
         if self.level.before_mm > self.level.most_mm:
             raise ValueError("level: before_mm is above most_mm")
+        if self.level.file is None and self.level.before_mm > 0.0:
+            raise ValueError("level: before_mm is where the shifts of a file begin; give that too")
         if self.level.number == 0 and self.level.before_mm > 0.0:
             raise ValueError("level: before_mm is 0 for level 0: none is before it")
 

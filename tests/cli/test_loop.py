@@ -367,6 +367,23 @@ def test_the_next_level_is_written_as_a_problem_of_its_own(result: Path, tmp_pat
     assert below == pytest.approx((rows[:, 2] - rows[:, 3]).min(), abs=1e-3)
 
 
+def test_a_level_overwrites_levels_and_nothing_else(result: Path, tmp_path: Path) -> None:
+    path = tmp_path / "next.yaml"
+    for number in (0, 1):
+        file = tmp_path / "forces.csv"
+        file.write_text(forces(result, number))
+        run_next_loop(NextLoop(result, LawOptions(), file, before_mm=0.1 * number, problem=path))
+        assert pipeline.load(path).operations[0].level.number == number  # type: ignore[attr-defined]
+    own = result / "problem" / "problem.yaml"
+    path.write_text(own.read_text())
+    for taken, what in ((own, "own problem"), (path, "another file")):
+        before = taken.read_bytes()
+        issue = refused(NextLoop(result, LawOptions(), file, before_mm=0.1, problem=taken))
+        assert issue.code == "output.folder"
+        assert what in issue.message
+        assert taken.read_bytes() == before
+
+
 @pytest.mark.parametrize(
     ("more", "field"),
     [({"problem": Path("next.json")}, "problem"), ({"problem": Path("next.yaml")}, "before_mm")],

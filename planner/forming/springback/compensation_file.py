@@ -32,6 +32,8 @@ VERSIONS: Final = {"tandem_springback": 2, "tandem_level": 1}
 """Numbers of the files' forms, by what files have them with."""
 KINDS: Final = {"tandem_springback": "springback file", "tandem_level": "file of one level"}
 """What files are, by the same."""
+MOST_LEVELS: Final = 1_000_000
+"""Levels of a pass are numbered below this."""
 LARGEST: Final = 64_000_000
 """Bytes of a file at most."""
 DECIMALS: Final = 5
@@ -254,7 +256,7 @@ def read_data(path: Path, kind: str) -> dict[str, Any]:
         )
     try:
         data = json.loads(content)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise refused(f"{path.name} is no JSON: {error}") from None
     if not isinstance(data, dict) or data.get(kind) != VERSIONS[kind]:
         raise refused(f"{path.name} is no {KINDS[kind]} of version {VERSIONS[kind]}")
@@ -275,7 +277,7 @@ def read_way(one: Any) -> Way:
     for ring in _list(one if isinstance(one, dict) else {}, "rings"):
         try:
             table = np.asarray(ring, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             table = np.zeros((0, 0))
         if table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
             raise refused(f"pass {name}: ring {len(tables)} is no table of x, y, z and S in mm")
@@ -290,13 +292,16 @@ def _foretold(rows: Sequence[Any], name: str) -> Foretold:
     try:
         table = np.array([[row[key] for key in _CONTROL] for row in mine], dtype=np.float64)
         curves = [np.array([row[key] for key in _CURVE], dtype=np.float64) for row in mine]
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         table, curves = np.zeros((0, len(_CONTROL))), []
     whole = [table, *curves]
-    rising = all(len(n) > 1 and (np.diff(n) > 0.0).all() for n, _ in curves)
+    rising = all(c.ndim == 2 and c.shape[1] > 2 and (np.diff(c) > 0.0).all() for c in curves)
     if not len(table) or not all(np.isfinite(one).all() for one in whole) or not rising:
         what = f"pass {name}: its control points are no rows of {', '.join((*_CONTROL, *_CURVE))}, with "
-        raise refused(what + "forces that grow")
+        raise refused(what + "curves that grow")
+    level = table[:, 0]
+    if (level < 0).any() or (level >= MOST_LEVELS).any() or (level % 1.0 != 0.0).any():
+        raise refused(f"pass {name}: levels of control points are numbers from 0 to {MOST_LEVELS - 1}")
     return Foretold(
         name,
         table[:, 1:4] * MM,

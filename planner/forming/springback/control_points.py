@@ -51,6 +51,8 @@ LEAST_LEVELS: Final = 3
 """Levels of a pass that get control points at least, if it has as many loops."""
 TURNING: Final = 0.25
 """A turn of the wall by `ANGLE_UNIT` counts as this share of a pass' depth where levels are chosen."""
+LEVELS_APART: Final = 0.05 * MM
+"""Depth between any two levels with control points at least [m]: loops of one floor are one level."""
 LEVEL_SPACING: Final = 1.0 * MM
 """Depth between levels with control points at least [m]: springback changes slowly with depth."""
 
@@ -127,10 +129,19 @@ def _levels(depth: FloatArray, steep: FloatArray, clusters: IntArray, most: int)
     wanted = 1 + int(np.ceil(float(down.max()) / LEVEL_SPACING))
     for count in range(min(wanted, len(depth)), 0, -1):
         goals = np.linspace(0.0, float(gone[-1]), count) if count > 1 else gone[-1:]
-        chosen = np.unique(np.abs(gone[:, None] - goals).argmin(axis=0))
+        chosen = _apart(depth, np.unique(np.abs(gone[:, None] - goals).argmin(axis=0)))
         if clusters[chosen].sum() <= most or count <= LEAST_LEVELS:
             break
     return np.asarray(chosen)
+
+
+def _apart(depth: FloatArray, chosen: IntArray) -> IntArray:
+    """Those of the ``chosen`` loops that are at a depth of their own, by ``depth`` (M,) [m] of all."""
+    kept: list[int] = []
+    for k in chosen.tolist():
+        if all(abs(float(depth[k] - depth[other])) > LEVELS_APART for other in kept):
+            kept.append(k)
+    return np.array(kept, dtype=np.int64)
 
 
 def middles(label: IntArray) -> IntArray:

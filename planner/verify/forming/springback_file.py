@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, Mesh
@@ -34,6 +33,9 @@ ROUNDING = 3e-8
 """Shifts are rounded by no more [m], two of them."""
 OFF_CURVE = 0.01
 """Springback of a control point is off its own curve by this share at most: figures are rounded."""
+LEAST_POWER, MOST_POWER = 0.25, 4.0
+"""From load to load springback grows with powers of the force from 0.25, a membrane's third and less, to 4,
+where a sheet is about to snap."""
 FARTHEST, LONGEST = 100.0, 5_000.0
 """Coordinates and lengths of ways at most [m]."""
 LARGEST = 100_000_000
@@ -67,11 +69,21 @@ class Control:
     def fault(self) -> str:
         """What is wrong with its curve, if anything."""
         loads, moved = self.loads, self.moved
-        if len(loads) < 3 or len(loads) != len(moved) or loads[0] != 0.0 or moved[0] != 0.0:
+        if (
+            loads.ndim != 1
+            or loads.shape != moved.shape
+            or len(loads) < 3
+            or loads[0] != 0.0
+            or moved[0] != 0.0
+        ):
             return "has no curve from 0 on"
         if not (np.diff(loads) > 0.0).all() or not (np.diff(moved) > 0.0).all():
             return "has a curve that does not grow"
-        at = float(PchipInterpolator(loads, moved)(min(self.force, float(loads[-1]))))
+        power = np.diff(np.log(moved[1:])) / np.diff(np.log(loads[1:]))
+        if not ((power >= LEAST_POWER) & (power <= MOST_POWER)).all():
+            low, high = float(power.min()), float(power.max())
+            return f"has a curve that grows as no sheet does: by powers {low:.2g} to {high:.2g} of the force"
+        at = float(self.under(np.minimum(self.force, loads[-1])))
         if not abs(at - self.springback) <= OFF_CURVE * self.springback + 10.0 * ROUNDING:
             return f"has {self.springback / MM:.4f} mm beside its curve, which has {at / MM:.4f} mm"
         return ""
@@ -158,7 +170,7 @@ def read_level(path: Path) -> GivenLevel:
             dict(data["belongs_to"]), data["plan"], str(one["name"]), data["level"], _way(one["rings"])
         )
         count = int(data["points"])
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
     if count != len(found.way.point):
         raise ValueError("it has another number of points than it says")
@@ -168,6 +180,8 @@ def read_level(path: Path) -> GivenLevel:
 def read(path: Path) -> Given:
     """Read a file. Raises ``ValueError``: what is wrong with it."""
     data = _sealed(path)
+    if not isinstance(data, dict) or data.get("tandem_springback") != 2:
+        raise ValueError("it is of another version")
     try:
         ways = {str(one["name"]): _way(one["rings"]) for one in data["passes"]}
         controls = tuple(
@@ -184,16 +198,23 @@ def read(path: Path) -> Given:
             for row in data["control_points"]
         )
         belongs, count = dict(data["belongs_to"]), int(data["points"])
+        for one in controls:
+            figures = [
+                *one.place,
+                one.force,
+                one.springback,
+                one.angle,
+                *one.loads.ravel(),
+                *one.moved.ravel(),
+            ]
+            if not np.isfinite(figures).all():
+                raise ValueError("a control point has no figures")
+            if one.fault():
+                raise ValueError(f"a control point of {one.segment} {one.fault()}")
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
     if count != sum(len(way.point) for way in ways.values()) or len(ways) != len(data["passes"]):
         raise ValueError("it has another number of points than it says")
-    for one in controls:
-        figures = [*one.place, one.force, one.springback, one.angle, *one.loads.ravel(), *one.moved.ravel()]
-        if not np.isfinite(figures).all():
-            raise ValueError("a control point has no figures")
-        if one.fault():
-            raise ValueError(f"a control point of {one.segment} {one.fault()}")
     if not controls:
         raise ValueError("a control point has no figures")
     return Given(belongs, controls, ways)

@@ -34,7 +34,9 @@ CODE = "verify.springback"
 NOTHING = "no tool goes deeper than the part"
 """Why it has not run."""
 DRAWN = 5
-"""Control points that are worked out once more."""
+"""Control points that are worked out once more, at least, if so many are near the way."""
+MOST_DRAWS = 400
+"""Places that are drawn to find these at most."""
 SHARE, NOISE = 0.03, 2e-5
 """How far what comes out may be off the file's, as a share, and [m] besides: two meshes."""
 WAY_OFF = 1e-4
@@ -47,6 +49,8 @@ BETWEEN = 0.05
 """Shifts are within this share of what lies between the control points around them."""
 OFF_TOUCH = 3e-4
 """Control points are off the places that the tool touches by no more [m]."""
+LEVELS_APART = 1e-5
+"""Levels differ in height by so much [m] at least."""
 OFF_ANGLE = 1.5e-3
 """Walls so near to a control point [m] are those that it is on."""
 ANGLE = np.deg2rad(2.0)
@@ -329,6 +333,12 @@ def _placed(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
                 off_level = mm(abs(float(places[row, 2]) - height[control.level]))
                 yield _issue(one, what, off_level, mm(room), "mm")
                 break
+        if len(np.unique(places.round(7), axis=0)) < len(places):
+            yield _issue(one, f"control points of {own.claim.segment} are named twice")
+        near = float(np.diff(sorted(height.values())).min(initial=np.inf))
+        if not near > LEVELS_APART:
+            what = f"two levels of {own.claim.segment} are at one height"
+            yield _issue(one, what, mm(near), mm(LEVELS_APART), "mm")
         low, high = float(own.touch[:, 2].min()), float(own.touch[:, 2].max())
         bare = max(min(height.values()) - low, high - max(height.values()))
         if bare > room:
@@ -345,8 +355,8 @@ def _along(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
         least, most = (_mean(own.at, _slower(own.at, value, slope), half) for value in (low, high))
         slack = BETWEEN * most + NOISE + 0.5 * slope * STEP
         off = np.maximum(least - got, got - most) - slack
-        k = int(np.argmax(off))
-        if off[k] > 0.0:
+        k = int(np.argmax(np.where(np.isfinite(off), off, np.inf)))
+        if not off[k] <= 0.0:
             what = (
                 f"{own.claim.segment} is shifted by {mm(got[k]):.3f} mm at {own.at[k] / MM:.0f} mm of its "
                 f"way; what its control points and the slope make is {mm(least[k]):.3f} to "
@@ -477,7 +487,10 @@ def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[
         for claim in shape.claims
     }
     worst, issues = 0.0, []
-    for k, control in _to_solve(context, given.controls):
+    places = _places(context, forming, one)
+    if not places:
+        issues.append(_issue(one, "its ways are too short for springback to be worked out anywhere"))
+    for k, control in _to_solve(given.controls, places):
         if control.segment not in passes:
             issues.append(_issue(one, f"a control point is of {control.segment}, which is not formed"))
             continue
@@ -502,7 +515,8 @@ def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[
             issues.append(
                 _issue(one, what, mm(off) if np.isfinite(off) else mm(control.springback), limit, "mm")
             )
-    for own, k, more in _anywhere(context, forming, one):
+    for at in places[:PLACES]:
+        own, k = at.own, at.row
         feature, number, claim = passes[own.claim.segment.name]
         formed = elastic.Formed(made, feature, number, abs(float(own.touch[k, 2]) - claim.start))
         force, doubt_of_force = _force_at(context, one, own, k)
@@ -517,45 +531,96 @@ def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[
         except ValueError as error:
             issues.append(_issue(one, f"{named}: the sheet there is not worked out: {error}"))
             continue
-        allowed = (BETWEEN + doubt_of_force) * got + NOISE + doubt + more
-        off = abs(shift - got)
-        worst = max(worst, off / allowed if np.isfinite(got) else np.inf)
-        if not off <= allowed:
-            what = (
-                f"{named} is shifted by {mm(shift):.4f} mm; an elastic sheet comes back by {mm(got):.4f} mm "
-            )
-            what += f"there under {force:.0f} N"
-            limit = mm(allowed) if np.isfinite(got) else 0.0
-            issues.append(_issue(one, what, mm(off) if np.isfinite(off) else mm(shift), limit, "mm"))
+        by_curves = max(at.low - got, got - at.high, 0.0), 0.5 * (at.low + at.high), at.uneven
+        asked = [("has", *by_curves)]
+        if at.shifted is not None:
+            asked.append(("is shifted by", abs(shift - got), shift, at.shifted))
+        for says, off, value, uneven in asked:
+            allowed = (BETWEEN + doubt_of_force) * got + NOISE + doubt + CURVED * at.apart + uneven
+            worst = max(worst, off / allowed if np.isfinite(got) else np.inf)
+            if not off <= allowed:
+                what = f"{named} {says} {mm(value):.4f} mm"
+                what += " by the control points around" if says == "has" else ""
+                what += f"; an elastic sheet comes back by {mm(got):.4f} mm there under {force:.0f} N"
+                limit = mm(allowed) if np.isfinite(got) else 0.0
+                issues.append(_issue(one, what, mm(off) if np.isfinite(off) else mm(value), limit, "mm"))
     return worst, issues
 
 
-def _to_solve(context: Context, controls: tuple[Control, ...]) -> Iterator[tuple[int, Control]]:
-    """Control points drawn by lot, by their number; where a curve goes far beyond the force of its point,
-    for around it tools press more, its end besides."""
-    for k in _drawn(context.problem.digest, len(controls), DRAWN):
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Place:
+    """Place ``row`` of a pass ``own``, drawn by lot. ``low`` and ``high`` [m] is what control points say
+    there, of levels that are ``apart`` [m]; by how much that is off [m] for it is ``uneven`` around; the same
+    of what it is ``shifted`` by, none where the slope holds that back; ``around``: the control points next to
+    it."""
+
+    own: _Pass
+    row: int
+    low: float
+    high: float
+    apart: float
+    uneven: float
+    shifted: float | None
+    around: tuple[Control, ...]
+
+
+def _to_solve(controls: tuple[Control, ...], places: list[_Place]) -> Iterator[tuple[int, Control]]:
+    """Control points around the drawn places, by their number; where a curve goes far beyond the force of its
+    point, for around it tools press more, its end besides."""
+    number = {id(control): k for k, control in enumerate(controls)}
+    for k in sorted({number[id(control)] for place in places for control in place.around}):
         one = controls[k]
         yield k, one
         if one.loads[-1] > BEYOND * one.force:
             yield k, dataclasses.replace(one, force=float(one.loads[-1]), springback=float(one.moved[-1]))
 
 
-def _anywhere(context: Context, forming: Forming, one: Told) -> list[tuple[_Pass, int, float]]:
-    """Places drawn by lot on the ways of all passes, where shifts are springback itself: where no slope holds
-    them back. With each what the shift may be off besides [m]: by levels that are joined straight, and by the
-    mean over a ball's width."""
+def _places(context: Context, forming: Forming, one: Told) -> list[_Place]:
+    """Places drawn by lot on the ways of all passes, each place as likely as any other, so that what many
+    control points say of a little of the way is asked as little: `PLACES`, and more until there are `DRAWN`
+    control points around them."""
     slope = float(one.operation.springback.slope)
-    found: list[tuple[_Pass, int, float]] = []
-    for own in _passes(context, forming, one):
-        low, high, apart = _bounds(own)
-        held = np.maximum(low - _slower(own.at, low, slope), high - _slower(own.at, high, slope))
-        radius, shift = own.claim.radius, own.shift
-        reach = int(np.ceil(2.0 * radius / max(float(own.at[1]), 1e-9)))
-        free = np.flatnonzero((held < 1e-6) & (own.at > 2.0 * radius))
-        for k in free[:: max(1, len(free) // 1000)]:
-            near = shift[max(k - reach, 0) : k + reach + 1]
-            found.append((own, int(k), CURVED * float(apart[k]) + 0.5 * float(np.ptp(near))))
-    return [found[k] for k in _drawn(context.problem.digest + " places", len(found), PLACES)]
+    passes = list(_passes(context, forming, one))
+    some = [np.flatnonzero(own.at > 2.0 * own.claim.radius) for own in passes]
+    owner = np.repeat(np.arange(len(passes)), [len(rows) for rows in some])
+    rows = np.concatenate([*some, np.zeros(0, dtype=np.int64)])
+    bounds = {k: _bounds(own) for k, own in enumerate(passes)}
+    held = {
+        k: np.maximum(low - _slower(passes[k].at, low, slope), high - _slower(passes[k].at, high, slope))
+        for k, (low, high, _) in bounds.items()
+    }
+    out: list[_Place] = []
+    known: set[int] = set()
+    for draw in _drawn(context.problem.digest, len(rows), MOST_DRAWS):
+        k, row = int(owner[draw]), int(rows[draw])
+        own, (low, high, apart) = passes[k], bounds[k]
+        reach = int(np.ceil(2.0 * own.claim.radius / max(float(own.at[1]), 1e-9)))
+        near = slice(max(row - reach, 0), row + reach + 1)
+        around = _around(own, row)
+        if len(out) >= PLACES and known.issuperset(map(id, around)):
+            continue
+        known.update(map(id, around))
+        shifted = 0.5 * float(np.ptp(own.shift[near])) if held[k][row] < 1e-6 else None
+        uneven = 0.5 * float(np.ptp(low[near]))
+        out.append(
+            _Place(own, row, float(low[row]), float(high[row]), float(apart[row]), uneven, shifted, around)
+        )
+        if len(out) >= PLACES and len(known) >= DRAWN:
+            break
+    return out
+
+
+def _around(own: _Pass, row: int) -> tuple[Control, ...]:
+    """The control points next to a place of a pass, of the level above it and of the one below."""
+    height, groups = own.levels()
+    order = sorted(groups, key=lambda level: height[level])
+    above = int(np.searchsorted([height[level] for level in order], own.touch[row, 2]))
+    levels = {order[min(above, len(order) - 1)], order[max(above - 1, 0)]}
+
+    def away(control: Control) -> float:
+        return float(((control.place[:2] - own.touch[row, :2]) ** 2).sum())
+
+    return tuple(min(groups[level], key=away) for level in sorted(levels))
 
 
 def _force_at(context: Context, one: Told, own: _Pass, k: int) -> tuple[float, float]:
@@ -584,8 +649,7 @@ def _once_more(formed: elastic.Formed, held: elastic.Clamped, control: Control) 
 
 
 def _drawn(digest: str, count: int, most: int) -> list[int]:
-    """Which of ``count`` are worked out once more, ``most`` of them: by the problem's digest, so that one
-    that changed has others."""
+    """Which of ``count`` are looked at, ``most`` of them, in the order in which they are drawn: by the
+    problem's digest, so that one that changed has others."""
     seed = int.from_bytes(hashlib.sha256(f"springback {digest}".encode()).digest()[:8], "big")
-    some = np.random.default_rng(seed).permutation(count)[:most]
-    return sorted(some.tolist())
+    return list(np.random.default_rng(seed).permutation(count)[:most].tolist())

@@ -187,6 +187,10 @@ def test_an_edited_file_is_refused_and_one_that_is_written_again_is_good(
         (lambda data: data["passes"][0]["rings"].__setitem__(0, [[1, 2]]), "ring 0 is no table"),
         (lambda data: data.update(tandem_springback=9), "no springback file of version"),
         (files.each_point(lambda p: p.__setitem__(3, p[3] + 0.1)), "at its beginning"),
+        (lambda data: data["passes"][0]["rings"][0][3].__setitem__(0, 10**400), "ring 0 is no table"),
+        (lambda data: data["control_points"][1].update(forces_n=3, displacements_mm=3), "curves that grow"),
+        (lambda data: data["control_points"][1]["displacements_mm"].reverse(), "curves that grow"),
+        (lambda data: data["control_points"][1].update(level=10**30), "numbers from 0 to"),
     ],
 )
 def test_a_file_with_wrong_values_is_refused_by_their_name(

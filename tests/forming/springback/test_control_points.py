@@ -172,3 +172,12 @@ def test_middles_of_clusters_that_go_over_the_ring_s_end() -> None:
     label = np.array([0, 0, 1, 1, 1, 2, 0, 0])
     assert list(cp.middles(label)) == [7, 3, 5]
     assert list(cp.middles(np.zeros(9, dtype=np.int64))) == [0]
+
+
+def test_loops_of_one_floor_are_one_level() -> None:
+    """Between two levels at one height springback would be 0/0."""
+    depth = np.array([0.0, -2.0, -4.0, -5.0, -5.0, -5.02, -5.0]) * 1e-3
+    steep = np.deg2rad([40.0, 45.0, 45.0, 30.0, 5.0, 0.0, 0.0])
+    chosen = cp._levels(depth, steep, np.ones(7, dtype=np.int64), 60)
+    assert len(chosen) >= 3
+    assert np.abs(np.subtract.outer(depth[chosen], depth[chosen]))[~np.eye(len(chosen), dtype=bool)].min() > 0

@@ -267,7 +267,8 @@ def test_a_level_that_is_not_there_is_refused(tmp_path: Path) -> None:
     [
         ({"number": 1, "file": "level.json"}, {}, "file and plan"),
         ({"number": 1, "before_mm": 5, "most_mm": 4}, {}, "before_mm"),
-        ({"number": 0, "before_mm": 0.3}, {}, "before_mm"),
+        ({"number": 0, "before_mm": 0.3, "file": "level.json", "plan": level_files.PLAN}, {}, "level 0"),
+        ({"number": 1, "before_mm": 0.3}, {}, "give that too"),
         ({"number": 1}, {"scallop_mm": 0.1}, "stepdown_mm"),
         ({"number": 1}, {"springback": {"file": "back.json"}}, "springback"),
         ({"number": 1}, {"mode": "dpif_p"}, "modes"),
