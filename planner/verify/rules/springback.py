@@ -17,16 +17,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.forming import ComesBack, FormsPart, FormsSheet
-from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.tooling import FormingTool
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
-from planner.verify.forming import elastic, springback_file
-from planner.verify.forming.face import Face
+from planner.verify.forming import elastic, springback_bounds, springback_file
 from planner.verify.forming.released import Told
 from planner.verify.forming.shapes import PartShapes
-from planner.verify.forming.springback_file import Control, Way
+from planner.verify.forming.springback_bounds import STEP, FilePass
+from planner.verify.forming.springback_file import Control
 from planner.verify.forming.state import Forming
 
 CODE = "verify.springback"
@@ -66,8 +66,6 @@ ALONG, ANGLE_ALONG = 2, np.deg2rad(0.3)
 """Walls by which a formula takes a force are those so many steps of `STEP` around, within this [rad]."""
 BEYOND = 1.5
 """Curves that go on to so many times the force of their point are worked out at their end as well."""
-STEP = 1e-3
-"""Places of a way at which its shifts are looked at are so far apart [m]."""
 MOST_PLACES = 60_000
 """Places of a way at most."""
 NO_CURVE = np.zeros(0)
@@ -101,37 +99,6 @@ def springback(context: Context, forming: Forming) -> Outcome:
     if not forming.told:
         return Outcome(tuple(issues), where=NOTHING)
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of how far two meshes may be off", where)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Pass:
-    """A pass of a file: its ``claim`` with its ``face``, ``way``, ``controls``. Of P places ``at`` (P,) [m]:
-    ``touch`` (P, 3) [m], where the former touches the claimed face, the wall's ``angle`` (P,) [rad] there,
-    the least and largest ``force`` (2, P) [N], the ``ring`` (P,) and by how much that goes up and down,
-    ``rise`` (P,) [m]."""
-
-    claim: FormsSheet
-    face: Face
-    way: Way
-    controls: tuple[Control, ...]
-    at: FloatArray
-    touch: FloatArray
-    angle: FloatArray
-    force: FloatArray
-    ring: IntArray
-    rise: FloatArray
-
-    @property
-    def shift(self) -> FloatArray:
-        """Shifts (P,) [m] that the file states."""
-        return np.asarray(np.interp(self.at, _gone(self.way.point), self.way.shift))
-
-    def levels(self) -> tuple[dict[int, float], dict[int, list[Control]]]:
-        """Heights [m] of the levels, and their control points."""
-        groups: dict[int, list[Control]] = {}
-        for control in self.controls:
-            groups.setdefault(control.level, []).append(control)
-        return {k: float(np.mean([c.place[2] for c in some])) for k, some in groups.items()}, groups
 
 
 def _issue(
@@ -263,7 +230,7 @@ def _along_way(context: Context, one: Told, angle: FloatArray, radius: float, so
     return np.stack([force.min(axis=0), force.max(axis=0)])
 
 
-def _passes(context: Context, forming: Forming, one: Told) -> Iterator[_Pass]:
+def _passes(context: Context, forming: Forming, one: Told) -> Iterator[FilePass]:
     """What the file says of each pass that is claimed, with what its former touches."""
     for made in forming.formed:
         claim = made.claim
@@ -273,7 +240,7 @@ def _passes(context: Context, forming: Forming, one: Told) -> Iterator[_Pass]:
         controls = tuple(c for c in one.given.controls if c.segment == claim.segment.name)
         if way is None or not controls:
             continue
-        gone = _gone(way.point)
+        gone = springback_bounds.gone(way.point)
         count = int(min(MOST_PLACES, np.ceil(gone[-1] / STEP))) + 1
         at = np.linspace(0.0, float(gone[-1]), count)
         centre = np.stack([np.interp(at, gone, way.point[:, axis]) for axis in range(3)], axis=1)
@@ -289,7 +256,7 @@ def _passes(context: Context, forming: Forming, one: Told) -> Iterator[_Pass]:
         angle = np.arccos(np.clip(up, 0.0, 1.0))
         some = np.array([control.angle for control in controls])
         force = _along_way(context, one, angle, claim.radius, some)
-        yield _Pass(claim, made.face, way, controls, at, found.place, angle, force, ring, rise)
+        yield FilePass(claim, made.face, way, controls, at, found.place, angle, force, ring, rise)
 
 
 def _placed(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
@@ -350,9 +317,12 @@ def _along(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
     """Whether shifts are what lies between the control points around, as far as the slope lets them."""
     slope = float(one.operation.springback.slope)
     for own in _passes(context, forming, one):
-        low, high, _ = _bounds(own)
+        low, high, _ = springback_bounds.bounds(own)
         got, half = own.shift, own.claim.radius
-        least, most = (_mean(own.at, _slower(own.at, value, slope), half) for value in (low, high))
+        least, most = (
+            springback_bounds.mean(own.at, springback_bounds.slower(own.at, value, slope), half)
+            for value in (low, high)
+        )
         slack = BETWEEN * most + NOISE + 0.5 * slope * STEP
         off = np.maximum(least - got, got - most) - slack
         k = int(np.argmax(np.where(np.isfinite(off), off, np.inf)))
@@ -363,90 +333,6 @@ def _along(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
                 f"{mm(most[k]):.3f} mm"
             )
             yield _issue(one, what, mm(float(got[k])), mm(float(most[k])), "mm")
-
-
-def _gone(points: FloatArray) -> FloatArray:
-    """Way (N,) [m] along a polyline (N, 3)."""
-    step = points[1:] - points[:-1]
-    return np.append(0.0, np.cumsum(np.sqrt((step * step).sum(axis=1))))
-
-
-def _bounds(own: _Pass) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The least and largest springback (P,) [m] that control points say at the places of a pass: on each
-    level from one to the next around the loop, each under the force there, between levels by height, and as
-    the loop itself goes up or down by its step; and how much (P,) [m] the levels around differ."""
-    count = len(own.at)
-    known, groups = own.levels()
-    order = sorted(groups, key=lambda level: known[level])
-    height = np.array([known[level] for level in order])
-    table = np.empty((len(order), 2, count))
-    for k in np.unique(own.ring):
-        rows = np.flatnonzero(own.ring == k)
-        along = own.at[rows] - own.at[rows[0]]
-        whole = float(along[-1]) + STEP
-        tree = cKDTree(own.touch[rows, :2])
-        for row, level in enumerate(order):
-            some = groups[level]
-            wanted = np.array([control.place[:2] for control in some])
-            near = along[np.asarray(tree.query(wanted)[1])]
-            table[row, :, rows] = _between(along, near, some, own.force[:, rows], whole).T
-    either, column = [], np.arange(count)
-    apart = np.zeros(count)
-    for off in (-1.0, 0.0, 1.0):
-        z = np.clip(own.touch[:, 2] + off * own.rise, height[0], height[-1])
-        above = np.clip(np.searchsorted(height, z), 1, max(len(height) - 1, 1))
-        below = np.minimum(above - 1, len(height) - 1)
-        above = np.minimum(above, len(height) - 1)
-        wide = np.where(above > below, height[above] - height[below], 1.0)
-        share = np.clip((z - height[below]) / wide, 0.0, 1.0)
-        for low, high in zip(
-            (table[below, end, column] for end in (0, 1)),
-            (table[above, end, column] for end in (0, 1)),
-            strict=True,
-        ):
-            either.append(low * (1.0 - share) + high * share)
-            apart = np.maximum(apart, np.abs(high - low))
-    return np.min(either, axis=0), np.max(either, axis=0), apart
-
-
-def _between(
-    along: FloatArray, near: FloatArray, some: list[Control], force: FloatArray, whole: float
-) -> FloatArray:
-    """Springback (2, R) [m] at places of a loop, ``along`` (R,) [m] of ``whole`` [m], under ``force`` (2, R)
-    [N]: linear from one of ``some`` control points, ``near`` (C,) [m], to the next."""
-    order = np.argsort(near)
-    knots = near[order]
-    before = (np.searchsorted(knots, along, side="right") - 1) % len(knots)
-    after = (before + 1) % len(knots)
-    gap = (knots[after] - knots[before]) % whole
-    gap = np.where(gap > 0.0, gap, whole)
-    share = ((along - knots[before]) % whole) / gap
-    out = np.zeros_like(force)
-    for k, row in enumerate(order):
-        for end, weight in ((before, 1.0 - share), (after, share)):
-            mine = end == k
-            out[:, mine] += weight[mine] * some[row].under(force[:, mine])
-    return out
-
-
-def _slower(at: FloatArray, value: FloatArray, slope: float) -> FloatArray:
-    """What of a curve (P,) is left that begins at 0 and changes by ``slope`` at most over ``at`` (P,) [m]."""
-    out = value.tolist()
-    way = at.tolist()
-    out[0] = 0.0
-    for k in range(1, len(out)):
-        out[k] = min(out[k], out[k - 1] + slope * (way[k] - way[k - 1]))
-    for k in range(len(out) - 2, -1, -1):
-        out[k] = min(out[k], out[k + 1] + slope * (way[k + 1] - way[k]))
-    return np.array(out)
-
-
-def _mean(at: FloatArray, value: FloatArray, half: float) -> FloatArray:
-    """The mean (P,) of a curve over ``half`` [m] of its way on either side, less at its ends."""
-    area = np.append(0.0, np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(at)))
-    reach = np.minimum(half, np.minimum(at - at[0], at[-1] - at))
-    both = np.interp(at + reach, at, area) - np.interp(at - reach, at, area)
-    return np.asarray(np.where(reach > 1e-9, both / np.maximum(2.0 * reach, 1e-12), value))
 
 
 def _way(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
@@ -554,7 +440,7 @@ class _Place:
     of what it is ``shifted`` by, none where the slope holds that back; ``around``: the control points next to
     it."""
 
-    own: _Pass
+    own: FilePass
     row: int
     low: float
     high: float
@@ -584,9 +470,12 @@ def _places(context: Context, forming: Forming, one: Told) -> list[_Place]:
     some = [np.flatnonzero(own.at > 2.0 * own.claim.radius) for own in passes]
     owner = np.repeat(np.arange(len(passes)), [len(rows) for rows in some])
     rows = np.concatenate([*some, np.zeros(0, dtype=np.int64)])
-    bounds = {k: _bounds(own) for k, own in enumerate(passes)}
+    bounds = {k: springback_bounds.bounds(own) for k, own in enumerate(passes)}
     held = {
-        k: np.maximum(low - _slower(passes[k].at, low, slope), high - _slower(passes[k].at, high, slope))
+        k: np.maximum(
+            low - springback_bounds.slower(passes[k].at, low, slope),
+            high - springback_bounds.slower(passes[k].at, high, slope),
+        )
         for k, (low, high, _) in bounds.items()
     }
     out: list[_Place] = []
@@ -596,7 +485,7 @@ def _places(context: Context, forming: Forming, one: Told) -> list[_Place]:
         own, (low, high, apart) = passes[k], bounds[k]
         reach = int(np.ceil(2.0 * own.claim.radius / max(float(own.at[1]), 1e-9)))
         near = slice(max(row - reach, 0), row + reach + 1)
-        around = _around(own, row)
+        around = springback_bounds.around(own, row)
         if len(out) >= PLACES and known.issuperset(map(id, around)):
             continue
         known.update(map(id, around))
@@ -610,20 +499,7 @@ def _places(context: Context, forming: Forming, one: Told) -> list[_Place]:
     return out
 
 
-def _around(own: _Pass, row: int) -> tuple[Control, ...]:
-    """The control points next to a place of a pass, of the level above it and of the one below."""
-    height, groups = own.levels()
-    order = sorted(groups, key=lambda level: height[level])
-    above = int(np.searchsorted([height[level] for level in order], own.touch[row, 2]))
-    levels = {order[min(above, len(order) - 1)], order[max(above - 1, 0)]}
-
-    def away(control: Control) -> float:
-        return float(((control.place[:2] - own.touch[row, :2]) ** 2).sum())
-
-    return tuple(min(groups[level], key=away) for level in sorted(levels))
-
-
-def _force_at(context: Context, one: Told, own: _Pass, k: int) -> tuple[float, float]:
+def _force_at(context: Context, one: Told, own: FilePass, k: int) -> tuple[float, float]:
     """The problem's force [N] at a place of a pass; and the share by which it is in doubt, for a formula
     hangs on the wall's angle."""
     operation, setup = one.operation, context.setups[one.index]

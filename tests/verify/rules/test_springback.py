@@ -23,7 +23,7 @@ from planner.cli.forming import Springback, run_springback
 from planner.geometry.units import MM
 from planner.pipeline import Outcome
 from planner.verify.context import Context
-from planner.verify.forming import elastic, springback_file
+from planner.verify.forming import elastic, springback_bounds, springback_file
 from planner.verify.forming.state import Forming
 from planner.verify.rules import forming_tool, forming_two_tools, springback
 from tests import small_forming
@@ -276,14 +276,14 @@ def test_what_is_drawn_follows_the_problem() -> None:
 
 def test_bounds_that_are_no_figures_hold_nothing(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two levels at one height made 0/0 of what lies between, and no shift was held against that."""
-    whole = springback._bounds
+    whole = springback_bounds.bounds
 
-    def none(own: springback._Pass) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def none(own: springback_bounds.FilePass) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         low, high, apart = whole(own)
         low[len(low) // 2] = np.nan
         return low, high, apart
 
-    monkeypatch.setattr(springback, "_bounds", none)
+    monkeypatch.setattr(springback_bounds, "bounds", none)
     forming = Forming(context)
     assert len(list(springback._along(context, forming, forming.told[0]))) == 1
 
@@ -377,7 +377,7 @@ def test_a_way_out_that_presses_into_the_flat_sheet_is_found(context: Context) -
     assert "flat sheet" in gouge.message
 
 
-def _steep_pass(value: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> springback._Pass:
+def _steep_pass(value: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> springback_bounds.FilePass:
     """The begin of a pass in which a ball rolls from the flat onto a wall, 4 mm deep, around a square whose
     corners give way more: control points under 16 N on the flat and 250 N on the wall, of curves that are
     ``value`` of the corner (0 or 1) and the force."""
@@ -397,7 +397,7 @@ def _steep_pass(value: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> spring
     force = 16.0 + 284.0 * np.sin(np.minimum(1.5 * angle, 2.2))
     ring = np.minimum(turn // (2.0 * np.pi), 3).astype(np.int64)
     way = springback_file.Way(touch, 0.0 * at, ring)
-    return springback._Pass(
+    return springback_bounds.FilePass(
         None,  # type: ignore[arg-type]
         None,  # type: ignore[arg-type]
         way,
@@ -419,7 +419,7 @@ def test_between_a_flat_level_and_a_wall_shifts_are_those_of_the_force_there() -
         return np.asarray((1.0 + 0.4 * corner) * 1e-3 * (force / 300.0) ** 0.6)
 
     own = _steep_pass(of)
-    low, high, apart = springback._bounds(own)
+    low, high, apart = springback_bounds.bounds(own)
     corner = 1.0 - np.abs((4.0 * np.arctan2(own.touch[:, 1], own.touch[:, 0]) / np.pi) % 2.0 - 1.0)
     truth = of(corner, own.force[0])
     slack = springback.BETWEEN * high + springback.NOISE
@@ -431,7 +431,7 @@ def test_between_a_flat_level_and_a_wall_shifts_are_those_of_the_force_there() -
     assert (low - straight).max() > 0.3 * MM
     flat = [dataclasses.replace(c, moved=own.controls[0].moved) for c in own.controls if c.level == 0]
     for one in (flat[:1], flat):
-        off = springback._bounds(dataclasses.replace(own, controls=(*one, *own.controls[8:])))
+        off = springback_bounds.bounds(dataclasses.replace(own, controls=(*one, *own.controls[8:])))
         # the rule holds places off it by what its levels differ
         assert off[2].max() > 0.2 * MM
         assert (truth - off[1]).max() > slack.max() + springback.CURVED * off[2].max()
