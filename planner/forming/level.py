@@ -22,7 +22,8 @@ from planner.issues import Issue, TandemError
 LEAST_STEP: Final = 0.01 * MM
 """Loops that are less deeper [m] than the last one belong to its level: floors."""
 OFF_STEP: Final = 0.2
-"""Places of a level are beyond its heights by no more than this share of a step."""
+"""Places of a level are beyond its heights, and its end is off its own, by no more than this share of a
+step."""
 ON_FACE: Final = 0.1 * MM
 """Balls that are farther [m] off the face are in the air."""
 
@@ -90,12 +91,16 @@ def _require_height(work: Work, one: Pass, height: FloatArray, level: Level) -> 
     step = (work.operation.stepdown_mm or 0.0) * MM
     top, bottom = heights(one, step, level.number)
     depth = one.side * (one.start - height)
-    if depth.min() < top - OFF_STEP * step or depth.max() > bottom + OFF_STEP * step:
+    most = OFF_STEP * step
+    if depth.min() < top - most or abs(depth.max() - bottom) > most:
         what = (
             f"level {level.number} of {one.name} is {depth.min() / MM:.2f} to {depth.max() / MM:.2f} mm "
             f"deep, by whole steps of {step / MM:g} mm it is {top / MM:.2f} to {bottom / MM:.2f} mm"
         )
-        hint = "form the pass as a whole: where balls do not reach the floor steps are others"
+        hint = (
+            "end with the level before, or form the pass as a whole: where balls do not reach the floor "
+            "steps are others"
+        )
         raise _refused(what, "number", hint)
 
 

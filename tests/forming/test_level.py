@@ -15,6 +15,7 @@ from planner.forming import level as one_level
 from planner.forming.contact import ContactPath
 from planner.forming.job import FormingJob
 from planner.geometry.units import MM
+from planner.issues import TandemError
 from tests import small_forming
 from tests.forming import shapes
 
@@ -52,3 +53,12 @@ def test_a_level_of_loops_is_closed(tmp_path: Path, path: str) -> None:
 def test_a_seam_in_a_corner_leaves_no_more_than_the_corner(tmp_path: Path) -> None:
     one, two = (contact(tmp_path, number, seam_deg=45.0) for number in (2, 3))
     assert np.linalg.norm(two.point[0] - one.point[-1]) < 0.3 * MM
+
+
+def test_a_last_level_that_ends_above_its_own_end_is_refused(tmp_path: Path) -> None:
+    # a ball of 6 mm in a sharp fold of 45 degrees touches the wall 1.8 mm above the floor at the lowest
+    with pytest.raises(TandemError) as error:
+        contact(tmp_path, 8)
+    (issue,) = error.value.issues
+    assert (issue.code, issue.field) == ("forming.path_options", "level.number")
+    assert "8.00 to 9.00 mm" in issue.message

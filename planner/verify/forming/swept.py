@@ -33,6 +33,10 @@ _WALL_STEP = 0.002
 """Largest size [m] of the triangles and pieces of a way that stand for places."""
 REACHED_RIDGES = 2.0
 """Where one level is formed alone, places that the ball is off by more ridges are of others: as claimed."""
+CORNER_GAP = 1e-5
+"""Where one level is formed alone, places to which no ball comes nearer than this [m] are not of it: in a
+corner that goes down aslant the nearest ball touches the walls beside it at other heights. These walls are
+asked up to there, and a ball that passes them has been in the corner."""
 _CONTOUR_STEP = 0.0005
 """Places along a contour are so far apart [m] at most."""
 _NEIGHBOURS = 16
@@ -87,6 +91,8 @@ def envelope(one: Swept) -> CutFace:
     normals = face_normals(TriangleMesh(claim.vertices, claim.faces[rows]))[owner[off_by]]
     unreached = least_gap(one.face, points[off_by], normals, claim.radius, claim.side)
     allowed[off_by] += unreached
+    if one.contour is not None:
+        area[off_by[(unreached > CORNER_GAP) & (off[off_by] > allowed[off_by])]] = 0.0
     share = float(area[off <= allowed].sum() / max(float(area.sum()), 1e-30))
     known = np.isfinite(off)
     rms = float(np.sqrt((area[known] * off[known] ** 2).sum() / max(float(area[known].sum()), 1e-30)))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
 import planner
 from planner import processes
@@ -22,6 +23,7 @@ from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.rules import forming_level, forming_tool, forming_two_tools
 from tests import small_forming
+from tests.forming import shapes
 from tests.forming.springback import level_files
 from tests.forming.springback import springback_files as files
 from tests.test_whole_forming import UPRIGHT
@@ -288,3 +290,33 @@ def test_the_first_and_the_last_level_are_proven(tmp_path: Path, number: int) ->
     level_files.write(path)
     outcome = planner.plan(planner.load(path))
     assert outcome.verified, outcome.issues
+
+
+def pit(folder: Path) -> Outcome:
+    """A level of a square pit with sharp corners that go down aslant, which no ball fits."""
+    data = small_forming.problem("spif", stepdown_mm=1.0, level={"number": 3})
+    part = shapes.pit(shapely.box(-0.03, -0.03, 0.03, 0.03), 45.0, 0.010)
+    return planner.plan(planner.load(small_forming.write(folder, data, part)))
+
+
+def test_a_level_with_corners_that_no_ball_fits_is_proven(tmp_path: Path) -> None:
+    outcome = pit(tmp_path)
+    assert outcome.verified, outcome.issues
+
+
+def test_a_level_that_cuts_its_corners_short_is_not_formed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    whole = one_level.lay
+
+    def short(work: Any, one: Any, part: Any) -> Any:
+        def some(contact: Any) -> Any:
+            kept = part(contact)
+            x, y = np.abs(kept.point[:, :2]).T
+            far = np.minimum(x, y) < np.maximum(x, y).max() - 12.0 * MM
+            return type(kept)(**{f.name: getattr(kept, f.name)[far] for f in dataclasses.fields(kept)})
+
+        return whole(work, one, some)
+
+    monkeypatch.setattr(one_level, "lay", short)
+    assert "verify.formed" in {rule.code for rule in pit(tmp_path).proof.rules if not rule.passed}
