@@ -322,13 +322,15 @@ class _Search:
         """Fewer blocks by strips where the exact model finds them, and whether there are none."""
         room = self.rooms[kind]
         sides = [box[:2] for box in self.boxes]
-        strips, sure = fewer_strips(sides, room[:2], bound, len(found) - 1, self.rules.turn)
-        if strips is None:
-            return found, sure
-        made = [self._stripped(kind, block) for block in strips]
-        if not all(self._all_reached(one) for one in made):
-            return found, False
-        return made, sure
+        while len(found) > bound:
+            strips, none = fewer_strips(sides, room[:2], len(found) - 1, self.rules.turn)
+            if strips is None:
+                return found, none
+            made = [self._stripped(kind, block) for block in strips]
+            if not all(self._all_reached(one) for one in made):
+                return found, False
+            found = made
+        return found, True
 
     def _stripped(self, kind: int, strips: Sequence[Strip]) -> _Open:
         """A block by its strips, each cut off by its highest box."""

@@ -4,8 +4,9 @@ A block is cut into strips from side to side, along its length or across, then e
 are trimmed to their heights. The model is that of A. Lodi, S. Martello and D. Vigo (Models and bounds for
 two-dimensional level packing problems, J. Comb. Optim. 8, 2004): a strip is begun by its highest box, a block
 by its highest strip. Here boxes may turn: one that does not begin a strip lies with its longer side upright
-wherever that is not too high, as nothing takes less of the strip. Nodes of the search are bounded, not its
-time.
+wherever that is not too high, as nothing takes less of the strip. What is asked is whether so many blocks are
+enough, without a cost to be least, which is found or excluded sooner; exactly so many, since what is in one
+block can always be spread over more. Nodes of the search are bounded, not its time.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from scipy.sparse import coo_array
 MOST_NODES: Final = 30
 """Nodes after which the search ends without an answer."""
 _INFEASIBLE = 2  # status of scipy.optimize.milp
-_OPTIMAL = 0
 
 Strip = tuple[int, tuple[tuple[int, int, int], ...]]
 """The axis across which strips are cut off (0: across x), and number and sides along x and y of each box, the
@@ -42,12 +42,12 @@ class _Begun:
 
 
 def fewer_strips(
-    sides: Sequence[tuple[int, int]], room: tuple[int, int], least: int, most: int, turn: bool
+    sides: Sequence[tuple[int, int]], room: tuple[int, int], most: int, turn: bool
 ) -> tuple[list[list[Strip]] | None, bool]:
-    """``least`` to ``most`` blocks with the room (x, y) for boxes with ``sides``, their slots included.
+    """Strips in ``most`` blocks with the room (x, y) for boxes with ``sides``, their slots included.
 
-    Gives the strips of each block, None where none were found; and whether the answer is sure: no fewer
-    blocks are enough, or not even ``most`` are.
+    Gives the strips of each block, None where none were found; and whether it is sure that there are none.
+    There are no fewer boxes than blocks.
     """
     strips = _begun(sides, room, turn)
     model = _Model(len(strips))
@@ -82,15 +82,13 @@ def fewer_strips(
         model.filled(k, in_strip[k], room_left, strip.long)
         model.filled(len(strips) + k, in_block[k], strip.high - strip.height, strip.high)
         model.row([*laid[k], len(strips) + k, k], [1.0] * (len(laid[k]) + 1) + [-1.0], 0.0, 0.0)
-    model.row(range(len(strips), x0), [1.0] * len(strips), float(least), float(most))
+    model.row(range(len(strips), x0), [1.0] * len(strips), float(most), float(most))
     heights = [strip.height / strip.high for strip in strips]
     model.row(range(len(strips)), heights, -np.inf, float(most))
     size = z0 + len(stacked)
-    cost = np.zeros(size)
-    cost[len(strips) : x0] = 1.0
     matrix = coo_array((model.values, (model.rows, model.columns)), shape=(len(model.low), size))
     made = milp(
-        cost,
+        np.zeros(size),
         integrality=np.ones(size, dtype=np.int64),
         bounds=Bounds(0.0, 1.0),
         constraints=LinearConstraint(matrix.tocsr(), np.array(model.low), np.array(model.high)),
@@ -102,7 +100,7 @@ def fewer_strips(
     found = _read(sides, strips, inside, stacked, taken, turn)
     if any(_over(block, room) for block in found):  # the solver's tolerance is a share of a block's side
         return None, False
-    return found, bool(made.status == _OPTIMAL)
+    return found, False
 
 
 def _over(block: list[Strip], room: tuple[int, int]) -> bool:
