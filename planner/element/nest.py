@@ -22,7 +22,7 @@ from planner.issues import Issue, Severity, TandemError
 
 SAME: Final = 5e-5
 """Thicknesses [m] that differ by no more than this are the same: sizes of blocks are rounded to 0.1 mm."""
-_KEPT_SHOWN = 6  # cuts that a message names
+_MOST_NAMED = 6  # cuts that a message names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Sawing:
 class NestedBlock:
     """One raw block, or piece that was left over (``source``, its id), with its size (3,) [m] and its cuts.
 
-    ``panels``: numbers of panels' blocks that ``tree`` calls by their own order; ``level`` those that are
-    then cut to their thickness.
+    ``panels``: the numbers of the panels whose blocks are the boxes 0, 1 ... of ``tree``; ``level``: those
+    that are then cut to their thickness.
     """
 
     name: str
@@ -84,9 +84,9 @@ class NestedBlock:
 
 @dataclasses.dataclass(frozen=True)
 class Nesting:
-    """All blocks in their order; ``bound``: how many new raw blocks, of the largest kind of each foam, the
-    boxes take at least by their areas, for lists of kinds without thinner ones; ``least`` as
-    `geometry.nesting.Nest`, of all foams; ``stock``: what is left over afterwards."""
+    """All blocks in their order; ``bound``: how many raw blocks with the largest plan of each foam the boxes
+    take at least by their areas, were nothing left over; ``least`` as of `geometry.nesting.Nest`, of all
+    foams; ``stock``: what is left over afterwards."""
 
     blocks: tuple[NestedBlock, ...]
     bound: int
@@ -253,9 +253,9 @@ def told(nesting: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> tupl
     span, throat = max(f[1] for f in found), max(f[2] for f in found)
     shown = "; ".join(
         f"{name} needs a span of {np.ceil(s / MM - 1e-6):.0f} and a throat of {np.ceil(t / MM - 1e-6):.0f} mm"
-        for name, s, t in found[:_KEPT_SHOWN]
+        for name, s, t in found[:_MOST_NAMED]
     )
-    more = f"; and {len(found) - _KEPT_SHOWN} more" if len(found) > _KEPT_SHOWN else ""
+    more = f"; and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
     bow_mm = f"a span of {bow.span / MM:g} and a throat of {bow.throat / MM:g} mm"
     wanted = f"span_mm: {np.ceil(max(span, bow.span) / MM - 1e-6):.0f}, "
     wanted += f"throat_mm: {np.ceil(max(throat, bow.throat) / MM - 1e-6):.0f}"
