@@ -68,6 +68,9 @@ CODES: Final[dict[str, Code]] = {
     "element.block": Code("no block holds the smallest panel at some place of an element"),
     "element.held": Code("none of the wires of an element is held safely in the shapes of some panels"),
     "element.joint": Code("neighbouring panels of an element meet with a step larger than asked"),
+    "element.raw_block": Code("the block of a panel fits none of the raw blocks of its foam"),
+    "element.cut": Code("the bow reaches some cuts of raw blocks in no way"),
+    "element.stock": Code("a list of foam that is left over is none, or has wrong rows", given=True),
     "element.jobs": Code(
         "a template of an element is none, or a panel is meant by none of the templates or by several",
         given=True,

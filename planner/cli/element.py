@@ -28,7 +28,8 @@ class ElementRequest:
     file: tyro.conf.Positional[Path]
     """the element file"""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
-    """folder for panels/, panels.csv, panels.svg and element.json"""
+    """folder for panels/, panels.csv, panels.svg, element.json, and where raw blocks are stated blocks.csv,
+    blocks.svg and stock.csv"""
 
 
 def run_element(request: ElementRequest) -> tuple[Issue, ...]:
@@ -38,6 +39,9 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     start = time.perf_counter()
     claim_folder(request.output, output.OWNED, keep=request.file)
     element = element_file.read(request.file)
+    raw = element.file.raw_blocks
+    if raw is not None and raw.stock is not None:
+        claim_folder(request.output, output.OWNED, keep=request.file.parent / raw.stock)
     panels = elastic.divide_elastic(elastic.search(element.surface, element.cells, element.rules))
     files, told = output.folder(element, panels)
     write_folder(request.output, files, output.OWNED)

@@ -15,8 +15,10 @@ import numpy as np
 from pydantic import Field
 
 from planner.catalogue.materials import foam
+from planner.element import stock_list
 from planner.element.elastic import Rules
 from planner.element.panel_faces import CutWire
+from planner.element.stock_list import LeftOver
 from planner.element.surface import ElementSurface, stand
 from planner.geometry.units import MM
 from planner.hotwire import wire as hot_wires
@@ -114,6 +116,30 @@ class JobFile(Strict):
     problem: FileName
 
 
+class SawBowFile(Strict):
+    """The bow that cuts raw blocks apart."""
+
+    span_mm: Annotated[float, Field(ge=50, le=5000, description="wire between its clamps")]
+    throat_mm: Annotated[float, Field(ge=50, le=5000, description="free between wire and beam")]
+
+
+class RawBlocksFile(Strict):
+    """What panels' blocks are cut from, by through cuts."""
+
+    sizes: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=20)]
+    kerf_mm: Annotated[float, Field(ge=0, le=50)]
+    oversize_mm: Annotated[
+        float, Field(ge=0, le=500, description="of a panel's block, along x and along y, to be trimmed")
+    ] = 0.0
+    grain: Annotated[
+        Literal["any", "along"],
+        Field(description="along: x of panels' blocks lies along the first side of raw blocks"),
+    ] = "any"
+    keep_mm: Annotated[float, Field(ge=10, le=5000, description="least side of what is kept")] = 200.0
+    bow: SawBowFile | None = None
+    stock: Annotated[FileName | None, Field(description="list of what is left over")] = None
+
+
 class ElementFile(Strict):
     """A whole element file, schema version 1."""
 
@@ -130,6 +156,7 @@ class ElementFile(Strict):
     foam_faces_mm: Annotated[
         float, Field(ge=0, le=500, description="foam of a block above and below its panel")
     ] = 12.0
+    raw_blocks: RawBlocksFile | None = None
     jobs: Annotated[tuple[JobFile, ...], Field(min_length=1, max_length=50)]
 
 
@@ -145,7 +172,7 @@ class Template:
 @dataclasses.dataclass(frozen=True)
 class Element:
     """An element file in SI units; ``wires`` and ``blocks`` as the file states them, in the order of
-    ``rules``."""
+    ``rules``; ``stock``: what is left over of earlier elements."""
 
     file: ElementFile
     surface: ElementSurface
@@ -153,14 +180,15 @@ class Element:
     rules: Rules
     wires: tuple[WireFile, ...]
     templates: tuple[Template, ...]
+    stock: tuple[LeftOver, ...] = ()
 
 
 def read(path: Path) -> Element:
     """The element of a file.
 
     Raises ``TandemError``: ``problem.field`` for every wrong field, with its line; issues of mesh files;
-    ``element.surface``; ``part.offset`` where the thickness folds over; ``element.jobs`` for templates that
-    bring what panels bring.
+    ``element.surface``; ``element.stock``; ``part.offset`` where the thickness folds over; ``element.jobs``
+    for templates that bring what panels bring.
     """
     document = strict_yaml.read(path)
     spec, issues = validate(ElementFile, document.data, document, ())
@@ -173,11 +201,19 @@ def read(path: Path) -> Element:
         wires = tuple(sorted(wires_at_hand(spec.wires), key=lambda w: w.length_mm))
     except TandemError as error:
         issues += error.issues
-    for number, block in enumerate(spec.blocks):
+    raw = spec.raw_blocks
+    listed = [(f"blocks.{i}.foam", block) for i, block in enumerate(spec.blocks)]
+    listed += [(f"raw_blocks.sizes.{i}.foam", block) for i, block in enumerate(raw.sizes if raw else ())]
+    for field, block in listed:
         try:
             _ = None if block.foam is None else foam(block.foam)
         except TandemError as error:
-            issues += [dataclasses.replace(i, field=f"blocks.{number}.foam") for i in error.issues]
+            issues += [dataclasses.replace(i, field=field) for i in error.issues]
+    stock: tuple[LeftOver, ...] = ()
+    try:
+        stock = () if raw is None or raw.stock is None else stock_list.read(folder / raw.stock)
+    except TandemError as error:
+        issues += error.issues
     for number, job in enumerate(spec.jobs):
         try:
             templates.append(_template(job, folder, f"jobs.{number}"))
@@ -212,7 +248,7 @@ def read(path: Path) -> Element:
         elastic.tolerance_mm * MM,
         elastic.end_weight,
     )
-    return Element(spec, own, elastic.cells or _cells(own), rules, wires, tuple(templates))
+    return Element(spec, own, elastic.cells or _cells(own), rules, wires, tuple(templates), stock)
 
 
 def _cells(own: ElementSurface) -> tuple[int, int]:

@@ -13,10 +13,13 @@ import numpy as np
 from planner.element.elastic import ElasticPanel, Joint, joints
 from planner.element.element_file import Element
 from planner.element.jobs import block_mm, ids, panel_files
+from planner.element.nest import PanelBlock
+from planner.element.nested_output import nested_folder
+from planner.geometry.mesh import face_areas
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity
 
-OWNED: Final = ("element.json", "panels", "panels.csv", "panels.svg")
+OWNED: Final = ("element.json", "panels", "panels.csv", "panels.svg", "blocks.csv", "blocks.svg", "stock.csv")
 """What the folder of an element holds; anything else in it is left alone."""
 JOINT_SHARE: Final = 95.0
 """Percent of a joint's points that must be within the step that is allowed."""
@@ -25,9 +28,10 @@ _PAGE: Final = 1200.0  # width of the drawing [px]
 
 def folder(element: Element, panels: tuple[ElasticPanel, ...]) -> tuple[dict[str, str], tuple[Issue, ...]]:
     """All files by their names, and what is to be said: ``element.held`` for panels in whose shapes no wire
-    is safe, ``element.joint`` for joints beyond the step asked.
+    is safe, ``element.joint`` for joints beyond the step asked, ``element.cut`` for cuts that no bow
+    reaches.
 
-    Raises ``TandemError``: ``element.jobs``.
+    Raises ``TandemError``: ``element.jobs``, ``element.raw_block``.
     """
     names = ids(panels)
     met = joints(panels)
@@ -35,8 +39,30 @@ def folder(element: Element, panels: tuple[ElasticPanel, ...]) -> tuple[dict[str
     rows = [_row(element, panel, name) for panel, name in zip(panels, names, strict=True)]
     files["panels.csv"] = _csv(rows)
     files["panels.svg"] = drawing(element, panels, names)
-    files["element.json"] = json.dumps(_data(element, panels, names, met, rows), indent=1) + "\n"
-    return files, (*_unsteady(panels, names), *_told(element, names, met))
+    data = _data(element, panels, names, met, rows)
+    issues = (*_unsteady(panels, names), *_told(element, names, met))
+    if element.file.raw_blocks is not None:
+        cut = _panel_blocks(element, panels, names)
+        of_blocks, said, data["blocks"] = nested_folder(
+            element.file.name, element.file.raw_blocks, cut, element.stock
+        )
+        files, issues = {**files, **of_blocks}, (*issues, *said)
+    files["element.json"] = json.dumps(data, indent=1) + "\n"
+    return files, issues
+
+
+def _panel_blocks(
+    element: Element, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
+) -> list[PanelBlock]:
+    """The blocks that panels are cut from; a panel's volume is its thickness times the mean of its faces'
+    areas (J. Steiner, 1840, but for a term of the third power of the thickness)."""
+    out = []
+    for panel, name in zip(panels, names, strict=True):
+        faces = [float(face_areas(mesh).sum()) for mesh in (panel.front, panel.back)]
+        length, width, high = (v * MM for v in block_mm(panel))
+        volume = element.surface.thickness * 0.5 * sum(faces)
+        out.append(PanelBlock(name, length, width, high, volume, element.file.blocks[panel.block].foam))
+    return out
 
 
 def _row(element: Element, panel: ElasticPanel, name: str) -> dict[str, Any]:

@@ -103,6 +103,18 @@ ELSEWHERE: Final = {
         "element/test_element_file",
         "test_joints_beyond_the_step_asked_are_told_and_the_step_advised_is_kept",
     ),
+    "element.raw_block": (
+        "element/test_nest",
+        "test_blocks_that_fit_no_raw_block_are_refused_with_the_size_that_does",
+    ),
+    "element.cut": (
+        "element/test_nest",
+        "test_cuts_out_of_reach_are_named_and_the_bow_advised_reaches_them",
+    ),
+    "element.stock": (
+        "element/test_nest",
+        "test_wrong_rows_of_the_stock_are_refused_and_without_them_it_is_read",
+    ),
     "element.jobs": (
         "element/test_element_file",
         "test_templates_that_overlap_or_leave_a_panel_out_are_refused_by_panel",

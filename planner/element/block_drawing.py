@@ -1,0 +1,138 @@
+"""Cut drawings of nested blocks, as one SVG: panels' ids, cuts with their numbers, what is left over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Final
+
+from planner.element.nest import NestedBlock, Nesting, PanelBlock, level_cuts, total_yields, yields
+from planner.geometry.cut_tree import Cut, Part
+from planner.geometry.units import MM
+
+_PAGE: Final = 1240.0  # width of the drawing [px]
+_COLUMNS: Final = 2
+_GAP: Final = 60.0  # px between drawings, and above each for its title
+_INK, _CUT, _SOFT = "#1a1a1a", "#b3261e", "#6b6b6b"
+_PANEL, _LEFT = "#dbe7f1", "#f1efe9"
+_BOLD = ' font-weight="600"'
+
+
+def drawing(name: str, nesting: Nesting, panels: Sequence[PanelBlock], kerf: float) -> str:
+    """All blocks in their order, at one scale, x to the right and y up."""
+    column = (_PAGE - _GAP * (_COLUMNS - 1)) / _COLUMNS
+    scale = column / max(block.size[0] for block in nesting.blocks)
+    volume, boxes = (100.0 * share for share in total_yields(nesting, panels))
+    sure = {"bound": "the least there is", "two-stage": "no nest of strips takes fewer"}
+    why = f" ({sure[nesting.least]})" if nesting.least else ""
+    count = len(nesting.blocks)
+    texts = [
+        (28, 34, f"{name}: {count} blocks{why}, at least {nesting.bound} by area"),
+        (18, 64, f"of the foam {volume:.0f} % are panels, {boxes:.0f} % the blocks that they are cut from"),
+        (18, 88, "red: cuts in their order, each through one whole part; beige: left over; mm"),
+    ]
+    out = [
+        f'<text x="0" y="{y}" font-size="{size}"{_BOLD if size > 20 else ""}>{escape(line)}</text>'
+        for size, y, line in texts
+    ]
+    top = 110.0
+    for start in range(0, count, _COLUMNS):
+        row = nesting.blocks[start : start + _COLUMNS]
+        high = max(block.size[1] for block in row) * scale
+        for place, block in enumerate(row):
+            left = place * (column + _GAP)
+            out += _block(block, panels, kerf, left, top + _GAP, scale)
+        top += high + _GAP + 30.0
+    size = f"{_PAGE + 80:.0f} {top + 40:.0f}"
+    head = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-40 -10 {size}" '
+        f'font-family="sans-serif" fill="{_INK}">',
+        f'<rect x="-40" y="-10" width="{_PAGE + 80:.0f}" height="{top + 40:.0f}" fill="#ffffff"/>',
+    ]
+    return "\n".join([*head, *out, "</svg>"]) + "\n"
+
+
+def _block(
+    block: NestedBlock, panels: Sequence[PanelBlock], kerf: float, left: float, top: float, scale: float
+) -> list[str]:
+    """One block, its upper left corner at (left, top)."""
+    size = " x ".join(f"{round(v / MM, 1):g}" for v in block.size)
+    source = f"left over {block.source}" if block.source else "raw block"
+    volume, _ = (100.0 * share for share in yields(block, panels))
+    high = block.size[1] * scale
+    title = f"{source} {size}{', ' + block.foam if block.foam else ''}; {volume:.0f} % panels"
+    out = [
+        f'<text x="{left:.1f}" y="{top - 8:.1f}" font-size="15"><tspan font-size="19"{_BOLD}>{block.name}'
+        f"</tspan>  {escape(title)}</text>",
+        _rectangle(left, top, block.size[0] * scale, high, _LEFT),
+    ]
+    levels = {i: number for number, i, _ in level_cuts(block, panels, kerf)}
+
+    def box(part: Part) -> tuple[float, float, float, float]:
+        y = top + high - (part.y + part.width) * scale
+        return left + part.x * scale, y, part.length * scale, part.width * scale
+
+    for part in block.tree.boxes():
+        x, y, long, wide = box(part)
+        i = block.panel(part.box)
+        out.append(_rectangle(x, y, long, wide, _PANEL))
+        told = [panels[i].name, f"{part.length / MM:.0f} x {part.width / MM:.0f}"]
+        if i in levels:
+            told += [f"{panels[i].thickness / MM:g} thick", f"level cut {levels[i]}"]
+        out += _told(told, x + 0.5 * long, y + 0.5 * wide, long, wide)
+    out += [_rectangle(*box(part), _LEFT) for part in block.tree.offcuts()]
+    for number, cut in enumerate(block.tree.cuts(), 1):
+        out += _cut(cut, number, left, top + high, scale, kerf)
+    out.append(
+        f'<rect x="{left:.1f}" y="{top:.1f}" width="{block.size[0] * scale:.1f}" height="{high:.1f}" '
+        f'fill="none" stroke="{_INK}" stroke-width="1.6"/>'
+    )
+    return out
+
+
+def _told(lines: list[str], x: float, y: float, long: float, wide: float) -> list[str]:
+    """Lines about (x, y), the first large, along the longer side of long x wide."""
+    room = wide if wide > 1.4 * long else long
+    size = min(room * 1.4 / max(len(lines[0]), 0.7 * max(len(line) for line in lines)), 20.0)
+    size = min(size, 0.8 * (long + wide - room) / (1.0 + 0.7 * (len(lines) - 1)))
+    turn = f' transform="rotate(-90 {x:.1f} {y:.1f})"' if wide > 1.4 * long else ""
+    out, level = [], y + size * (0.8 - 0.5 * (1.0 + 0.7 * (len(lines) - 1)))
+    for n, line in enumerate(lines):
+        ink = _INK if n == 0 else _CUT if n == 3 else _SOFT
+        out.append(
+            _text(
+                x, level + 0.7 * n * size, size * (0.6 if n else 1.0), line, ink, turn + ("" if n else _BOLD)
+            )
+        )
+    return out
+
+
+def _cut(cut: Cut, number: int, left: float, bottom: float, scale: float, kerf: float) -> list[str]:
+    """A cut's slot, and its number at the end where it begins."""
+    middle = (cut.place + 0.5 * kerf) * scale
+    if cut.axis == 0:
+        x, y = left + middle, bottom - cut.y * scale
+        ends = x, y, x, y - cut.along * scale
+        at = x, y - min(11.0, 0.5 * cut.along * scale)
+    else:
+        x, y = left + cut.x * scale, bottom - middle
+        ends = x, y, x + cut.along * scale, y
+        at = x + min(11.0, 0.5 * cut.along * scale), y
+    wide = max(kerf * scale, 1.2)
+    line = " ".join(f'{k}="{v:.1f}"' for k, v in zip(("x1", "y1", "x2", "y2"), ends, strict=True))
+    return [
+        f'<line {line} stroke="{_CUT}" stroke-width="{wide:.2f}"/>',
+        f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="7" fill="#ffffff" stroke="{_CUT}"/>',
+        _text(at[0], at[1] + 3.2, 9.0, str(number), _CUT),
+    ]
+
+
+def _rectangle(x: float, y: float, long: float, wide: float, fill: str) -> str:
+    return f'<rect x="{x:.1f}" y="{y:.1f}" width="{long:.1f}" height="{wide:.1f}" fill="{fill}"/>'
+
+
+def _text(x: float, y: float, size: float, line: str, ink: str, more: str = "") -> str:
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size:.1f}" fill="{ink}" text-anchor="middle"{more}>'
+        f"{escape(line)}</text>"
+    )

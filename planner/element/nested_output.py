@@ -1,0 +1,76 @@
+"""What nested blocks leave in an element's folder: a table, cut drawings, the stock list, and data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from planner.element.block_drawing import drawing
+from planner.element.element_file import RawBlocksFile
+from planner.element.nest import Nesting, PanelBlock, RawBlock, Sawing, nested, stock_file, table, told
+from planner.element.stock_list import LeftOver
+from planner.geometry.cut_tree import Bow
+from planner.geometry.units import MM
+from planner.issues import Issue
+
+
+def nested_folder(
+    name: str, file: RawBlocksFile, panels: Sequence[PanelBlock], stock: Sequence[LeftOver]
+) -> tuple[dict[str, str], tuple[Issue, ...], dict[str, Any]]:
+    """Files by their names, what is to be said, and the data. Raises ``TandemError``:
+    ``element.raw_block``."""
+    raw = []
+    for one in file.sizes:
+        length, width, thickness = (v * MM for v in one.size_mm)
+        raw.append(RawBlock(length, width, thickness, one.foam))
+    bow = None if file.bow is None else Bow(file.bow.span_mm * MM, file.bow.throat_mm * MM)
+    kerf = file.kerf_mm * MM
+    sawing = Sawing(kerf, file.oversize_mm * MM, file.grain == "any", bow, file.keep_mm * MM)
+    made = nested(name, panels, raw, stock, sawing)
+    files = {
+        "blocks.csv": table(made, panels),
+        "blocks.svg": drawing(name, made, panels, kerf),
+        "stock.csv": stock_file(made),
+    }
+    return files, told(made, panels, sawing), _data(made, panels)
+
+
+def _data(made: Nesting, panels: Sequence[PanelBlock]) -> dict[str, Any]:
+    """Blocks with where their panels lie and their cuts in order [mm]: corners of parts at x and y, the slot
+    from place on along the axis, through a part that is as long as the cut."""
+
+    def mm(value: float) -> float:
+        return round(value / MM, 3) + 0.0
+
+    return {
+        "least": made.bound,
+        "least_because": made.least,
+        "blocks": [
+            {
+                "id": block.name,
+                "left_over": block.source,
+                "size_mm": [mm(v) for v in block.size],
+                "foam": block.foam,
+                "panels": [
+                    {
+                        "id": panels[block.panel(part.box)].name,
+                        "corner_mm": [mm(part.x), mm(part.y)],
+                        "size_mm": [mm(part.length), mm(part.width)],
+                        "turned": part.turned,
+                        "level_cut": block.panel(part.box) in block.level,
+                    }
+                    for part in block.tree.boxes()
+                ],
+                "cuts": [
+                    {
+                        "across": "xy"[cut.axis],
+                        "corner_mm": [mm(cut.x), mm(cut.y)],
+                        "place_mm": mm(cut.place),
+                        "along_mm": mm(cut.along),
+                    }
+                    for cut in block.tree.cuts()
+                ],
+            }
+            for block in made.blocks
+        ],
+    }
