@@ -355,3 +355,29 @@ def test_what_is_of_the_other_kind_is_refused(tmp_path: Path) -> None:
             element_file.read(shell(tmp_path, **change))
         assert [issue.code for issue in caught.value.issues] == ["problem.field"]
     assert element_file.read(shell(tmp_path))
+
+
+def test_the_pavilion_stands_on_three_legs_and_names_its_concave_panels() -> None:
+    files, (issue,) = told(ROOT / "problems" / "pavilion" / "element.yaml")
+    panels = written(files)
+    assert len(panels) == 267
+    hollow, feet = set(), []
+    for name, panel in panels.items():
+        for ring in panel.own:
+            outline = shapely.Polygon(ring[:, :2])
+            assert outline.is_valid
+            assert np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1).min() >= 40.0
+            if outline.convex_hull.area - outline.area > 1e-2:
+                hollow.add(name)
+        rise = panel.own[1] - panel.own[0]
+        level = np.array(panel.row["on_ground"])
+        free = ~(level | np.roll(level, 1))
+        assert np.linalg.norm(rise[free], axis=1).max(initial=0.0) <= 1.15 * 200.0 + 1e-6
+        for side, down in zip(sides(panel), level, strict=True):
+            assert off_plane(side) < 1e-6
+            if down:
+                assert np.abs(side[:, 2]).max() < 1e-6
+                feet.append(np.arctan2(*side.mean(axis=0)[[1, 0]]))
+    assert hollow == set(re.findall(r"\b[A-Z]\d\d\b", issue.message))
+    # three legs, a third of a turn apart
+    assert np.unique(np.round(np.array(feet) / (2 * np.pi / 3))).tolist() == [-1.0, 0.0, 1.0]
