@@ -61,11 +61,15 @@ CODES: Final[dict[str, Code]] = {
     "stock.footprint": Code("the gripper's face does not lie within the block's or the part's bottom face"),
     # building elements
     "element.surface": Code(
-        "the surface of an element has holes, folds over its plane, or fills no rectangle", given=True
+        "the surface of an element has holes, folds over its plane, fills no rectangle, or has no room for "
+        "panels side by side",
+        given=True,
     ),
     "element.wire": Code("no wire is long enough for the smallest panel at some place of an element"),
-    "element.tolerance": Code("no wire meets the surface of an element at some place"),
-    "element.block": Code("no block holds the smallest panel at some place of an element"),
+    "element.tolerance": Code("panels are farther off the surface of an element than is allowed"),
+    "element.shape": Code("planar panels of an element cross themselves, lean too far or are too small"),
+    "element.concave": Code("planar panels of an element have inner corners"),
+    "element.block": Code("no block holds a panel at some place of an element"),
     "element.held": Code("none of the wires of an element is held safely in the shapes of some panels"),
     "element.joint": Code("neighbouring panels of an element meet with a step larger than asked"),
     "element.raw_block": Code("the block of a panel fits none of the raw blocks of its foam"),

@@ -5,15 +5,18 @@ from __future__ import annotations
 import dataclasses
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
 from rich.console import Console
 
 from planner.files import claim_folder, write_folder
-from planner.geometry.units import MM
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue
+
+if TYPE_CHECKING:
+    from planner.element.element_file import ElasticElement, HexagonElement
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -34,7 +37,7 @@ class ElementRequest:
 
 def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     """Divide, write and print; what is to be said. Raises ``TandemError``."""
-    from planner.element import elastic, element_file, output
+    from planner.element import element_file, output
 
     start = time.perf_counter()
     claim_folder(request.output, output.OWNED, keep=request.file)
@@ -42,17 +45,43 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     raw = element.file.raw_blocks
     if raw is not None and raw.stock is not None:
         claim_folder(request.output, output.OWNED, keep=request.file.parent / raw.stock)
-    panels = elastic.divide_elastic(elastic.search(element.surface, element.cells, element.rules))
-    files, told = output.folder(element, panels)
+    if isinstance(element, element_file.HexagonElement):
+        files, told, said = _hexagons(element)
+    else:
+        files, told, said = _elastic(element)
     write_folder(request.output, files, output.OWNED)
-    steps = np.concatenate([joint.steps.ravel() for joint in elastic.joints(panels)] or [np.zeros(1)]) / MM
-    off = max(panel.misfit for panel in panels) / MM
-    out.print(
-        f"{element.file.name}: {len(panels)} panels, at most {off:.2f} mm off the surface; "
-        f"steps at joints {np.percentile(steps, output.JOINT_SHARE):.2f} mm at "
-        f"{output.JOINT_SHARE:g} %, {steps.max():.2f} mm at most",
-        markup=False,
-    )
+    out.print(f"{element.file.name}: {said}", markup=False)
     seconds = time.perf_counter() - start
     out.print(f"divided in {seconds:.1f} s; see {request.output / 'panels.svg'}", markup=False)
     return told
+
+
+def _elastic(element: ElasticElement) -> tuple[dict[str, str], tuple[Issue, ...], str]:
+    """All files of elastic panels, what is to be said, and what they came out as."""
+    from planner.element import elastic, output
+
+    panels = elastic.divide_elastic(elastic.search(element.surface, element.cells, element.rules))
+    files, told = output.folder(element, panels)
+    steps = np.concatenate([joint.steps.ravel() for joint in elastic.joints(panels)] or [np.zeros(1)]) / MM
+    off = max(panel.misfit for panel in panels) / MM
+    said = (
+        f"{len(panels)} panels, at most {off:.2f} mm off the surface; "
+        f"steps at joints {np.percentile(steps, output.JOINT_SHARE):.2f} mm at "
+        f"{output.JOINT_SHARE:g} %, {steps.max():.2f} mm at most"
+    )
+    return files, told, said
+
+
+def _hexagons(element: HexagonElement) -> tuple[dict[str, str], tuple[Issue, ...], str]:
+    """All files of planar panels, what is to be said, and what they came out as."""
+    from planner.element import hexagon_files, hexagons
+
+    panels = hexagons.divide_hexagons(element)
+    files, told = hexagon_files.folder(element, panels)
+    off = max(panel.off for panel in panels) / MM
+    lean = max(panel.lean for panel in panels) / DEG
+    said = (
+        f"{len(panels)} panels, at most {off:.1f} mm off the surface; edges from face to face lean "
+        f"{lean:.1f} degrees at most"
+    )
+    return files, told, said

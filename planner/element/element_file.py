@@ -1,5 +1,4 @@
-"""The element file: a surface, how it is divided into panels, blocks and wires at hand, and jobs for the
-panels.
+"""The element file: a surface, how it is divided into panels, blocks at hand, and jobs for the panels.
 
 Lengths are in mm. Faces are described as those of a part (`reading/part_surfaces.py`), wires as those of a
 cell.
@@ -12,22 +11,27 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from planner.catalogue.materials import foam
 from planner.element import stock_list
 from planner.element.elastic import Rules
 from planner.element.panel_faces import CutWire
 from planner.element.stock_list import LeftOver
-from planner.element.surface import ElementSurface, stand
+from planner.element.surface import ElementSurface, axes, stand
+from planner.geometry.arrays import FloatArray
+from planner.geometry.face_offset import Rim
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.planar_panels import LEAST_COUNT, MOST_COUNT
 from planner.geometry.units import MM
 from planner.hotwire import wire as hot_wires
 from planner.issues import Issue, TandemError
 from planner.reading import strict_yaml
+from planner.reading.cell import RackFile
 from planner.reading.materials import WireFile, WiresFile, wires_at_hand
 from planner.reading.part_surfaces import FrontFile, check_size, surface
 from planner.reading.problem import resolved, validate
-from planner.reading.strict_yaml import FileName, Positive, Strict, Vector
+from planner.reading.strict_yaml import Far, FileName, Positive, Strict, Vector
 
 MOST_CELLS: Final = 48
 """Cells of a grid along one side at most: the division looks at all rectangles of the grid."""
@@ -35,6 +39,8 @@ USUAL_CELLS: Final = 24
 """Cells along the longer side where none are stated."""
 END_SHARE: Final = 0.6
 """Share of the tolerance by which errors of its ends may move a wire."""
+USUAL_SIDES: Final = (2.0, 10.0)
+"""Foam [mm] beside elastic panels and hexagons where none is stated."""
 ElementName = Annotated[
     str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,17}$", description="letter first, at most 18 characters")
 ]
@@ -79,10 +85,30 @@ class ElasticFile(Strict):
     ] = 100.0
 
 
-class PanelsFile(Strict):
-    """How the element is divided: one kind of panels."""
+class HexagonsFile(Strict):
+    """Thick planar panels, most of six sides, that a straight wire cuts out of held blocks."""
 
-    elastic: ElasticFile
+    count: Annotated[int, Field(ge=LEAST_COUNT, le=MOST_COUNT, description="of panels")]
+    least_edge_mm: Annotated[float, Field(ge=1, le=1000, description="of either face")] = 50.0
+    least_width_mm: Annotated[float, Field(ge=0, le=2000, description="of either face, across")] = 100.0
+    off_surface_mm: Annotated[float, Field(gt=0, le=1000, description="of fronts to the surface")] = 30.0
+    rim: Annotated[Rim, Field(description="sides on the rim: square to their panels, or upright")] = "square"
+    ground_mm: Annotated[
+        Far | None, Field(description="height on which a rim stands, with a level side there")
+    ] = None
+
+
+class PanelsFile(Strict):
+    """How the element is divided: exactly one kind of panels."""
+
+    elastic: ElasticFile | None = None
+    hexagons: HexagonsFile | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> PanelsFile:
+        if (self.elastic is None) == (self.hexagons is None):
+            raise ValueError("give exactly one kind of panels, elastic or hexagons")
+        return self
 
 
 class BlockFile(Strict):
@@ -110,10 +136,12 @@ class WhenFile(Strict):
 
 
 class JobFile(Strict):
-    """A template: the rest of a problem file for the panels that ``when`` names; without it, for all."""
+    """A template: the rest of a problem file for the panels that ``when`` names; without it, for all.
+    ``grippers`` lie ready beside those of its cell."""
 
     when: WhenFile = WhenFile()
     problem: FileName
+    grippers: RackFile = ()
 
 
 class SawBowFile(Strict):
@@ -148,16 +176,39 @@ class ElementFile(Strict):
     surface: SurfaceFile
     thickness_mm: Annotated[float, Field(ge=1, le=2000)]
     panels: PanelsFile
-    wires: Annotated[tuple[WiresFile, ...], Field(min_length=1, max_length=20)]
+    wires: Annotated[
+        tuple[WiresFile, ...] | None, Field(min_length=1, max_length=20, description="of elastic panels")
+    ] = None
     blocks: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=50)]
     foam_sides_mm: Annotated[
-        float, Field(ge=0, le=500, description="foam of a block beside its panel, at each side")
-    ] = 2.0
+        float | None,
+        Field(
+            ge=0, le=500, description="foam of a block beside its panel, at each side; none: 2, hexagons 10"
+        ),
+    ] = None
     foam_faces_mm: Annotated[
-        float, Field(ge=0, le=500, description="foam of a block above and below its panel")
+        float, Field(ge=0, le=500, description="foam of a block above and below its elastic panel")
     ] = 12.0
     raw_blocks: RawBlocksFile | None = None
     jobs: Annotated[tuple[JobFile, ...], Field(min_length=1, max_length=50)]
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> ElementFile:
+        if self.panels.elastic is not None and self.wires is None:
+            raise ValueError("wires: elastic panels are cut by bent wires; give one")
+        strange = self.model_fields_set & {"wires", "foam_faces_mm"}
+        if self.panels.hexagons is not None and strange:
+            raise ValueError(
+                f"{' and '.join(sorted(strange))}: hexagons are cut by the bow of their cell out of blocks "
+                "as thick as they are; take that out"
+            )
+        return self
+
+    @property
+    def sides(self) -> float:
+        """Foam of a block beside its panel [m]."""
+        usual = USUAL_SIDES[0 if self.panels.hexagons is None else 1]
+        return (usual if self.foam_sides_mm is None else self.foam_sides_mm) * MM
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,19 +222,37 @@ class Template:
 
 @dataclasses.dataclass(frozen=True)
 class Element:
-    """An element file in SI units; ``wires`` and ``blocks`` as the file states them, in the order of
-    ``rules``; ``stock``: what is left over of earlier elements."""
+    """An element file of any kind, with its templates; ``stock``: what is left over of earlier elements."""
 
     file: ElementFile
+    templates: tuple[Template, ...]
+    stock: tuple[LeftOver, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class ElasticElement(Element):
+    """An element of elastic panels in SI units; ``wires`` as the file states them, in the order of
+    ``rules``."""
+
+    wanted: ElasticFile
     surface: ElementSurface
     cells: tuple[int, int]
     rules: Rules
     wires: tuple[WireFile, ...]
-    templates: tuple[Template, ...]
-    stock: tuple[LeftOver, ...] = ()
 
 
-def read(path: Path) -> Element:
+@dataclasses.dataclass(frozen=True)
+class HexagonElement(Element):
+    """An element of planar panels: ``wanted``, its ``surface`` [m] in the file's frame, which is that of the
+    element, and ``view`` (3, 3), whose columns are to the right, up, and towards one who looks at its
+    front."""
+
+    wanted: HexagonsFile
+    surface: TriangleMesh
+    view: FloatArray
+
+
+def read(path: Path) -> ElasticElement | HexagonElement:
     """The element of a file.
 
     Raises ``TandemError``: ``problem.field`` for every wrong field, with its line; issues of mesh files;
@@ -198,7 +267,7 @@ def read(path: Path) -> Element:
     wires: tuple[WireFile, ...] = ()
     templates: list[Template] = []
     try:
-        wires = tuple(sorted(wires_at_hand(spec.wires), key=lambda w: w.length_mm))
+        wires = tuple(sorted(wires_at_hand(spec.wires or ()), key=lambda w: w.length_mm))
     except TandemError as error:
         issues += error.issues
     raw = spec.raw_blocks
@@ -221,17 +290,24 @@ def read(path: Path) -> Element:
             issues += error.issues
     if issues:
         raise TandemError(issues)
-    elastic = spec.panels.elastic
     mesh, _ = surface(spec.surface.loft, spec.surface.mesh, folder, "surface")
     check_size(mesh, "surface")
     plane = spec.surface.plane
-    own = stand(
-        mesh,
-        spec.thickness_mm * MM,
-        None if plane is None else np.array(plane.normal),
-        None if plane is None else np.array(plane.along),
+    stated = (None, None) if plane is None else (np.array(plane.normal), np.array(plane.along))
+    elastic, hexagons = spec.panels.elastic, spec.panels.hexagons
+    if hexagons is not None:
+        return HexagonElement(spec, tuple(templates), stock, hexagons, mesh, axes(mesh, *stated))
+    if elastic is None:
+        raise ValueError("panels of no kind")
+    own = stand(mesh, spec.thickness_mm * MM, *stated)
+    cells = elastic.cells or _cells(own)
+    return ElasticElement(
+        spec, tuple(templates), stock, elastic, own, cells, _rules(spec, elastic, wires), wires
     )
-    rules = Rules(
+
+
+def _rules(spec: ElementFile, elastic: ElasticFile, wires: tuple[WireFile, ...]) -> Rules:
+    return Rules(
         tuple(
             CutWire(
                 hot_wires.make(w.material, w.diameter_mm, w.width_mm, w.thickness_mm, w.temperature_c),
@@ -243,12 +319,11 @@ def read(path: Path) -> Element:
             for w in wires
         ),
         tuple(np.array(block.size_mm) * MM for block in spec.blocks),
-        spec.foam_sides_mm * MM,
+        spec.sides,
         spec.foam_faces_mm * MM,
         elastic.tolerance_mm * MM,
         elastic.end_weight,
     )
-    return Element(spec, own, elastic.cells or _cells(own), rules, wires, tuple(templates), stock)
 
 
 def _cells(own: ElementSurface) -> tuple[int, int]:
@@ -277,4 +352,8 @@ def _template(job: JobFile, folder: Path, field: str) -> Template:
         raise TandemError(
             Issue("element.jobs", what, file=str(path), field=field, hint="write the rest of a problem file")
         )
-    return Template(job.when, job.problem, resolved(document.data, path.parent))
+    data = resolved(document.data, path.parent)
+    rack = [one.model_dump(mode="json", exclude_none=True) for one in job.grippers]
+    if rack and isinstance(data["cell"], dict):
+        data["cell"] = {**data["cell"], "grippers": [*(data["cell"].get("grippers") or []), *rack]}
+    return Template(job.when, job.problem, data)

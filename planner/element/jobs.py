@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
 from planner.element.elastic import ElasticPanel
-from planner.element.element_file import Element, Template
+from planner.element.element_file import ElasticElement, Element, Template
+from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -23,25 +25,42 @@ def ids(panels: tuple[ElasticPanel, ...]) -> tuple[str, ...]:
     """A01, A02 ... B01 ...: a letter for each row of panels that begin on the same line, from the lowest, and
     numbers along it. They follow from cells alone, so they stay while the surface moves a little."""
     rows = sorted({panel.rectangle[2] for panel in panels})
+    return row_names([rows.index(panel.rectangle[2]) for panel in panels])  # by rows already
+
+
+def row_names(rows: Sequence[int]) -> tuple[str, ...]:
+    """Ids of panels by the rows that they are in, counted from 0: a letter, or two, for each row and numbers
+    in the panels' order."""
+    digits = max(2, len(str(max(np.bincount(rows)))))
     count: dict[int, int] = {}
     names = []
-    for panel in panels:  # by rows already
-        row = rows.index(panel.rectangle[2])
+    for row in rows:
         count[row] = count.get(row, 0) + 1
         letters = (chr(64 + row // 26) if row >= 26 else "") + chr(65 + row % 26)
-        names.append(f"{letters}{count[row]:02d}")
+        names.append(f"{letters}{count[row]:0{digits}d}")
     return tuple(names)
 
 
-def block_mm(panel: ElasticPanel) -> tuple[float, float, float]:
+class Panel(Protocol):
+    """What a panel of any kind has: the kind of ``block`` that it is cut from, and ``size`` (3,) [m] of its
+    own."""
+
+    @property
+    def block(self) -> int:
+        """The number of a kind of block in the element file."""
+
+    @property
+    def size(self) -> FloatArray:
+        """Length, width and height of the piece of it that the job begins with [m]."""
+
+
+def block_mm(panel: Panel) -> tuple[float, float, float]:
     """The size of a panel's block [mm], rounded up."""
     x, y, z = np.ceil(np.round(panel.size / MM / SIZE_STEP_MM, 6)) * SIZE_STEP_MM
     return round(float(x), 3), round(float(y), 3), round(float(z), 3)
 
 
-def chosen_templates(
-    element: Element, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
-) -> tuple[Template, ...]:
+def chosen_templates(element: Element, panels: Sequence[Panel], names: Sequence[str]) -> tuple[Template, ...]:
     """The template of each panel. Raises ``TandemError``: ``element.jobs`` where none or several are
     meant."""
     chosen, issues = [], []
@@ -66,8 +85,11 @@ def chosen_templates(
     return tuple(chosen)
 
 
-def problem(element: Element, panel: ElasticPanel, name: str, template: Template) -> dict[str, Any]:
-    """A panel's problem as a file has it: the template with the panel's block, faces, wire and sweep."""
+def problem(
+    element: Element, panel: Panel, name: str, template: Template, shape: dict[str, Any]
+) -> dict[str, Any]:
+    """A panel's problem as a file has it: the template with the panel's block, and its ``shape`` as a part
+    has it in the block's frame."""
     data = copy.deepcopy(template.data)
     spec = element.file
     block = spec.blocks[panel.block]
@@ -75,27 +97,34 @@ def problem(element: Element, panel: ElasticPanel, name: str, template: Template
     if block.foam is not None:
         stock.setdefault("foam", block.foam)
     operations = data.pop("operations")
-    wire = element.wires[panel.wire].model_dump(exclude_none=True)
-    for operation in operations:
-        if isinstance(operation, dict) and operation.get("process") == "elastic_wire":
-            operation.setdefault("wire", wire)
-            operation.setdefault("sweep", "y")
-    faces = {
-        side: {"mesh": {"file": f"meshes/{name}_{side}.obj", "unit": "mm"}} for side in ("front", "back")
-    }
     head = {"tandem": 1, "name": f"{spec.name}_{name}", "cell": data.pop("cell")}
     rest = {key: value for key, value in data.items() if key not in ("tandem", "name")}
-    part = {**faces, "in_stock": {"xyz_mm": [0.0, 0.0, 0.0]}}
+    part = {**shape, "in_stock": {"xyz_mm": [0.0, 0.0, 0.0]}}
     return {**head, **rest, "stock": stock, "part": part, "operations": operations}
 
 
-def panel_files(element: Element, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> dict[str, str]:
-    """Problem files and meshes by their places in the folder. Raises ``TandemError`` as
-    `chosen_templates`."""
+def problem_text(element: Element, name: str, data: dict[str, Any]) -> str:
+    """A panel's problem as text."""
+    return f"# Panel {name} of {element.file.name}, written by tandem element.\n" + strict_yaml.dump(data)
+
+
+def panel_files(
+    element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
+) -> dict[str, str]:
+    """Problem files and meshes by their places in the folder; wire and sweep where a template leaves them
+    out. Raises ``TandemError`` as `chosen_templates`."""
     files = {}
     for panel, name, template in zip(panels, names, chosen_templates(element, panels, names), strict=True):
-        head = f"# Panel {name} of {element.file.name}, written by tandem element.\n"
-        files[f"panels/{name}.yaml"] = head + strict_yaml.dump(problem(element, panel, name, template))
+        faces = {
+            side: {"mesh": {"file": f"meshes/{name}_{side}.obj", "unit": "mm"}} for side in ("front", "back")
+        }
+        data = problem(element, panel, name, template, faces)
+        wire = element.wires[panel.wire].model_dump(exclude_none=True)
+        for operation in data["operations"]:
+            if isinstance(operation, dict) and operation.get("process") == "elastic_wire":
+                operation.setdefault("wire", wire)
+                operation.setdefault("sweep", "y")
+        files[f"panels/{name}.yaml"] = problem_text(element, name, data)
         files[f"panels/meshes/{name}_front.obj"] = _obj(panel.front, f"front of {name}")
         files[f"panels/meshes/{name}_back.obj"] = _obj(panel.back, f"back of {name}")
     return files

@@ -6,12 +6,13 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from planner.element.elastic import ElasticPanel, Joint, joints
-from planner.element.element_file import Element
+from planner.element.element_file import ElasticElement
 from planner.element.jobs import block_mm, ids, panel_files
 from planner.element.nest import PanelBlock
 from planner.element.nested_output import nested_folder
@@ -26,7 +27,9 @@ JOINT_SHARE: Final = 95.0
 _PAGE: Final = 1200.0  # width of the drawing [px]
 
 
-def folder(element: Element, panels: tuple[ElasticPanel, ...]) -> tuple[dict[str, str], tuple[Issue, ...]]:
+def folder(
+    element: ElasticElement, panels: tuple[ElasticPanel, ...]
+) -> tuple[dict[str, str], tuple[Issue, ...]]:
     """All files by their names, and what is to be said: ``element.held`` for panels in whose shapes no wire
     is safe, ``element.joint`` for joints beyond the step asked, ``element.cut`` for cuts that no bow
     reaches.
@@ -37,7 +40,7 @@ def folder(element: Element, panels: tuple[ElasticPanel, ...]) -> tuple[dict[str
     met = joints(panels)
     files = panel_files(element, panels, names)
     rows = [_row(element, panel, name) for panel, name in zip(panels, names, strict=True)]
-    files["panels.csv"] = _csv(rows)
+    files["panels.csv"] = table(rows)
     files["panels.svg"] = drawing(element, panels, names)
     data = _data(element, panels, names, met, rows)
     issues = (*_unsteady(panels, names), *_told(element, names, met))
@@ -52,7 +55,7 @@ def folder(element: Element, panels: tuple[ElasticPanel, ...]) -> tuple[dict[str
 
 
 def _panel_blocks(
-    element: Element, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
+    element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
 ) -> list[PanelBlock]:
     """The blocks that panels are cut from; a panel's volume is its thickness times the mean of its faces'
     areas (J. Steiner, 1840, but for a term of the third power of the thickness)."""
@@ -65,7 +68,7 @@ def _panel_blocks(
     return out
 
 
-def _row(element: Element, panel: ElasticPanel, name: str) -> dict[str, Any]:
+def _row(element: ElasticElement, panel: ElasticPanel, name: str) -> dict[str, Any]:
     x, y = _bounds(element, panel)
     wire = element.wires[panel.wire]
     block = element.file.blocks[panel.block]
@@ -84,14 +87,15 @@ def _row(element: Element, panel: ElasticPanel, name: str) -> dict[str, Any]:
     }
 
 
-def _bounds(element: Element, panel: ElasticPanel) -> tuple[tuple[float, float], tuple[float, float]]:
+def _bounds(element: ElasticElement, panel: ElasticPanel) -> tuple[tuple[float, float], tuple[float, float]]:
     """From and to along the element's x and y [mm]."""
     step = element.surface.size / np.array(element.cells) / MM
     x0, x1, y0, y1 = panel.rectangle
     return (x0 * float(step[0]), x1 * float(step[0])), (y0 * float(step[1]), y1 * float(step[1]))
 
 
-def _csv(rows: list[dict[str, Any]]) -> str:
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Rows as CSV, their names first."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
@@ -105,7 +109,7 @@ def _step(joint: Joint) -> float:
 
 
 def _data(
-    element: Element,
+    element: ElasticElement,
     panels: tuple[ElasticPanel, ...],
     names: tuple[str, ...],
     met: tuple[Joint, ...],
@@ -143,8 +147,8 @@ def _data(
     }
 
 
-def _told(element: Element, names: tuple[str, ...], met: tuple[Joint, ...]) -> tuple[Issue, ...]:
-    limit = element.file.panels.elastic.joint_mm
+def _told(element: ElasticElement, names: tuple[str, ...], met: tuple[Joint, ...]) -> tuple[Issue, ...]:
+    limit = element.wanted.joint_mm
     over = [joint for joint in met if _step(joint) > limit]
     if not over:
         return ()
@@ -186,12 +190,12 @@ def _unsteady(panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> tuple
     return (Issue("element.held", what, Severity.WARNING, field="wires", hint=hint),)
 
 
-def drawing(element: Element, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> str:
+def drawing(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> str:
     """All panels in the element's plane, seen from the front: ids, the wire's direction, how far off."""
     size = element.surface.size / MM
     scale = _PAGE / float(size[0])
     high = float(size[1]) * scale
-    limit = element.file.panels.elastic.tolerance_mm
+    limit = element.wanted.tolerance_mm
     worst = max(panel.misfit for panel in panels) / MM
     title = f"{element.file.name}: {len(panels)} panels"
     legend = "seen from the front; lines in a panel lie as its wire does; numbers are how far it is off the "

@@ -51,6 +51,20 @@ def stand(
     Raises ``TandemError``: ``element.surface`` where the surface has holes, folds over or fills no rectangle,
     ``part.offset`` where the thickness does.
     """
+    rotation = axes(mesh, normal, along)
+    local = mesh.vertices @ rotation
+    origin = rotation @ np.array([*local[:, :2].min(axis=0), 0.0])
+    pose = from_parts(rotation, origin)
+    own = TriangleMesh(transform(inverse(pose), mesh.vertices), mesh.faces)
+    size = np.ptp(own.vertices[:, :2], axis=0)
+    _refuse(own, size)
+    back = offset(own, -thickness, vertex_normals(own))
+    return ElementSurface(own, back, thickness, pose, size)
+
+
+def axes(mesh: TriangleMesh, normal: FloatArray | None = None, along: FloatArray | None = None) -> FloatArray:
+    """The axes of a surface's plane as columns (3, 3): z along ``normal``, else the surface's, x along
+    ``along``. Raises ``TandemError``: ``element.surface`` where both run one way."""
     z = _axis(mesh) if normal is None else unit(np.asarray(normal, dtype=np.float64))
     if along is None:
         # level where the element stands upright
@@ -61,15 +75,7 @@ def stand(
             _wrong("plane.along runs along its normal; give a direction in the plane", "surface.plane")
         )
     x = unit(x)
-    rotation = np.stack([x, np.cross(z, x), z], axis=1)
-    local = mesh.vertices @ rotation
-    origin = rotation @ np.array([*local[:, :2].min(axis=0), 0.0])
-    pose = from_parts(rotation, origin)
-    own = TriangleMesh(transform(inverse(pose), mesh.vertices), mesh.faces)
-    size = np.ptp(own.vertices[:, :2], axis=0)
-    _refuse(own, size)
-    back = offset(own, -thickness, vertex_normals(own))
-    return ElementSurface(own, back, thickness, pose, size)
+    return np.stack([x, np.cross(z, x), z], axis=1)
 
 
 def _axis(mesh: TriangleMesh) -> FloatArray:

@@ -33,7 +33,7 @@ MOST_COUNT: Final = 5000
 """More panels are refused: time and memory grow with their number."""
 STEEPEST: Final = 30.0 * DEG
 """Sides lean no further from their panel's normal."""
-_FLAT: Final = 1e-9
+FLAT: Final = 1e-9
 """Corners are in the planes of faces and sides within this [m]."""
 _TRIES: Final = (Weights(), Weights(stay=0.15, fair=0.03, hinge=2.0), Weights(stay=0.1, fair=0.05, rounds=60))
 _STRAIGHT: Final = 0.05
@@ -68,8 +68,8 @@ class PanelCheck:
         that leans over 30 degrees or is over 1.15 thicknesses long."""
         return np.asarray(
             ~self.simple
-            | (self.off_plane > _FLAT)
-            | (self.off_side > _FLAT)
+            | (self.off_plane > FLAT)
+            | (self.off_side > FLAT)
             | (self.least_edge < least_edge)
             | (self.tilt > STEEPEST)
             | (self.stretch > LONGEST_WAY)

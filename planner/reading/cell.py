@@ -296,16 +296,19 @@ class ObstacleFile(Strict):
     shapes: Annotated[list[ShapeFile], Field(min_length=1)]
 
 
+RackFile = Annotated[
+    tuple[Annotated[GripperPlateFile | VacuumCupFile, Field(discriminator="kind")], ...],
+    Field(max_length=40, description="those that lie ready; one is chosen for a block that is held"),
+]
+
+
 class CellFile(Strict):
     """A robot cell."""
 
     name: str = "cell"
     arms: Annotated[list[ArmFile], Field(min_length=1, max_length=2)]
     obstacles: tuple[ObstacleFile, ...] = ()
-    grippers: Annotated[
-        tuple[Annotated[GripperPlateFile | VacuumCupFile, Field(discriminator="kind")], ...],
-        Field(max_length=40, description="those that lie ready; one is chosen for a block that is held"),
-    ] = ()
+    grippers: RackFile = ()
     wires: Annotated[
         tuple[WiresFile, ...] | None,
         Field(min_length=1, max_length=50, description="bent wires at hand, from which one is chosen"),

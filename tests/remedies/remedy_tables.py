@@ -95,6 +95,14 @@ ELSEWHERE: Final = {
         "element/test_element_file",
         "test_blocks_too_thin_are_refused_with_the_thickness_that_fits",
     ),
+    "element.shape": (
+        "element/test_hexagons",
+        "test_panels_beyond_a_limit_are_named_with_a_change_that_helps",
+    ),
+    "element.concave": (
+        "element/test_hexagons",
+        "test_concave_panels_are_named_all_and_none_else",
+    ),
     "element.held": (
         "element/test_element_file",
         "test_panels_that_no_wire_holds_are_named_and_more_lengths_help",

@@ -1,0 +1,415 @@
+"""The kind ``hexagons``: a shell of thick planar panels, each cut by a straight wire out of a held block.
+
+The panels are those of `geometry/planar_panels.py`, with their fronts on the surface. Here they get ids and
+blocks, and what cannot be made is refused, with a change that was tried and helps.
+
+**Rows** go from panel to panel: the first one stands on the ground, or is the lowest of the rim; each panel
+of the next one has a neighbour in the row before. So ids follow from the pattern alone, and are an order in
+which the shell can be put up.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+import numpy as np
+import shapely
+
+from planner.element.elastic import FITS
+from planner.element.element_file import HexagonElement
+from planner.element.jobs import row_names
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_parts, inverse, transform
+from planner.geometry.face_offset import ThickPanel
+from planner.geometry.guided_projection import LONGEST_WAY
+from planner.geometry.panel_pattern import RIM, PatternError
+from planner.geometry.planar_panels import (
+    FLAT,
+    LEAST_COUNT,
+    MOST_COUNT,
+    STEEPEST,
+    PanelCheck,
+    PanelShell,
+    planar_shell,
+)
+from planner.geometry.units import DEG, MM
+from planner.issues import Issue, TandemError
+
+LOW: Final = 0.4618
+"""Without a stated ground, panels on the rim that reach down to its lowest corner within this share of their
+mean size are the first row. An odd number on purpose, as the next two: no regular shell has corners there."""
+FIRST: Final = -0.0618
+"""Numbers of a row that goes round begin at this angle [rad] from the view's x."""
+UP: Final = (0.137, 0.071, 1.0)
+"""What the y axes of blocks point to rather than away from."""
+ALIKE: Final = 1e-6
+"""Boxes whose areas differ by no more than this share are alike: the first one counts."""
+TRIED_TO: Final = 1000
+"""Where a shell of more panels is refused, no changes are tried: each takes as long as the shell."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HexagonPanel:
+    """A panel in its block, whose ``pose`` (4, 4) is in the element's frame: z along the panel's normal, x
+    along its box, y rather upwards, the origin in the middle of the bottom face.
+
+    ``bottom``, ``top`` (C, 3) [m] in that frame; ``beyond``: ids of the panels beyond the sides, from corner
+    i to i + 1, empty on the rim; ``level`` (C,): sides on the ground. ``block``: the kind of block in the
+    file, ``size`` (3,) [m] of the piece of it. ``off`` [m]: front to surface; ``lean`` [rad] of the steepest
+    edge from face to face.
+    """
+
+    name: str
+    block: int
+    size: FloatArray
+    pose: FloatArray
+    bottom: FloatArray
+    top: FloatArray
+    beyond: tuple[str, ...]
+    level: BoolArray
+    off: float
+    lean: float
+    concave: bool
+
+    @property
+    def volume(self) -> float:
+        """[m^3]: exact, as the corners go straight from face to face."""
+        rings = (self.bottom, 0.5 * (self.bottom + self.top), self.top)
+        low, middle, high = (float(shapely.Polygon(ring[:, :2]).area) for ring in rings)
+        return float(self.size[2]) * (low + 4.0 * middle + high) / 6.0
+
+
+def divide_hexagons(element: HexagonElement) -> tuple[HexagonPanel, ...]:
+    """All panels of a shell by their ids.
+
+    Raises ``TandemError``: ``element.surface`` where the surface has no room for panels side by side or no
+    rim on the ground, ``element.shape`` and ``element.tolerance`` for panels that cannot be made or are too
+    far off, ``element.block`` where no block holds a panel; each names its panels and a change that was tried
+    and helps, where one does.
+    """
+    made = _shell(element)
+    names, order = _named(element, made)
+    issues = _faults(element, made, names)
+    if not issues:
+        placed = [_in_block(element, panel) for panel in made.panels]
+        issues = _too_large(element, made, placed, names)
+    if issues:
+        hint = _advice(element, issues, made.check)
+        raise TandemError(
+            [dataclasses.replace(i, hint="; ".join(filter(None, (i.hint, hint)))) for i in issues]
+        )
+    return tuple(_panel(made, placed, names, k) for k in order)
+
+
+def _shell(element: HexagonElement) -> PanelShell:
+    wanted, thickness = element.wanted, element.file.thickness_mm * MM
+    ground = None if wanted.ground_mm is None else wanted.ground_mm * MM
+    try:
+        made = planar_shell(
+            element.surface, wanted.count, -thickness, wanted.least_edge_mm * MM, wanted.rim, ground
+        )
+    except PatternError as error:
+        hint = "give another count, or a surface that is wider there"
+        raise TandemError(
+            Issue("element.surface", str(error), field="panels.hexagons.count", hint=hint)
+        ) from error
+    if ground is not None and not any(panel.level.any() for panel in made.panels):
+        low = float(element.surface.vertices[:, 2].min()) / MM
+        what = f"no rim stands at the height of ground_mm, {wanted.ground_mm:g} mm"
+        hint = f"the lowest place of the surface is at {low:.3f} mm; give that, or leave ground_mm out"
+        raise TandemError(Issue("element.surface", what, field="panels.hexagons.ground_mm", hint=hint))
+    return made
+
+
+def _named(element: HexagonElement, made: PanelShell) -> tuple[list[str], IntArray]:
+    """The id of each panel, and the panels in the order of their ids."""
+    panels = made.panels
+    middle = np.array([panel.top.mean(axis=0) for panel in panels])
+    own = (middle - middle.mean(axis=0)) @ element.view
+    lies = abs(float(element.view[2, 2])) > np.cos(45.0 * DEG)
+    along = (np.arctan2(own[:, 1], own[:, 0]) - FIRST) % (2.0 * np.pi) if lies else own[:, 0]
+    rows = _rows(panels)
+    order = np.lexsort((along, rows))
+    names = [""] * len(panels)
+    for k, name in zip(order.tolist(), row_names(rows[order].tolist()), strict=True):
+        names[k] = name
+    return names, order
+
+
+def _rows(panels: Sequence[ThickPanel]) -> IntArray:
+    """The row (N,) of each panel, from 0."""
+    rim = np.array([(panel.across == RIM).any() for panel in panels])
+    lowest = np.array([panel.top[:, 2].min() for panel in panels])
+    flat = [shapely.Polygon(panel.top @ _across(panel.normal)).area for panel in panels]
+    first = np.array([panel.level.any() for panel in panels])
+    rows = np.zeros(len(panels), dtype=np.int64)  # 0: in none yet
+    low = rim & (lowest < lowest[rim].min() + LOW * np.sqrt(np.mean(flat)))
+    now = np.flatnonzero(first if first.any() else low)
+    for row in range(1, len(panels) + 1):
+        rows[now] = row
+        if (rows > 0).all():
+            break
+        near = np.concatenate([panels[k].across for k in now.tolist()])
+        now = np.unique(near[(near != RIM) & (rows[near] == 0)])
+        if not len(now):  # pieces that hang together by a corner alone
+            now = np.array([int(np.argmin(np.where(rows == 0, lowest, np.inf)))])
+    return rows - 1
+
+
+def _across(normal: FloatArray) -> FloatArray:
+    """Two axes square to a normal, as columns (3, 2)."""
+    one = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    one /= np.linalg.norm(one)
+    return np.stack([one, np.cross(normal, one)], axis=1)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Placed:
+    """A panel's block: its kind, None where none holds it, ``size`` (3,) [m] and ``pose`` (4, 4)."""
+
+    block: int | None
+    size: FloatArray
+    pose: FloatArray
+
+
+def _in_block(element: HexagonElement, panel: ThickPanel) -> _Placed:
+    """The smallest block that holds a panel, in the direction that takes least of it."""
+    thick = element.file.thickness_mm * MM
+    plane = _across(panel.normal)
+    cloud = np.concatenate([panel.bottom, panel.top]) @ plane
+    hull = np.asarray(shapely.convex_hull(shapely.MultiPoint(cloud)).exterior.coords)
+    edge = np.diff(hull, axis=0)
+    way = edge / np.linalg.norm(edge, axis=1, keepdims=True)
+    square = np.stack([-way[:, 1], way[:, 0]], axis=1)
+    extent = np.stack([np.ptp(hull @ way.T, axis=0), np.ptp(hull @ square.T, axis=0)], axis=1)
+    tall = extent[:, 1] > extent[:, 0] * (1.0 + ALIKE)
+    way = np.where(tall[:, None], square, way)
+    size = np.where(tall[:, None], extent[:, ::-1], extent) + 2.0 * element.file.sides
+    area = size.prod(axis=1)
+    blocks = [np.array(block.size_mm) * MM for block in element.file.blocks]
+    found: int | None = None
+    chosen = area <= area.min() * (1.0 + ALIKE)
+    for number in sorted(range(len(blocks)), key=lambda i: (float(blocks[i].prod()), i)):
+        block = blocks[number]
+        room = np.array([max(block[:2]), min(block[:2])]) + FITS
+        fits = (size <= room).all(axis=1)
+        if thick <= block[2] + FITS and fits.any():
+            found, chosen = number, fits & (area <= area[fits].min() * (1.0 + ALIKE))
+            break
+    best = int(np.flatnonzero(chosen)[0])
+    x = plane @ way[best]
+    y = np.cross(panel.normal, x)
+    x, y = (x, y) if y @ UP > 0.0 else (-x, -y)
+    axes = np.stack([x, y, panel.normal], axis=1)
+    local = np.concatenate([panel.bottom, panel.top]) @ axes
+    middle = 0.5 * (local.min(axis=0) + local.max(axis=0))
+    origin = axes @ np.array([middle[0], middle[1], float((panel.bottom @ panel.normal).mean())])
+    return _Placed(found, np.array([*size[best], thick]), from_parts(axes, origin))
+
+
+def _panel(made: PanelShell, placed: Sequence[_Placed], names: Sequence[str], k: int) -> HexagonPanel:
+    panel, own, check = made.panels[k], placed[k], made.check
+    bottom, top = (transform(inverse(own.pose), ring) for ring in (panel.bottom, panel.top))
+    # planes within a billionth of a metre are these two
+    bottom[:, 2], top[:, 2] = 0.0, own.size[2]
+    return HexagonPanel(
+        names[k],
+        0 if own.block is None else own.block,
+        own.size,
+        own.pose,
+        bottom,
+        top,
+        tuple("" if b == RIM else names[b] for b in panel.across.tolist()),
+        panel.level.astype(np.bool_),
+        float(check.off_surface[k]),
+        float(check.tilt[k]),
+        bool(check.concave[k]),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Limit:
+    """What N panels are, ``got`` (N,), against a limit, the least that is allowed or the most; ``over`` (N,):
+    those that do not keep it."""
+
+    code: str
+    field: str
+    what: str
+    got: FloatArray
+    limit: float
+    unit: str
+    least: bool = False
+    slack: float = 0.0
+
+    @property
+    def over(self) -> BoolArray:
+        """Panels beyond the limit."""
+        low, high = self.limit - self.slack, self.limit + self.slack
+        return np.asarray(self.got < low if self.least else self.got > high)
+
+
+def _limits(element: HexagonElement, check: PanelCheck) -> list[_Limit]:
+    wanted, own, shape = element.wanted, "panels.hexagons", "element.shape"
+    gap = np.maximum(check.off_plane, check.off_side)
+    return [
+        _Limit(shape, own, "cross themselves", (~check.simple).astype(np.float64), 0.0, "crossing"),
+        _Limit(shape, own, "have corners off the planes of their faces and sides", gap / MM, FLAT / MM, "mm"),
+        _Limit(
+            shape,
+            f"{own}.least_edge_mm",
+            "have short edges",
+            check.least_edge / MM,
+            wanted.least_edge_mm,
+            "mm",
+            least=True,
+        ),
+        _Limit(
+            shape,
+            f"{own}.least_width_mm",
+            "are narrow",
+            check.width / MM,
+            wanted.least_width_mm,
+            "mm",
+            least=True,
+        ),
+        _Limit(
+            shape,
+            own,
+            "have corners that lean far from face to face",
+            check.tilt / DEG,
+            STEEPEST / DEG,
+            "degrees",
+        ),
+        _Limit(
+            shape,
+            own,
+            "have long edges from face to face",
+            check.stretch * element.file.thickness_mm,
+            LONGEST_WAY * element.file.thickness_mm,
+            "mm",
+            slack=1e-9,
+        ),
+        _Limit(
+            "element.tolerance",
+            f"{own}.off_surface_mm",
+            "are off the surface",
+            check.off_surface / MM,
+            wanted.off_surface_mm,
+            "mm",
+        ),
+    ]
+
+
+def _faults(element: HexagonElement, made: PanelShell, names: Sequence[str]) -> list[Issue]:
+    """Why panels cannot be made: one issue for each limit, with all that do not keep it, the worst first."""
+    issues = []
+    for one in _limits(element, made.check):
+        over = np.flatnonzero(one.over)
+        if not len(over):
+            continue
+        order = over[np.argsort(one.got[over] if one.least else -one.got[over], kind="stable")]
+        worst = int(order[0])
+        what = (
+            f"{len(over)} of {len(names)} panels {one.what}, the worst is {_place(made, names, worst)} with "
+            f"{one.got[worst]:.4g} {one.unit}, allowed are {'at least ' if one.least else ''}{one.limit:g}"
+        )
+        if len(over) > 1:
+            what += f"; the others: {', '.join(names[k] for k in order[1:].tolist())}"
+        if bent := int((made.check.bend[over] < 0.0).sum()):
+            what += f"; {bent} of them lie where the surface bends both ways"
+        value = float(one.got[worst])
+        issues.append(Issue(one.code, what, field=one.field, value=value, limit=one.limit, unit=one.unit))
+    return issues
+
+
+def _place(made: PanelShell, names: Sequence[str], k: int) -> str:
+    x, y, z = (made.panels[k].top.mean(axis=0) / MM).tolist()
+    return f"{names[k]} near ({x:.0f}, {y:.0f}, {z:.0f}) mm"
+
+
+def _too_large(
+    element: HexagonElement, made: PanelShell, placed: Sequence[_Placed], names: Sequence[str]
+) -> list[Issue]:
+    """Panels that no block holds, and the block that would hold all."""
+    over = [k for k, own in enumerate(placed) if own.block is None]
+    if not over:
+        return []
+    worst = max(over, key=lambda k: (float(placed[k].size[0]), k))
+    sizes = np.array([own.size for own in placed])
+    thick = element.file.thickness_mm
+    got = " x ".join(f"{v / MM:.1f}" for v in placed[worst].size.tolist())
+    most = max(block.size_mm[2] for block in element.file.blocks)
+    what = (
+        f"no block holds {len(over)} of {len(names)} panels with foam beside them: "
+        f"{_place(made, names, worst)} takes {got} mm"
+    )
+    if len(over) > 1:
+        what += f"; the others: {', '.join(names[k] for k in over if k != worst)}"
+    if most < thick:
+        what += f"; the thickest block has {most:g} mm, the panels have {thick:g} mm"
+    needed = " x ".join(f"{v:g}" for v in [*np.ceil(sizes.max(axis=0)[:2] / MM + 1e-6).tolist(), thick])
+    hint = f"a block of {needed} mm would hold all"
+    return [Issue("element.block", what, field="blocks", value=len(over), limit=0, unit="panels", hint=hint)]
+
+
+def _advice(element: HexagonElement, issues: Sequence[Issue], check: PanelCheck) -> str:
+    """The first change of the file that was tried and leaves nothing to refuse."""
+    if element.wanted.count > TRIED_TO:
+        return ""
+    tried = []
+    for changes, thickness in _changes(element, issues):
+        said = [f"{name}: {v if isinstance(v, str) else f'{v:g}'}" for name, v in changes.items()]
+        if thickness is not None:
+            said.append(f"thickness_mm: {thickness:g}")
+        wanted = element.wanted.model_copy(update=changes)
+        file = element.file
+        file = file if thickness is None else file.model_copy(update={"thickness_mm": thickness})
+        if _serves(dataclasses.replace(element, file=file, wanted=wanted)):
+            return f"{', '.join(said)} was tried: all panels can be made then"
+        tried.append(", ".join(said))
+    bent = " where it bends both ways" if (check.bend < 0.0).any() else ""
+    return f"tried in vain: {'; '.join(tried)}; smooth or divide the surface{bent}" if tried else ""
+
+
+def _changes(
+    element: HexagonElement, issues: Sequence[Issue]
+) -> Iterator[tuple[dict[str, Any], float | None]]:
+    """Changes to try, the least first: fields of ``hexagons``, thickness [mm]."""
+    wanted, thick = element.wanted, element.file.thickness_mm
+    if any(issue.code == "element.block" for issue in issues):
+        most = max(block.size_mm[2] for block in element.file.blocks)
+        if most < thick:
+            yield {}, most
+        else:
+            for share in (1.25, 1.6, 2.0, 3.0):
+                yield {"count": min(round(share * wanted.count), MOST_COUNT)}, None
+        return
+    if wanted.rim == "upright":
+        yield {"rim": "square"}, None
+    limits = {
+        str(i.field).rsplit(".", 1)[-1]: float(i.value or 0.0) for i in issues if i.field != "panels.hexagons"
+    }
+    if len(limits) == len(issues):
+        for share in (1.0, 0.7):
+            allowed = {
+                name: float(np.ceil(value) if name == "off_surface_mm" else np.floor(share * value))
+                for name, value in limits.items()
+            }
+            if min(allowed.values()) >= 1.0:
+                yield allowed, None
+    for share in (0.75, 1.5):
+        yield {"count": max(round(share * wanted.count), LEAST_COUNT)}, None
+    yield {}, float(np.floor(0.7 * thick))
+
+
+def _serves(element: HexagonElement) -> bool:
+    """Whether a shell can be made."""
+    try:
+        made = _shell(element)
+    except TandemError:
+        return False
+    limits = _limits(element, made.check)
+    return not any(one.over.any() for one in limits) and all(
+        _in_block(element, panel).block is not None for panel in made.panels
+    )
