@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
@@ -13,7 +14,11 @@ from rich.console import Console
 
 from planner.files import claim_folder, write_folder
 from planner.geometry.units import MM
-from planner.issues import Issue
+from planner.issues import Issue, Severity, TandemError
+
+if TYPE_CHECKING:
+    from planner.element.elastic import Judge
+    from planner.element.element_file import Element
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -38,7 +43,8 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     start = time.perf_counter()
     claim_folder(request.output, output.OWNED, keep=request.file)
     element = element_file.read(request.file)
-    panels = elastic.divide_elastic(elastic.search(element.surface, element.cells, element.rules))
+    judge = None if element.file.panels.elastic.check == "none" else _judge(element)
+    panels = elastic.divide_elastic(elastic.search(element.surface, element.cells, element.rules), judge)
     files, told = output.folder(element, panels)
     write_folder(request.output, files, output.OWNED)
     steps = np.concatenate([joint.steps.ravel() for joint in elastic.joints(panels)] or [np.zeros(1)]) / MM
@@ -52,3 +58,36 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     seconds = time.perf_counter() - start
     out.print(f"divided in {seconds:.1f} s; see {request.output / 'panels.svg'}", markup=False)
     return told
+
+
+def _judge(element: Element) -> Judge:
+    """The check of a panel's problem as it will be written; what no template is for is told with its id at
+    the end."""
+    from planner import pipeline, processes
+    from planner.element.elastic import ElasticPanel
+    from planner.element.jobs import panel_files
+
+    whole = element.file.panels.elastic.check == "all"
+
+    def refusal(panel: ElasticPanel) -> Issue | None:
+        try:
+            files = panel_files(element, (panel,), ("panel",))
+        except TandemError:
+            return None
+        with tempfile.TemporaryDirectory() as folder:
+            for name, text in files.items():
+                path = Path(folder) / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(text)
+            found: list[Issue] = []
+            try:
+                problem = pipeline.load(Path(folder) / "panels" / "panel.yaml")
+                if whole:
+                    found += pipeline.check(problem, advise=False)
+                else:
+                    found += [issue for job in processes.jobs(problem) for issue in job.targets().issues]
+            except TandemError as error:
+                found += error.issues
+        return next((issue for issue in found if issue.severity is Severity.ERROR), None)
+
+    return refusal

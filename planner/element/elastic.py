@@ -3,13 +3,14 @@
 Which rectangles of the grid may be panels says a table: the misfit of every section for every wire and both
 directions, and the box of the panel in every block. The cheapest guillotine division of that is exact
 (`geometry/guillotine.py`). Then each of its panels is fitted again in the planes of its own tilted block,
-front and back, by a wire that is held safely there where one is; a panel that is out of tolerance there is
-struck off the table, and the division is made anew.
+front and back, by a wire that is held safely there where one is. A panel that is out of tolerance there, or
+that the check of its own problem refuses, is struck off the table, and the division is made anew.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -64,7 +65,8 @@ class ElasticPanel:
     ``front``, ``back``: faces as the wire leaves them, in the frame of the block of ``size`` (3,), whose
     ``pose`` (4, 4) is in the element frame. ``misfit``: how far they are off the surface at most; ``held``:
     whether the wire is held safely there. ``flat`` (R, 2): where the vertices on its sides are in the
-    element's plane; ``off`` (2, R): how far front and back are off the surface there. In m.
+    element's plane; ``off`` (2, R): how far front and back are off the surface there. ``refused``: why the
+    check of its problem refuses it; none where that was not asked. In m.
     """
 
     rectangle: tuple[int, int, int, int]
@@ -79,6 +81,11 @@ class ElasticPanel:
     held: bool
     flat: FloatArray
     off: FloatArray
+    refused: Issue | None = None
+
+
+Judge = Callable[[ElasticPanel], Issue | None]
+"""Why a panel's problem as it will be written is refused, None where it is not."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,29 +199,40 @@ def _fits(sizes: FloatArray, block: FloatArray, rules: Rules) -> BoolArray:
     return np.asarray((_needed(sizes, rules) <= np.array([longest, shortest, block[2]]) + FITS).all(axis=-1))
 
 
-def divide_elastic(made: Search) -> tuple[ElasticPanel, ...]:
+def divide_elastic(made: Search, judge: Judge | None = None) -> tuple[ElasticPanel, ...]:
     """The panels of the best division, by rows of the grid.
 
-    Raises ``TandemError``: ``element.wire``, ``element.tolerance``, ``element.block`` for places that no
-    panel can cover, each with the nearest remedy.
+    ``judge`` strikes off panels that it refuses, as if they were out of tolerance; those without which
+    nothing covers the element stay, the smallest, with the reason. Raises ``TandemError``: ``element.wire``,
+    ``element.tolerance``, ``element.block`` for places that no panel can cover, each with the nearest remedy.
     """
     found = table(made)
     misfit = found.best(made.rules.tolerance)
     known: dict[tuple[int, ...], ElasticPanel | None] = {}
+    struck: dict[tuple[int, ...], float] = {}
     for _ in range(_MOST_ROUNDS):
         division = divide(misfit)
-        if division is None:
+        if division is None and not struck:
             raise TandemError(_refusals(made, found, misfit))
+        if division is None:
+            least = min((w + 1) * (h + 1) for w, h, _, _ in struck)
+            for place in [p for p in struck if (p[0] + 1) * (p[1] + 1) == least]:
+                price = struck.pop(place)
+                known[place] = _best_panel(made, found, _rectangle(place), judge, named=True)
+                misfit[place] = np.inf if known[place] is None else price
+            continue
         panels = []
         for x0, x1, y0, y1 in division.rectangles.tolist():
             place = x1 - x0 - 1, y1 - y0 - 1, x0, y0
             if place not in known:
-                known[place] = _best_panel(made, found, (x0, x1, y0, y1))
+                known[place] = _best_panel(made, found, (x0, x1, y0, y1), judge)
             panel = known[place]
-            if panel is None:
-                misfit[place] = np.inf
-            else:
+            if panel is not None:
                 panels.append(panel)
+                continue
+            if judge is not None:
+                struck[place] = float(misfit[place])
+            misfit[place] = np.inf
         if len(panels) == len(division.rectangles):
             return tuple(panels)
     what = f"after {_MOST_ROUNDS} divisions some panels still fail in the planes of their own blocks"
@@ -223,16 +241,34 @@ def divide_elastic(made: Search) -> tuple[ElasticPanel, ...]:
     )
 
 
-def _best_panel(made: Search, found: Table, rectangle: tuple[int, int, int, int]) -> ElasticPanel | None:
-    """The panel by the first wire that is held safely, else by the first that is within tolerance."""
+def _rectangle(place: tuple[int, ...]) -> tuple[int, int, int, int]:
+    w, h, x, y = place
+    return x, x + w + 1, y, y + h + 1
+
+
+def _best_panel(
+    made: Search, found: Table, rectangle: tuple[int, int, int, int], judge: Judge | None, named: bool = False
+) -> ElasticPanel | None:
+    """The panel by the first wire that is held safely, else by the first that is within tolerance. With a
+    ``judge`` by the first one held that is not refused; ``named``: else by any, with the reason."""
     x0, x1, y0, y1 = rectangle
     best: ElasticPanel | None = None
     for way in found.ways((x1 - x0 - 1, y1 - y0 - 1, x0, y0), made.rules.tolerance):
         panel = _panel(made, rectangle, way)
-        if panel is not None and panel.held:
-            return panel
-        best = best or panel
-    return best
+        if panel is None:
+            continue
+        if panel.held:
+            refused = None if judge is None else judge(panel)
+            panel = dataclasses.replace(panel, refused=refused)
+            if refused is None:
+                return panel
+        if best is None or (panel.held and not best.held):
+            best = panel
+    if judge is None or best is None:
+        return best
+    if not named:
+        return None
+    return best if best.held else dataclasses.replace(best, refused=judge(best))
 
 
 def _panel(made: Search, rectangle: tuple[int, int, int, int], way: int) -> ElasticPanel | None:
