@@ -66,7 +66,11 @@ CODES: Final[dict[str, Code]] = {
     "element.wire": Code("no wire is long enough for the smallest panel at some place of an element"),
     "element.tolerance": Code("no wire meets the surface of an element at some place"),
     "element.block": Code("no block holds the smallest panel at some place of an element"),
-    "element.held": Code("none of the wires of an element is held safely in the shapes of some panels"),
+    "element.held": Code("panels of an element that no wire cuts safely, named where nothing avoids them"),
+    "element.run": Code(
+        "a report is asked of what is no element or no batch of it, or some of its panels are not proven",
+        given=True,
+    ),
     "element.joint": Code("neighbouring panels of an element meet with a step larger than asked"),
     "element.jobs": Code(
         "a template of an element is none, or a panel is meant by none of the templates or by several",

@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from planner.files import claim_folder, write_folder
+from planner.files import claim_folder, write_folder, write_whole
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
 
@@ -58,6 +58,38 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     seconds = time.perf_counter() - start
     out.print(f"divided in {seconds:.1f} s; see {request.output / 'panels.svg'}", markup=False)
     return told
+
+
+@dataclasses.dataclass(frozen=True)
+class ElementReport:
+    """Show what became of an element's panels in a batch: verdicts, robot hours, joints of what is cut.
+
+    Writes element.html, report.csv and joints.csv into OUT.
+    """
+
+    element: tyro.conf.Positional[Path]
+    """folder that `tandem element FILE -o OUT` wrote"""
+    run: tyro.conf.Positional[Path]
+    """folder that `tandem batch OUT/panels -o RUN` wrote"""
+
+
+def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
+    """Read, measure, write and print; what is to be said. Raises ``TandemError``."""
+    from planner.element import run_page, run_report
+
+    found = run_report.read_run(request.element, request.run)
+    write_whole(request.element / "report.csv", run_report.panel_rows(found))
+    write_whole(request.element / "joints.csv", run_report.joint_rows(found))
+    write_whole(request.element / "element.html", run_page.element_page(found))
+    proven = sum(panel.proven for panel in found.panels)
+    hours = ", ".join(f"{arm} {s / run_page.HOUR:.2f} h" for arm, s in found.arm_seconds().items())
+    out.print(
+        f"{found.data['name']}: {proven} of {len(found.panels)} panels proven; robots: {hours or 'none'}; "
+        f"{len(found.measured)} of {len(found.joints)} joints measured, "
+        f"{sum(joint.over for joint in found.joints)} over the limit; see {request.element / 'element.html'}",
+        markup=False,
+    )
+    return found.issues()
 
 
 def _judge(element: Element) -> Judge:
