@@ -299,6 +299,7 @@ def test_panels_that_their_check_refuses_are_struck_off(tmp_path: Path) -> None:
     assert len(drafted) <= len(rows)
 
 
+@pytest.mark.long
 def test_panels_that_nothing_avoids_are_named_with_what_refuses_them(tmp_path: Path) -> None:
     """A wire far longer than all panels snaps in each of them."""
     own = {"material": "spring_steel", "diameter_mm": 2.0, "temperature_c": 300, "lengths_mm": [2000]}
