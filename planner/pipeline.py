@@ -241,8 +241,9 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outc
 
 
 @_contained()
-def check(problem: Problem | spec.Problem) -> tuple[Issue, ...]:
-    """Validate and test reach without planning: the issues found, errors included."""
+def check(problem: Problem | spec.Problem, advise: bool = True) -> tuple[Issue, ...]:
+    """Validate and test reach without planning: the issues found, errors included. ``advise``: where there is
+    no path, changes that may help are tried."""
     try:
         problem = built(problem)
     except TandemError as error:
@@ -255,7 +256,7 @@ def check(problem: Problem | spec.Problem) -> tuple[Issue, ...]:
     try:
         targets = _targets(problem, processes.jobs(problem))
         found = [*notes, *_stands(problem), *(issue for item in targets for issue in item.issues)]
-        found += [*write.refusals(problem, targets), *solve.check(problem, targets)]
+        found += [*write.refusals(problem, targets), *solve.check(problem, targets, advise)]
         return aggregate([*found, *_unused(problem, found)])
     except TandemError as error:
         return (*notes, *error.issues)

@@ -72,7 +72,7 @@ def _targets(exhibits: dict[str, Any] | None = None) -> Targets:
     )
 
 
-def _plan(exhibits: dict[str, Any] | None = None, metrics: dict[str, Any] | None = None) -> Plan:
+def some_plan(exhibits: dict[str, Any] | None = None, metrics: dict[str, Any] | None = None) -> Plan:
     targets = _targets(exhibits)
     n = targets.count
     operation = OperationPlan(
@@ -119,7 +119,7 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 def test_every_value_comes_back_exactly(tmp_path: Path) -> None:
-    plan = _plan()
+    plan = some_plan()
     plans.save(plan, tmp_path / "out")
     assert _equal(plan, plans.load(tmp_path / "out"))
 
@@ -143,7 +143,7 @@ def test_every_value_comes_back_exactly(tmp_path: Path) -> None:
 def test_claims_of_every_process_come_back(tmp_path: Path, name: str) -> None:
     """Those of small jobs of all kinds; files come back as their names."""
     (own,) = processes.claims(pipeline.load(JOBS[name](tmp_path))).values()
-    plan = _plan()
+    plan = some_plan()
     (operation,) = plan.operations
     operation = dataclasses.replace(operation, targets=dataclasses.replace(operation.targets, claims=own))
     plans.save(dataclasses.replace(plan, operations=(operation,)), tmp_path / "out")
@@ -164,7 +164,7 @@ def _named(value: Any) -> Any:
 
 
 def test_equal_plans_give_equal_bytes_and_leave_nothing_else(tmp_path: Path) -> None:
-    plan = _plan()
+    plan = some_plan()
     for folder in ("a", "b"):
         plans.save(plan, tmp_path / folder)
     for name in ("plan.npz", "plan.json"):
@@ -173,7 +173,7 @@ def test_equal_plans_give_equal_bytes_and_leave_nothing_else(tmp_path: Path) -> 
 
 
 def test_arrays_have_path_like_keys_and_no_pickles(tmp_path: Path) -> None:
-    plans.save(_plan(), tmp_path)
+    plans.save(some_plan(), tmp_path)
     with np.load(tmp_path / "plan.npz", allow_pickle=False) as archive:
         assert {
             "operations/0/q/left",
@@ -187,7 +187,7 @@ def test_arrays_have_path_like_keys_and_no_pickles(tmp_path: Path) -> None:
 def test_what_cannot_be_saved_is_named_and_nothing_is_written(tmp_path: Path) -> None:
     for bad in (object(), np.array([None, 1], dtype=object), {1, 2}):
         with pytest.raises(TandemError) as caught:
-            plans.save(_plan(exhibits={"picture": {"data": bad}}), tmp_path / "out")
+            plans.save(some_plan(exhibits={"picture": {"data": bad}}), tmp_path / "out")
         (issue,) = caught.value.issues
         assert issue.code == "plan.not_saveable"
         assert issue.field == "operations/0/targets/exhibits/picture/data"
@@ -202,28 +202,28 @@ def _code(folder: Path) -> str:
 
 def test_missing_files_are_named(tmp_path: Path) -> None:
     assert _code(tmp_path) == "plan.missing_file"
-    plans.save(_plan(), tmp_path)
+    plans.save(some_plan(), tmp_path)
     (tmp_path / "plan.npz").unlink()
     assert _code(tmp_path) == "plan.missing_file"
 
 
 @pytest.mark.parametrize("content", [b"{", b"\xff\xfe", b"[" * 100_000])
 def test_json_that_is_none_is_damaged(tmp_path: Path, content: bytes) -> None:
-    plans.save(_plan(), tmp_path)
+    plans.save(some_plan(), tmp_path)
     (tmp_path / "plan.json").write_bytes(content)
     assert _code(tmp_path) == "plan.damaged"
 
 
 def test_a_pair_of_two_plans_is_damaged(tmp_path: Path) -> None:
-    plans.save(_plan(), tmp_path / "a")
-    plans.save(_plan(), tmp_path / "b")
+    plans.save(some_plan(), tmp_path / "a")
+    plans.save(some_plan(), tmp_path / "b")
     (tmp_path / "a" / "plan.npz").write_bytes((tmp_path / "b" / "plan.npz").read_bytes())
     assert _code(tmp_path / "a") == "plan.damaged"
 
 
 @pytest.mark.parametrize("edit", ["type", "field", "array", "missing", "whole"])
 def test_wrong_content_is_damaged(tmp_path: Path, edit: str) -> None:
-    plans.save(_plan(), tmp_path)
+    plans.save(some_plan(), tmp_path)
     path = tmp_path / "plan.json"
     data = json.loads(path.read_text())
     plan = data["plan"]
@@ -243,7 +243,7 @@ def test_wrong_content_is_damaged(tmp_path: Path, edit: str) -> None:
 
 @pytest.mark.parametrize("change", [{"schema": 99}, {"format": "something else"}])
 def test_another_schema_or_format_is_refused(tmp_path: Path, change: dict[str, Any]) -> None:
-    plans.save(_plan(), tmp_path)
+    plans.save(some_plan(), tmp_path)
     path = tmp_path / "plan.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     assert _code(tmp_path) == "plan.schema"

@@ -70,7 +70,11 @@ CODES: Final[dict[str, Code]] = {
     "element.shape": Code("planar panels of an element cross themselves, lean too far or are too small"),
     "element.concave": Code("planar panels of an element have inner corners"),
     "element.block": Code("no block holds a panel at some place of an element"),
-    "element.held": Code("none of the wires of an element is held safely in the shapes of some panels"),
+    "element.held": Code("panels of an element that no wire cuts safely, named where nothing avoids them"),
+    "element.run": Code(
+        "a report is asked of what is no element or no batch of it, or some of its panels are not proven",
+        given=True,
+    ),
     "element.joint": Code("neighbouring panels of an element meet with a step larger than asked"),
     "element.raw_block": Code("the block of a panel fits none of the raw blocks of its foam"),
     "element.cut": Code("the bow reaches some cuts of raw blocks in no way"),

@@ -349,6 +349,17 @@ def element(request: tyro.conf.OmitArgPrefixes[element_commands.ElementRequest])
     return DONE
 
 
+@app.command(name="element-report")
+def element_report(request: tyro.conf.OmitArgPrefixes[element_commands.ElementReport]) -> int:
+    """Show what became of an element's panels in a batch: `tandem element report OUT RUN` is the same."""
+    _pipeline()
+    try:
+        _print_issues(element_commands.run_element_report(request))
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
 @app.command
 def compare(request: tyro.conf.OmitArgPrefixes[compare_commands.Compare]) -> int:
     """Show two plans, or two batches, side by side."""
@@ -399,7 +410,9 @@ def main() -> None:
     try:
         sys.exit(
             app.cli(
-                prog="tandem", description="Plan two robots that share one job, and prove their programs."
+                prog="tandem",
+                description="Plan two robots that share one job, and prove their programs.",
+                args=_one_word(sys.argv[1:]),
             )
         )
     except Exception as error:
@@ -411,6 +424,11 @@ def main() -> None:
         sys.exit(FAILED)
     except KeyboardInterrupt:
         _stop()
+
+
+def _one_word(given: Sequence[str]) -> Sequence[str]:
+    """Arguments with ``element report`` as the one command that it is."""
+    return ["element-report", *given[2:]] if list(given[:2]) == ["element", "report"] else given
 
 
 def _stop() -> NoReturn:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,11 +12,12 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from planner.files import claim_folder, write_folder
+from planner.files import claim_folder, write_folder, write_whole
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue
+from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
+    from planner.element.elastic import Judge
     from planner.element.element_file import ElasticElement, HexagonElement
 
 out = Console(highlight=False, soft_wrap=True)
@@ -60,7 +62,8 @@ def _elastic(element: ElasticElement) -> tuple[dict[str, str], tuple[Issue, ...]
     """All files of elastic panels, what is to be said, and what they came out as."""
     from planner.element import elastic, output
 
-    panels = elastic.divide_elastic(elastic.search(element.surface, element.cells, element.rules))
+    judge = None if element.wanted.check == "none" else _judge(element)
+    panels = elastic.divide_elastic(elastic.search(element.surface, element.cells, element.rules), judge)
     files, told = output.folder(element, panels)
     steps = np.concatenate([joint.steps.ravel() for joint in elastic.joints(panels)] or [np.zeros(1)]) / MM
     off = max(panel.misfit for panel in panels) / MM
@@ -85,3 +88,68 @@ def _hexagons(element: HexagonElement) -> tuple[dict[str, str], tuple[Issue, ...
         f"{lean:.1f} degrees at most"
     )
     return files, told, said
+
+
+@dataclasses.dataclass(frozen=True)
+class ElementReport:
+    """Show what became of an element's panels in a batch: verdicts, robot hours, joints of what is cut.
+
+    Writes element.html, report.csv and joints.csv into OUT.
+    """
+
+    element: tyro.conf.Positional[Path]
+    """folder that `tandem element FILE -o OUT` wrote"""
+    run: tyro.conf.Positional[Path]
+    """folder that `tandem batch OUT/panels -o RUN` wrote"""
+
+
+def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
+    """Read, measure, write and print; what is to be said. Raises ``TandemError``."""
+    from planner.element import run_page, run_report
+
+    found = run_report.read_run(request.element, request.run)
+    write_whole(request.element / "report.csv", run_report.panel_rows(found))
+    write_whole(request.element / "joints.csv", run_report.joint_rows(found))
+    write_whole(request.element / "element.html", run_page.element_page(found))
+    proven = sum(panel.proven for panel in found.panels)
+    hours = ", ".join(f"{arm} {s / run_page.HOUR:.2f} h" for arm, s in found.arm_seconds().items())
+    out.print(
+        f"{found.data['name']}: {proven} of {len(found.panels)} panels proven; robots: {hours or 'none'}; "
+        f"{len(found.measured)} of {len(found.joints)} joints measured, "
+        f"{sum(joint.over for joint in found.joints)} over the limit; see {request.element / 'element.html'}",
+        markup=False,
+    )
+    return found.issues()
+
+
+def _judge(element: ElasticElement) -> Judge:
+    """The check of a panel's problem as it will be written; what no template is for is told with its id at
+    the end."""
+    from planner import pipeline, processes
+    from planner.element.elastic import ElasticPanel
+    from planner.element.jobs import panel_files
+
+    whole = element.wanted.check == "all"
+
+    def refusal(panel: ElasticPanel) -> Issue | None:
+        try:
+            files = panel_files(element, (panel,), ("panel",))
+        except TandemError:
+            return None
+        with tempfile.TemporaryDirectory() as folder:
+            for name, text in files.items():
+                path = Path(folder) / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(text)
+            found: list[Issue] = []
+            try:
+                problem = pipeline.load(Path(folder) / "panels" / "panel.yaml")
+                if whole:
+                    found += pipeline.check(problem, advise=False)
+                else:
+                    found += [issue for job in processes.jobs(problem) for issue in job.targets().issues]
+            except TandemError as error:
+                found += error.issues
+        return next((issue for issue in found if issue.severity is Severity.ERROR), None)
+
+    return refusal

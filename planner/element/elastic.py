@@ -3,13 +3,14 @@
 Which rectangles of the grid may be panels says a table: the misfit of every section for every wire and both
 directions, and the box of the panel in every block. The cheapest guillotine division of that is exact
 (`geometry/guillotine.py`). Then each of its panels is fitted again in the planes of its own tilted block,
-front and back, by a wire that is held safely there where one is; a panel that is out of tolerance there is
-struck off the table, and the division is made anew.
+front and back, by a wire that is held safely there where one is. A panel that is out of tolerance there, or
+that the check of its own problem refuses, is struck off the table, and the division is made anew.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
@@ -37,6 +38,8 @@ WELL_WITHIN: Final = 0.5
 """Share of the tolerance below which a shorter wire counts more than a smaller misfit."""
 _MOST_ROUNDS = 200
 """Divisions that are tried at most, each without the panels that failed in the one before."""
+_MOST_JUDGED = 100
+"""The same where panels are struck off by their check: then the first division stands, with its reasons."""
 _SURE = 1e-3  # m: how much more room is advised than nodes between which a surface is bent need
 _THINNER = 1e-3
 """Steps [m] in which a thickness is sought that would fit."""
@@ -64,7 +67,8 @@ class ElasticPanel:
     ``front``, ``back``: faces as the wire leaves them, in the frame of the block of ``size`` (3,), whose
     ``pose`` (4, 4) is in the element frame. ``misfit``: how far they are off the surface at most; ``held``:
     whether the wire is held safely there. ``flat`` (R, 2): where the vertices on its sides are in the
-    element's plane; ``off`` (2, R): how far front and back are off the surface there. In m.
+    element's plane; ``off`` (2, R): how far front and back are off the surface there. ``refused``: why the
+    check of its problem refuses it; none where that was not asked. In m.
     """
 
     rectangle: tuple[int, int, int, int]
@@ -79,6 +83,11 @@ class ElasticPanel:
     held: bool
     flat: FloatArray
     off: FloatArray
+    refused: Issue | None = None
+
+
+Judge = Callable[[ElasticPanel], Issue | None]
+"""Why a panel's problem as it will be written is refused, None where it is not."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,44 +201,82 @@ def _fits(sizes: FloatArray, block: FloatArray, rules: Rules) -> BoolArray:
     return np.asarray((_needed(sizes, rules) <= np.array([longest, shortest, block[2]]) + FITS).all(axis=-1))
 
 
-def divide_elastic(made: Search) -> tuple[ElasticPanel, ...]:
+def divide_elastic(made: Search, judge: Judge | None = None) -> tuple[ElasticPanel, ...]:
     """The panels of the best division, by rows of the grid.
 
-    Raises ``TandemError``: ``element.wire``, ``element.tolerance``, ``element.block`` for places that no
-    panel can cover, each with the nearest remedy.
+    ``judge`` strikes off panels that it refuses, as if they were out of tolerance; those without which
+    nothing covers the element stay, the smallest, with the reason. Raises ``TandemError``: ``element.wire``,
+    ``element.tolerance``, ``element.block`` for places that no panel can cover, each with the nearest remedy.
     """
     found = table(made)
     misfit = found.best(made.rules.tolerance)
-    known: dict[tuple[int, ...], ElasticPanel | None] = {}
-    for _ in range(_MOST_ROUNDS):
+    tries: dict[_Place, Iterator[ElasticPanel]] = {}
+    known: dict[_Place, ElasticPanel | None] = {}
+    passed: set[_Place] = set()
+    struck: dict[_Place, float] = {}
+
+    def passes(place: _Place) -> bool:
+        """Whether one of the wires held in a panel's shapes is not refused."""
+        if place not in passed and judge is not None:
+            while (panel := known[place]) is not None and judge(panel) is not None:
+                known[place] = next(tries[place], None)
+        passed.add(place)
+        return known[place] is not None
+
+    for _ in range(_MOST_ROUNDS if judge is None else _MOST_JUDGED):
         division = divide(misfit)
-        if division is None:
+        if division is None and not struck:
             raise TandemError(_refusals(made, found, misfit))
-        panels = []
-        for x0, x1, y0, y1 in division.rectangles.tolist():
-            place = x1 - x0 - 1, y1 - y0 - 1, x0, y0
-            if place not in known:
-                known[place] = _best_panel(made, found, (x0, x1, y0, y1))
-            panel = known[place]
-            if panel is None:
-                misfit[place] = np.inf
-            else:
-                panels.append(panel)
-        if len(panels) == len(division.rectangles):
-            return tuple(panels)
+        if division is None:
+            least = min((w + 1) * (h + 1) for w, h, _, _ in struck)
+            for place in [p for p in struck if (p[0] + 1) * (p[1] + 1) == least]:
+                price, best = struck.pop(place), _first(_tries(made, found, place))
+                if best is not None and judge is not None:
+                    misfit[place] = price
+                    known[place] = dataclasses.replace(best, refused=judge(best))
+                    passed.add(place)
+            continue
+        places = [(x1 - x0 - 1, y1 - y0 - 1, x0, y0) for x0, x1, y0, y1 in division.rectangles.tolist()]
+        for place in places:
+            if place not in known and judge is None:
+                known[place] = _first(_tries(made, found, place))
+            elif place not in known:
+                tries[place] = (panel for panel in _tries(made, found, place) if panel.held)
+                known[place] = next(tries[place], None)
+        # the check takes longest: it comes when all else is well
+        failed = [p for p in places if known[p] is None] or [p for p in places if not passes(p)]
+        if not failed:
+            return tuple(panel for p in places if (panel := known[p]) is not None)
+        for place in failed:
+            if judge is not None:
+                struck[place] = float(misfit[place])
+            misfit[place] = np.inf
+    if judge is not None:
+        return tuple(dataclasses.replace(panel, refused=judge(panel)) for panel in divide_elastic(made))
     what = f"after {_MOST_ROUNDS} divisions some panels still fail in the planes of their own blocks"
     raise TandemError(
         Issue("element.tolerance", what, field="panels.elastic", hint="allow more, or take more cells")
     )
 
 
-def _best_panel(made: Search, found: Table, rectangle: tuple[int, int, int, int]) -> ElasticPanel | None:
-    """The panel by the first wire that is held safely, else by the first that is within tolerance."""
-    x0, x1, y0, y1 = rectangle
-    best: ElasticPanel | None = None
-    for way in found.ways((x1 - x0 - 1, y1 - y0 - 1, x0, y0), made.rules.tolerance):
-        panel = _panel(made, rectangle, way)
-        if panel is not None and panel.held:
+_Place = tuple[int, int, int, int]
+"""Where a rectangle is in a table: w - 1, h - 1, x, y."""
+
+
+def _tries(made: Search, found: Table, place: _Place) -> Iterator[ElasticPanel]:
+    """The panel by each wire and direction that is within tolerance in its block."""
+    w, h, x, y = place
+    for way in found.ways(place, made.rules.tolerance):
+        panel = _panel(made, (x, x + w + 1, y, y + h + 1), way)
+        if panel is not None:
+            yield panel
+
+
+def _first(panels: Iterator[ElasticPanel]) -> ElasticPanel | None:
+    """The first panel whose wire is held safely, else the first of all."""
+    best = None
+    for panel in panels:
+        if panel.held:
             return panel
         best = best or panel
     return best

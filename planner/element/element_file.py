@@ -83,6 +83,12 @@ class ElasticFile(Strict):
     end_weight: Annotated[
         float, Field(ge=1, le=1000, description="weight of the ends of sections in the fit")
     ] = 100.0
+    check: Annotated[
+        Literal["none", "wire", "all"],
+        Field(
+            description="panels are struck off that the wire cannot cut, or that all of tandem check refuses"
+        ),
+    ] = "wire"
 
 
 class HexagonsFile(Strict):

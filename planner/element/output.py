@@ -43,7 +43,7 @@ def folder(
     files["panels.csv"] = table(rows)
     files["panels.svg"] = drawing(element, panels, names)
     data = _data(element, panels, names, met, rows)
-    issues = (*_unsteady(panels, names), *_told(element, names, met))
+    issues = (*_unsteady(element, panels, names), *_told(element, names, met))
     if element.file.raw_blocks is not None:
         cut = _panel_blocks(element, panels, names)
         of_blocks, said, data["blocks"] = nested_folder(
@@ -83,8 +83,16 @@ def _row(element: ElasticElement, panel: ElasticPanel, name: str) -> dict[str, A
         **{f"block_{axis}_mm": v for axis, v in zip("xyz", block_mm(panel), strict=True)},
         "raw_block_mm": " x ".join(f"{v:g}" for v in block.size_mm),
         "wire_held": "yes" if panel.held else "no",
+        "check": _checked(element, panel),
         "off_surface_mm": round(panel.misfit / MM, 3),
     }
+
+
+def _checked(element: ElasticElement, panel: ElasticPanel) -> str:
+    """What the check of a panel's problem said: ok, a code, or nothing where it was not asked."""
+    if panel.refused is not None:
+        return panel.refused.code
+    return "" if element.wanted.check == "none" else "ok"
 
 
 def _bounds(element: ElasticElement, panel: ElasticPanel) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -139,6 +147,8 @@ def _data(
         "pose": pose(element.surface.pose),
         "size_mm": [round(float(v) / MM, 3) for v in element.surface.size],
         "cells": list(element.cells),
+        "tolerance_mm": element.wanted.tolerance_mm,
+        "joint_mm": element.wanted.joint_mm,
         "panels": [
             {**row, "cells": list(panel.rectangle), "block_pose": pose(panel.pose)}
             for row, panel in zip(rows, panels, strict=True)
@@ -177,17 +187,26 @@ def _told(element: ElasticElement, names: tuple[str, ...], met: tuple[Joint, ...
     )
 
 
-def _unsteady(panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> tuple[Issue, ...]:
-    """Panels in whose shapes no wire is held safely, named before any foam is cut."""
-    found = [name for panel, name in zip(panels, names, strict=True) if not panel.held]
+def _unsteady(
+    element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
+) -> tuple[Issue, ...]:
+    """Panels that cannot be cut as they are, named before any foam is: those that the check refuses although
+    nothing else covers their place; where it was not asked, those in whose shapes no wire is held safely."""
+    own = tuple(zip(panels, names, strict=True))
+    if element.wanted.check != "none":
+        found = [f"{name} ({panel.refused.code})" for panel, name in own if panel.refused is not None]
+        what = "are refused by the check of their problems, and no other division avoids them"
+    else:
+        found = [name for panel, name in own if not panel.held]
+        what = (
+            "have shapes in which none of the wires is held safely (it may snap, or errors of its ends move "
+        )
+        what += "it too far)"
     if not found:
         return ()
-    what = (
-        f"{len(found)} of {len(panels)} panels have shapes in which none of the wires is held safely (it may "
-        f"snap, or errors of its ends move it too far): {', '.join(found)}"
-    )
     hint = "give wires of more lengths or thinner ones, or smaller blocks; check these panels first"
-    return (Issue("element.held", what, Severity.WARNING, field="wires", hint=hint),)
+    message = f"{len(found)} of {len(panels)} panels {what}: {', '.join(found)}"
+    return (Issue("element.held", message, Severity.WARNING, field="wires", hint=hint),)
 
 
 def drawing(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> str:

@@ -24,6 +24,7 @@ from planner.geometry.guillotine import divide
 from planner.hotwire import wire as wires
 from planner.hotwire.elastic.family import cut_sections, make_spine
 from planner.hotwire.elastica.fit import fit_curves
+from planner.issues import Issue
 from tests.element.walls import height, slope, wall
 
 TOLERANCE = 1e-3
@@ -188,6 +189,47 @@ def test_the_wall_of_the_trials_in_24_by_24_cells() -> None:
     assert division is not None
     assert (float(len(division.rectangles)), division.largest) == (count, largest)
     assert len(panels) == count <= 32
+
+
+REFUSAL = Issue("wire.too_short", "made up")
+
+
+def cells(panel: ElasticPanel) -> int:
+    x0, x1, y0, y1 = panel.rectangle
+    return (x1 - x0) * (y1 - y0)
+
+
+def test_panels_that_a_judge_refuses_are_avoided(small: tuple[Search, tuple[ElasticPanel, ...]]) -> None:
+    made, free = small
+    most = max(map(cells, free)) - 1
+    asked: list[tuple[int, ...]] = []
+
+    def judge(panel: ElasticPanel) -> Issue | None:
+        asked.append((*panel.rectangle, panel.along, panel.wire))
+        return REFUSAL if cells(panel) > most else None
+
+    panels = divide_elastic(made, judge)
+    assert max(map(cells, panels)) <= most
+    assert sum(map(cells, panels)) == sum(map(cells, free))
+    assert all(panel.refused is None and panel.held for panel in panels)
+    assert len(panels) >= len(free)
+    assert len(set(asked)) == len(asked)
+    assert {(*panel.rectangle, panel.along, panel.wire) for panel in panels} <= set(asked)
+
+
+def test_where_nothing_avoids_them_refused_panels_stay_with_their_reason() -> None:
+    """A corner that no panel may cover: the smallest one there stays, the others are not refused."""
+    rules = case((1.2, 0.9), (6, 5), 0.9, (0.7, 0.5, 0.15)).rules
+    own = stand(wall(0.6, 0.4, 0.02), 0.05, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+    made = search(own, (3, 2), rules)
+    panels = divide_elastic(made, lambda p: REFUSAL if p.rectangle[0] == p.rectangle[2] == 0 else None)
+    refused = [panel for panel in panels if panel.refused is not None]
+    assert [panel.rectangle[0::2] for panel in refused] == [(0, 0)]
+    assert refused[0].refused == REFUSAL
+    assert sum(map(cells, panels)) == 6
+    everything = divide_elastic(made, lambda _: REFUSAL)
+    assert {panel.refused for panel in everything} == {REFUSAL}
+    assert sum(map(cells, everything)) == 6
 
 
 def test_several_wires_and_blocks_are_used_at_once() -> None:

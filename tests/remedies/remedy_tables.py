@@ -107,6 +107,10 @@ ELSEWHERE: Final = {
         "element/test_element_file",
         "test_panels_that_no_wire_holds_are_named_and_more_lengths_help",
     ),
+    "element.run": (
+        "element/test_run_report",
+        "test_what_is_no_batch_of_the_element_is_refused_and_a_batch_of_it_is_read",
+    ),
     "element.joint": (
         "element/test_element_file",
         "test_joints_beyond_the_step_asked_are_told_and_the_step_advised_is_kept",

@@ -1,0 +1,127 @@
+"""Joints of an element measured from what its programs cut: the simulated parts of proven panels, laid beside
+one another in the element frame.
+
+The proof of a panel writes each wanted face with its vertices where the wire passes
+(``simulated_part.obj``). Neighbours have the same vertices on the rim at their joint, so the distance of the
+two that belong together is the joint's: its part along the surface's normal is the **step**, the rest the
+**gap**. Foam that gives way, and sides that another operation cuts, are not in it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.geometry.arrays import FloatArray, IntArray, dots, transform
+from planner.geometry.mesh import TriangleMesh, read_mesh, vertex_normals
+from planner.geometry.units import MM
+from planner.issues import Issue, TandemError
+
+FACES: Final = ("front", "back")
+"""The faces of a panel, as their meshes and cuts are named."""
+SAME_PLACE: Final = 2e-5
+"""Vertices of two rims that are nearer than this [m] in the element's plane as written are one."""
+LARGEST_DEVIATION: Final = 0.02
+"""A simulated face that is farther from the written one [m] is not that panel's."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CutFace:
+    """One face of a panel in the element frame [m]: ``place`` (V, 3) as written, ``cut`` (V, 3) where the
+    wire passes, ``normals`` (V, 3) outwards; ``rim`` (R,): vertices on its border."""
+
+    place: FloatArray
+    cut: FloatArray
+    normals: FloatArray
+    rim: IntArray
+
+    @property
+    def deviation(self) -> FloatArray:
+        """How far (V,) [m] the cut is off the written face, outwards above 0."""
+        return dots(self.cut - self.place, self.normals)
+
+
+@dataclasses.dataclass(frozen=True)
+class CutJoint:
+    """Where two panels meet, by id: ``points`` (N, 3) [m] of both faces, with ``steps`` and ``gaps`` (N,)
+    [m] there."""
+
+    panels: tuple[str, str]
+    points: FloatArray
+    steps: FloatArray
+    gaps: FloatArray
+
+
+def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, ...]:
+    """The faces of a panel of ``out`` as the plan in ``run`` cuts them.
+
+    Raises ``TandemError``: ``element.run`` where the plan is of another panel, issues of mesh files.
+    """
+    name = str(panel["id"])
+    pose = np.array(panel["block_pose"], dtype=np.float64)
+    pose[:3, 3] *= MM
+    path = run / name / "simulated_part.obj"
+    cut = _objects(path)
+    faces = []
+    for side in FACES:
+        written = read_mesh(out / "panels" / "meshes" / f"{name}_{side}.obj", MM)
+        moved = cut.get(f"cut_{side}")
+        if moved is None:
+            continue
+        far = np.inf
+        if moved.shape == written.vertices.shape:
+            far = float(np.abs(moved - written.vertices).max())
+        if far > LARGEST_DEVIATION:
+            what = f"the {side} face in {path} is not that of panel {name}"
+            hint = "plan the panels of this folder again: tandem batch OUT/panels -o RUN"
+            raise TandemError(Issue("element.run", what, file=str(path), hint=hint))
+        normals = vertex_normals(written) @ pose[:3, :3].T
+        faces.append(
+            CutFace(transform(pose, written.vertices), transform(pose, moved), normals, _rim(written))
+        )
+    return tuple(faces)
+
+
+def _objects(path: Path) -> dict[str, FloatArray]:
+    """Vertices (V, 3) [m] of each object of a simulated part."""
+    found: dict[str, list[list[float]]] = {}
+    rows: list[list[float]] = []
+    for line in path.read_text("utf-8").splitlines():
+        words = line.split()
+        if words[:1] == ["o"]:
+            rows = found.setdefault(words[1], [])
+        elif words[:1] == ["v"]:
+            rows.append([float(word) * MM for word in words[1:4]])
+    return {name: np.array(rows).reshape(-1, 3) for name, rows in found.items()}
+
+
+def _rim(mesh: TriangleMesh) -> IntArray:
+    edges = np.sort(np.concatenate([mesh.faces[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
+    pairs, count = np.unique(edges, axis=0, return_counts=True)
+    return np.asarray(np.unique(pairs[count == 1]), dtype=np.int64)
+
+
+def cut_joint(
+    names: tuple[str, str], one: tuple[CutFace, ...], other: tuple[CutFace, ...]
+) -> CutJoint | None:
+    """The joint of two panels; None where their rims have nothing in common."""
+    points, steps, gaps = [], [], []
+    for a, b in zip(one, other, strict=False):
+        tree = cKDTree(b.place[b.rim, :2])  # both rims are moved along z
+        distance, at = tree.query(a.place[a.rim, :2], distance_upper_bound=SAME_PLACE)
+        own = np.isfinite(distance)
+        first, second = a.rim[own], b.rim[np.asarray(at)[own]]
+        apart = a.cut[first] - b.cut[second]
+        normal = a.normals[first]
+        step = dots(apart, normal)
+        points.append(a.place[first])
+        steps.append(np.abs(step))
+        gaps.append(np.linalg.norm(apart - step[:, None] * normal, axis=1))
+    if not sum(map(len, steps)):
+        return None
+    return CutJoint(names, np.concatenate(points), np.concatenate(steps), np.concatenate(gaps))

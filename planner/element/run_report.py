@@ -1,0 +1,235 @@
+"""What became of an element's panels in a batch: verdicts, robot minutes and the joints of what was cut, as
+values; `run_page.py` shows them.
+
+**Robot minutes** are those of the programs' motion, of each arm that a panel takes; loading, heating up and
+turning come on top.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from planner import plans
+from planner.element.run_joints import CutFace, CutJoint, cut_faces, cut_joint
+from planner.files import is_file
+from planner.geometry.units import MM
+from planner.issues import Issue, Severity, TandemError
+
+MOST_AT_95: Final = 0.2e-3
+"""Step and gap [m] that 95 % of the points of a joint must keep, where the element states no other."""
+MOST: Final = 0.5e-3
+"""Step and gap [m] that every point of a joint must keep."""
+PROVEN: Final = "verified"
+"""What the summary of a batch calls a panel whose programs are proven."""
+NOT_PLANNED: Final = "not planned"
+"""State of a panel that the batch does not have."""
+MINUTE: Final = 60.0
+"""[s]"""
+
+
+@dataclasses.dataclass(frozen=True)
+class PanelRun:
+    """A panel of ``element.json`` and what became of it: its ``state`` in the summary, the ``code`` and
+    ``message`` of what is to be said, ``seconds`` of motion by arm, its ``faces`` as cut."""
+
+    panel: Mapping[str, Any]
+    state: str
+    code: str = ""
+    message: str = ""
+    seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    faces: tuple[CutFace, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The panel's id."""
+        return str(self.panel["id"])
+
+    @property
+    def proven(self) -> bool:
+        """Whether its programs are proven."""
+        return self.state == PROVEN
+
+
+@dataclasses.dataclass(frozen=True)
+class JointRun:
+    """A joint and its measure where both panels are proven, with the step [m] that 95 % must keep."""
+
+    panels: tuple[str, str]
+    length: float
+    limit: float
+    cut: CutJoint | None
+
+    @property
+    def at_95(self) -> float:
+        """The larger one of step and gap at 95 % of its points [m]; NaN where it is not measured."""
+        if self.cut is None:
+            return float("nan")
+        return max(float(np.percentile(v, 95.0)) for v in (self.cut.steps, self.cut.gaps))
+
+    @property
+    def largest(self) -> float:
+        """The largest step or gap [m]; NaN where it is not measured."""
+        return float("nan") if self.cut is None else float(max(self.cut.steps.max(), self.cut.gaps.max()))
+
+    @property
+    def over(self) -> bool:
+        """Whether it is measured and beyond a limit."""
+        return self.at_95 > self.limit or self.largest > MOST
+
+
+@dataclasses.dataclass(frozen=True)
+class ElementRun:
+    """An element and a batch of its panels."""
+
+    data: Mapping[str, Any]
+    panels: tuple[PanelRun, ...]
+    joints: tuple[JointRun, ...]
+
+    @property
+    def measured(self) -> tuple[JointRun, ...]:
+        """Joints of which both panels are proven."""
+        return tuple(joint for joint in self.joints if joint.cut is not None)
+
+    def arm_seconds(self) -> dict[str, float]:
+        """Seconds of motion of each arm, over the proven panels."""
+        out: dict[str, float] = {}
+        for panel in self.panels:
+            for arm, seconds in panel.seconds.items():
+                out[arm] = out.get(arm, 0.0) + seconds
+        return out
+
+    def issues(self) -> tuple[Issue, ...]:
+        """``element.joint`` for each joint beyond its limits, ``element.run`` for panels without proof."""
+        found = [
+            Issue(
+                "element.joint",
+                f"joint {joint.panels[0]} to {joint.panels[1]} as cut: {joint.at_95 / MM:.3f} mm at 95 % of "
+                f"its points, {joint.largest / MM:.3f} mm at most; allowed are {joint.limit / MM:g} and "
+                f"{MOST / MM:g} mm",
+                Severity.WARNING,
+                field="panels.elastic.joint_mm",
+                value=joint.at_95 / MM,
+                limit=joint.limit / MM,
+                unit="mm",
+                hint="ask for a smaller shape_tol_mm in the jobs, or a smaller tolerance_mm",
+            )
+            for joint in self.joints
+            if joint.over
+        ]
+        left = [panel for panel in self.panels if not panel.proven]
+        if left:
+            names = ", ".join(f"{panel.name} ({panel.code or panel.state})" for panel in left)
+            what = f"{len(left)} of {len(self.panels)} panels are not proven: {names}"
+            hint = "see what their reports say, and order no foam for them before"
+            found.append(Issue("element.run", what, Severity.WARNING, hint=hint))
+        return tuple(found)
+
+
+def read_run(out: Path, run: Path) -> ElementRun:
+    """What the batch in ``run`` made of the element in ``out``.
+
+    Raises ``TandemError``: ``element.run`` where one of them is no such folder, the element has planar
+    panels, or a plan is of another panel.
+    """
+    if not is_file(out / "element.json"):
+        raise _missing(out / "element.json", "tandem element FILE -o OUT writes it")
+    if not is_file(run / "summary.csv"):
+        raise _missing(run / "summary.csv", "tandem batch OUT/panels -o RUN writes it")
+    data = json.loads((out / "element.json").read_text("utf-8"))
+    if "joints" not in data:
+        what = f"{out} has planar panels; joints are measured of panels for the bent wire alone"
+        hint = f"verdicts and minutes of this batch are in {run / 'summary.csv'}"
+        raise TandemError(Issue("element.run", what, file=str(out / "element.json"), hint=hint))
+    with (run / "summary.csv").open(newline="", encoding="utf-8") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    panels = tuple(_panel(out, run, panel, rows.get(str(panel["id"]))) for panel in data["panels"])
+    known = {panel.name: panel for panel in panels}
+    limit = float(data.get("joint_mm", MOST_AT_95 / MM)) * MM
+    joints = []
+    for joint in data["joints"]:
+        one, other = (known[str(name)] for name in joint["panels"])
+        names = one.name, other.name
+        cut = cut_joint(names, one.faces, other.faces) if one.faces and other.faces else None
+        joints.append(JointRun(names, float(joint["length_mm"]) * MM, limit, cut))
+    return ElementRun(data, panels, tuple(joints))
+
+
+def _missing(path: Path, who: str) -> TandemError:
+    return TandemError(Issue("element.run", f"{path}: there is no such file; {who}", file=str(path)))
+
+
+def _panel(out: Path, run: Path, panel: Mapping[str, Any], row: Mapping[str, str] | None) -> PanelRun:
+    if row is None:
+        return PanelRun(panel, NOT_PLANNED)
+    code = next(iter(row["issues"].split()), "")
+    if row["state"] != PROVEN:
+        return PanelRun(panel, row["state"], code, row["message"])
+    seconds: dict[str, float] = {}
+    for operation in plans.load(run / str(panel["id"])).operations:
+        for arm in operation.targets.arms:
+            seconds[arm] = seconds.get(arm, 0.0) + float(operation.time[-1])
+    return PanelRun(panel, PROVEN, code, row["message"], seconds, cut_faces(out, run, panel))
+
+
+def panel_rows(found: ElementRun) -> str:
+    """``report.csv``: a row for each panel."""
+    rows = []
+    for panel in found.panels:
+        off = np.concatenate([face.deviation for face in panel.faces]) / MM if panel.faces else np.zeros(0)
+        rows.append(
+            {
+                "id": panel.name,
+                "state": panel.state,
+                **{
+                    f"{arm}_min": round(panel.seconds[arm] / MINUTE, 3) if arm in panel.seconds else ""
+                    for arm in found.arm_seconds()
+                },
+                "off_written_95_mm": round(float(np.percentile(np.abs(off), 95.0)), 4) if len(off) else "",
+                "off_written_largest_mm": round(float(np.abs(off).max()), 4) if len(off) else "",
+                "issue": panel.code,
+                "message": panel.message,
+            }
+        )
+    return _csv(rows)
+
+
+def joint_rows(found: ElementRun) -> str:
+    """``joints.csv``: a row for each joint; figures are empty where it is not measured."""
+
+    def mm(value: float) -> float | str:
+        return "" if np.isnan(value) else round(value / MM, 4)
+
+    nothing = np.full(1, np.nan)
+    rows = []
+    for joint in found.joints:
+        steps, gaps = (nothing, nothing) if joint.cut is None else (joint.cut.steps, joint.cut.gaps)
+        rows.append(
+            {
+                "panel": joint.panels[0],
+                "other": joint.panels[1],
+                "length_mm": mm(joint.length),
+                "points": 0 if joint.cut is None else len(steps),
+                "step_95_mm": mm(float(np.percentile(steps, 95.0))),
+                "step_largest_mm": mm(float(steps.max())),
+                "gap_95_mm": mm(float(np.percentile(gaps, 95.0))),
+                "gap_largest_mm": mm(float(gaps.max())),
+                "over": "" if joint.cut is None else "yes" if joint.over else "no",
+            }
+        )
+    return _csv(rows)
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
