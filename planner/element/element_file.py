@@ -88,7 +88,7 @@ class ElasticFile(Strict):
         Field(
             description="panels are struck off that the wire cannot cut, or that all of tandem check refuses"
         ),
-    ] = "wire"
+    ] = "none"
 
 
 class HexagonsFile(Strict):
