@@ -540,6 +540,14 @@ class Forming:
         ]
         return next((limit for limit, claim in finals if claim is one.claim), None)
 
+    def steps(self, one: Formed) -> tuple[float | None, float | None]:
+        """The stepdown and the scallop [m] of the job that a pass belongs to, one of them given; none where
+        nothing says what part it is of."""
+        for made, group in self.parts:
+            if made is not None and any(claim is one.claim for claim in group):
+                return made.part.steps
+        return None, None
+
     @cached_property
     def labels(self) -> frozenset[str]:
         """Labels of all moves that claims allow."""

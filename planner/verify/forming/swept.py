@@ -70,16 +70,16 @@ def envelope(one: Swept) -> CutFace:
     places; of flat parts nothing is said. Where a ball of that size cannot come nearer than the steps leave
     it, what it cannot reach is allowed too."""
     claim = one.claim
-    rows = np.flatnonzero(_walls(claim))
-    walls = claim.vertices[claim.faces[rows]]
+    rows = np.flatnonzero(walls(claim))
+    corners = claim.vertices[claim.faces[rows]]
     if one.contour is None:
-        size = min(_WALL_STEP, float(np.sqrt(areas(walls).sum() / _WALL_SAMPLES)) * 2.0)
-        parts, owner = divided(walls, max(size, 1e-4))
+        size = min(_WALL_STEP, float(np.sqrt(areas(corners).sum() / _WALL_SAMPLES)) * 2.0)
+        parts, owner = divided(corners, max(size, 1e-4))
         area = areas(parts)
         points = parts.mean(axis=1)
         del parts
     else:
-        points, area, owner = _along_contour(walls, one.contour)
+        points, area, owner = _along_contour(corners, one.contour)
     off = swept(one, points) - claim.radius
     allowed = claim.scallop[rows[owner]]
     # where no ball of its size comes nearer, that is what is left there
@@ -136,7 +136,7 @@ def obj(forming: Forming) -> str:
     offset = 1
     for one in forming.formed:
         claim = one.claim
-        own = np.unique(claim.faces[_walls(claim)])
+        own = np.unique(claim.faces[walls(claim)])
         off = swept(Swept.of(one), claim.vertices[own]) - claim.radius
         moved = claim.vertices.copy()
         normals = vertex_normals(claim.vertices, claim.faces)[own]
@@ -149,7 +149,7 @@ def obj(forming: Forming) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _walls(claim: FormsSheet) -> BoolArray:
+def walls(claim: FormsSheet) -> BoolArray:
     """The triangles (F,) that are flat neither at the level of the start nor at that of the end."""
     level = claim.vertices[claim.faces][:, :, 2]
     flat = [(np.abs(level - z) < SAME_LEVEL).all(axis=1) for z in (claim.start, claim.end)]

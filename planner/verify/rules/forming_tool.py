@@ -20,6 +20,7 @@ from planner.geometry.memory import give_back
 from planner.issues import Issue
 from planner.verify.context import FEED_SLACK, Begin, Context, Outcome, at_node, at_sample, mm, rule
 from planner.verify.forming.face import Face
+from planner.verify.forming.reached import Depths, largest_step, on_ways, while_forming
 from planner.verify.forming.state import SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track
 from planner.verify.forming.swept import Head, HeadWay, Inside, insides, least, levels
 from planner.verify.programs.steps import SignalStep
@@ -267,7 +268,8 @@ _FACE_PLACES = 60_000
 @rule("verify.sheet", SheetState)
 def sheet(context: Context, forming: Forming) -> Outcome:
     """Neither tool has anything inside it of what is formed already, of the walls being formed or of the flat
-    sheet around, but for what its own ball forms; the other tool stays on its own side of the face."""
+    sheet around, but for what its own ball forms; the other tool stays on its own side of the face. The
+    forming ball goes down level by level, and tools go in and out straight where they begin and end."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     known = {state.segment.key for _, state in forming.states}
@@ -281,7 +283,7 @@ def sheet(context: Context, forming: Forming) -> Outcome:
         if len(way.rows) < 2:
             continue
         held = state.segment.key in forming.gapped
-        asked: list[tuple[str, float, Iterator[_Depths], list[_Depths]]] = []
+        asked: list[tuple[str, float, Iterator[Depths], list[Depths], list[Depths]]] = []
         places: dict[int, FloatArray] = {}
         for number, arm in enumerate(state.arms):
             if arm not in way.arms:
@@ -291,27 +293,26 @@ def sheet(context: Context, forming: Forming) -> Outcome:
             allowed = state.tolerance if number == 0 else state.other
             own = dataclasses.replace(state, tolerance=allowed)
             begun = 0.0 if formed is None else formed.begun
-            asked.append((arm, allowed, *_all(formed, way, own, number, held, forming.begin, places, begun)))
-        for arm, allowed, heads, rest in asked:
-            for deep, row in (*heads, *rest):
+            ahead = [] if formed is None else _ahead(forming, formed, own, number, held)
+            asked.append(
+                (arm, allowed, *_all(formed, way, own, number, held, forming.begin, places, begun), ahead)
+            )
+        for arm, allowed, heads, rest, ahead in asked:
+            told = [(one, "has {:.3f} mm of the sheet inside") for one in (*heads, *rest)]
+            told += [(one, "is {:.3f} mm deeper than the sheet is formed by then") for one in ahead]
+            for (deep, row), how in told:
                 k = int(np.argmax(deep)) if len(deep) else -1
                 if k >= 0 and deep[k] - allowed > worst:
                     worst, limit, where = float(deep[k]) - allowed, mm(allowed), str(state.segment)
                 for i in spread(deep > allowed):
-                    what = (
-                        f"the tool of {arm} has {mm(deep[i]):.3f} mm of the sheet inside in {state.segment}; "
-                        f"allowed: {mm(allowed):g} mm"
-                    )
+                    what = f"the tool of {arm} {how.format(mm(deep[i]))} in {state.segment}; "
+                    what += f"allowed: {mm(allowed):g} mm"
                     measure = (mm(float(deep[i])), mm(allowed), "mm")
                     sample = int(way.rows[row[i]])
                     issues.append(at_sample("verify.sheet", what, context.motion, arm, sample, measure))
     if limit is None:
         return Outcome(tuple(issues), where=NOTHING_FORMED if not forming.formed else "nothing near")
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
-
-
-_Depths = tuple[FloatArray, IntArray]
-"""How deep [m] things are inside a tool, and at which rows of the track."""
 
 
 def _all(
@@ -323,7 +324,7 @@ def _all(
     begin: Begin,
     places: dict[int, FloatArray],
     begun: float,
-) -> tuple[Iterator[_Depths], list[_Depths]]:
+) -> tuple[Iterator[Depths], list[Depths]]:
     """What is inside a tool: its head, which is begun, and its ball; ``held``: two tools hold the sheet
     between them; ``places`` all over faces, by their ``id``, are worked out for the first tool that asks;
     ``begun`` [m]: how deep the face is formed already."""
@@ -352,6 +353,21 @@ def _all(
         return heads, []
     give_back()  # what divided faces leave free would count beside what the balls are held against
     return heads, _own_side(one, centre, max(-float(profile[0, 0]), 0.0), state, level)
+
+
+def _ahead(forming: Forming, one: Formed, state: SheetState, number: int, held: bool) -> list[Depths]:
+    """How deep [m] a tool is in what is not formed yet: the forming one on all of its way, another one that
+    holds the sheet with it (``held``) on its ways in and out. Of such a one the face's far end is the level
+    that counts: farther on there is no sheet, whatever is formed."""
+    claim, column = one.claim, one.track.arms.index(state.arms[number])
+    if number == 0:
+        step = largest_step(claim, forming.steps(one))
+        ways = on_ways(one.track, column, claim.side, claim.start, claim.radius)
+        return [ways, *while_forming(one, step)]
+    if not held:
+        return []
+    ball, far = max(-float(state.heads[number][0, 0]), 0.0), float((claim.side * claim.vertices[:, 2]).min())
+    return [on_ways(one.track, column, -claim.side, claim.side * far, ball)]
 
 
 def _at_rows(one: Formed, level: FloatArray, some: IntArray) -> FloatArray:

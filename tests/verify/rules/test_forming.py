@@ -136,6 +136,15 @@ def support_through_the_sheet(rng, texts):
 
 
 @mutant("verify.sheet")
+def into_the_middle(rng, texts):
+    """In its first loops the forming ball presses into the middle, where the sheet is flat still."""
+    rows = segment(texts, "form_f1")
+    k = int(rng.choice(rows[20:60]))
+    middle = job.centre_of_sphere() - [0.0, 0.0, job.SPHERE - job.BALL - 0.0005]
+    return moved(texts, k, 1e3 * (middle - job.centres(72)["left"][k - rows[0] + 1]), (1,))
+
+
+@mutant("verify.sheet")
 def into_the_wall_beside(rng, texts):
     """The support runs into a wall that is formed already."""
     rows = segment(texts, "form_f1")
