@@ -72,8 +72,8 @@ def largest_step(claim: FormsSheet, steps: tuple[float | None, float | None]) ->
 
 def while_forming(one: Formed, step: float) -> tuple[Depths, Depths]:
     """How deep the forming ball is while it forms, by steps of ``step`` [m] at most: where it touches the
-    wall, how far all that it touches is below the highest place that is formed later, and `MOST_STEPS`; else, how
-    far its tip is below the lowest level that it has had where it touched the wall, or comes to where it does
+    wall, how far all that it touches is below the highest place that is formed later and `MOST_STEPS`;
+    else, how far its tip is below the lowest level it has had where it touched the wall, or has where it does
     so next, no farther than its radius beside that place."""
     claim = one.claim
     points, rows = _points(one)
