@@ -146,6 +146,33 @@ def broken(outcome: Outcome, texts: Mapping[str, str]) -> set[str]:
     return {issue.code for rule in rules for issue in rule(found, forming).issues}
 
 
+def into_the_middle(texts: Mapping[str, str], task: str, way: str, z: float) -> dict[str, str]:
+    """The last move of the ``way`` of one task goes to the middle of the sheet, at ``z`` [mm]."""
+    out = dict(texts)
+    (name,) = (key for key, text in texts.items() if f"T_{task}" in key and f"PROC {way}()" in text)
+    head, mark, rest = texts[name].partition(f"PROC {way}()")
+    body, end, tail = rest.partition("ENDPROC")
+    at = body.rindex("MoveL [[")
+    moved_body = body[:at] + re.sub(r"^MoveL \[\[[^\]]*\]", f"MoveL [[0,0,{z:g}]", body[at:])
+    out[name] = head + mark + moved_body + end + tail
+    assert out != dict(texts)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("arm", "way", "z"), [(0, "form_f1_in", 1.0), (0, "form_f1_out", 1.0), (1, "form_f1_in", 8.0)]
+)
+def test_tools_on_their_ways_are_not_pushed_through_the_sheet(
+    outcome: Outcome, arm: int, way: str, z: float
+) -> None:
+    """In the middle the sheet is where the level before has left it, whatever it is to become."""
+    honest = context_of(outcome)
+    assert forming_tool.sheet(honest, Forming(honest)).issues == ()
+    bad = context_of(outcome, into_the_middle(outcome.programs, tasks(outcome)[arm], way, z))
+    found = [issue.message for issue in forming_tool.sheet(bad, Forming(bad)).issues]
+    assert any("deeper than the sheet is formed by then" in what for what in found), found
+
+
 def test_shifts_of_the_wrong_sign_are_off_the_level(outcome: Outcome) -> None:
     assert "verify.level" in broken(outcome, moved(outcome.programs, tasks(outcome), 1.0))
 
