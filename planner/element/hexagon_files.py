@@ -46,15 +46,9 @@ def folder(
     files["panels.csv"] = table(rows)
     files["panels.svg"] = drawing(element, panels)
     data = _data(element, panels, rows)
-    issues = _concave(panels)
-    if element.file.raw_blocks is not None:
-        cut = [_panel_block(element, panel) for panel in panels]
-        of_blocks, said, data["blocks"] = nested_folder(
-            element.file.name, element.file.raw_blocks, cut, element.stock
-        )
-        files, issues = {**files, **of_blocks}, (*issues, *said)
-    files["element.json"] = json.dumps(data, indent=1) + "\n"
-    return files, issues
+    of_blocks, said, blocks = nested_folder(element, [_panel_block(element, panel) for panel in panels])
+    files["element.json"] = json.dumps({**data, **blocks}, indent=1) + "\n"
+    return {**files, **of_blocks}, (*_concave(panels), *said)
 
 
 def _panel_block(element: HexagonElement, panel: HexagonPanel) -> PanelBlock:

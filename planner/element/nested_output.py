@@ -6,19 +6,21 @@ from collections.abc import Sequence
 from typing import Any
 
 from planner.element.block_drawing import drawing
-from planner.element.element_file import RawBlocksFile
+from planner.element.element_file import Element
 from planner.element.nest import Nesting, PanelBlock, RawBlock, Sawing, nested, stock_file, table, told
-from planner.element.stock_list import LeftOver
 from planner.geometry.cut_tree import Bow
 from planner.geometry.units import MM
 from planner.issues import Issue
 
 
 def nested_folder(
-    name: str, file: RawBlocksFile, panels: Sequence[PanelBlock], stock: Sequence[LeftOver]
+    element: Element, panels: Sequence[PanelBlock]
 ) -> tuple[dict[str, str], tuple[Issue, ...], dict[str, Any]]:
-    """Files by their names, what is to be said, and the data. Raises ``TandemError``:
-    ``element.raw_block``."""
+    """Files by their names, what is to be said, and the data; nothing where the element states no raw blocks.
+    Raises ``TandemError``: ``element.raw_block``."""
+    file, name = element.file.raw_blocks, element.file.name
+    if file is None:
+        return {}, (), {}
     raw = []
     for one in file.sizes:
         length, width, thickness = (v * MM for v in one.size_mm)
@@ -26,13 +28,13 @@ def nested_folder(
     bow = None if file.bow is None else Bow(file.bow.span_mm * MM, file.bow.throat_mm * MM)
     kerf = file.kerf_mm * MM
     sawing = Sawing(kerf, file.oversize_mm * MM, file.grain == "any", bow, file.keep_mm * MM)
-    made = nested(name, panels, raw, stock, sawing)
+    made = nested(name, panels, raw, element.stock, sawing)
     files = {
         "blocks.csv": table(made, panels),
         "blocks.svg": drawing(name, made, panels, kerf),
         "stock.csv": stock_file(made),
     }
-    return files, told(made, panels, sawing), _data(made, panels)
+    return files, told(made, panels, sawing), {"blocks": _data(made, panels)}
 
 
 def _data(made: Nesting, panels: Sequence[PanelBlock]) -> dict[str, Any]:

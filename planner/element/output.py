@@ -44,14 +44,9 @@ def folder(
     files["panels.svg"] = drawing(element, panels, names)
     data = _data(element, panels, names, met, rows)
     issues = (*_unsteady(element, panels, names), *_told(element, names, met))
-    if element.file.raw_blocks is not None:
-        cut = _panel_blocks(element, panels, names)
-        of_blocks, said, data["blocks"] = nested_folder(
-            element.file.name, element.file.raw_blocks, cut, element.stock
-        )
-        files, issues = {**files, **of_blocks}, (*issues, *said)
-    files["element.json"] = json.dumps(data, indent=1) + "\n"
-    return files, issues
+    of_blocks, said, blocks = nested_folder(element, _panel_blocks(element, panels, names))
+    files["element.json"] = json.dumps({**data, **blocks}, indent=1) + "\n"
+    return {**files, **of_blocks}, (*issues, *said)
 
 
 def _panel_blocks(
@@ -105,7 +100,7 @@ def _bounds(element: ElasticElement, panel: ElasticPanel) -> tuple[tuple[float, 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Rows as CSV, their names first."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, dots, transform
-from planner.geometry.mesh import TriangleMesh, read_mesh, vertex_normals
+from planner.geometry.mesh import read_mesh, vertex_normals
+from planner.geometry.rulings import boundaries
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 
@@ -81,9 +82,8 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, 
             hint = "plan the panels of this folder again: tandem batch OUT/panels -o RUN"
             raise TandemError(Issue("element.run", what, file=str(path), hint=hint))
         normals = vertex_normals(written) @ pose[:3, :3].T
-        faces.append(
-            CutFace(transform(pose, written.vertices), transform(pose, moved), normals, _rim(written))
-        )
+        rim = np.unique(np.concatenate(boundaries(written)))
+        faces.append(CutFace(transform(pose, written.vertices), transform(pose, moved), normals, rim))
     return tuple(faces)
 
 
@@ -98,12 +98,6 @@ def _objects(path: Path) -> dict[str, FloatArray]:
         elif words[:1] == ["v"]:
             rows.append([float(word) * MM for word in words[1:4]])
     return {name: np.array(rows).reshape(-1, 3) for name, rows in found.items()}
-
-
-def _rim(mesh: TriangleMesh) -> IntArray:
-    edges = np.sort(np.concatenate([mesh.faces[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
-    pairs, count = np.unique(edges, axis=0, return_counts=True)
-    return np.asarray(np.unique(pairs[count == 1]), dtype=np.int64)
 
 
 def cut_joint(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner import plans
+from planner.element.output import table
 from planner.element.run_joints import CutFace, CutJoint, cut_faces, cut_joint
 from planner.files import is_file
 from planner.geometry.units import MM
@@ -198,7 +198,7 @@ def panel_rows(found: ElementRun) -> str:
                 "message": panel.message,
             }
         )
-    return _csv(rows)
+    return table(rows)
 
 
 def joint_rows(found: ElementRun) -> str:
@@ -224,12 +224,4 @@ def joint_rows(found: ElementRun) -> str:
                 "over": "" if joint.cut is None else "yes" if joint.over else "no",
             }
         )
-    return _csv(rows)
-
-
-def _csv(rows: list[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return table(rows)

@@ -121,16 +121,6 @@ class PassSpringback:
                 value[some] = curve.at(np.minimum(force[some], most))
         return _between(ends[0], ends[1], share)
 
-    def along(self) -> list[FloatArray]:
-        """Springback (N,) [m] at the places of each of the control points' rings: linear from one control
-        point to the next, along the ring."""
-        out = []
-        for level, ring in enumerate(self.control.rings):
-            mine = self.control.level == level
-            place, value = self.control.place[mine].astype(np.float64), self.springback[mine]
-            out.append(np.interp(np.arange(len(ring.point)), place, value, period=float(len(ring.point))))
-        return out
-
 
 def _between(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
     """From ``first`` to ``second`` (N,) by a ``share`` (N,); at an end whatever the other one is, NaN too."""

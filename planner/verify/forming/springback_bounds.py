@@ -9,6 +9,7 @@ sheet says there, and `verify.springback` works out some of it anew.
 from __future__ import annotations
 
 import dataclasses
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -44,6 +45,11 @@ class FilePass:
     def shift(self) -> FloatArray:
         """Shifts (P,) [m] that the file states."""
         return np.asarray(np.interp(self.at, gone(self.way.point), self.way.shift))
+
+    @cached_property
+    def between(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What :func:`bounds` says, worked out once."""
+        return bounds(self)
 
     def levels(self) -> tuple[dict[int, float], dict[int, list[Control]]]:
         """Heights [m] of the levels, and their control points."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,8 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, Mesh
 from planner.geometry.units import MM
-from planner.problem import Sheet
+from planner.problem import Problem, Setup, Sheet
+from planner.tooling import FormingTool
 
 MARKS = 4e-4
 """Marks on a way are so far apart [m] at most."""
@@ -234,7 +236,25 @@ def _way(rings: list[list[list[float]]]) -> Way:
     return Way(both[:, :3], both[:, 3], ring)
 
 
-def wanted(
+def of_job(problem: Problem, setup: Setup, operation: Any) -> dict[str, Any] | None:
+    """What a file of an operation has to belong to, by name; none where no sheet comes back."""
+    part, sheet = problem.part, setup.stock.sheet
+    if part is None or part.formed is None or sheet is None:
+        return None
+    tools = {}
+    for arm in operation.arms:
+        tool = setup.cell.arm(arm).tool
+        if isinstance(tool, FormingTool):
+            tools[arm] = (tool.head.kind, tool.head.radius)
+    return _wanted(operation, setup.stock.size, sheet, part.formed.source, tools)
+
+
+def differing(said: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
+    """The names under which a file has another value than the job."""
+    return [name for name in sorted({*mine, *said}) if said.get(name, "none") != mine.get(name, "none")]
+
+
+def _wanted(
     operation: Any, size: FloatArray, sheet: Sheet, mesh: Mesh, tools: dict[str, Any]
 ) -> dict[str, Any]:
     """What a file of this operation has to belong to, by name: ``size`` (3,) [m] and ``sheet`` of the stock,

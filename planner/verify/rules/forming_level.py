@@ -14,7 +14,6 @@ import numpy as np
 from planner.claims.forming import FormsLevel, FormsSheet
 from planner.geometry.units import MM
 from planner.issues import Issue
-from planner.tooling import FormingTool
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.forming import springback_file
 from planner.verify.forming.level import OneLevel
@@ -91,26 +90,17 @@ def _stated(one: OneLevel) -> Iterator[Issue]:
 
 def _file(context: Context, one: OneLevel) -> Iterator[Issue]:
     """Whether the file is of this very job, pass and level, and within the problem's limits."""
-    stated, given, part = one.operation.level, one.given, context.problem.part
+    stated, given = one.operation.level, one.given
     if given is None:
         return
-    setup = context.setups[one.index]
-    if part is None or part.formed is None or setup.stock.sheet is None:
+    job = springback_file.of_job(context.problem, context.setups[one.index], one.operation)
+    if job is None:
         yield _issue(one, "there is no sheet that comes back")
         return
-    tools = {}
-    for arm in one.operation.arms:
-        tool = setup.cell.arm(arm).tool
-        if isinstance(tool, FormingTool):
-            tools[arm] = (tool.head.kind, tool.head.radius)
-    mine = springback_file.wanted(
-        one.operation, setup.stock.size, setup.stock.sheet, part.formed.source, tools
-    )
-    mine = {"plan": stated.plan, "level": stated.number, "pass": one.claim.segment.name, **mine}
+    mine = {"plan": stated.plan, "level": stated.number, "pass": one.claim.segment.name, **job}
     said = {"plan": given.plan, "level": given.number, "pass": given.name, **given.belongs}
-    for name in sorted({*mine, *said}):
-        if said.get(name, "none") != mine.get(name, "none"):
-            yield _issue(one, f"its file is of another: {name} is {said.get(name)}, here {mine.get(name)}")
+    for name in springback_file.differing(said, mine):
+        yield _issue(one, f"its file is of another: {name} is {said.get(name)}, here {mine.get(name)}")
     first = float(stated.before_mm) * MM
     for what, got, limit, unit in given.way.faults(float(stated.slope), float(stated.most_mm) * MM, first):
         told = f"its file has {what}: {got:.4g} {unit}; allowed: {limit:g}"

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -85,14 +85,15 @@ def springback(context: Context, forming: Forming) -> Outcome:
         if one.given is None:
             issues.append(_issue(one, one.fault))
             continue
-        found = [*_belongs(context, forming, one), *_limits(one), *_forces(context, one)]
-        found += _placed(context, forming, one) if not found else []
-        found += _along(context, forming, one) if not found else []
+        found = [*_belongs(context, one), *_limits(one), *_forces(context, one)]
+        passes = [] if found else list(_passes(context, forming, one))
+        found += _placed(one, passes)
+        found += _along(one, passes) if not found else []
         found += _way(context, forming, one)
         issues += found
         if found:
             continue  # nothing of it is worth being worked out
-        off, solved = _solved(context, forming, one)
+        off, solved = _solved(context, forming, one, passes)
         issues += solved
         if off >= worst:
             worst, where = off, one.claim.operation
@@ -134,24 +135,16 @@ def _made(forming: Forming, one: Told) -> PartShapes | None:
     return next((made for made, group in forming.parts if one.claim in group), None)
 
 
-def _belongs(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
+def _belongs(context: Context, one: Told) -> Iterator[Issue]:
     """Whether the file is of this very part, sheet, tools and operation."""
-    setup, given, part = context.setups[one.index], one.given, context.problem.part
-    if given is None or part is None or part.formed is None or setup.stock.sheet is None:
+    given = one.given
+    mine = springback_file.of_job(context.problem, context.setups[one.index], one.operation)
+    if given is None or mine is None:
         yield _issue(one, "there is no sheet that comes back")
         return
-    tools = {}
-    for arm in one.operation.arms:
-        tool = setup.cell.arm(arm).tool
-        if isinstance(tool, FormingTool):
-            tools[arm] = (tool.head.kind, tool.head.radius)
-    mine = springback_file.wanted(
-        one.operation, setup.stock.size, setup.stock.sheet, part.formed.source, tools
-    )
-    for name in sorted({*mine, *given.belongs}):
-        if given.belongs.get(name, "none") != mine.get(name, "none"):
-            said, has = given.belongs.get(name), mine.get(name)
-            yield _issue(one, f"its springback file is of another job: {name} is {said}, here {has}")
+    for name in springback_file.differing(given.belongs, mine):
+        said, has = given.belongs.get(name), mine.get(name)
+        yield _issue(one, f"its springback file is of another job: {name} is {said}, here {has}")
     if one.operation.mode not in MODES:
         yield _issue(one, f"in mode {one.operation.mode} nothing is known of what the sheet comes back by")
     names = {segment.name for segment in one.claim.segments}
@@ -259,10 +252,10 @@ def _passes(context: Context, forming: Forming, one: Told) -> Iterator[FilePass]
         yield FilePass(claim, made.face, way, controls, at, found.place, angle, force, ring, rise)
 
 
-def _placed(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
+def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
     """Whether control points are where the former touches the part, on walls as steep as they say, and their
     levels are loops from the first one to the last."""
-    for own in _passes(context, forming, one):
+    for own in passes:
         tree = cKDTree(own.touch)
         places = np.array([control.place for control in own.controls])
         found = own.face.nearest(places, OFF_ANGLE)
@@ -313,11 +306,11 @@ def _placed(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
             yield _issue(one, what, mm(bare), mm(room), "mm")
 
 
-def _along(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
+def _along(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
     """Whether shifts are what lies between the control points around, as far as the slope lets them."""
     slope = float(one.operation.springback.slope)
-    for own in _passes(context, forming, one):
-        low, high, _ = springback_bounds.bounds(own)
+    for own in passes:
+        low, high, _ = own.between
         got, half = own.shift, own.claim.radius
         least, most = (
             springback_bounds.mean(own.at, springback_bounds.slower(own.at, value, slope), half)
@@ -354,7 +347,9 @@ def _way(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
             yield at_sample(CODE, what, context.motion, claim.arm, int(way.rows[k]), measure)
 
 
-def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[Issue]]:
+def _solved(
+    context: Context, forming: Forming, one: Told, passes: Sequence[FilePass]
+) -> tuple[float, list[Issue]]:
     """How far control points drawn by lot are off what an elastic sheet says, as a share of what is allowed,
     and issues."""
     given, made = one.given, _made(forming, one)
@@ -366,21 +361,21 @@ def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[
     held = elastic.Clamped(
         float(stock.size[2]), metal.young, metal.poisson, stock.sheet.opening, stock.sheet.border
     )
-    passes = {
+    shapes = {
         claim.segment.name: (k, number, claim)
         for k, feature in enumerate(made.features)
         for number, shape in enumerate(feature.shapes)
         for claim in shape.claims
     }
     worst, issues = 0.0, []
-    places = _places(context, forming, one)
+    places = _places(context, one, passes)
     if not places:
         issues.append(_issue(one, "its ways are too short for springback to be worked out anywhere"))
     for k, control in _to_solve(given.controls, places):
-        if control.segment not in passes:
+        if control.segment not in shapes:
             issues.append(_issue(one, f"a control point is of {control.segment}, which is not formed"))
             continue
-        feature, number, claim = passes[control.segment]
+        feature, number, claim = shapes[control.segment]
         formed = elastic.Formed(made, feature, number, abs(float(control.place[2]) - claim.start))
         x, y, z = control.place / MM
         named = f"control point {k + 1} of its springback file, at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
@@ -403,7 +398,7 @@ def _solved(context: Context, forming: Forming, one: Told) -> tuple[float, list[
             )
     for at in places[:PLACES]:
         own, k = at.own, at.row
-        feature, number, claim = passes[own.claim.segment.name]
+        feature, number, claim = shapes[own.claim.segment.name]
         formed = elastic.Formed(made, feature, number, abs(float(own.touch[k, 2]) - claim.start))
         force, doubt_of_force = _force_at(context, one, own, k)
         shift = float(own.shift[k])
@@ -461,16 +456,15 @@ def _to_solve(controls: tuple[Control, ...], places: list[_Place]) -> Iterator[t
             yield k, dataclasses.replace(one, force=float(one.loads[-1]), springback=float(one.moved[-1]))
 
 
-def _places(context: Context, forming: Forming, one: Told) -> list[_Place]:
+def _places(context: Context, one: Told, passes: Sequence[FilePass]) -> list[_Place]:
     """Places drawn by lot on the ways of all passes, each place as likely as any other, so that what many
     control points say of a little of the way is asked as little: `PLACES`, and more until there are `DRAWN`
     control points around them."""
     slope = float(one.operation.springback.slope)
-    passes = list(_passes(context, forming, one))
     some = [np.flatnonzero(own.at > 2.0 * own.claim.radius) for own in passes]
     owner = np.repeat(np.arange(len(passes)), [len(rows) for rows in some])
     rows = np.concatenate([*some, np.zeros(0, dtype=np.int64)])
-    bounds = {k: springback_bounds.bounds(own) for k, own in enumerate(passes)}
+    bounds = {k: own.between for k, own in enumerate(passes)}
     held = {
         k: np.maximum(
             low - springback_bounds.slower(passes[k].at, low, slope),

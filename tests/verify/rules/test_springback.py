@@ -81,6 +81,10 @@ def messages(context: Context) -> list[str]:
     return [issue.message for issue in springback.springback(context, Forming(context)).issues]
 
 
+def passes_of(context: Context, forming: Forming) -> list[springback_bounds.FilePass]:
+    return list(springback._passes(context, forming, forming.told[0]))
+
+
 def test_what_is_planned_is_proven_and_five_points_are_solved_again(outcome: Outcome) -> None:
     assert outcome.verified, outcome.issues
     rules = {rule.code: rule for rule in outcome.proof.rules}
@@ -237,7 +241,7 @@ def test_what_the_sheet_does_not_say_is_found_where_it_is_drawn(
 ) -> None:
     monkeypatch.setattr(springback, "_drawn", lambda digest, count, most: [count // 2])
     forming = Forming(context)
-    (place,) = springback._places(context, forming, forming.told[0])
+    (place,) = springback._places(context, forming.told[0], passes_of(context, forming))
     assert len(place.around) == 2
     mine = [control.place / MM for control in place.around]
 
@@ -248,7 +252,7 @@ def test_what_the_sheet_does_not_say_is_found_where_it_is_drawn(
 
     file.write_text(files.edited(file.read_text(), other))
     forming = Forming(context)
-    off, issues = springback._solved(context, forming, forming.told[0])
+    off, issues = springback._solved(context, forming, forming.told[0], passes_of(context, forming))
     assert off > 1.0
     assert sum("an elastic sheet on another mesh" in issue.message for issue in issues) == 2
 
@@ -256,7 +260,7 @@ def test_what_the_sheet_does_not_say_is_found_where_it_is_drawn(
 def test_places_are_drawn_by_the_way_and_points_around_them(context: Context) -> None:
     """Points that stand for a little of the way are asked as little, however many there are."""
     forming = Forming(context)
-    places = springback._places(context, forming, forming.told[0])
+    places = springback._places(context, forming.told[0], passes_of(context, forming))
     assert len(places) >= springback.PLACES
     controls = forming.told[0].given.controls
     around = {id(one) for place in places for one in place.around}
@@ -285,7 +289,7 @@ def test_bounds_that_are_no_figures_hold_nothing(context: Context, monkeypatch: 
 
     monkeypatch.setattr(springback_bounds, "bounds", none)
     forming = Forming(context)
-    assert len(list(springback._along(context, forming, forming.told[0]))) == 1
+    assert len(list(springback._along(forming.told[0], passes_of(context, forming)))) == 1
 
 
 def _copies(data: dict[str, Any]) -> None:
@@ -340,8 +344,9 @@ def test_walls_by_which_a_formula_takes_forces_are_those_of_the_part(context: Co
     forming = Forming(context)
     (told,) = forming.told
     by_formula = told.operation.model_copy(update={"force_n": None})
-    assert list(springback._placed(context, forming, told)) == []
-    (issue,) = springback._placed(context, forming, dataclasses.replace(told, operation=by_formula))
+    passes = passes_of(context, forming)
+    assert list(springback._placed(told, passes)) == []
+    (issue,) = springback._placed(dataclasses.replace(told, operation=by_formula), passes)
     assert "where the part has" in issue.message
 
 
@@ -350,12 +355,12 @@ def test_shifts_are_worked_out_once_more_anywhere(
 ) -> None:
     monkeypatch.setattr(springback, "_drawn", lambda digest, count, most: [count // 3])
     forming = Forming(context)
-    off, issues = springback._solved(context, forming, forming.told[0])
+    off, issues = springback._solved(context, forming, forming.told[0], passes_of(context, forming))
     assert issues == []
     assert 0.0 < off < 1.0
     file.write_text(files.edited(file.read_text(), files.twice))
     forming = Forming(context)
-    off, issues = springback._solved(context, forming, forming.told[0])
+    off, issues = springback._solved(context, forming, forming.told[0], passes_of(context, forming))
     assert off > 1.0
     for what in ("mm is shifted by", "mm by the control points around"):
         assert any("f1 at" in one.message and what in one.message for one in issues)
