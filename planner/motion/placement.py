@@ -10,7 +10,6 @@ is sorted out afterwards on the best ones.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -91,10 +90,19 @@ class Place:
 
 @dataclasses.dataclass(frozen=True)
 class Trace:
-    """All candidates looked at: ``positions`` (K, 3) of the stock [m] and ``score`` (K,) [rad]."""
+    """All candidates looked at: ``positions`` (K, 3) of the stock [m] and ``score`` (K,) [rad]. ``nearest``
+    is the one with free postures for most targets where none has them for all; ``free`` is their share."""
 
     positions: FloatArray
     score: FloatArray
+    nearest: Place | None = None
+    free: float = 0.0
+
+    def with_more(self, more: Trace) -> Trace:
+        """These candidates with ``more`` behind them."""
+        best = max((self, more), key=lambda trace: trace.free)
+        positions = np.concatenate([self.positions, more.positions])
+        return Trace(positions, np.concatenate([self.score, more.score]), best.nearest, best.free)
 
     def metrics(self, chosen: int | None) -> dict[str, Any]:
         """The search as the report reads it, in degrees; candidates that fail have no score."""
@@ -140,6 +148,7 @@ class Search:
         bare = stands and not stock.support and stock.pedestal is None and not in_air
         self._drops = bare and self._ground.bears
         self._each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
+        self._barred: set[int] = set()
         self._look(shifted=False)
 
     def _look(self, shifted: bool) -> None:
@@ -151,14 +160,22 @@ class Search:
 
         ``models`` are the collision models of the jobs; without them nothing is checked for collisions. Where
         no place is reachable with what is shifted in its middle, shifts are sampled as well, which is slower.
+        Where all of the best places collide, which often face one way alone, the search goes on among those
+        that face another.
         """
-        places, trace = self._places(models)
+        places, trace, faced = self._places(models)
         if not places and not trace.score.max() > 0.0 and any(shifts(t).any() for _, t in self._each):
             self._look(shifted=True)
-            places, trace = self._places(models)
+            places, trace, faced = self._places(models)
+        while not places and not self._fixed and faced - self._barred:
+            self._barred |= faced
+            places, more, faced = self._places(models)
+            places = [dataclasses.replace(p, number=p.number + len(trace.score)) for p in places]
+            trace = trace.with_more(more)
         return places, trace
 
-    def _places(self, models: Sequence[CellModel]) -> tuple[list[Place], Trace]:
+    def _places(self, models: Sequence[CellModel]) -> tuple[list[Place], Trace, set[int]]:
+        """Places, the trace, and the quarters of a turn (see `_quarters`) that the best places face."""
         points = self._first()
         scores = self._score(points, self._coarse)
         seen, known = [points], [scores]
@@ -178,9 +195,11 @@ class Search:
             groups += [(*self._rounded(*groups[0][:2], step), worth) for step, worth in ROUND_TURN_SHARES]
         every, all_scores = np.concatenate([g[0] for g in groups]), np.concatenate([g[1] for g in groups])
         places: list[tuple[float, Place]] = []
+        faced: set[int] = set()
         first = 0
         for points, scores, worth in groups:
             finalists = self._distinct(points, scores)
+            faced |= set(_quarters(points[finalists]).tolist())
             fine = self._score(points[finalists], self._fine)
             places += [
                 (-s / worth, Place(self._stock_pose(points[k]), self._bases(points[k]), float(s), first + k))
@@ -190,11 +209,18 @@ class Search:
             first += len(points)
         places.sort(key=lambda item: item[0])
         ordered = [place for _, place in places]
+        trace = Trace(np.array([self._stock_pose(v)[:3, 3] for v in every]), all_scores)
         if models:
-            free = (place for place in ordered[: 2 * MOST_CHECKED_PLACES] if self._stands_free(models, place))
-            ordered = list(itertools.islice(free, MOST_FREE_PLACES))
-        positions = np.array([self._stock_pose(v)[:3, 3] for v in every])
-        return ordered, Trace(positions, all_scores)
+            looked, ordered = ordered[: 2 * MOST_CHECKED_PLACES], []
+            for place in looked:
+                share = self._share_free(models, place)
+                if share > trace.free:
+                    trace = dataclasses.replace(trace, nearest=place, free=share)
+                if share == 1.0:
+                    ordered.append(place)
+                if len(ordered) == MOST_FREE_PLACES:
+                    break
+        return ordered, trace, faced
 
     def _rounded(self, points: FloatArray, scores: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
         """Points with round figures and their scores, refined from the best of ``points`` on; they turn by
@@ -313,7 +339,7 @@ class Search:
                 off = support.air(self._ground, self._stock, stock[:, 0]) - support.FOOT_HEIGHT
                 some = out[first : first + 64]
                 out[first : first + 64] = np.where(off > 1e-9, np.minimum(some, -1.0 - off), some)
-        return out
+        return np.where(np.isin(_quarters(points), list(self._barred)), -np.inf, out)
 
     def _distinct(self, points: FloatArray, scores: FloatArray) -> list[int]:
         """Indices of the best candidates that lie apart."""
@@ -327,19 +353,20 @@ class Search:
                 out.append(int(k))
         return out
 
-    def _stands_free(self, models: Sequence[CellModel], place: Place) -> bool:
-        """Whether nothing that stands overlaps, and every target of a few has a free posture."""
+    def _share_free(self, models: Sequence[CellModel], place: Place) -> float:
+        """The least share over the jobs of a few targets that have a free posture; 0 where what stands
+        overlaps."""
         jobs = list(zip(models, self._coarse, strict=True))
         placed = {id(m): m.with_stock(place.stock).with_bases(place.bases) for m, _ in jobs}
         if any(clearance.overlaps(m) for m in placed.values()):
-            return False
+            return 0.0
         if any(
             support.made_in(m.cell, m.stock, place.stock)[1] > support.FOOT_HEIGHT for m in placed.values()
         ):
-            return False
-        return all(self._few_free(placed[id(model)], place, few) for model, few in jobs)
+            return 0.0
+        return min(self._few_free(placed[id(model)], place, few) for model, few in jobs)
 
-    def _few_free(self, model: CellModel, place: Place, few: Few) -> bool:
+    def _few_free(self, model: CellModel, place: Place, few: Few) -> float:
         scene = Scene.of(few.cell, few.targets.arms, place.stock, self._settings, model, place.bases)
         margins, q = margins_at(scene, few, place.stock[None, None], self._settings)
         pair = best_branches(margins, few.index)[0]
@@ -348,7 +375,12 @@ class Search:
         good = np.flatnonzero(least > 0.0)
         part = {a: q[a][0, good, b] for a, b in zip(few.targets.arms, choice, strict=True)}
         free = scene.free(few.targets, part, few.index[good])
-        return set(few.index[good][free].tolist()) == set(range(few.targets.count))
+        return len(np.unique(few.index[good][free])) / few.targets.count
+
+
+def _quarters(points: FloatArray) -> IndexArray:
+    """The quarter of a turn (K,), 0 to 3, that is next to the yaw of candidates (K, 4 or more)."""
+    return np.round(points[:, 3] / QUARTER_TURN).astype(np.int64) % 4
 
 
 def margin(

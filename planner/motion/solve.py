@@ -373,7 +373,7 @@ def _first_that_works(
             return place, _plan(problem, stand, models, place, tell, at, begin)
         except TandemError as error:
             reasons = reasons or error.issues
-    raise TandemError([_unplaced(trace, stand), *reasons])
+    raise TandemError([_unplaced(trace, stand), *(reasons or _nearly(problem, stand, models, trace, at))])
 
 
 def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> None:
@@ -410,7 +410,7 @@ def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, 
         reasons = _no_path(problem, stand, models, place, at)
         if not reasons:
             return place, []
-    return None, [_unplaced(trace, stand), *reasons]
+    return None, [_unplaced(trace, stand), *(reasons or _nearly(problem, stand, models, trace, at))]
 
 
 def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list[Issue]:
@@ -524,6 +524,13 @@ def _no_path(
     return out
 
 
+def _nearly(
+    problem: Problem, stand: Stand, models: Sequence[CellModel], trace: Trace, at: list[int]
+) -> list[Issue]:
+    """What is in the way at the place where most targets are free, if none is where all of them are."""
+    return [] if trace.nearest is None else _no_path(problem, stand, models, trace.nearest, at)
+
+
 def _unplaced(trace: Trace, stand: Stand) -> Issue:
     stock = stand.setups[0].stock
     room = ""
@@ -534,11 +541,17 @@ def _unplaced(trace: Trace, stand: Stand) -> Issue:
     best = int(np.argmax(trace.score))
     x, y, z = 1e3 * trace.positions[best]
     reachable = int((trace.score > 0).sum())
+    free = ""
+    if trace.nearest is not None:
+        x, y, z = 1e3 * trace.nearest.stock[:3, 3]
+        free = f", with free postures for {trace.free:.0%} of a few targets"
+        room += "mend what is in the way there, which is told as well (a longer wire or tool or a smaller "
+        room += "block where a tool or a wrist meets it); "
     return Issue(
         "motion.no_placement",
         f"no place of the stock was found for the whole job: {len(trace.score)} places tried, "
         f"{reachable} of them "
-        f"reachable with all margins, the best at {x:.0f}, {y:.0f}, {z:.0f} mm",
+        f"reachable with all margins, the best at {x:.0f}, {y:.0f}, {z:.0f} mm{free}",
         field="stock.place",
         value=float(np.rad2deg(trace.score[best])) if reachable else None,
         unit="deg" if reachable else None,

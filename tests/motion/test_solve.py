@@ -10,9 +10,9 @@ import pytest
 
 from planner.geometry.arrays import exp_twist, from_parts
 from planner.issues import TandemError
-from planner.motion import diagnosis, operation
+from planner.motion import diagnosis, operation, placement
 from planner.motion.operation import plan_operation
-from planner.motion.placement import Search
+from planner.motion.placement import Place, Search
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found, search
 from planner.motion.search.reach import sample
@@ -105,6 +105,48 @@ def test_no_place_at_all_is_told_with_the_best_tried(targets: Targets) -> None:
         solve(problem(cell, targets, None), [targets])
     assert caught.value.issues[0].code == "motion.no_placement"
     assert check(problem(cell, targets, None), [targets])[0].code == "motion.no_placement"
+
+
+def test_what_is_in_the_way_at_the_freest_place_is_told(targets: Targets) -> None:
+    wide = block(
+        (3.5 * SIZE[0], *SIZE[1:]), None
+    )  # the wire's ends, and so its holders, are beside it hardly
+    unplaced, *reasons = check(
+        dataclasses.replace(problem(two_arms(1.8), targets, None), stock=wide), [targets]
+    )
+    assert unplaced.code == "motion.no_placement"
+    assert unplaced.hint is not None
+    assert "mend what is in the way there" in unplaced.hint
+    assert "free postures for" in unplaced.message
+    assert {issue.code for issue in reasons} == {"motion.collision"}
+    assert all("left/tool with stock" in issue.message for issue in reasons)
+
+
+def test_places_that_face_another_way_are_searched_where_the_best_collide(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def facing(place: Place) -> int:
+        return round(np.arctan2(place.stock[1, 0], place.stock[0, 0]) / (0.5 * np.pi)) % 4
+
+    shut: set[int] = set()
+
+    def share(self: Search, models: object, place: Place) -> float:
+        if not self._barred:
+            shut.add(facing(place))
+        return 1.0 if self._barred else 0.5
+
+    monkeypatch.setattr(placement, "MOST_CHECKED_PLACES", 2)
+    monkeypatch.setattr(Search, "_share_free", share)
+    cell, targets = s_curve(40)
+    (stand,) = setup_groups(problem(cell, targets, None), [targets])
+    places, trace = Search(cell, block(SIZE, None), [targets], Settings()).run(stand.models())
+    assert places
+    assert shut
+    assert not {facing(place) for place in places} & shut
+    assert trace.free == 1.0
+    for place in places:
+        assert np.array_equal(trace.positions[place.number], place.stock[:3, 3])
+        assert trace.score[place.number] > 0.0
 
 
 def test_a_joint_limit_is_named(targets: Targets) -> None:
