@@ -62,8 +62,9 @@ def _elastic(element: ElasticElement) -> tuple[dict[str, str], tuple[Issue, ...]
     """All files of elastic panels, what is to be said, and what they came out as."""
     from planner.element import elastic, output
 
-    judge = None if element.wanted.check == "none" else _judge(element)
-    panels = elastic.divide_elastic(elastic.search(element.surface, element.cells, element.rules), judge)
+    made = elastic.search(element.surface, element.cells, element.rules)
+    judge = _judge(element) if element.judged else None
+    panels = elastic.divide_elastic(made, judge, held=element.wanted.check != "none")
     files, told = output.folder(element, panels)
     steps = np.concatenate([joint.steps.ravel() for joint in elastic.joints(panels)] or [np.zeros(1)]) / MM
     off = max(panel.misfit for panel in panels) / MM

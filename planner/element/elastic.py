@@ -10,6 +10,7 @@ that the check of its own problem refuses, is struck off the table, and the divi
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator
 from typing import Final
 
@@ -24,7 +25,7 @@ from planner.element.misfit import (
     worst_over,
 )
 from planner.element.panel_box import Nodes, block_axes, box_sizes, grid_nodes, plane_normals
-from planner.element.panel_faces import CutWire, bend, cut_out
+from planner.element.panel_faces import CutWire, bend, cut_out, holds
 from planner.element.surface import ElementSurface, Profile, profiles
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.guillotine import divide
@@ -152,8 +153,9 @@ class Table:
         return sorted(found, key=rank)
 
 
-def table(made: Search) -> Table:
-    """Which rectangles a block holds, and how well wires meet those."""
+def table(made: Search, held: bool = False) -> Table:
+    """Which rectangles a block holds, and how well wires meet those; ``held``: wires that are not held safely
+    in a section do not meet it."""
     nx, ny = made.cells
     rules = made.rules
     boxes = np.zeros((2, nx, ny, nx, ny), dtype=np.bool_)
@@ -175,6 +177,7 @@ def table(made: Search) -> Table:
                 cut.outside,
                 cut.wire.load,
                 rules.end_weight,
+                functools.partial(holds, cut=cut) if held else None,
             )
             worst = worst_over(fitted, (ny, nx)[along])
             found.append(worst if along == 0 else worst.transpose(1, 0, 3, 2))
@@ -201,14 +204,16 @@ def _fits(sizes: FloatArray, block: FloatArray, rules: Rules) -> BoolArray:
     return np.asarray((_needed(sizes, rules) <= np.array([longest, shortest, block[2]]) + FITS).all(axis=-1))
 
 
-def divide_elastic(made: Search, judge: Judge | None = None) -> tuple[ElasticPanel, ...]:
+def divide_elastic(made: Search, judge: Judge | None = None, held: bool = False) -> tuple[ElasticPanel, ...]:
     """The panels of the best division, by rows of the grid.
 
-    ``judge`` strikes off panels that it refuses, as if they were out of tolerance; those without which
-    nothing covers the element stay, the smallest, with the reason. Raises ``TandemError``: ``element.wire``,
-    ``element.tolerance``, ``element.block`` for places that no panel can cover, each with the nearest remedy.
+    ``held``: panels in which no wire is held safely are struck off, as if they were out of tolerance;
+    ``judge`` also strikes off those that it refuses. Those without which nothing covers the element stay, the
+    smallest, with the reason. Raises ``TandemError``: ``element.wire``, ``element.tolerance``,
+    ``element.block`` for places that no panel can cover, each with the nearest remedy.
     """
-    found = table(made)
+    held = held or judge is not None
+    found = table(made, held)
     misfit = found.best(made.rules.tolerance)
     tries: dict[_Place, Iterator[ElasticPanel]] = {}
     known: dict[_Place, ElasticPanel | None] = {}
@@ -225,20 +230,25 @@ def divide_elastic(made: Search, judge: Judge | None = None) -> tuple[ElasticPan
 
     for _ in range(_MOST_ROUNDS if judge is None else _MOST_JUDGED):
         division = divide(misfit)
+        if division is None and not struck and held:
+            found = table(made)
+            every = found.best(made.rules.tolerance)
+            for w, h, x, y in np.argwhere(every < misfit).tolist():
+                struck[w, h, x, y] = float(every[w, h, x, y])
         if division is None and not struck:
             raise TandemError(_refusals(made, found, misfit))
         if division is None:
             least = min((w + 1) * (h + 1) for w, h, _, _ in struck)
             for place in [p for p in struck if (p[0] + 1) * (p[1] + 1) == least]:
                 price, best = struck.pop(place), _first(_tries(made, found, place))
-                if best is not None and judge is not None:
+                if best is not None:
                     misfit[place] = price
-                    known[place] = dataclasses.replace(best, refused=judge(best))
+                    known[place] = best if judge is None else dataclasses.replace(best, refused=judge(best))
                     passed.add(place)
             continue
         places = [(x1 - x0 - 1, y1 - y0 - 1, x0, y0) for x0, x1, y0, y1 in division.rectangles.tolist()]
         for place in places:
-            if place not in known and judge is None:
+            if place not in known and not held:
                 known[place] = _first(_tries(made, found, place))
             elif place not in known:
                 tries[place] = (panel for panel in _tries(made, found, place) if panel.held)
@@ -248,11 +258,12 @@ def divide_elastic(made: Search, judge: Judge | None = None) -> tuple[ElasticPan
         if not failed:
             return tuple(panel for p in places if (panel := known[p]) is not None)
         for place in failed:
-            if judge is not None:
+            if held:
                 struck[place] = float(misfit[place])
             misfit[place] = np.inf
-    if judge is not None:
-        return tuple(dataclasses.replace(panel, refused=judge(panel)) for panel in divide_elastic(made))
+    if held:
+        first = divide_elastic(made)
+        return first if judge is None else tuple(dataclasses.replace(p, refused=judge(p)) for p in first)
     what = f"after {_MOST_ROUNDS} divisions some panels still fail in the planes of their own blocks"
     raise TandemError(
         Issue("element.tolerance", what, field="panels.elastic", hint="allow more, or take more cells")

@@ -84,9 +84,10 @@ class ElasticFile(Strict):
         float, Field(ge=1, le=1000, description="weight of the ends of sections in the fit")
     ] = 100.0
     check: Annotated[
-        Literal["none", "wire", "all"],
+        Literal["none", "held", "wire", "all"],
         Field(
-            description="panels are struck off that the wire cannot cut, or that all of tandem check refuses"
+            description="panels are struck off in which no wire is held safely, whose job refuses the wire, "
+            "or that any part of tandem check refuses"
         ),
     ] = "none"
 
@@ -245,6 +246,11 @@ class ElasticElement(Element):
     cells: tuple[int, int]
     rules: Rules
     wires: tuple[WireFile, ...]
+
+    @property
+    def judged(self) -> bool:
+        """Whether panels' problems are checked as they will be written."""
+        return self.wanted.check in ("wire", "all")
 
 
 @dataclasses.dataclass(frozen=True)

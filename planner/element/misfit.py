@@ -8,11 +8,13 @@ fits of a wire are one batch.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from planner.element.surface import Profile
 from planner.geometry.arrays import BoolArray, FloatArray
-from planner.hotwire.elastica.fit import fit_curves
+from planner.hotwire.elastica.fit import CurveFit, fit_curves
 
 SECTION_POINTS = 21
 """Points of an interval that a fit sees."""
@@ -44,10 +46,12 @@ def misfits(
     outside: float,
     load: float,
     end_weight: float,
+    holds: Callable[[CurveFit], BoolArray] | None = None,
 ) -> FloatArray:
     """Misfits (n, K, n) [m]: [w - 1, k, i] is that of section k from line i to line i + w, infinite where
     that is longer than a wire of ``length`` [m] with ``outside`` of it free, not ``wanted`` (n, K, n), or
     beyond the last line.
+    Where ``holds`` (B,) is asked of the fits, also infinite where it does not.
 
     ``load``: the wire's weight over its stiffness [1/m^3]. The element lies with z up.
     """
@@ -82,7 +86,10 @@ def misfits(
             np.tile([0.0, -load], (batch, 1)),
             ends_weighted(batch, SECTION_POINTS, end_weight),
         )
-        found.append(np.where(np.isfinite(fit.largest), fit.largest, np.inf))
+        good = np.isfinite(fit.largest)
+        if holds is not None:
+            good &= holds(fit)
+        found.append(np.where(good, fit.largest, np.inf))
     largest = np.concatenate(found)
     rounded = np.where(np.isfinite(largest), np.round(largest / MISFIT_STEP) * MISFIT_STEP, np.inf)
     table[tuple(np.array(asked).T)] = rounded

@@ -87,7 +87,7 @@ def _checked(element: ElasticElement, panel: ElasticPanel) -> str:
     """What the check of a panel's problem said: ok, a code, or nothing where it was not asked."""
     if panel.refused is not None:
         return panel.refused.code
-    return "" if element.wanted.check == "none" else "ok"
+    return "ok" if element.judged else ""
 
 
 def _bounds(element: ElasticElement, panel: ElasticPanel) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -188,7 +188,7 @@ def _unsteady(
     """Panels that cannot be cut as they are, named before any foam is: those that the check refuses although
     nothing else covers their place; where it was not asked, those in whose shapes no wire is held safely."""
     own = tuple(zip(panels, names, strict=True))
-    if element.wanted.check != "none":
+    if element.judged:
         found = [f"{name} ({panel.refused.code})" for panel, name in own if panel.refused is not None]
         what = "are refused by the check of their problems, and no other division avoids them"
     else:

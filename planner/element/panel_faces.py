@@ -11,14 +11,13 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from planner.element.misfit import ends_weighted
-from planner.geometry.arrays import FloatArray, IntArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh, vertex_normals
 from planner.hotwire.elastic.family import SECTION_POINTS, cut_sections, make_spine
 from planner.hotwire.elastica.fit import CurveFit, fit_curves
-from planner.hotwire.elastica.heavy import end_sensitivity, from_middle
+from planner.hotwire.elastica.heavy import HeavyShape, end_sensitivity, from_middle
 from planner.hotwire.wire import Wire
 
 ON_A_LINE: Final = 1e-6
@@ -29,8 +28,9 @@ LEAST_STABILITY: Final = 0.08
 """Margin of stability (1: a free wire, 0: it snaps) that a panel's sections must have."""
 TAUT: Final = 0.9997
 """Share of the wire's length beyond which its ends are too far apart."""
-CLEAR_ENDS: Final = 0.03
-"""How far the wire's ends must be outside of the block [m]."""
+CLEAR_ENDS: Final = 0.05
+"""How far the wire's ends must be outside of the block [m] for it to be held safely: jobs ask 20 mm of all of
+the path, which comes 15 mm nearer between the sections looked at, and holders stand there."""
 _HELD_EVERY = 3  # sections of which one is looked at for that
 _SHORTEST_SECTION = 0.5  # of the median: corners that a leaning plane cuts off follow from their neighbours
 
@@ -89,7 +89,7 @@ def cut_out(
 class BentFace:
     """``shift`` (V,): how far [m] each vertex moves along ``up`` onto a shape of the wire; ``off`` (V,): the
     same across the surface; ``misfit``: the largest distance of the sections from the wire [m]; ``held``:
-    whether the wire is held safely in these shapes (`_holds`)."""
+    whether the wire is held safely in these shapes (`holds`) with its ends clear of the block."""
 
     shift: FloatArray
     off: FloatArray
@@ -114,7 +114,7 @@ def bend(
 ) -> BentFace | None:
     """The shapes of a wire that meet a face in its block's frame, wire along x, swept along y; ``up`` (3,) is
     the element's z there, ``half_block`` [m] half of the block along the wire. None where the wire is too
-    short."""
+    short or a section turns back over itself."""
     spine = make_spine(face, np.array([0.0, 1.0, 0.0]), normal=False)
     low, high = face.vertices[:, 1].min(), face.vertices[:, 1].max()
     count = max(9, int(np.ceil((high - low) / SECTION_STEP)) + 1)
@@ -133,38 +133,58 @@ def bend(
     )
     if not np.isfinite(fit.largest).all():
         return None
-    flat = np.stack(
-        [points[..., 0] + spine.across, np.broadcast_to(sections.p[good][:, None], points.shape[:2])], axis=-1
-    )
-    known = flat.reshape(-1, 2), fit.residual.reshape(-1)
-    wanted = face.vertices[:, :2]
-    residual = LinearNDInterpolator(*known)(wanted)
-    outside = ~np.isfinite(residual)
-    residual[outside] = NearestNDInterpolator(*known)(wanted[outside])
+    across = points[..., 0] + spine.across
+    if (np.diff(across, axis=1) <= 0.0).any():
+        return None
+    residual = _between(sections.p[good], across, fit.residual, face.vertices[:, :2])
     normal = vertex_normals(face)
     lean = np.hypot(normal[:, 0], normal[:, 2])  # in the plane of the section the way to the wire is longer
     facing = dots(normal, np.broadcast_to(up, normal.shape))
     # residuals are along the section's left normal, which looks up as do fronts
     off = -residual * lean
     shift = off / np.abs(facing)
-    return BentFace(shift, off, float(fit.largest.max()), _holds(fit, cut, half_block + abs(spine.across)))
+    return BentFace(
+        shift, off, float(fit.largest.max()), _held_in_block(fit, cut, half_block + abs(spine.across))
+    )
 
 
-def _holds(fit: CurveFit, cut: CutWire, half_block: float) -> bool:
-    """Whether the wire stays in the shapes of a fit: well from snapping, elastic, neither taut nor moved by
-    errors of its ends more than is allowed, and its ends clear of the block. The planner asks the same of the
-    whole path."""
-    some = slice(None, None, _HELD_EVERY)
+def _between(places: FloatArray, across: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Values (V,) at points ``wanted`` (V, 2), between those that sections at y ``places`` (K,), rising, have
+    at x ``across`` (K, M), rising; beyond the ends of a section, and the outer sections, those there."""
+    x, y = wanted.T
+    first = np.clip(np.searchsorted(places, y) - 1, 0, len(places) - 2)
+    share = np.clip((y - places[first]) / (places[first + 1] - places[first]), 0.0, 1.0)
+    out = np.zeros(len(wanted))
+    for k in range(len(places) - 1):
+        rows = np.flatnonzero(first == k)
+        one, other = (np.interp(x[rows], across[i], values[i]) for i in (k, k + 1))
+        out[rows] = one + share[rows] * (other - one)
+    return out
+
+
+def holds(fit: CurveFit, cut: CutWire) -> BoolArray:
+    """Whether the wire stays in the shapes (B,) of a fit: well from snapping, elastic, neither taut nor moved
+    by errors of its ends more than is allowed. The planner asks the same of the whole path."""
+    return _stays(_shapes(fit, cut, slice(None)), fit.foot, cut)
+
+
+def _shapes(fit: CurveFit, cut: CutWire, some: slice) -> HeavyShape:
     length = fit.length[some]
-    weight = np.tile([0.0, -cut.wire.load], (len(length), 1))
-    shape = from_middle(fit.middle[some], length, weight)
+    return from_middle(fit.middle[some], length, np.tile([0.0, -cut.wire.load], (len(length), 1)))
+
+
+def _stays(shape: HeavyShape, foot: FloatArray, cut: CutWire) -> BoolArray:
     margin = np.minimum(shape.margin_in_plane, shape.margin_out_of_plane(cut.wire.section))
-    if margin.min() < LEAST_STABILITY or np.abs(shape.curvature).max() > cut.wire.max_curvature:
-        return False
-    first, last = shape.points[:, 0], shape.points[:, -1]
-    if (np.linalg.norm(last - first, axis=1) / length).max() > TAUT:
-        return False
-    if min(float((last[:, 0]).min()), float((-first[:, 0]).min())) < half_block + CLEAR_ENDS:
-        return False
-    feel = end_sensitivity(shape, fit.foot[some][:, [0, -1]]).ends * cut.end_error
-    return bool((feel <= cut.moves).all())
+    bent = np.abs(shape.curvature).max(axis=1)
+    apart = np.linalg.norm(shape.points[:, -1] - shape.points[:, 0], axis=1) / shape.length
+    feel = end_sensitivity(shape, foot[:, [0, -1]]).ends * cut.end_error
+    good = (margin >= LEAST_STABILITY) & (bent <= cut.wire.max_curvature) & (apart <= TAUT)
+    return np.asarray(good & (feel <= cut.moves))
+
+
+def _held_in_block(fit: CurveFit, cut: CutWire, half_block: float) -> bool:
+    """Whether the wire stays in the shapes of a panel's fit (`holds`), its ends clear of the block."""
+    some = slice(None, None, _HELD_EVERY)
+    shape = _shapes(fit, cut, some)
+    ends = min(float(shape.points[:, -1, 0].min()), float(-shape.points[:, 0, 0].max()))
+    return ends >= half_block + CLEAR_ENDS and bool(_stays(shape, fit.foot[some], cut).all())

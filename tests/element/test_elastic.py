@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -230,6 +231,28 @@ def test_where_nothing_avoids_them_refused_panels_stay_with_their_reason() -> No
     everything = divide_elastic(made, lambda _: REFUSAL)
     assert {panel.refused for panel in everything} == {REFUSAL}
     assert sum(map(cells, everything)) == 6
+
+
+def test_panels_that_no_wire_holds_are_avoided_where_others_cover_their_place() -> None:
+    def divided(
+        size: tuple[float, float], lengths: tuple[float, ...]
+    ) -> tuple[tuple[ElasticPanel, ...], ...]:
+        rules = dataclasses.replace(
+            case(size, (4, 3), 0.8, (1.0, 0.6, 0.15)).rules,
+            wires=tuple(CutWire(WIRE, length, 0.16, 0.05e-3, 0.6e-3) for length in lengths),
+        )
+        own = stand(wall(*size, 0.02), 0.05, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+        made = search(own, (4, 3), rules)
+        return divide_elastic(made), divide_elastic(made, held=True)
+
+    draft, safe = divided((1.2, 0.9), 0.6, 1.4)
+    assert not all(panel.held for panel in draft)
+    assert all(panel.held for panel in safe)
+    assert sum(map(cells, safe)) == 12
+    # a wire of 2 m snaps; where one of 0.5 m does not reach, it covers the element all the same
+    draft, safe = divided((0.8, 0.6), 0.5, 2.0)
+    assert sum(map(cells, safe)) == 12
+    assert 0 < sum(cells(p) for p in safe if not p.held) < sum(cells(p) for p in draft if not p.held)
 
 
 def test_several_wires_and_blocks_are_used_at_once() -> None:
