@@ -7,7 +7,7 @@ import json
 import tempfile
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import tyro
@@ -126,6 +126,34 @@ def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
         markup=False,
     )
     return found.issues()
+
+
+@dataclasses.dataclass(frozen=True)
+class ElementMark:
+    """Keep which panels of an element are cut, glued or broken; says what to cut next, and from what a broken
+    one is cut again.
+
+    Written to progress.csv in OUT, which stays where the element is divided again.
+    """
+
+    element: tyro.conf.Positional[Path]
+    """folder that `tandem element FILE -o OUT` wrote"""
+    panel: tyro.conf.Positional[str]
+    """the id of a panel"""
+    state: tyro.conf.Positional[Literal["cut", "glued", "broken"]]
+    """what it is now"""
+
+
+def run_element_mark(request: ElementMark) -> tuple[Issue, ...]:
+    """Read, mark, write and print; what is to be said. Raises ``TandemError``."""
+    from planner.element import progress
+
+    found = progress.marked(progress.read(request.element), request.panel, request.state)
+    lines = list(progress.told(found, request.element))
+    write_whole(request.element / progress.FILE, progress.text(found))
+    for line in lines:
+        out.print(line, markup=False)
+    return progress.issues(found)
 
 
 def _judge(element: ElasticElement) -> Judge:
