@@ -304,7 +304,7 @@ def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
         yield "raw blocks", "; ".join(f"{count} of {size} mm" for size, count in sizes.items())
         why = {"bound": "the least there is", "two-stage": "no nest of strips takes fewer"}
         because = why.get(nest["least_because"] or "", "")
-        yield "least by the areas of boxes", f"{nest['least']} blocks" + (f"; {because}" if because else "")
+        yield "least by areas of boxes", f"{nest['least']}" + (f"; {because}" if because else "")
         shares = 100.0 * nest["yield_volume"], 100.0 * nest["yield_boxes"]
         yield "of the foam", f"{shares[0]:.0f} % are panels, {shares[1]:.0f} % the blocks they are cut from"
     wires: dict[str, int] = {}

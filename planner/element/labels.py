@@ -73,6 +73,7 @@ def _label(panel: Mapping[str, Any], wide: float, tall: float) -> Iterator[str]:
     yield f'<polygon points="{points}" fill="#eeeeee" stroke="#000000" stroke-width="0.5"/>'
     for i, beyond in enumerate(panel["neighbours"]):
         a, b = ring[i], ring[(i + 1) % len(ring)]
+        yield f'<circle cx="{a[0]:.2f}" cy="{a[1]:.2f}" r="0.8"/>'
         if beyond is None:  # the rim
             yield _line(a, b, 1.4)
         else:

@@ -78,7 +78,7 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, 
         if moved.shape == written.vertices.shape:
             far = float(np.abs(moved - written.vertices).max())
         if far > LARGEST_DEVIATION:
-            raise other_panel(path, name, side)
+            raise other_panel(path, name, f"the {side} face")
         normals = vertex_normals(written) @ pose[:3, :3].T
         rim = np.unique(np.concatenate(boundaries(written)))
         faces.append(CutFace(transform(pose, written.vertices), transform(pose, moved), normals, rim))

@@ -151,7 +151,9 @@ def joints_section(found: ElementRun) -> tuple[Paragraph | Grid, ...]:
 
 def bars(values: FloatArray, label: str) -> Drawing | Paragraph:
     """How many values lie where, as a chart."""
-    counts, edges = np.histogram(values, bins=_BINS)
+    low, high = float(values.min()), float(values.max())
+    alike = high - low < 1e-6 * max(abs(high), 1e-12)
+    counts, edges = np.histogram(values, bins=_BINS, range=charts.padded(low, high) if alike else (low, high))
     x, y = np.repeat(edges, 2)[1:-1], np.repeat(counts.astype(np.float64), 2)
     line = charts.Line("count", x, y)
     top = float(counts.max()) * 1.08 + 0.1

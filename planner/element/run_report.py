@@ -158,8 +158,8 @@ def read_run(out: Path, run: Path) -> ElementRun:
     if not is_file(run / "summary.csv"):
         raise _missing(run / "summary.csv", "tandem batch OUT/panels -o RUN writes it")
     data = json.loads((out / "element.json").read_text("utf-8"))
-    if "joints" not in data:
-        what = f"{out} was written without its joints"
+    if "joints" not in data or not all("outline_mm" in panel for panel in data["panels"]):
+        what = f"{out} was written without joints or outlines of its panels"
         hint = "divide the element again: tandem element FILE -o OUT; panels that stay need no new plan"
         raise TandemError(Issue("element.run", what, file=str(out / "element.json"), hint=hint))
     with (run / "summary.csv").open(newline="", encoding="utf-8") as file:

@@ -72,10 +72,12 @@ def cut_sides(out: Path, run: Path, panel: Mapping[str, Any], thickness: float) 
     off = np.stack([frame.distance(cut) for frame in frames])
     least = off.min(axis=0)
     if max(far, float(least.max())) > FARTHEST:
-        raise other_panel(path, name, SIDES)
+        raise other_panel(path, name, "what is cut of the sides")
     sides = []
     for frame, near in zip(frames, off <= least + BOTH, strict=True):
         own = cut[near]
+        if not len(own) or np.ptp(own @ frame.along) < 0.5 * np.ptp(frame.ends):
+            raise other_panel(path, name, "what is cut of the sides")
         place = own - ((own - frame.corner) @ frame.normal)[:, None] * frame.normal
         rim = np.flatnonzero((np.abs(place[:, 2]) < BOTH) | (np.abs(place[:, 2] - thickness) < BOTH))
         turn = pose[:3, :3]

@@ -296,3 +296,7 @@ def test_what_a_wire_leaves_between_corners_counts_and_parts_of_others_are_refus
     one, other = (tmp_path / name / "simulated_part.obj" for name in names[:2])
     one.write_text(other.read_text())
     assert refusal(planar, tmp_path).code == "element.run"
+    bare = data_of(planar)
+    del bare["panels"][0]["outline_mm"]
+    (tmp_path / "element.json").write_text(json.dumps(bare))
+    assert "without joints or outlines" in refusal(tmp_path, tmp_path).message
