@@ -50,6 +50,7 @@ _WIDE: Final = 0.62  # mean width of a letter in sizes of type
 _LEAST: Final = 4.0  # px: type that is smaller is left out, the words are in the title
 _LARGEST: Final = 22.0  # px: type of ids
 _SMALL_SHARE: Final = 15.0  # percent of the panels that may be too small for the type of ids
+_COLOURS: Final = 8  # of the page's palette
 _GAP: Final = 26.0  # px between panels that are laid flat
 
 
@@ -69,8 +70,9 @@ def element_page(found: ElementRun, blocks: str | None = None) -> str:
         verdicts.append(("", f"{count} panels, none planned yet"))
     sections = [Section("drawing", "Panels", (Wide(_drawing(found)), Paragraph(_key(found), "soft")))]
     if any("front_mm" in panel.panel for panel in found.panels):
-        words = "Fronts at one scale, by the rows of their ids; up is up in the element where they lean."
-        flat = Folded(f"{count} panels, by rows", Drawing(_flat(found)))
+        by = "groups" if data.get("grouped") else "rows"
+        words = f"Fronts at one scale, by {by}; up is up in the element where they lean."
+        flat = Folded(f"{count} panels, by {by}", Drawing(_flat(found)))
         sections.append(Section("flat", "Panels laid flat", (Paragraph(words, "soft"), flat)))
     sections.append(Section("told", "What was said of it", _told(data)))
     sections.append(Section("totals", "Totals", (Facts(tuple(_totals(found))), Paragraph(_BASIS, "soft"))))
@@ -98,6 +100,8 @@ _BASIS: Final = (
 
 def _key(found: ElementRun) -> str:
     words = "Seen from the front."
+    if found.data.get("grouped"):
+        words += " Letters are groups" + (".", ", as are colours.")[not found.planned]
     if any("wire_along" in panel.panel for panel in found.panels):
         words += " A thin line in a panel lies as its wire does."
     if any(panel.panel.get("concave") == "yes" for panel in found.panels):
@@ -161,7 +165,11 @@ def _drawing(found: ElementRun) -> Drawing:
             below = f"{minutes:.1f} min" if panel.proven else panel.code.partition(".")[2]
         said = f"{panel.name}: {panel.state} {panel.code}".strip()
         dashed = ' stroke-dasharray="5 3"' if own.get("concave") == "yes" else ""
-        out.append(f"<g><title>{html.escape(said)}</title>{_polygon(ring, _FILL[_state(panel)], dashed)}")
+        fill = _FILL[_state(panel)]
+        if found.data.get("grouped") and not found.planned:
+            fill = f"var(--c{(ord(panel.name[0]) - ord('A')) % _COLOURS})"
+            dashed += ' fill-opacity="0.3"'
+        out.append(f"<g><title>{html.escape(said)}</title>{_polygon(ring, fill, dashed)}")
         if "wire_along" in own:
             (left, top), (right, bottom) = ring.min(axis=0) + 8.0, ring.max(axis=0) - 8.0
             ends = (left, top, right, top) if own["wire_along"] == "x" else (left, top, left, bottom)
@@ -201,7 +209,7 @@ def _line(ends: Sequence[float], style: str, inside: str = "") -> str:
 def _type_size(rings: Mapping[str, FloatArray]) -> float:
     """The size [px] of ids that most outlines have room for."""
     room = [
-        min(0.62 * float(np.ptp(ring[:, 0])) / (_WIDE * len(name)), 0.4 * float(np.ptp(ring[:, 1])))
+        min(0.56 * float(np.ptp(ring[:, 0])) / (_WIDE * len(name)), 0.4 * float(np.ptp(ring[:, 1])))
         for name, ring in rings.items()
     ]
     return min(_LARGEST, float(np.percentile(room, _SMALL_SHARE)))
@@ -291,6 +299,13 @@ def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
     volume = sum(float(one.get("volume_l") or 0.0) for one in own)
     weights = [float(one["weight_kg"]) for one in own if one.get("weight_kg")]
     yield "panels", f"{len(own)}, {1e-3 * volume:.2f} m³"
+    if data.get("grouped"):
+        groups: dict[str, list[Mapping[str, Any]]] = {}
+        for one in own:
+            groups.setdefault(row_of(str(one["id"])), []).append(one)
+        for letter, members in groups.items():
+            heavy = sum(float(one["weight_kg"] or 0.0) for one in members)
+            yield f"group {letter}", f"{len(members)} panels" + (f", {heavy:.1f} kg" if heavy else "")
     if weights:
         yield "weight", f"{sum(weights):.1f} kg, the heaviest {max(weights):.2f} kg"
     if found.joints:

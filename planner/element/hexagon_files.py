@@ -148,6 +148,7 @@ def _data(
         "name": element.file.name,
         "pose": np.eye(4).tolist(),
         "thickness_mm": element.file.thickness_mm,
+        "grouped": element.file.groups is not None,
         "volume_l": round(1e3 * sum(panel.volume for panel in panels), 3),
         "panels": [
             {

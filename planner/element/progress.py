@@ -127,7 +127,7 @@ def told(found: Progress, out: Path) -> Iterator[str]:
     if waiting is not None:
         state = found.state(waiting)
         ready = "it is cut" if state == "cut" else f"it is {state or 'not cut yet'}"
-        yield f"next to be glued, by rows: {waiting}; {ready}"
+        yield f"next to be glued, by ids: {waiting}; {ready}"
     yield from _again(found, out)
 
 

@@ -76,9 +76,9 @@ def test_the_next_panel_is_one_of_the_block_that_is_begun_and_the_next_to_glue_b
         mark(out, name, "cut")
     assert f"next to be cut: {blocks[0][0]}" in lines(out)
     first, second = (panel["id"] for panel in data["panels"][:2])
-    assert f"next to be glued, by rows: {first}" in lines(out)
+    assert f"next to be glued, by ids: {first}" in lines(out)
     mark(out, first, "glued")
-    assert f"next to be glued, by rows: {second}; it is" in lines(out)
+    assert f"next to be glued, by ids: {second}; it is" in lines(out)
     for panel in data["panels"]:
         mark(out, panel["id"], "glued")
     assert "next" not in lines(out)
