@@ -75,6 +75,10 @@ CODES: Final[dict[str, Code]] = {
         "a report is asked of what is no element or no batch of it, or some of its panels are not proven",
         given=True,
     ),
+    "element.mark": Code(
+        "a panel is marked that an element does not have, or the list of marks is none or of other panels",
+        given=True,
+    ),
     "element.joint": Code("neighbouring panels of an element meet with a step larger than asked"),
     "element.raw_block": Code("the block of a panel fits none of the raw blocks of its foam"),
     "element.cut": Code("the bow reaches some cuts of raw blocks in no way"),

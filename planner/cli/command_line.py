@@ -360,6 +360,16 @@ def element_report(request: tyro.conf.OmitArgPrefixes[element_commands.ElementRe
     return DONE
 
 
+@app.command(name="element-mark")
+def element_mark(request: tyro.conf.OmitArgPrefixes[element_commands.ElementMark]) -> int:
+    """Keep which panels are cut, glued or broken: `tandem element mark OUT ID cut` is the same."""
+    try:
+        _print_issues(element_commands.run_element_mark(request))
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
 @app.command
 def compare(request: tyro.conf.OmitArgPrefixes[compare_commands.Compare]) -> int:
     """Show two plans, or two batches, side by side."""
@@ -427,8 +437,10 @@ def main() -> None:
 
 
 def _one_word(given: Sequence[str]) -> Sequence[str]:
-    """Arguments with ``element report`` as the one command that it is."""
-    return ["element-report", *given[2:]] if list(given[:2]) == ["element", "report"] else given
+    """Arguments with ``element report`` and ``element mark`` as the one command that each is."""
+    if given[:1] == ["element"] and given[1:2] in (["report"], ["mark"]):
+        return [f"element-{given[1]}", *given[2:]]
+    return given
 
 
 def _stop() -> NoReturn:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import tempfile
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import tyro
 from rich.console import Console
 
-from planner.files import claim_folder, write_folder, write_whole
+from planner.files import claim_folder, is_file, write_folder, write_whole
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
 
@@ -33,13 +34,13 @@ class ElementRequest:
     file: tyro.conf.Positional[Path]
     """the element file"""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
-    """folder for panels/, panels.csv, panels.svg, element.json, and where raw blocks are stated blocks.csv,
-    blocks.svg and stock.csv"""
+    """folder for panels/, panels.csv, panels.svg, element.html, labels.svg, element.json, and where raw
+    blocks are stated blocks.csv, blocks.svg and stock.csv"""
 
 
 def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     """Divide, write and print; what is to be said. Raises ``TandemError``."""
-    from planner.element import element_file, output
+    from planner.element import element_file, element_page, labels, output, run_report
 
     start = time.perf_counter()
     claim_folder(request.output, output.OWNED, keep=request.file)
@@ -51,10 +52,13 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
         files, told, said = _hexagons(element)
     else:
         files, told, said = _elastic(element)
+    data = json.loads(files["element.json"])
+    files["element.html"] = element_page.element_page(run_report.unplanned(data), files.get("blocks.svg"))
+    files["labels.svg"] = labels.label_sheets(data)
     write_folder(request.output, files, output.OWNED)
     out.print(f"{element.file.name}: {said}", markup=False)
     seconds = time.perf_counter() - start
-    out.print(f"divided in {seconds:.1f} s; see {request.output / 'panels.svg'}", markup=False)
+    out.print(f"divided in {seconds:.1f} s; see {request.output / 'element.html'}", markup=False)
     return told
 
 
@@ -106,12 +110,14 @@ class ElementReport:
 
 def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
     """Read, measure, write and print; what is to be said. Raises ``TandemError``."""
-    from planner.element import run_page, run_report
+    from planner.element import element_page, run_page, run_report
 
     found = run_report.read_run(request.element, request.run)
     write_whole(request.element / "report.csv", run_report.panel_rows(found))
     write_whole(request.element / "joints.csv", run_report.joint_rows(found))
-    write_whole(request.element / "element.html", run_page.element_page(found))
+    blocks = request.element / "blocks.svg"
+    drawn = blocks.read_text("utf-8") if is_file(blocks) else None
+    write_whole(request.element / "element.html", element_page.element_page(found, drawn))
     proven = sum(panel.proven for panel in found.panels)
     hours = ", ".join(f"{arm} {s / run_page.HOUR:.2f} h" for arm, s in found.arm_seconds().items())
     out.print(
@@ -121,6 +127,34 @@ def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
         markup=False,
     )
     return found.issues()
+
+
+@dataclasses.dataclass(frozen=True)
+class ElementMark:
+    """Keep which panels of an element are cut, glued or broken; says what to cut next, and from what a broken
+    one is cut again.
+
+    Written to progress.csv in OUT, which stays where the element is divided again.
+    """
+
+    element: tyro.conf.Positional[Path]
+    """folder that `tandem element FILE -o OUT` wrote"""
+    panel: tyro.conf.Positional[str]
+    """the id of a panel"""
+    state: tyro.conf.Positional[Literal["cut", "glued", "broken"]]
+    """what it is now"""
+
+
+def run_element_mark(request: ElementMark) -> tuple[Issue, ...]:
+    """Read, mark, write and print; what is to be said. Raises ``TandemError``."""
+    from planner.element import progress
+
+    found = progress.marked(progress.read(request.element), request.panel, request.state)
+    lines = list(progress.told(found, request.element))
+    write_whole(request.element / progress.FILE, progress.text(found))
+    for line in lines:
+        out.print(line, markup=False)
+    return progress.issues(found)
 
 
 def _judge(element: ElasticElement) -> Judge:

@@ -118,6 +118,16 @@ class PanelsFile(Strict):
         return self
 
 
+class GroupsFile(Strict):
+    """How a shell is put into groups for transport, and panels are numbered within each."""
+
+    parts: Annotated[int, Field(ge=1, le=26, description="groups, each with as many panels")]
+    numbering: Annotated[
+        Literal["rows", "height", "ground"],
+        Field(description="by rows, by height, or by the way over the shell from its first row"),
+    ] = "rows"
+
+
 class BlockFile(Strict):
     """A kind of block at hand: length, width, thickness."""
 
@@ -197,12 +207,15 @@ class ElementFile(Strict):
         float, Field(ge=0, le=500, description="foam of a block above and below its elastic panel")
     ] = 12.0
     raw_blocks: RawBlocksFile | None = None
+    groups: Annotated[GroupsFile | None, Field(description="of hexagons")] = None
     jobs: Annotated[tuple[JobFile, ...], Field(min_length=1, max_length=50)]
 
     @model_validator(mode="after")
     def _of_one_kind(self) -> ElementFile:
         if self.panels.elastic is not None and self.wires is None:
             raise ValueError("wires: elastic panels are cut by bent wires; give one")
+        if self.panels.elastic is not None and self.groups is not None:
+            raise ValueError("groups: elastic panels are numbered by the lines of their grid; take that out")
         strange = self.model_fields_set & {"wires", "foam_faces_mm"}
         if self.panels.hexagons is not None and strange:
             raise ValueError(

@@ -3,20 +3,21 @@ data."""
 
 from __future__ import annotations
 
+import functools
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.materials import foam
-from planner.element.element_file import HexagonElement
+from planner.element.element_file import HexagonElement, Template
 from planner.element.hexagons import HexagonPanel
-from planner.element.jobs import block_mm, chosen_templates, problem, problem_text
+from planner.element.jobs import block_mm, chosen_templates, cut_minutes, problem, problem_text
 from planner.element.nest import PanelBlock
 from planner.element.nested_output import nested_folder
-from planner.element.output import table
-from planner.geometry.arrays import FloatArray, transform
+from planner.element.output import table, weight_kg
+from planner.geometry.arrays import FloatArray, transform, unit
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 
@@ -24,6 +25,10 @@ DIGITS: Final = 9
 """Decimals of lengths in mm: neighbours agree to a millionth of a millimetre through both of their poses."""
 POSE_DIGITS: Final = 13
 """Decimals of the axes of poses, for the same reason."""
+LEVEL: Final = 5.0 * DEG
+"""Panels that lean by less than this [rad] have no side that is up."""
+RING_DIGITS: Final = 6
+"""Decimals of outlines in mm in ``element.json``: those in the files of panels have more."""
 _PAGE: Final = 1400.0  # width of the drawing [px]
 _WIDE: Final = 0.62  # mean width of a letter in sizes of type
 
@@ -38,17 +43,22 @@ def folder(
     """
     names = [panel.name for panel in panels]
     templates = chosen_templates(element, panels, names)
-    rows = [row(element, panel, one.file) for panel, one in zip(panels, templates, strict=True)]
+    own = [_panel_block(element, panel) for panel in panels]
+    rows = [
+        row(element, panel, block, one.file) for panel, block, one in zip(panels, own, templates, strict=True)
+    ]
     files = {}
     for panel, template in zip(panels, templates, strict=True):
         made = problem(element, panel, panel.name, template, _part(panel))
         files[f"panels/{panel.name}.yaml"] = problem_text(element, panel.name, made)
     files["panels.csv"] = table(rows)
     files["panels.svg"] = drawing(element, panels)
-    data = _data(element, panels, rows)
-    of_blocks, said, blocks = nested_folder(element, [_panel_block(element, panel) for panel in panels])
-    files["element.json"] = json.dumps({**data, **blocks}, indent=1) + "\n"
-    return {**files, **of_blocks}, (*_concave(panels), *said)
+    data = _data(element, panels, rows, templates)
+    of_blocks, said, blocks = nested_folder(element, own)
+    issues = (*_concave(panels), *said)
+    told = {"issues": [issue.to_dict() for issue in issues]}
+    files["element.json"] = json.dumps({**data, **blocks, **told}, indent=1) + "\n"
+    return {**files, **of_blocks}, issues
 
 
 def _panel_block(element: HexagonElement, panel: HexagonPanel) -> PanelBlock:
@@ -66,12 +76,11 @@ def _part(panel: HexagonPanel) -> dict[str, Any]:
     return {"ruled": [{**sides, "start": {"polyline_mm": start}, "end": {"polyline_mm": end}}]}
 
 
-def row(element: HexagonElement, panel: HexagonPanel, template: str) -> dict[str, Any]:
+def row(element: HexagonElement, panel: HexagonPanel, own: PanelBlock, template: str) -> dict[str, Any]:
     """A panel's row in the table. Lists have a value for each side in turn: the lengths of its edges in front
     and at the back, the angle at the corner where it begins, how far it leans out from back to front, and the
     panel beyond."""
     block = element.file.blocks[panel.block]
-    weight = "" if block.foam is None else round(foam(block.foam).density * panel.volume, 4)
     return {
         "id": panel.name,
         "sides": len(panel.top),
@@ -83,7 +92,7 @@ def row(element: HexagonElement, panel: HexagonPanel, template: str) -> dict[str
         **{f"block_{axis}_mm": v for axis, v in zip("xyz", block_mm(panel), strict=True)},
         "raw_block_mm": " x ".join(f"{v:g}" for v in block.size_mm),
         "volume_l": round(1e3 * panel.volume, 4),
-        "weight_kg": weight,
+        "weight_kg": weight_kg(own),
         "off_surface_mm": round(panel.off / MM, 3),
         "concave": "yes" if panel.concave else "no",
         "job": template,
@@ -114,7 +123,10 @@ def leans(panel: HexagonPanel) -> FloatArray:
 
 
 def _data(
-    element: HexagonElement, panels: tuple[HexagonPanel, ...], rows: Sequence[dict[str, Any]]
+    element: HexagonElement,
+    panels: tuple[HexagonPanel, ...],
+    rows: Sequence[dict[str, Any]],
+    templates: Sequence[Template],
 ) -> dict[str, Any]:
     """The element as data: panels with the poses of their blocks in the frame of the surface's file (4, 4)
     [mm]; its totals."""
@@ -126,22 +138,81 @@ def _data(
         out[:3, 3] = np.round(out[:3, 3], DIGITS)
         return [[v + 0.0 for v in line] for line in out.tolist()]
 
+    def way(panel: HexagonPanel, operation: Mapping[str, Any]) -> float:
+        """How far the wire goes round a panel [mm], half-way up."""
+        round_it = float(_edges(0.5 * (panel.bottom + panel.top)).sum()) / MM
+        return round_it if operation.get("process") == "straight_wire" else 0.0
+
     return {
         "element": 1,
         "name": element.file.name,
         "pose": np.eye(4).tolist(),
         "thickness_mm": element.file.thickness_mm,
+        "grouped": element.file.groups is not None,
         "volume_l": round(1e3 * sum(panel.volume for panel in panels), 3),
         "panels": [
             {
                 **one,
                 "neighbours": [name or None for name in panel.beyond],
                 "on_ground": panel.level.tolist(),
+                "outline_mm": np.round(outline, 2).tolist(),
+                "front_mm": np.round(panel.top[:, :2] / MM, RING_DIGITS).tolist(),
+                "back_mm": np.round(panel.bottom[:, :2] / MM, RING_DIGITS).tolist(),
+                "up": _up(element, panel).tolist(),
+                "cut_min": cut_minutes(template, functools.partial(way, panel)),
                 "block_pose": pose(panel.pose),
             }
-            for one, panel in zip(rows, panels, strict=True)
+            for one, panel, outline, template in zip(
+                rows, panels, _outlines(element, panels), templates, strict=True
+            )
         ],
+        "joints": list(_joints(panels)),
     }
+
+
+def _joints(panels: tuple[HexagonPanel, ...]) -> Iterator[dict[str, Any]]:
+    """Where two panels meet: their sides there, how long it is, and the angle between their faces."""
+    middle = {panel.name: transform(panel.pose, _middles(panel)).tolist() for panel in panels}
+    known = {panel.name: panel for panel in panels}
+    for panel in panels:
+        edges = np.minimum(_edges(panel.top), _edges(panel.bottom))
+        for i, name in enumerate(panel.beyond):
+            if name <= panel.name:
+                continue
+            beyond = known[name]
+            # two panels may have two sides in common
+            k = min(
+                (k for k, back in enumerate(beyond.beyond) if back == panel.name),
+                key=lambda k: math.dist(middle[name][k], middle[panel.name][i]),
+            )
+            angle = float(np.arccos(np.clip(panel.pose[:3, 2] @ beyond.pose[:3, 2], -1.0, 1.0)))
+            yield {
+                "panels": [panel.name, name],
+                "sides": [i, k],
+                "length_mm": round(float(edges[i]) / MM, 3),
+                "angle_deg": round(angle / DEG, 3),
+            }
+
+
+def _up(element: HexagonElement, panel: HexagonPanel) -> FloatArray:
+    """The direction (2,) in the front, in its block's frame, that is up where the panel stands; where it lies
+    nearly level, up in the drawing."""
+    steep = np.hypot(*panel.pose[2, :2]) > np.sin(LEVEL)
+    up = panel.pose[2, :2] if steep else panel.pose[:3, :2].T @ element.view[:, 1]
+    return np.asarray(np.round(unit(up), 4) + 0.0)
+
+
+def _middles(panel: HexagonPanel) -> FloatArray:
+    """The middle (C, 3) of each side."""
+    both = 0.5 * (panel.bottom + panel.top)
+    return np.asarray(0.5 * (both + np.roll(both, -1, axis=0)))
+
+
+def _outlines(element: HexagonElement, panels: tuple[HexagonPanel, ...]) -> list[FloatArray]:
+    """Fronts (C, 2) [mm] as seen from the front, from the lower left corner of all."""
+    rings = [(transform(panel.pose, panel.top) @ element.view)[:, :2] / MM for panel in panels]
+    low = np.concatenate(rings).min(axis=0)
+    return [ring - low for ring in rings]
 
 
 def _concave(panels: tuple[HexagonPanel, ...]) -> tuple[Issue, ...]:
@@ -159,9 +230,8 @@ def _concave(panels: tuple[HexagonPanel, ...]) -> tuple[Issue, ...]:
 def drawing(element: HexagonElement, panels: tuple[HexagonPanel, ...]) -> str:
     """All fronts with their ids, seen from the front: the darker, the farther off the surface; dashed where
     concave."""
-    rings = [(transform(panel.pose, panel.top) @ element.view)[:, :2] / MM for panel in panels]
-    every = np.concatenate(rings)
-    low, size = every.min(axis=0), np.ptp(every, axis=0)
+    rings = _outlines(element, panels)
+    size = np.concatenate(rings).max(axis=0)
     scale = _PAGE / float(size[0])
     high = float(size[1]) * scale
     limit, worst = element.wanted.off_surface_mm, max(panel.off for panel in panels) / MM
@@ -177,7 +247,7 @@ def drawing(element: HexagonElement, panels: tuple[HexagonPanel, ...]) -> str:
         f'<text x="0" y="-20" font-size="18">{legend}</text>',
     ]
     for panel, ring in zip(panels, rings, strict=True):
-        flat = (ring - low) * scale
+        flat = ring * scale
         flat[:, 1] = high - flat[:, 1]
         share = min(panel.off / MM / limit, 1.0)
         shade = ",".join(str(round(255 + share * (c - 255))) for c in (122, 170, 214))

@@ -6,6 +6,10 @@ blocks, and what cannot be made is refused, with a change that was tried and hel
 **Rows** go from panel to panel: the first one stands on the ground, or is the lowest of the rim; each panel
 of the next one has a neighbour in the row before. So ids follow from the pattern alone, and are an order in
 which the shell can be put up.
+
+**Groups**, where the file states them, are as many panels each, in turn round the shell where it lies, else
+along it. Then letters of ids are groups, and numbers in a group go by rows, by height, or by the way over the
+shell from the first row.
 """
 
 from __future__ import annotations
@@ -16,6 +20,8 @@ from typing import Any, Final
 
 import numpy as np
 import shapely
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from planner.element.elastic import FITS
 from planner.element.element_file import HexagonElement
@@ -45,6 +51,8 @@ UP: Final = (0.137, 0.071, 1.0)
 """What the y axes of blocks point to rather than away from."""
 ALIKE: Final = 1e-6
 """Boxes whose areas differ by no more than this share are alike: the first one counts."""
+ALIKE_HEIGHT: Final = 1e-3
+"""Panels whose heights or ways from the first row differ by less [m] are numbered round the shell."""
 TRIED_TO: Final = 1000
 """Where a shell of more panels is refused, no changes are tried: each takes as long as the shell."""
 
@@ -129,12 +137,29 @@ def _named(element: HexagonElement, made: PanelShell) -> tuple[list[str], IntArr
     own = (middle - middle.mean(axis=0)) @ element.view
     lies = abs(float(element.view[2, 2])) > np.cos(45.0 * DEG)
     along = (np.arctan2(own[:, 1], own[:, 0]) - FIRST) % (2.0 * np.pi) if lies else own[:, 0]
-    rows = _rows(panels)
-    order = np.lexsort((along, rows))
+    letter = by = rows = _rows(panels)
+    if (groups := element.file.groups) is not None:
+        letter = np.argsort(np.argsort(along)) * groups.parts // len(panels)
+        if groups.numbering == "height":
+            by = np.round(middle[:, 2] / ALIKE_HEIGHT).astype(np.int64)
+        elif groups.numbering == "ground":
+            by = np.round(_way_up(panels, middle, rows == 0) / ALIKE_HEIGHT).astype(np.int64)
+    order = np.lexsort((along, by, letter))
     names = [""] * len(panels)
-    for k, name in zip(order.tolist(), row_names(rows[order].tolist()), strict=True):
+    for k, name in zip(order.tolist(), row_names(letter[order].tolist()), strict=True):
         names[k] = name
     return names, order
+
+
+def _way_up(panels: Sequence[ThickPanel], middle: FloatArray, first: BoolArray) -> FloatArray:
+    """How far (N,) [m] panels are from the nearest of the ``first`` ones, from middle to middle over the
+    shell."""
+    pairs = [(k, b) for k, panel in enumerate(panels) for b in panel.across.tolist() if b != RIM]
+    one, other = np.array(pairs).T
+    apart = np.linalg.norm(middle[one] - middle[other], axis=1)
+    graph = csr_array((apart, (one, other)), shape=(len(panels), len(panels)))
+    way = dijkstra(graph, indices=np.flatnonzero(first), min_only=True)
+    return np.where(np.isfinite(way), way, 0.0)  # pieces that hang together by a corner alone
 
 
 def _rows(panels: Sequence[ThickPanel]) -> IntArray:

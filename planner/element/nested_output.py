@@ -7,7 +7,18 @@ from typing import Any
 
 from planner.element.block_drawing import drawing
 from planner.element.element_file import Element
-from planner.element.nest import Nesting, PanelBlock, RawBlock, Sawing, nested, stock_file, table, told
+from planner.element.nest import (
+    Nesting,
+    PanelBlock,
+    RawBlock,
+    Sawing,
+    nested,
+    stock_file,
+    table,
+    told,
+    total_yields,
+    yields,
+)
 from planner.geometry.cut_tree import Bow
 from planner.geometry.units import MM
 from planner.issues import Issue
@@ -34,25 +45,32 @@ def nested_folder(
         "blocks.svg": drawing(name, made, panels, kerf),
         "stock.csv": stock_file(made),
     }
-    return files, told(made, panels, sawing), {"blocks": _data(made, panels)}
+    return files, told(made, panels, sawing), {"blocks": _data(made, panels, sawing)}
 
 
-def _data(made: Nesting, panels: Sequence[PanelBlock]) -> dict[str, Any]:
+def _data(made: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> dict[str, Any]:
     """Blocks with where their panels lie and their cuts in order [mm]: corners of parts at x and y, the slot
     from place on along the axis, through a part that is as long as the cut."""
 
     def mm(value: float) -> float:
         return round(value / MM, 3) + 0.0
 
+    volume, boxes = total_yields(made, panels)
     return {
         "least": made.bound,
         "least_because": made.least,
+        "yield_volume": round(volume, 4),
+        "yield_boxes": round(boxes, 4),
+        "oversize_mm": mm(sawing.oversize),
+        "turned": sawing.turned,
         "blocks": [
             {
                 "id": block.name,
                 "left_over": block.source,
                 "size_mm": [mm(v) for v in block.size],
                 "foam": block.foam,
+                "yield_volume": round(yields(block, panels)[0], 4),
+                "yield_boxes": round(yields(block, panels)[1], 4),
                 "panels": [
                     {
                         "id": panels[block.panel(part.box)].name,

@@ -4,23 +4,36 @@ data."""
 from __future__ import annotations
 
 import csv
+import functools
 import io
+import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from planner.catalogue.materials import foam
 from planner.element.elastic import ElasticPanel, Joint, joints
 from planner.element.element_file import ElasticElement
-from planner.element.jobs import block_mm, ids, panel_files
+from planner.element.jobs import block_mm, chosen_templates, cut_minutes, ids, panel_files
 from planner.element.nest import PanelBlock
 from planner.element.nested_output import nested_folder
 from planner.geometry.mesh import face_areas
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity
 
-OWNED: Final = ("element.json", "panels", "panels.csv", "panels.svg", "blocks.csv", "blocks.svg", "stock.csv")
+OWNED: Final = (
+    "element.json",
+    "element.html",
+    "labels.svg",
+    "panels",
+    "panels.csv",
+    "panels.svg",
+    "blocks.csv",
+    "blocks.svg",
+    "stock.csv",
+)
 """What the folder of an element holds; anything else in it is left alone."""
 JOINT_SHARE: Final = 95.0
 """Percent of a joint's points that must be within the step that is allowed."""
@@ -39,14 +52,16 @@ def folder(
     names = ids(panels)
     met = joints(panels)
     files = panel_files(element, panels, names)
-    rows = [_row(element, panel, name) for panel, name in zip(panels, names, strict=True)]
+    own = _panel_blocks(element, panels, names)
+    rows = [_row(element, panel, block) for panel, block in zip(panels, own, strict=True)]
     files["panels.csv"] = table(rows)
     files["panels.svg"] = drawing(element, panels, names)
     data = _data(element, panels, names, met, rows)
-    issues = (*_unsteady(element, panels, names), *_told(element, names, met))
-    of_blocks, said, blocks = nested_folder(element, _panel_blocks(element, panels, names))
-    files["element.json"] = json.dumps({**data, **blocks}, indent=1) + "\n"
-    return {**files, **of_blocks}, (*issues, *said)
+    of_blocks, said, blocks = nested_folder(element, own)
+    issues = (*_unsteady(element, panels, names), *_told(element, names, met), *said)
+    told = {"issues": [issue.to_dict() for issue in issues]}
+    files["element.json"] = json.dumps({**data, **blocks, **told}, indent=1) + "\n"
+    return {**files, **of_blocks}, issues
 
 
 def _panel_blocks(
@@ -63,12 +78,12 @@ def _panel_blocks(
     return out
 
 
-def _row(element: ElasticElement, panel: ElasticPanel, name: str) -> dict[str, Any]:
+def _row(element: ElasticElement, panel: ElasticPanel, own: PanelBlock) -> dict[str, Any]:
     x, y = _bounds(element, panel)
     wire = element.wires[panel.wire]
     block = element.file.blocks[panel.block]
     return {
-        "id": name,
+        "id": own.name,
         "from_x_mm": round(x[0], 3),
         "to_x_mm": round(x[1], 3),
         "from_y_mm": round(y[0], 3),
@@ -80,7 +95,37 @@ def _row(element: ElasticElement, panel: ElasticPanel, name: str) -> dict[str, A
         "wire_held": "yes" if panel.held else "no",
         "check": _checked(element, panel),
         "off_surface_mm": round(panel.misfit / MM, 3),
+        "volume_l": round(1e3 * own.volume, 4),
+        "weight_kg": weight_kg(own),
     }
+
+
+def weight_kg(own: PanelBlock) -> float | str:
+    """What a panel weighs, nothing where its foam is not named."""
+    return "" if own.foam is None else round(foam(own.foam).density * own.volume, 4)
+
+
+def outline(
+    rectangles: Sequence[tuple[int, int, int, int]], names: Sequence[str], k: int
+) -> tuple[list[tuple[int, int]], list[str | None]]:
+    """The corners of one of the rectangles (x0, x1, y0, y1), counterclockwise, with those of its neighbours
+    on its sides, and the name beyond each edge from corner i to i + 1."""
+    x0, x1, y0, y1 = rectangles[k]
+    corners: list[tuple[int, int]] = []
+    beyond: list[str | None] = []
+    for axis, at, first, last in ((1, y0, x0, x1), (0, x1, y0, y1), (1, y1, x1, x0), (0, x0, y1, y0)):
+        beside = []
+        for name, one in zip(names, rectangles, strict=True):
+            low, high = one[2 - 2 * axis : 4 - 2 * axis]
+            low, high = max(low, min(first, last)), min(high, max(first, last))
+            facing = one[2 * axis + int(at == (x0, y0)[axis])]  # where the other one ends, or begins
+            if low < high and facing == at:
+                beside.append((low, high, name))
+        stops = sorted({first, last, *(v for b in beside for v in b[:2])}, reverse=first > last)
+        for a, b in itertools.pairwise(stops):
+            corners.append((a, at) if axis else (at, a))
+            beyond.append(next((name for low, high, name in beside if low <= min(a, b) < high), None))
+    return corners, beyond
 
 
 def _checked(element: ElasticElement, panel: ElasticPanel) -> str:
@@ -126,6 +171,16 @@ def _data(
         out[:3, 3] /= MM
         return [[round(float(v), 9) + 0.0 for v in row] for row in out]
 
+    step = element.surface.size / np.array(element.cells) / MM
+    rectangles = [panel.rectangle for panel in panels]
+    templates = chosen_templates(element, panels, names)
+    around = [outline(rectangles, names, k) for k in range(len(panels))]
+
+    def way(panel: ElasticPanel, operation: Mapping[str, Any]) -> float:
+        """How far the wire goes [mm]: along the block, once for each face."""
+        of_wire = operation.get("process") == "elastic_wire"
+        return block_mm(panel)[1] * len(operation.get("faces") or ("front", "back")) if of_wire else 0.0
+
     steps = [
         {
             "panels": [names[joint.panels[0]], names[joint.panels[1]]],
@@ -145,8 +200,15 @@ def _data(
         "tolerance_mm": element.wanted.tolerance_mm,
         "joint_mm": element.wanted.joint_mm,
         "panels": [
-            {**row, "cells": list(panel.rectangle), "block_pose": pose(panel.pose)}
-            for row, panel in zip(rows, panels, strict=True)
+            {
+                **row,
+                "cells": list(panel.rectangle),
+                "neighbours": beyond,
+                "outline_mm": np.round(np.array(ring) * step, 2).tolist(),
+                "cut_min": cut_minutes(template, functools.partial(way, panel)),
+                "block_pose": pose(panel.pose),
+            }
+            for row, panel, template, (ring, beyond) in zip(rows, panels, templates, around, strict=True)
         ],
         "joints": steps,
     }

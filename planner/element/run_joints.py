@@ -1,5 +1,5 @@
 """Joints of an element measured from what its programs cut: the simulated parts of proven panels, laid beside
-one another in the element frame.
+one another in the element frame. Here are those of elastic panels; `side_joints.py` has planar ones.
 
 The proof of a panel writes each wanted face with its vertices where the wire passes
 (``simulated_part.obj``). Neighbours have the same vertices on the rim at their joint, so the distance of the
@@ -49,8 +49,8 @@ class CutFace:
 
 @dataclasses.dataclass(frozen=True)
 class CutJoint:
-    """Where two panels meet, by id: ``points`` (N, 3) [m] of both faces, with ``steps`` and ``gaps`` (N,)
-    [m] there."""
+    """Where two panels meet, by id: ``points`` (N, 3) [m] with ``gaps`` (N,) [m] there, and ``steps`` (M,)
+    [m]: at the same points of both faces, or at those of them that lie on edges of faces."""
 
     panels: tuple[str, str]
     points: FloatArray
@@ -67,7 +67,7 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, 
     pose = np.array(panel["block_pose"], dtype=np.float64)
     pose[:3, 3] *= MM
     path = run / name / "simulated_part.obj"
-    cut = _objects(path)
+    cut = part_objects(path)
     faces = []
     for side in FACES:
         written = read_mesh(out / "panels" / "meshes" / f"{name}_{side}.obj", MM)
@@ -78,16 +78,21 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, 
         if moved.shape == written.vertices.shape:
             far = float(np.abs(moved - written.vertices).max())
         if far > LARGEST_DEVIATION:
-            what = f"the {side} face in {path} is not that of panel {name}"
-            hint = "plan the panels of this folder again: tandem batch OUT/panels -o RUN"
-            raise TandemError(Issue("element.run", what, file=str(path), hint=hint))
+            raise other_panel(path, name, f"the {side} face")
         normals = vertex_normals(written) @ pose[:3, :3].T
         rim = np.unique(np.concatenate(boundaries(written)))
         faces.append(CutFace(transform(pose, written.vertices), transform(pose, moved), normals, rim))
     return tuple(faces)
 
 
-def _objects(path: Path) -> dict[str, FloatArray]:
+def other_panel(path: Path, name: str, what: str) -> TandemError:
+    """The simulated part at ``path`` is not that of the panel ``name``, as ``what`` of it shows."""
+    said = f"{what} in {path} is not that of panel {name}"
+    hint = "plan the panels of this folder again: tandem batch OUT/panels -o RUN"
+    return TandemError(Issue("element.run", said, file=str(path), hint=hint))
+
+
+def part_objects(path: Path) -> dict[str, FloatArray]:
     """Vertices (V, 3) [m] of each object of a simulated part."""
     found: dict[str, list[list[float]]] = {}
     rows: list[list[float]] = []

@@ -19,6 +19,7 @@ import numpy as np
 from planner import plans
 from planner.element.output import table
 from planner.element.run_joints import CutFace, CutJoint, cut_faces, cut_joint
+from planner.element.side_joints import CutSide, cut_sides, side_joint
 from planner.files import is_file
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
@@ -31,6 +32,7 @@ PROVEN: Final = "verified"
 """What the summary of a batch calls a panel whose programs are proven."""
 NOT_PLANNED: Final = "not planned"
 """State of a panel that the batch does not have."""
+_MOST_NAMED: Final = 30  # panels that are not planned, in a message
 MINUTE: Final = 60.0
 """[s]"""
 
@@ -38,7 +40,8 @@ MINUTE: Final = 60.0
 @dataclasses.dataclass(frozen=True)
 class PanelRun:
     """A panel of ``element.json`` and what became of it: its ``state`` in the summary, the ``code`` and
-    ``message`` of what is to be said, ``seconds`` of motion by arm, its ``faces`` as cut."""
+    ``message`` of what is to be said, ``seconds`` of motion by arm, its ``faces`` as cut; of a planar panel
+    these are its ``sides``."""
 
     panel: Mapping[str, Any]
     state: str
@@ -46,6 +49,7 @@ class PanelRun:
     message: str = ""
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
     faces: tuple[CutFace, ...] = ()
+    sides: tuple[CutSide, ...] = ()
 
     @property
     def name(self) -> str:
@@ -98,6 +102,11 @@ class ElementRun:
         """Joints of which both panels are proven."""
         return tuple(joint for joint in self.joints if joint.cut is not None)
 
+    @property
+    def planned(self) -> bool:
+        """Whether the batch has any of its panels."""
+        return any(panel.state != NOT_PLANNED for panel in self.panels)
+
     def arm_seconds(self) -> dict[str, float]:
         """Seconds of motion of each arm, over the proven panels."""
         out: dict[str, float] = {}
@@ -115,19 +124,24 @@ class ElementRun:
                 f"its points, {joint.largest / MM:.3f} mm at most; allowed are {joint.limit / MM:g} and "
                 f"{MOST / MM:g} mm",
                 Severity.WARNING,
-                field="panels.elastic.joint_mm",
+                field="panels.elastic.joint_mm" if "joint_mm" in self.data else "jobs",
                 value=joint.at_95 / MM,
                 limit=joint.limit / MM,
                 unit="mm",
-                hint="ask for a smaller shape_tol_mm in the jobs, or a smaller tolerance_mm",
+                hint="ask for a smaller shape_tol_mm in the jobs"
+                + (", or a smaller tolerance_mm" if "joint_mm" in self.data else ""),
             )
             for joint in self.joints
             if joint.over
         ]
         left = [panel for panel in self.panels if not panel.proven]
         if left:
-            names = ", ".join(f"{panel.name} ({panel.code or panel.state})" for panel in left)
-            what = f"{len(left)} of {len(self.panels)} panels are not proven: {names}"
+            tried = [f"{p.name} ({p.code or p.state})" for p in left if p.state != NOT_PLANNED]
+            names = [panel.name for panel in left if panel.state == NOT_PLANNED]
+            more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+            if names:
+                tried.append(f"not planned: {', '.join(names[:_MOST_NAMED])}{more}")
+            what = f"{len(left)} of {len(self.panels)} panels are not proven: {', '.join(tried)}"
             hint = "see what their reports say, and order no foam for them before"
             found.append(Issue("element.run", what, Severity.WARNING, hint=hint))
         return tuple(found)
@@ -136,37 +150,54 @@ class ElementRun:
 def read_run(out: Path, run: Path) -> ElementRun:
     """What the batch in ``run`` made of the element in ``out``.
 
-    Raises ``TandemError``: ``element.run`` where one of them is no such folder, the element has planar
-    panels, or a plan is of another panel.
+    Raises ``TandemError``: ``element.run`` where one of them is no such folder, the element was written
+    without joints, or a plan is of another panel.
     """
     if not is_file(out / "element.json"):
         raise _missing(out / "element.json", "tandem element FILE -o OUT writes it")
     if not is_file(run / "summary.csv"):
         raise _missing(run / "summary.csv", "tandem batch OUT/panels -o RUN writes it")
     data = json.loads((out / "element.json").read_text("utf-8"))
-    if "joints" not in data:
-        what = f"{out} has planar panels; joints are measured of panels for the bent wire alone"
-        hint = f"verdicts and minutes of this batch are in {run / 'summary.csv'}"
+    if "joints" not in data or not all("outline_mm" in panel for panel in data["panels"]):
+        what = f"{out} was written without joints or outlines of its panels"
+        hint = "divide the element again: tandem element FILE -o OUT; panels that stay need no new plan"
         raise TandemError(Issue("element.run", what, file=str(out / "element.json"), hint=hint))
     with (run / "summary.csv").open(newline="", encoding="utf-8") as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}
-    panels = tuple(_panel(out, run, panel, rows.get(str(panel["id"]))) for panel in data["panels"])
+    thickness = float(data.get("thickness_mm", 0.0)) * MM
+    panels = tuple(_panel(out, run, panel, rows.get(str(panel["id"])), thickness) for panel in data["panels"])
     known = {panel.name: panel for panel in panels}
     limit = float(data.get("joint_mm", MOST_AT_95 / MM)) * MM
     joints = []
     for joint in data["joints"]:
         one, other = (known[str(name)] for name in joint["panels"])
         names = one.name, other.name
-        cut = cut_joint(names, one.faces, other.faces) if one.faces and other.faces else None
+        cut = None
+        if one.faces and other.faces and "sides" in joint:
+            i, k = joint["sides"]
+            cut = side_joint(names, one.sides[i], other.sides[k])
+        elif one.faces and other.faces:
+            cut = cut_joint(names, one.faces, other.faces)
         joints.append(JointRun(names, float(joint["length_mm"]) * MM, limit, cut))
     return ElementRun(data, panels, tuple(joints))
+
+
+def unplanned(data: Mapping[str, Any]) -> ElementRun:
+    """An element as it is divided, before any batch."""
+    joints = tuple(
+        JointRun((str(j["panels"][0]), str(j["panels"][1])), float(j["length_mm"]) * MM, MOST_AT_95, None)
+        for j in data.get("joints", ())
+    )
+    return ElementRun(data, tuple(PanelRun(panel, NOT_PLANNED) for panel in data["panels"]), joints)
 
 
 def _missing(path: Path, who: str) -> TandemError:
     return TandemError(Issue("element.run", f"{path}: there is no such file; {who}", file=str(path)))
 
 
-def _panel(out: Path, run: Path, panel: Mapping[str, Any], row: Mapping[str, str] | None) -> PanelRun:
+def _panel(
+    out: Path, run: Path, panel: Mapping[str, Any], row: Mapping[str, str] | None, thickness: float
+) -> PanelRun:
     if row is None:
         return PanelRun(panel, NOT_PLANNED)
     code = next(iter(row["issues"].split()), "")
@@ -176,6 +207,9 @@ def _panel(out: Path, run: Path, panel: Mapping[str, Any], row: Mapping[str, str
     for operation in plans.load(run / str(panel["id"])).operations:
         for arm in operation.targets.arms:
             seconds[arm] = seconds.get(arm, 0.0) + float(operation.time[-1])
+    if "front_mm" in panel:
+        sides = cut_sides(out, run, panel, thickness)
+        return PanelRun(panel, PROVEN, code, row["message"], seconds, sides, sides)
     return PanelRun(panel, PROVEN, code, row["message"], seconds, cut_faces(out, run, panel))
 
 
@@ -216,7 +250,7 @@ def joint_rows(found: ElementRun) -> str:
                 "panel": joint.panels[0],
                 "other": joint.panels[1],
                 "length_mm": mm(joint.length),
-                "points": 0 if joint.cut is None else len(steps),
+                "points": 0 if joint.cut is None else len(gaps),
                 "step_95_mm": mm(float(np.percentile(steps, 95.0))),
                 "step_largest_mm": mm(float(steps.max())),
                 "gap_95_mm": mm(float(np.percentile(gaps, 95.0))),

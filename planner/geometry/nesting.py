@@ -168,6 +168,7 @@ class _Search:
         self.kerf = math.ceil(rules.kerf / STEP - 1e-4)
         self.smallest = min(min(a, b) for a, b, _ in self.boxes)
         self.looks = 0
+        self.weights = [[by(a, b)[0] for a, b, _ in self.boxes] for by in _ORDERS[:3]]
         bow = rules.bow
         self.bow = None if bow is None else Bow(bow.span / STEP, bow.throat / STEP)
         cheap = sorted(range(len(blocks)), key=lambda i: (self.price[i], *self.rooms[i], i))
@@ -210,23 +211,26 @@ class _Search:
         """The best after a few blocks at a time were nested anew."""
         chance = random.Random(1)
         bound = sum(a * b for a, b, _ in self.boxes)
+        low: list[int] | None = None  # blocks by their fill, until one is changed
         for _ in range(_ROUNDS * len(self.boxes)):
             enough = len(found) < 2 or (len(self.rooms) == 1 and -(-bound // found[0].area) == len(found))
             if enough or self.looks > MOST_LOOKS:
                 break
-            low = sorted(range(len(found)), key=lambda i: found[i].fill)
+            if low is None:
+                low = sorted(range(len(found)), key=[one.fill for one in found].__getitem__)
             picked = {low[min(int(chance.expovariate(0.5)), len(low) - 1)]}
             while len(picked) < min(chance.choice((2, 3, 3, 4, 5)), len(found)):
                 picked.add(chance.randrange(len(found)))
             old = [found[i] for i in sorted(picked)]
-            by = _ORDERS[chance.randrange(3)]
+            by = self.weights[chance.randrange(3)]
             noise = chance.choice((0.02, 0.1, 0.3))
-            weight = {
-                logged[1]: by(*self.boxes[logged[1]][:2])[0] * chance.uniform(1.0 - noise, 1.0 + noise)
+            least, span, level = 1.0 - noise, (1.0 + noise) - (1.0 - noise), self.level
+            ranked = [
+                (-level[i], -by[i] * (least + span * chance.random()), i)
                 for one in old
-                for logged in one.logged
-            }
-            order = sorted(weight, key=lambda i: (-self.level[i], -weight[i], i))
+                for _, i, _, _, _ in one.logged
+            ]
+            order = [i for _, _, i in sorted(ranked)]
             rule = chance.randrange(_FITS), chance.randrange(_CUTS), chance.randrange(2)
             kinds = sorted((one.kind for one in old), key=lambda i: (self.price[i], i))
             if len(self.plenty) > 1 and chance.random() < 0.3:  # another kind in place of one
@@ -234,6 +238,7 @@ class _Search:
             new = self.pack(order, rule, kinds, [])
             if new is not None and self.cost(new) <= self.cost(old):
                 found = [one for i, one in enumerate(found) if i not in picked] + new
+                low = None
         return found
 
     def pack(
@@ -243,28 +248,35 @@ class _Search:
         that serves; None where they do not go in."""
         fit, cut, place = rule
         blocks = [_Open(kind, self.rooms[kind]) for kind in opened]
+        sides = [self.boxes[i] for i in order]
+        smallest = min(min(a, b) for a, b, _ in sides)
+        spare = sum(block.area for block in blocks) - sum(a * b for a, b, _ in sides)
         for i in order:
+            a, b, thick = self.boxes[i]
+            ways = ((a, b), (b, a)) if self.rules.turn and a != b else ((a, b),)
             best: tuple[int, int, int, int, int, int] | None = None
             for number, block in enumerate(blocks):
-                if block.thick >= self.boxes[i][2]:
-                    best = self._best(i, block, number, fit, cut, best)
+                if block.free and block.thick >= thick:
+                    best = self._best(ways, block, number, fit, cut, best)
                     if place == 0 and best is not None:
                         break
-            for strict in (True, False):
+            for strict in (True, False) if more and best is None else ():
                 for kind in more:
-                    if best is None and self.rooms[kind][2] >= self.boxes[i][2]:
+                    if best is None and self.rooms[kind][2] >= thick:
                         fresh = _Open(kind, self.rooms[kind])
-                        best = self._best(i, fresh, len(blocks), fit, cut, None, strict)
+                        best = self._best(ways, fresh, len(blocks), fit, cut, None, strict)
                         if best is not None:
                             blocks.append(fresh)
             if best is None:
                 return None
-            self._place(i, blocks[best[1]], best)
+            spare -= self._place(i, blocks[best[1]], best, smallest)
+            if spare < 0 and not more:  # what is left cannot hold the others
+                return None
         return [block for block in blocks if block.logged]
 
     def _best(
         self,
-        i: int,
+        ways: Sequence[tuple[int, int]],
         block: _Open,
         number: int,
         fit: int,
@@ -272,10 +284,9 @@ class _Search:
         best: tuple[int, int, int, int, int, int] | None,
         strict: bool = True,
     ) -> tuple[int, int, int, int, int, int] | None:
-        """The best place of a box: badness, block, free rectangle, its sides there, the first cut."""
+        """The best place of a box that may lie in these ways: badness, block, free rectangle, its sides,
+        the first cut."""
         self.looks += len(block.free)
-        a, b, _ = self.boxes[i]
-        ways = ((a, b), (b, a)) if self.rules.turn and a != b else ((a, b),)
         for where, (long, wide, _leaf) in enumerate(block.free):
             for x, y in ways:
                 if x > long or y > wide:
@@ -308,15 +319,20 @@ class _Search:
         rest = max(along[1] - along[0] - self.kerf, 0)
         return self.bow.reaches(across - self.kerf, along[0] - self.kerf, rest, thick)
 
-    def _place(self, i: int, block: _Open, best: tuple[int, int, int, int, int, int]) -> None:
+    def _place(self, i: int, block: _Open, best: tuple[int, int, int, int, int, int], smallest: int) -> int:
+        """A box at its place; how much of the rests is narrower than the ``smallest`` box."""
         _, _, where, x, y, first = best
         long, wide, leaf = block.free.pop(where)
         block.logged.append((leaf, i, x, y, first))
         block.used += x * y
-        for side, room in enumerate(_rests(long, wide, x, y, first)):
-            if min(room) >= self.smallest:
-                block.free.append((*room, block.leaves + side))
+        lost = 0
+        for side, (one, other) in enumerate(_rests(long, wide, x, y, first)):
+            if one >= smallest and other >= smallest:
+                block.free.append((one, other, block.leaves + side))
+            else:
+                lost += one * other
         block.leaves += 2
+        return lost
 
     def exact(self, found: list[_Open], bound: int, kind: int) -> tuple[list[_Open], bool]:
         """Fewer blocks by strips where the exact model finds them, and whether there are none."""
@@ -344,7 +360,7 @@ class _Search:
                 if n == 0:
                     whole = block.leaves
                 leaf = block.leaves + (1 if n == 0 else 0)
-                self._place(i, block, (0, 0, where, x, y, first))
+                self._place(i, block, (0, 0, where, x, y, first), self.smallest)
         return block
 
     def _all_reached(self, block: _Open) -> bool:
@@ -390,7 +406,11 @@ class _Search:
 def _first_cut(rule: int, long: int, wide: int, r: int, s: int) -> int:
     """1 where the cut at a box's end along x comes first, 0 where that along y does, in a rectangle long x
     wide of which the box leaves r and s."""
-    return int((long >= wide, long < wide, r < s, r >= s, r * wide >= long * s, r * wide < long * s)[rule])
+    if rule < 2:
+        return int((long >= wide) == (rule == 0))
+    if rule < 4:
+        return int((r < s) == (rule == 2))
+    return int((r * wide >= long * s) == (rule == 4))
 
 
 def _rests(long: int, wide: int, x: int, y: int, first: int) -> tuple[tuple[int, int], tuple[int, int]]:

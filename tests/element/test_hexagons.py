@@ -19,7 +19,7 @@ from planner.cli.element import ElementRequest, run_element
 from planner.element import element_file, hexagon_files, hexagons
 from planner.issues import Issue, TandemError, has_errors
 from tests.element.shells import THICK, Written, cap, patch, saddle, shell, written
-from tests.element.walls import ROOT
+from tests.element.walls import ROOT, element
 
 
 def divided(path: Path) -> dict[str, str]:
@@ -226,6 +226,44 @@ def test_panels_are_ordinary_problems_and_a_gripper_of_the_rack_holds_them(tmp_p
         held.add(problem.cell.arm("right").tool.name)
     # the plate of 300 x 200 mm in the cell is too large for most
     assert "plate_200" in held
+
+
+@pytest.mark.parametrize("numbering", ["rows", "height", "ground"])
+def test_groups_lie_together_are_as_large_and_are_numbered_as_asked(tmp_path: Path, numbering: str) -> None:
+    groups = {"parts": 3, "numbering": numbering}
+    panels = written(divided(shell(tmp_path, groups=groups)))
+    plain = written(divided(shell(tmp_path)))
+    assert list(panels) == sorted(panels)
+    letters = [name[0] for name in panels]
+    assert [letters.count(letter) for letter in "ABC"] in ([13, 13, 14], [13, 14, 13], [14, 13, 13])
+    near = {name: {other for other in p.row["neighbours"] if other} for name, p in panels.items()}
+    for letter in "ABC":
+        mine = {name for name in panels if name[0] == letter}
+        reached = {min(mine)}
+        while more := {other for name in reached for other in near[name]} & mine - reached:
+            reached |= more
+        assert reached == mine
+        ids = sorted(mine)
+        height = [panels[name].top[:, 2].mean() for name in ids]
+        if numbering == "height":
+            assert all(a <= b + 1.5 for a, b in itertools.pairwise(height))
+        # the same panels as without groups, under other names
+        row = {tuple(np.round(p.top.mean(axis=0))): name[0] for name, p in plain.items()}
+        rows = [row[tuple(np.round(panels[name].top.mean(axis=0)))] for name in ids]
+        if numbering == "rows":
+            assert rows == sorted(rows)
+        if numbering == "ground":
+            first = rows.count("A")
+            assert rows[:first] == ["A"] * first
+
+
+def test_groups_of_panels_of_another_kind_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(TandemError) as caught:
+        element_file.read(element(tmp_path, groups={"parts": 2}))
+    assert [issue.code for issue in caught.value.issues] == ["problem.field"]
+    for parts in (0, 27):
+        with pytest.raises(TandemError):
+            element_file.read(shell(tmp_path, groups={"parts": parts}))
 
 
 @pytest.mark.long

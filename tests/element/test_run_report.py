@@ -18,7 +18,7 @@ from planner import plans
 from planner.cli import command_line
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
 from planner.issues import Issue, TandemError
-from tests.element.shells import shell
+from tests.element.shells import Written, shell, written
 from tests.element.walls import element
 from tests.test_plans import some_plan
 
@@ -195,13 +195,108 @@ def test_report_is_a_word_of_the_command(out: Path, tmp_path: Path, monkeypatch:
     assert ended.value.code == 0
 
 
-def test_planar_panels_are_told_to_have_no_such_report(tmp_path: Path) -> None:
-    run_element(ElementRequest(shell(tmp_path), tmp_path / "out"))
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "summary.csv").write_text("name,state\n")
-    with pytest.raises(TandemError) as caught:
-        run_element_report(ElementReport(tmp_path / "out", tmp_path / "run"))
-    (issue,) = caught.value.issues
-    assert issue.code == "element.run"
-    assert "planar panels" in issue.message
-    assert "summary.csv" in str(issue.hint)
+@pytest.fixture(scope="module")
+def planar(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("planar")
+    run_element(ElementRequest(shell(folder), folder / "out"))
+    return folder / "out"
+
+
+def panels_of(out: Path) -> dict[str, Written]:
+    names = [panel["id"] for panel in data_of(out)["panels"]]
+    files = {f"panels/{name}.yaml": (out / "panels" / f"{name}.yaml").read_text() for name in names}
+    return written({**files, "element.json": (out / "element.json").read_text()})
+
+
+def cut_planar(out: Path, run: Path, off: Mapping[str, float], wave: float = 0.0) -> None:
+    """Results of a batch: sides of each panel ``off`` [mm] outwards, and a ``wave`` [mm] half-way along."""
+    plan = some_plan()
+    rows = [["name", "state", "issues", "message"]]
+    share = np.linspace(0.0, 1.0, 9)
+    for name, panel in panels_of(out).items():
+        if name not in off:
+            continue
+        lines = ["o cut_sides"]
+        bottom, top = panel.own
+        for i in range(len(top)):
+            k = (i + 1) % len(top)
+            way = (top[k] - top[i]) / np.linalg.norm(top[k] - top[i])
+            normal = np.cross(way, top[i] - bottom[i])
+            normal /= np.linalg.norm(normal)
+            for z in np.linspace(0.0, 1.0, 4):
+                a, b = bottom[i] + z * (top[i] - bottom[i]), bottom[k] + z * (top[k] - bottom[k])
+                a, b = a + 3.0 * way, b - 3.0 * way  # corners belong to two sides
+                by = off[name] + wave * np.sin(np.pi * share)
+                at = a + share[:, None] * (b - a) + by[:, None] * normal
+                lines += [f"v {x:.5f} {y:.5f} {h:.5f}" for x, y, h in at]
+        (run / name).mkdir(parents=True)
+        (run / name / "simulated_part.obj").write_text("\n".join(lines) + "\n")
+        plans.save(plan, run / name)
+        rows.append([name, "verified", "", ""])
+    with (run / "summary.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+
+
+def standing_off(panel: Written, i: int, normal: np.ndarray, by: float) -> np.ndarray:
+    """Where the edge of a front goes as its side i is cut ``by`` [mm] outwards: in the front's plane, in
+    that of the side, nowhere along the edge."""
+    a, b, c = (panel.top[k % len(panel.top)] for k in (i, i + 1, i + 2))
+    front = np.cross(b - a, c - b)
+    return np.linalg.solve(np.stack([normal, front, b - a]), [by, 0.0, 0.0])
+
+
+def test_joints_of_planar_panels_are_those_of_their_sides_as_cut(planar: Path, tmp_path: Path) -> None:
+    """Sides that are cut evenly off: the gap is the sum of both, the step follows from three planes."""
+    panels = panels_of(planar)
+    names = list(panels)
+    off = {name: 0.02 * (k % 4) - 0.03 for k, name in enumerate(names[:-1])}
+    off[names[3]] = 0.4
+    cut_planar(planar, tmp_path, off)
+    issues = run_element_report(ElementReport(planar, tmp_path))
+    rows = list(csv.DictReader((planar / "joints.csv").open()))
+    pairs = {(a, b) for a, p in panels.items() for b in p.row["neighbours"] if b is not None and a < b}
+    assert {(row["panel"], row["other"]) for row in rows} == pairs
+    over = set()
+    for row in rows:
+        a, b = row["panel"], row["other"]
+        if names[-1] in (a, b):
+            assert (row["gap_95_mm"], row["over"]) == ("", "")
+            continue
+        apart = abs(off[a] + off[b])
+        assert float(row["gap_95_mm"]) == pytest.approx(apart, abs=2e-4)
+        assert float(row["gap_largest_mm"]) == pytest.approx(apart, abs=2e-4)
+        one, other = panels[a], panels[b]
+        i, k = one.row["neighbours"].index(b), other.row["neighbours"].index(a)
+        along = one.top[(i + 1) % len(one.top)] - one.top[i]
+        normal = np.cross(along, one.top[i] - one.bottom[i])
+        normal /= np.linalg.norm(normal)
+        moved = standing_off(one, i, normal, off[a]) - standing_off(other, k, normal, -off[b])
+        up = np.array(one.row["block_pose"])[:3, 2] + np.array(other.row["block_pose"])[:3, 2]
+        step = abs(moved @ up / np.linalg.norm(up))
+        assert float(row["step_largest_mm"]) == pytest.approx(step, abs=2e-4)
+        assert (row["over"] == "yes") == (apart > 0.2)
+        over |= {(a, b)} if apart > 0.2 else set()
+    assert over and all(names[3] in pair for pair in over)
+    told = [issue.message for issue in issues if issue.code == "element.joint"]
+    assert len(told) == len(over)
+    assert all(any(f"joint {a} to {b} " in words for words in told) for a, b in over)
+
+
+def test_what_a_wire_leaves_between_corners_counts_and_parts_of_others_are_refused(
+    planar: Path, tmp_path: Path
+) -> None:
+    names = list(panels_of(planar))
+    cut_planar(planar, tmp_path, dict.fromkeys(names, 0.0), wave=0.3)
+    run_element_report(ElementReport(planar, tmp_path))
+    rows = list(csv.DictReader((planar / "joints.csv").open()))
+    assert all(float(row["gap_largest_mm"]) == pytest.approx(0.6, abs=0.01) for row in rows)
+    page = (planar / "element.html").read_text()
+    assert f"{len(names)} of {len(names)} panels proven" in page
+    assert f"{len(rows)} of {len(rows)} measured joints over the limit" in page
+    one, other = (tmp_path / name / "simulated_part.obj" for name in names[:2])
+    one.write_text(other.read_text())
+    assert refusal(planar, tmp_path).code == "element.run"
+    bare = data_of(planar)
+    del bare["panels"][0]["outline_mm"]
+    (tmp_path / "element.json").write_text(json.dumps(bare))
+    assert "without joints or outlines" in refusal(tmp_path, tmp_path).message

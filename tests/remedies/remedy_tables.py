@@ -111,6 +111,10 @@ ELSEWHERE: Final = {
         "element/test_run_report",
         "test_what_is_no_batch_of_the_element_is_refused_and_a_batch_of_it_is_read",
     ),
+    "element.mark": (
+        "element/test_progress",
+        "test_what_is_no_panel_or_no_list_is_refused_and_what_is_advised_helps",
+    ),
     "element.joint": (
         "element/test_element_file",
         "test_joints_beyond_the_step_asked_are_told_and_the_step_advised_is_kept",

@@ -41,6 +41,8 @@ RULING_SPACING = 0.010
 """Way along a ruling between points of the simulated part [m],"""
 MOST_TRIANGLES = 60_000
 """unless that makes more triangles than this."""
+SIDE_SPACING = 0.020
+"""Largest way from ruling to ruling of the simulated part [m]."""
 _FINER_STEPS = 2
 """Steps between two stations of a wire, the place between them by a cubic."""
 _NORMAL_WEIGHT = 0.003
@@ -265,8 +267,8 @@ def part_obj(
     claims: tuple[CutsSurface, ...], sweeps: tuple[Sweep, ...], rulings: tuple[FollowsRulings, ...] = ()
 ) -> str:
     """The simulated part as OBJ text in mm: each wanted face with its vertices moved to where the cut
-    surface is. Faces with ``rulings`` have vertices along these too: at their ends alone they would not show
-    what the wire left between them."""
+    surface is. Faces with ``rulings`` have vertices along and between these too: at their ends alone they
+    would not show what the wire left between them."""
     ruled = {claim.segment.key: claim for claim in rulings}
     lines = ["# the cut faces as simulated from the programs; stock frame, mm"]
     offset = 1
@@ -287,12 +289,21 @@ def part_obj(
 
 def _grid(claim: FollowsRulings) -> tuple[FloatArray, IntArray]:
     """Vertices and triangles of a ruled face with points every ``RULING_SPACING`` along its rulings, wound
-    as the claimed face is; fewer where there are very many rulings."""
-    length = float(np.linalg.norm(claim.end - claim.start, axis=1).max())
-    count = len(claim.start)
+    as the claimed face is; fewer where there are very many rulings. Rulings that are farther apart than
+    ``SIDE_SPACING`` have others between them."""
+    way = np.maximum(*(np.linalg.norm(np.diff(line, axis=0), axis=1) for line in (claim.start, claim.end)))
+    parts = np.maximum(np.ceil(way / SIDE_SPACING - 1e-9), 1.0).astype(np.int64)
+    own = np.concatenate([[0], np.cumsum(parts)])
+    fine = np.arange(own[-1] + 1)
+    start, end = (
+        np.stack([np.interp(fine, own, line[:, c]) for c in range(3)], axis=-1)
+        for line in (claim.start, claim.end)
+    )
+    length = float(np.linalg.norm(end - start, axis=1).max())
+    count = len(start)
     columns = 1 + int(np.clip(np.ceil(length / RULING_SPACING), 1, max(MOST_TRIANGLES // (2 * count), 4)))
     share = np.linspace(0.0, 1.0, columns)[None, :, None]
-    vertices = (1.0 - share) * claim.start[:, None] + share * claim.end[:, None]
+    vertices = (1.0 - share) * start[:, None] + share * end[:, None]
     at = np.arange(count * columns).reshape(count, columns)
     one, two, three, four = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
     faces = np.concatenate([np.stack([one, two, four], axis=1), np.stack([two, three, four], axis=1)])

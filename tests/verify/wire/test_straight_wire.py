@@ -203,26 +203,30 @@ def test_the_held_block_moves_with_its_holder():
     assert np.abs(later - held_job.PLACE).max() < 1e-8
 
 
-def test_the_simulated_part_shows_what_a_wire_leaves_between_the_ends_of_its_rulings() -> None:
-    """Slots 2 mm wide, and a wire that is right at both ends and bulges by 0.5 mm half way: a sine."""
-    x, away = np.linspace(0.0, 0.1, 21), np.array([0.0, 0.0, 1.0])
-    start, end = (np.stack([x, np.full(21, y), np.zeros(21)], axis=1) for y in (0.0, 0.4))
-    ruled = Ruled("face", start, end, np.zeros(21, dtype=np.bool_))
+@pytest.mark.parametrize(("count", "wave"), [(21, 0.0), (2, 0.2)])
+def test_the_simulated_part_shows_what_a_wire_leaves_between_its_rulings_and_between_their_ends(
+    count: int, wave: float
+) -> None:
+    """Slots 2 mm wide, and a wire that is right at both ends and bulges by 0.5 mm half way: a sine; on its
+    way between two rulings it rises by a ``wave`` [mm] too."""
+    x, away = np.linspace(0.0, 0.1, count), np.array([0.0, 0.0, 1.0])
+    start, end = (np.stack([x, np.full(count, y), np.zeros(count)], axis=1) for y in (0.0, 0.4))
+    ruled = Ruled("face", start, end, np.zeros(count, dtype=np.bool_))
     mesh, name = tessellate(ruled), Segment.read("cut/face")
     kerf = KerfCurve.constant(0.002)
     y = np.linspace(0.0, 0.4, 161)
-    bulge = 0.0005 * np.sin(np.pi * y / 0.4)
-    rows = np.stack(
-        [np.broadcast_to(v, (41, 161)) for v in (np.linspace(-0.02, 0.12, 41)[:, None], y, bulge)], 2
-    )
+    along = np.linspace(-0.02, 0.12, 41)[:, None]
+    bulge = 0.0005 * np.sin(np.pi * y / 0.4) + 1e-3 * wave * np.sin(np.pi * along / 0.1)
+    rows = np.stack([np.broadcast_to(v, (41, 161)) for v in (along, y, bulge)], 2)
     outward = np.cross(*(mesh.vertices[mesh.faces[0, k]] - mesh.vertices[mesh.faces[0, 0]] for k in (1, 2)))
     side = float(np.sign(outward[2]))
     sweep = Sweep.steady(rows * [1.0, 1.0, side] + side * 0.001 * away)
     claim = CutsSurface(name, mesh.vertices, mesh.faces, kerf, 1e-3)
     shown = part_obj((claim,), (sweep,), (FollowsRulings(name, start, end, kerf, 1e-3),))
     made = trimesh.load(io.StringIO(shown), file_type="obj", process=False)
-    assert made.vertices.shape == (21 * 41, 3)  # every 10 mm of 400
+    assert made.vertices.shape == (max(count, 6) * 41, 3)  # every 10 mm of 400, every 20 mm of 100
     wanted = 0.5 * np.sin(np.pi * made.vertices[:, 1] / 400.0)
+    wanted += wave * np.sin(np.pi * made.vertices[:, 0] / 100.0)
     np.testing.assert_allclose(side * made.vertices[:, 2], wanted, atol=2e-3)
     assert (made.face_normals[:, 2] * side > 0.9).all()
     flat = trimesh.load(io.StringIO(part_obj((claim,), (sweep,))), file_type="obj", process=False)

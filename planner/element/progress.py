@@ -1,0 +1,196 @@
+"""How far an element is made: which panels are cut, glued or broken, what to cut next, and from what a broken
+one is cut again.
+
+``progress.csv`` lies beside ``element.json`` and is no part of what `tandem element` writes, so it stays
+where an element is divided again. A row has the panel's id, its state, and the size of its block when it was
+marked, which tells panels that were another shape then.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+from planner.element import stock_list
+from planner.element.output import table
+from planner.element.stock_list import LeftOver
+from planner.files import is_file, no_file
+from planner.geometry.nesting import Block, Box, fits
+from planner.geometry.units import MM
+from planner.issues import Issue, Severity, TandemError
+
+State = Literal["cut", "glued", "broken"]
+"""What a panel can be; one that is in no row is open."""
+FILE: Final = "progress.csv"
+_COLUMNS: Final = ("id", "state", "block_mm")
+_MOST_NAMED: Final = 8  # panels of a block that are still to be cut
+
+
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """An element's ``data`` and the ``rows`` of its panels: state and block [mm] by id, in no order."""
+
+    data: Mapping[str, Any]
+    rows: Mapping[str, tuple[State, str]]
+
+    def state(self, name: str) -> State | None:
+        """The state of a panel; None where it is open."""
+        return self.rows[name][0] if name in self.rows else None
+
+    def to_cut(self, names: Sequence[str]) -> list[str]:
+        """Those that are in no row."""
+        return [name for name in names if name not in self.rows]
+
+
+def read(out: Path) -> Progress:
+    """The element in ``out`` and how far it is. Raises ``TandemError``: ``element.mark`` where there is no
+    element or the list is none."""
+    path = out / "element.json"
+    if not is_file(path):
+        hint = "tandem element FILE -o OUT writes it"
+        raise TandemError(Issue("element.mark", f"{path}: {no_file(path)}", file=str(path), hint=hint))
+    data = json.loads(path.read_text("utf-8"))
+    path = out / FILE
+    rows: dict[str, tuple[State, str]] = {}
+    given = path.read_text("utf-8-sig", errors="replace") if is_file(path) else ""
+    for line, row in enumerate(csv.DictReader(io.StringIO(given, newline="")), 2):
+        if tuple(row) != _COLUMNS or row["state"] not in get_args(State):
+            what = f"got {row}, allowed are the columns {', '.join(_COLUMNS)} and the states "
+            what += ", ".join(get_args(State))
+            hint = "correct that line, or take it out: its panel counts as open then"
+            raise TandemError(Issue("element.mark", what, file=str(path), line=line, hint=hint))
+        state: State = row["state"]  # type: ignore[assignment]
+        rows[row["id"]] = state, row["block_mm"]
+    return Progress(data, rows)
+
+
+def marked(found: Progress, name: str, state: State) -> Progress:
+    """The same with one panel in that state. Raises ``TandemError``: ``element.mark`` for an id that the
+    element does not have."""
+    panel = next((one for one in found.data["panels"] if one["id"] == name), None)
+    if panel is None:
+        known = [str(one["id"]) for one in found.data["panels"]]
+        what = (
+            f"got panel {name!r}, {found.data['name']} has {len(known)} panels from {known[0]} to {known[-1]}"
+        )
+        raise TandemError(Issue("element.mark", what, field="panel", hint="see the ids in element.html"))
+    return dataclasses.replace(found, rows={**found.rows, name: (state, _block_mm(panel))})
+
+
+def text(found: Progress) -> str:
+    """``progress.csv``: panels in the order of the element, then those that it has no more."""
+    known = [str(panel["id"]) for panel in found.data["panels"]]
+    order = [name for name in known if name in found.rows]
+    order += sorted(found.rows.keys() - set(known))
+    return table([dict(zip(_COLUMNS, (name, *found.rows[name]), strict=True)) for name in order])
+
+
+def issues(found: Progress) -> tuple[Issue, ...]:
+    """``element.mark`` for marks of panels that the element has no more, or that have another size now."""
+    blocks = {str(panel["id"]): _block_mm(panel) for panel in found.data["panels"]}
+    gone = sorted(found.rows.keys() - blocks.keys())
+    other = [name for name, (_, size) in found.rows.items() if blocks.get(name, size) != size]
+    out = []
+    for names, said in (
+        (gone, "are none of the element's"),
+        (sorted(other), "have blocks of another size now"),
+    ):
+        if names:
+            what = f"{len(names)} panels that are marked {said}: {', '.join(names)}"
+            hint = "the element was divided anew since: see to these panels, then mark them again or take "
+            hint += f"their rows out of {FILE}"
+            out.append(Issue("element.mark", what, Severity.WARNING, file=FILE, hint=hint))
+    return tuple(out)
+
+
+def _block_mm(panel: Mapping[str, Any]) -> str:
+    return " x ".join(f"{float(panel[f'block_{axis}_mm']):g}" for axis in "xyz")
+
+
+def told(found: Progress, out: Path) -> Iterator[str]:
+    """How far the element is, what to cut next, what to put in next, and from what broken panels are cut
+    again, in lines. Raises ``TandemError``: ``element.stock`` where the list in ``out`` is none."""
+    names = [str(panel["id"]) for panel in found.data["panels"]]
+    count = {state: sum(found.state(name) == state for name in names) for state in get_args(State)}
+    left = found.to_cut(names)
+    yield (
+        f"{found.data['name']}: of {len(names)} panels {count['glued']} are glued, {count['cut']} cut, "
+        f"{count['broken']} broken, {len(left)} to be cut"
+    )
+    yield from _next_cut(found, left)
+    waiting = next((name for name in names if found.state(name) != "glued"), None)
+    if waiting is not None:
+        state = found.state(waiting)
+        ready = "it is cut" if state == "cut" else f"it is {state or 'not cut yet'}"
+        yield f"next to be glued, by ids: {waiting}; {ready}"
+    yield from _again(found, out)
+
+
+def _next_cut(found: Progress, left: Sequence[str]) -> Iterator[str]:
+    """The first block that is begun and not done, else the first with panels to cut; without blocks, the
+    first panel."""
+    nest = found.data.get("blocks")
+    if not left:
+        return
+    if not nest:
+        yield f"next to be cut: {left[0]}"
+        return
+    blocks = [(block, [str(one["id"]) for one in block["panels"]]) for block in nest["blocks"]]
+    begun = [b for b in blocks if 0 < len(found.to_cut(b[1])) < len(b[1])]
+    block, own = next(b for b in (*begun, *blocks) if found.to_cut(b[1]))
+    rest = found.to_cut(own)
+    of = f"left over {block['left_over']}" if block["left_over"] else "a raw block"
+    size = " x ".join(f"{v:g}" for v in block["size_mm"])
+    after = f", then {', '.join(rest[1:_MOST_NAMED])}" if len(rest) > 1 else ""
+    more = f" and {len(rest) - _MOST_NAMED} more" if len(rest) > _MOST_NAMED else ""
+    yield f"next to be cut: {rest[0]}{after}{more} of block {block['id']} ({of} of {size} mm)"
+
+
+def _again(found: Progress, out: Path) -> Iterator[str]:
+    """For each broken panel, in the order of ids, a piece left over that its block fits into and no other one
+    takes: the smallest one of blocks that are cut, or of those that are still to be cut; else a new raw
+    block."""
+    broken = [panel for panel in found.data["panels"] if found.state(str(panel["id"])) == "broken"]
+    nest = found.data.get("blocks")
+    if nest is None:
+        for panel in broken:
+            yield f"{panel['id']} again: from another block of {panel['raw_block_mm']} mm"
+        return
+    pieces = list(stock_list.read(out / "stock.csv")) if broken else []
+    of = {one["id"]: block for block in nest["blocks"] for one in block["panels"]}
+    more = float(nest["oversize_mm"]) * MM
+    uncut = [block["id"] for block in nest["blocks"] if found.to_cut([one["id"] for one in block["panels"]])]
+
+    def later(piece: LeftOver) -> str:
+        """The block that must be cut before there is such a piece."""
+        made = (name for name in uncut if piece.name.startswith(f"{found.data['name']}-{name}-"))
+        return next(made, "")
+
+    for panel in broken:
+        block = of[panel["id"]]
+        x, y, z = (float(panel[f"block_{axis}_mm"]) * MM for axis in "xyz")
+        box = Box(x + more, y + more, z)
+        fit = [
+            one for one in pieces if one.foam == block["foam"] and fits(box, _as_block(one), nest["turned"])
+        ]
+        wanted = f"{panel['id']} again, {(x + more) / MM:g} x {(y + more) / MM:g} x {z / MM:g} mm: from "
+        if fit:
+            best = min(
+                fit, key=lambda one: (bool(later(one)), one.length * one.width * one.thickness, one.name)
+            )
+            pieces.remove(best)
+            size = " x ".join(f"{round(v / MM, 1):g}" for v in (best.length, best.width, best.thickness))
+            when = f", once {later(best)} is cut" if later(best) else ""
+            yield f"{wanted}what is left over, {best.name} ({size} mm){when}"
+        else:
+            size = " x ".join(f"{v:g}" for v in block["size_mm"])
+            yield f"{wanted}a raw block of {size} mm, as {block['id']} was: nothing left over holds it"
+
+
+def _as_block(piece: LeftOver) -> Block:
+    return Block(piece.length, piece.width, piece.thickness)

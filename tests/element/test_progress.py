@@ -1,0 +1,171 @@
+"""What is kept of an element as it is made: marks, what comes next, from what a broken panel is cut again."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planner.cli import command_line
+from planner.cli.element import ElementMark, ElementRequest, run_element, run_element_mark
+from planner.element import progress
+from planner.issues import Issue, TandemError
+from tests.element.shells import shell
+
+RAW = {"sizes": [{"size_mm": [2400, 1200, 150], "foam": "eps_a120"}], "kerf_mm": 2, "keep_mm": 100}
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return shell(tmp_path_factory.mktemp("shell"), hexagons={"count": 41}, raw_blocks=RAW)
+
+
+@pytest.fixture
+def out(file: Path, tmp_path: Path) -> Path:
+    """The folder of an element that is written once."""
+    made = file.parent / "out"
+    if not made.exists():
+        run_element(ElementRequest(file, made))
+    for name in ("element.json", "stock.csv"):
+        (tmp_path / name).write_bytes((made / name).read_bytes())
+    return tmp_path
+
+
+def data_of(out: Path) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads((out / "element.json").read_text())
+    return loaded
+
+
+def rows_of(out: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader((out / "progress.csv").open()))
+
+
+def lines(out: Path) -> str:
+    return "\n".join(progress.told(progress.read(out), out))
+
+
+def mark(out: Path, name: str, state: progress.State) -> tuple[Issue, ...]:
+    return run_element_mark(ElementMark(out, name, state))
+
+
+def test_marks_are_kept_once_and_stay_where_the_element_is_divided_again(file: Path, out: Path) -> None:
+    names = [panel["id"] for panel in data_of(out)["panels"]]
+    mark(out, names[3], "cut")
+    mark(out, names[1], "cut")
+    written = (out / "progress.csv").read_bytes()
+    mark(out, names[1], "cut")
+    assert (out / "progress.csv").read_bytes() == written
+    assert [(row["id"], row["state"]) for row in rows_of(out)] == [(names[1], "cut"), (names[3], "cut")]
+    run_element(ElementRequest(file, out))
+    assert (out / "progress.csv").read_bytes() == written
+    assert mark(out, names[1], "glued") == ()
+    assert rows_of(out)[0]["state"] == "glued"
+
+
+def test_the_next_panel_is_one_of_the_block_that_is_begun_and_the_next_to_glue_by_rows(out: Path) -> None:
+    data = data_of(out)
+    blocks = [[one["id"] for one in block["panels"]] for block in data["blocks"]["blocks"]]
+    assert f"next to be cut: {blocks[0][0]}" in lines(out)
+    mark(out, blocks[2][0], "cut")
+    assert f"next to be cut: {blocks[2][1]}" in lines(out)
+    for name in blocks[2]:
+        mark(out, name, "cut")
+    assert f"next to be cut: {blocks[0][0]}" in lines(out)
+    first, second = (panel["id"] for panel in data["panels"][:2])
+    assert f"next to be glued, by ids: {first}" in lines(out)
+    mark(out, first, "glued")
+    assert f"next to be glued, by ids: {second}; it is" in lines(out)
+    for panel in data["panels"]:
+        mark(out, panel["id"], "glued")
+    assert "next" not in lines(out)
+    assert f"{len(data['panels'])} are glued" in lines(out)
+
+
+def test_a_broken_panel_is_cut_again_from_what_is_left_over_and_holds_it_or_from_a_new_block(
+    out: Path,
+) -> None:
+    data = data_of(out)
+    panel, other = data["panels"][:2]
+    size = {axis: float(panel[f"block_{axis}_mm"]) for axis in "xyz"}
+    name = data["name"]
+    tight = f"{name}-B01-1,{size['y'] + 1:.1f},{size['x'] + 1:.1f},150,eps_a120"
+    rows = [
+        "id,length_mm,width_mm,thickness_mm,foam",
+        f"thin,{size['x'] + 50:.1f},{size['y'] + 50:.1f},149,eps_a120",
+        f"short,{size['x'] - 1:.1f},{size['y'] + 50:.1f},150,eps_a120",
+        f"strange,{size['x'] + 50:.1f},{size['y'] + 50:.1f},150,xps",
+        tight,
+        "old,2000,1000,150,eps_a120",
+    ]
+    (out / "stock.csv").write_text("\n".join(rows) + "\n")
+    mark(out, panel["id"], "broken")
+    assert "1 broken" in lines(out)
+    # B01 is not cut yet, the old piece is at hand
+    assert f"{panel['id']} again" in lines(out) and "left over, old (" in lines(out)
+    for one in data["blocks"]["blocks"][0]["panels"]:
+        if one["id"] != panel["id"]:
+            mark(out, one["id"], "cut")
+    assert f"left over, {name}-B01-1 (" in lines(out)
+    mark(out, other["id"], "broken")  # which no piece serves twice
+    said = [line for line in lines(out).splitlines() if " again, " in line]
+    assert [line.split()[0] for line in said] == [panel["id"], other["id"]]
+    assert said[0] != said[1] and "left over, old (" in said[1]
+    (out / "stock.csv").write_text(rows[0] + "\n")
+    assert "from a raw block of 2400 x 1200 x 150 mm" in lines(out)
+
+
+def test_an_element_without_raw_blocks_goes_by_ids(out: Path) -> None:
+    data = data_of(out)
+    del data["blocks"]
+    (out / "element.json").write_text(json.dumps(data))
+    names = [panel["id"] for panel in data["panels"]]
+    mark(out, names[0], "broken")
+    assert f"next to be cut: {names[1]}" in lines(out)
+    assert f"{names[0]} again: from another block of 1200 x 1000 x 150 mm" in lines(out)
+
+
+def test_what_is_no_panel_or_no_list_is_refused_and_what_is_advised_helps(out: Path) -> None:
+    def refused(name: str) -> Issue:
+        with pytest.raises(TandemError) as caught:
+            mark(out, name, "cut")
+        (issue,) = caught.value.issues
+        assert issue.code == "element.mark"
+        return issue
+
+    names = [panel["id"] for panel in data_of(out)["panels"]]
+    issue = refused("Z99")
+    assert "'Z99'" in issue.message and names[0] in issue.message
+    assert not (out / "progress.csv").exists()
+    mark(out, names[0], "cut")
+    good = (out / "progress.csv").read_text()
+    (out / "progress.csv").write_text(good + f"{names[1]},lost,1 x 2 x 3\n")
+    assert refused(names[2]).line == 3
+    (out / "progress.csv").write_text(good)  # that line taken out
+    mark(out, names[2], "cut")
+    (out / "element.json").unlink()
+    assert "tandem element" in str(refused(names[0]).hint)
+
+
+def test_marks_of_panels_that_are_others_now_are_told_until_they_are_marked_again(out: Path) -> None:
+    names = [panel["id"] for panel in data_of(out)["panels"]]
+    rows = f"id,state,block_mm\n{names[0]},cut,1 x 2 x 3\nQ07,glued,1 x 2 x 3\n"
+    (out / "progress.csv").write_text(rows)
+    told = {str(issue.message) for issue in mark(out, names[1], "cut")}
+    assert len(told) == 2
+    assert any("Q07" in words for words in told) and any(names[0] in words for words in told)
+    (left,) = mark(out, names[0], "cut")
+    assert "Q07" in left.message
+    assert rows_of(out)[-1]["id"] == "Q07"
+
+
+def test_mark_is_a_word_of_the_command(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = data_of(out)["panels"][0]["id"]
+    monkeypatch.setattr(sys, "argv", ["tandem", "element", "mark", str(out), name, "cut"])
+    with pytest.raises(SystemExit) as ended:
+        command_line.main()
+    assert ended.value.code == 0
+    assert rows_of(out)[0]["state"] == "cut"
