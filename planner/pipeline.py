@@ -25,6 +25,7 @@ from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document
 
 if TYPE_CHECKING:
+    from planner.motion.former import Former
     from planner.plans import Plan
     from planner.report.cell_picture import Picture
     from planner.report.replay import Viewer
@@ -190,20 +191,39 @@ def _contained() -> Iterator[None]:
 
 
 @_contained()
-def plan(problem: Problem | spec.Problem, progress: Progress | None = None, processes: int = 1) -> Outcome:
+def plan(
+    problem: Problem | spec.Problem,
+    progress: Progress | None = None,
+    processes: int = 1,
+    like: Former | str | Path | None = None,
+) -> Outcome:
     """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible.
+
+    ``like``: the result folder of a problem like this one, or what :func:`former` reads of it. Place, paths
+    and ways are taken over from its plan where they hold; notes (``motion.like``) tell which.
 
     With ``processes=2`` a second process plans later setups and ways home, draws the report's pictures and
     looks at rules of the proof beside this one, with 300 to 550 MB of memory of its own; what comes out is
     the same byte by byte.
     """
     problem, tell = built(problem), progress or _silent
+    before = former(like) if isinstance(like, str | Path) else like
     with worker.beginning(processes) as begin:
-        return _planned(problem, tell, begin, processes > 1)
+        return _planned(problem, tell, begin, processes > 1, before)
 
 
-def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outcome:
-    """What :func:`plan` gives; ``begin`` begins what another process may do, with ``draw`` the pictures."""
+def former(folder: str | Path) -> Former:
+    """The plan in a result folder, which another one may be planned like. Raises ``TandemError``
+    (``plan.missing_file``, ``plan.damaged``, ``plan.schema``, or what is wrong with the problem in it)."""
+    from planner import plans
+    from planner.motion.former import Former
+
+    return Former(plans.load(folder), load_result(folder))
+
+
+def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before: Former | None) -> Outcome:
+    """What :func:`plan` gives; ``begin`` begins what another process may do, with ``draw`` the pictures;
+    ``before``: what it is planned like."""
     tell("targets", 0.0)
     ready()
     from planner.motion import sag, solve
@@ -217,7 +237,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool) -> Outc
     refused = [*write.refusals(problem, targets), *prove.unproven(claims)]
     if refused:
         raise TandemError(refused)
-    made = solve.solve(problem, targets, tell, begin)
+    made = solve.solve(problem, targets, tell, begin, before)
     driven = zip(jobs, made.operations, strict=True)
     slow = [issue for job, motion in driven for issue in job.driven(motion.targets, motion.time)]
     if has_errors(slow):

@@ -44,7 +44,7 @@ from planner.catalogue.robots import bundled
 from planner.files import RESULT, STAGING, claim_folder, is_file, write_folder
 from planner.issues import Issue, TandemError, given_wrong
 from planner.pipeline import Outcome
-from planner.plans import Plan
+from planner.plans import ARRAYS_FILE, DATA_FILE, Plan
 from planner.problem import Problem
 from planner.reading import problem as problem_file
 from planner.reading import strict_yaml
@@ -52,17 +52,21 @@ from planner.verify.result import RuleResult
 
 SUFFIXES = (".yaml", ".yml")
 """Endings of problem and batch files."""
+LIKE: Final = "like"
+"""The folder, among a job's files, of the result that it is planned like."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Item:
     """One problem of a batch: its ``name`` among the results, where it comes from, how to read it (raises
-    ``TandemError``), and the values that a batch file gave it."""
+    ``TandemError``), and the values that a batch file gave it. ``like``: the item whose plan its own begins
+    with."""
 
     name: str
     origin: str
     read: Callable[[], Problem]
     varied: Mapping[str, object] = dataclasses.field(default_factory=dict)
+    like: str | None = None
 
 
 def collect(given: Sequence[Path], leave_out: Path) -> list[Item]:
@@ -143,12 +147,24 @@ def _name(path: Path, root: Path) -> str:
 
 
 def bundled_job(
-    name: str, problem: Problem, timeout_s: float | None = None, memory_mb: float | None = None
+    name: str,
+    problem: Problem,
+    timeout_s: float | None = None,
+    memory_mb: float | None = None,
+    like: Path | None = None,
 ) -> Job:
-    """The problem as a job; its issues name files as the problem file does."""
+    """The problem as a job; its issues name files as the problem file does. ``like``: the result folder that
+    it is planned like, whose plan and problem go with it, so that equal jobs have equal results."""
     files = problem_file.bundle(problem)
     carried = yaml.safe_load(files[PROBLEM])
     origins = dict(_pairs(carried, problem.source))
+    if like is not None:
+        kept = [like / ARRAYS_FILE, like / DATA_FILE, *sorted((like / "problem").rglob("*"))]
+        files |= {
+            f"{LIKE}/{path.relative_to(like).as_posix()}": path.read_bytes()
+            for path in kept
+            if path.is_file()
+        }
     return Job(name, files, timeout_s, memory_mb, origins)
 
 
@@ -198,11 +214,14 @@ class Row:
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """How a batch runs: limits of each job, and whether what was finished before is kept (``resume``)."""
+    """How a batch runs: limits of each job, and whether what was finished before is kept (``resume``).
+    ``like``: the folder of an earlier batch, like whose results of the same names problems are planned that
+    are planned like no other item."""
 
     timeout_s: float | None = None
     memory_mb: float | None = None
     resume: bool = False
+    like: Path | None = None
 
 
 OnEvent = Callable[[Event], None]
@@ -230,9 +249,13 @@ def run(
         on_event(Finished(row.item.name, row.done))
 
     while waiting or planners.busy:
-        while waiting and len(under_way) < planners.ahead:
-            item = waiting.popleft()
-            row = _begin(item, out, planners, settings, versions)
+        while len(under_way) < planners.ahead:
+            item = _next(waiting, rows, under_way)
+            if item is None:
+                break
+            waiting.remove(item)
+            before = _former(item, known, rows, out, settings)
+            row = _begin(item, out, planners, settings, versions, before)
             if row is not None:
                 ended(row)
             else:
@@ -243,6 +266,29 @@ def run(
             else:
                 on_event(event)
     return [rows[item.name] for item in items]
+
+
+def _next(waiting: Iterable[Item], rows: Mapping[str, Row], under_way: Mapping[str, Item]) -> Item | None:
+    """The first item that waits for no other; the first one where none is under way that others wait for."""
+    ready = (item for item in waiting if item.like is None or item.like in rows)
+    return next(ready, None if under_way else next(iter(waiting), None))
+
+
+def _former(
+    item: Item, known: Mapping[str, Item], rows: Mapping[str, Row], out: Path, settings: Settings
+) -> Path | None:
+    """The result folder that an item is planned like: of the item that it is like, or where that is not
+    verified, of the one which that is like, and so on; else of its name in an earlier batch; None where there
+    is none."""
+    name = item.like
+    for _ in known:
+        if name is None or name not in rows:
+            break
+        if rows[name].done.state == "verified":
+            return out / name
+        name = known[name].like
+    folder = None if settings.like is None else settings.like / item.name
+    return folder if folder is not None and is_file(folder / DATA_FILE) else None
 
 
 def plan_all(
@@ -298,9 +344,15 @@ def claimed_folder(out: Path) -> Iterator[None]:
 
 
 def _begin(
-    item: Item, out: Path, planners: Planners, settings: Settings, versions: Mapping[str, str]
+    item: Item,
+    out: Path,
+    planners: Planners,
+    settings: Settings,
+    versions: Mapping[str, str],
+    like: Path | None,
 ) -> Row | None:
-    """Hand an item over; its row instead where it has ended before it began."""
+    """Hand an item over, with the result folder that it is planned ``like``; its row instead where it has
+    ended before it began."""
     folder, path = out / item.name, out / RECORDS / f"{item.name}.json"
     try:
         problem = item.read()
@@ -310,7 +362,7 @@ def _begin(
             return Row(item, Place.claim(folder, Record(path)).publish(done))
         except TandemError as foreign:
             return Row(item, dataclasses.replace(done, issues=(*done.issues, *foreign.issues)))
-    job = bundled_job(item.name, problem, settings.timeout_s, settings.memory_mb)
+    job = bundled_job(item.name, problem, settings.timeout_s, settings.memory_mb, like)
     identity = job.identity(versions)
     if settings.resume:
         kept = _finished(path, folder, identity, settings)
@@ -407,7 +459,9 @@ def solve(
     try:
         problem = pipeline.load(source / PROBLEM)
         on_issues(called.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
-        outcome = called.outcome(pipeline.plan(problem, on_progress))
+        like = source / LIKE
+        before = pipeline.former(like) if is_file(like / DATA_FILE) else None
+        outcome = called.outcome(pipeline.plan(problem, on_progress, like=before))
         on_issues(outcome.issues)
         outcome.save(result, on_progress)
     except TandemError as error:

@@ -597,6 +597,7 @@ CODES: Final[dict[str, Code]] = {
     "motion.short_moves": Code("moves take or go less than controllers like, so that these may stop there"),
     "motion.no_placement": Code("no place of the stock was found from which the whole job can be done"),
     "motion.path_kept": Code("the optimised path did not keep clearance, so the ladder's path is used"),
+    "motion.like": Code("what was taken over from the plan of a problem like this one, and what was not"),
     "motion.solver": Code("this build of Drake lacks the solvers that improve a path"),
     "claims.unproven": Code("a process claims something that no rule of the proof looks at"),
     "claims.none": Code("a process claims nothing of an operation"),

@@ -33,6 +33,8 @@ out = Console(highlight=False)
 err = Console(stderr=True)
 STATE_STYLE = {"verified": "green", "infeasible": "yellow", "bad_input": "yellow"}
 """Colours of states in the terminal; red for all others."""
+NEIGHBOUR: Final = "neighbour"
+"""What ``--like`` says where panels are planned like those beside them."""
 TABLE_FIGURES = ("targets", "cycle_s", "clearance_mm")
 """Figures that the table has room for; ``summary.csv`` and ``summary.html`` have them all."""
 
@@ -58,6 +60,9 @@ class Batch:
     """largest memory of one worker, in MB"""
     cluster: str | None = None
     """plan on a Dask cluster: tcp://HOST:PORT of its scheduler, or local"""
+    like: str | None = None
+    """neighbour: plan each panel of an element like one beside it; or the folder of an earlier batch: plan
+    each problem like its result there"""
 
 
 def usable_cores() -> int:
@@ -78,7 +83,8 @@ def run_batch(request: Batch) -> int:
     with batch.claimed_folder(request.output):
         items = collect(request.problems, request.output)
         count = min(request.workers or usable_cores(), len(items))
-        settings = batch.Settings(request.timeout, request.memory, request.resume)
+        items, former = _like(request, items)
+        settings = batch.Settings(request.timeout, request.memory, request.resume, former)
         known = {item.name: item for item in items}
         with _planners(request, count) as planners, _progress(items) as shown:
 
@@ -96,6 +102,28 @@ def run_batch(request: Batch) -> int:
         _write(request, done, time.perf_counter() - start)
     _print(done, request.output, time.perf_counter() - start)
     return batch.exit_code(done)
+
+
+def _like(request: Batch, items: list[Item]) -> tuple[list[Item], Path | None]:
+    """The items with those that they are planned like, and the folder of an earlier batch. Raises
+    ``TandemError`` (``batch.field``)."""
+    if request.like is None:
+        return items, None
+    if request.like == NEIGHBOUR:
+        from planner.batch.neighbours import like_neighbours
+
+        return like_neighbours(items), None
+    from planner.plans import DATA_FILE
+
+    folder = Path(request.like)
+    new = [item.name for item in items if not is_file(folder / item.name / DATA_FILE)]
+    if len(new) == len(items):
+        what = f"--like {folder}: it holds no plan of any of these problems"
+        hint = f"name the folder of an earlier batch of them, or say {NEIGHBOUR}"
+        raise TandemError(Issue("batch.field", what, field="--like", hint=hint))
+    if new:
+        err.print(f"{len(new)} of {len(items)} have no plan in {folder}: {', '.join(new[:5])}", markup=False)
+    return items, folder
 
 
 def _check(request: Batch) -> None:

@@ -60,6 +60,7 @@ def plan(
     problem: tyro.conf.Positional[Path],
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out"),
     sign: Path | None = None,
+    like: Path | None = None,
 ) -> int:
     """Plan a problem file, prove the programs and write them with a report; exit 0 only if verified.
 
@@ -67,6 +68,8 @@ def plan(
         problem: the problem file, YAML.
         output: folder for programs, report, replay and plan.
         sign: an Ed25519 key of OpenSSH, by which the result is signed if it is verified.
+        like: the result folder of a problem like this one: place, paths and ways are taken over where they
+            hold.
     """
     started = time.perf_counter()
     with _progress() as progress:
@@ -75,6 +78,7 @@ def plan(
         try:
             key = None if sign is None else statement.read_private_key(sign)
             pipeline.claim_output(output, problem)
+            former = None if like is None else pipeline.former(like)
         except TandemError as error:
             return _refused(error, BAD_INPUT)
         try:
@@ -84,7 +88,7 @@ def plan(
             return _refused(error, BAD_INPUT)
         progress("reading", 1.0)
         try:
-            outcome = pipeline.plan(loaded, progress, _processes())
+            outcome = pipeline.plan(loaded, progress, _processes(), former)
             outcome.save(output, progress)
         except TandemError as error:
             pipeline.save_failure(loaded, error.issues, output)

@@ -15,10 +15,13 @@ from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion import diagnosis, transit, ways
+from planner.motion.former import FormerPath
 from planner.motion.planning_scene import Scene
 from planner.motion.search import path_search
-from planner.motion.search.ladder_search import Found, speed_limits
+from planner.motion.search.ladder_search import Blocked, Found, speed_limits
 from planner.motion.search.path_search import find_path
+from planner.motion.search.reach import Grid
+from planner.motion.search.roadmap import search_near
 from planner.motion.search.subsampling import subset
 from planner.motion.trajectory import differences, joint_path, move_limits, program, trajopt, windows
 from planner.motion.trajectory.hinges import Avoid
@@ -72,23 +75,27 @@ def plan_operation(
     model: CellModel | None = None,
     bases: Mapping[str, FloatArray] | None = None,
     begin: ways.Begin = ways.here,
+    former: FormerPath | None = None,
 ) -> OperationPlan:
     """The plan of one operation named ``name`` with the stock at ``stock_pose`` (4, 4) in the world.
 
     ``model`` is the cell's collision model at that placement; without it nothing is checked for collisions,
     which only benchmarks and tests want. ``begin``: where ways from home and back are found beside the rest.
-    Raises :class:`TandemError` with the reasons when there is no plan.
+    ``former``: a path that was planned before, of which is taken over what holds; a note tells it. Raises
+    :class:`TandemError` with the reasons when there is no plan.
     """
     scene = Scene.of(cell, targets.arms, stock_pose, settings, model, bases)
     watch = _Watch()
     ways.require_home(scene, targets)
     targets = path_search.with_aims(scene, targets)
-    targets, found = _path(scene, targets, watch)
+    near = _Near(former)
+    targets, found = _path(scene, targets, watch, near)
     avoid = _avoid(scene, targets)
     better, kept = _improve(scene, targets, found, avoid, watch)
     families = {scene.chains[arm].robot.family for arm in targets.arms}
     synchronised = cell.controller.sync == "multimove" and families == {"ABB"}
-    homeward = ways.BothWays(scene, _ends(targets, better.q), synchronised, begin)
+    before = None if former is None else former.ways
+    homeward = ways.BothWays(scene, _ends(targets, better.q), synchronised, begin, before)
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
         diagnosis.require_moves(scene, targets, found.path.branch, samples)
@@ -121,7 +128,7 @@ def plan_operation(
     watch.lap("timing")
     ends = _ends(targets, better.q)
     if any(not np.array_equal(homeward.ends[arm], ends[arm]) for arm in targets.arms):
-        homeward = ways.BothWays(scene, ends, synchronised)
+        homeward = ways.BothWays(scene, ends, synchronised, former=before)
     entering, leaving = homeward.found(targets)
     watch.lap("entry")
     metrics = {
@@ -144,6 +151,10 @@ def plan_operation(
         **_margins(scene, targets, better.q),
     }
     watch.lap("margins")
+    if former is not None:
+        kept_ways = {"in": entering.known, "out": leaving.known}
+        metrics["like"] = {"path": not near.missed, **kept_ways}
+        issues.append(former.told(near.missed, kept_ways, metrics))
     shown = path_search.aim_exhibit(scene, targets, better.q)
     watch.lap("aim")
     return OperationPlan(
@@ -177,9 +188,29 @@ class _Watch:
         self._last = now
 
 
-def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found]:
+class _Near:
+    """A path near a former one where there is such; ``missed``: why there was none."""
+
+    def __init__(self, former: FormerPath | None) -> None:
+        self._former = former
+        self.missed = ""
+
+    def find(self, scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
+        """As :func:`find_path`, which follows where no path near the former one is found."""
+        if self._former is not None and not self.missed:
+            offered = self._former.samples(targets)
+            for samples in () if isinstance(offered, str) else offered:
+                found = search_near(scene, targets, samples, self._former.branch)
+                if found is not None:
+                    return found
+            nowhere = "no path near it keeps margins and clearance"
+            self.missed = offered if isinstance(offered, str) else nowhere
+        return find_path(scene, targets)
+
+
+def _path(scene: Scene, targets: Targets, watch: _Watch, near: _Near) -> tuple[Targets, Found]:
     """The ladder's path, transit moves mended where they collide."""
-    grid, found = find_path(scene, targets)
+    grid, found = near.find(scene, targets)
     watch.lap("ladder")
     if not isinstance(found, Found):
         raise TandemError(diagnosis.no_path(scene, targets, grid, found))
@@ -187,7 +218,7 @@ def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found
     watch.lap("transit")
     if mended is None:
         return targets, found
-    grid, again = find_path(scene, mended)
+    grid, again = near.find(scene, mended)
     watch.lap("ladder")
     if not isinstance(again, Found):
         raise TandemError(diagnosis.no_path(scene, mended, grid, again))

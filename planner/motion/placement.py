@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.cell import clearance, support
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import FloatArray, IndexArray, exp_rotation, from_parts
+from planner.geometry.arrays import FloatArray, IndexArray, exp_rotation, from_parts, log_rotation
 from planner.geometry.units import DEG
 from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.subsampling import Few, few_of, shifts
@@ -72,6 +72,9 @@ ROUND_GENERATIONS: Final = 3
 """Rounds among places with round figures."""
 ROUND_CHILDREN: Final = 6
 """Places drawn about each of the best ones in these."""
+
+SAME_POSE: Final = 1e-6
+"""Poses whose entries differ by no more than this [-, m] are the same."""
 
 LEAST_APART_M: Final = 0.08
 """Places that are tried one after the other differ by at least this much [m, or rad of yaw times 0.3 m]."""
@@ -173,6 +176,23 @@ class Search:
             places = [dataclasses.replace(p, number=p.number + len(trace.score)) for p in places]
             trace = trace.with_more(more)
         return places, trace
+
+    def judged(
+        self, stock: FloatArray, bases: Mapping[str, FloatArray], models: Sequence[CellModel]
+    ) -> Place | str:
+        """A known place of the stock (4, 4), with bases {arm: (4, 4)} of arms that may be moved, as this
+        search finds it: on what the stock stands on, with its margin; or why it is none for these jobs."""
+        point = self._point(stock, bases)
+        if point is None:
+            return "the block lay otherwise"
+        score = float(self._score(point[None], self._fine)[0])
+        if score <= 0.0 and any(shifts(t).any() for _, t in self._each):
+            self._look(shifted=True)
+            score = float(self._score(point[None], self._fine)[0])
+        if score <= 0.0:
+            return "not all targets are in reach there with all margins"
+        place = Place(self._stock_pose(point), self._bases(point), score, 0)
+        return place if self._share_free(models, place) == 1.0 else "bodies are too near to one another there"
 
     def _places(self, models: Sequence[CellModel]) -> tuple[list[Place], Trace, set[int]]:
         """Places, the trace, and the quarters of a turn (see `_quarters`) that the best places face."""
@@ -323,6 +343,24 @@ class Search:
             pose[:2, 3] += (dx, dy)
             out[arm.name] = pose
         return out
+
+    def _point(self, stock: FloatArray, bases: Mapping[str, FloatArray]) -> FloatArray | None:
+        """The point (P,) at which :meth:`_stock_pose` and :meth:`_bases` give these, None where there is
+        none."""
+        parts = [np.zeros(4)]
+        if not self._fixed:
+            turn = stock[:3, :3] @ self._stock.attitude.T
+            yaw = 0.0 if self._leans else float(np.arctan2(turn[1, 0], turn[0, 0]))
+            parts = [np.append(stock[:3, 3], yaw)]
+            if self._leans:
+                parts.append(log_rotation(stock[:3, :3]))
+            elif np.abs(turn - exp_rotation(np.array([0.0, 0.0, yaw]))).max() > SAME_POSE:
+                return None
+        for arm in self._movable:
+            turn = bases[arm.name][:3, :3] @ arm.base[:3, :3].T
+            off = bases[arm.name][:2, 3] - arm.base[:2, 3]
+            parts.append(np.append(off, np.arctan2(turn[1, 0], turn[0, 0])))
+        return np.concatenate(parts)
 
     def _score(self, points: FloatArray, few: Sequence[Few]) -> FloatArray:
         """Score (K,) [rad] of candidates: the least margin over all targets with the best branches; below 0:

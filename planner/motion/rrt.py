@@ -286,25 +286,27 @@ def travel(way: FloatArray) -> float:
     return float(np.abs(np.diff(way, axis=0)).sum())
 
 
-def shortened(way: FloatArray, task: Task, looks: int = LAST_LOOKS) -> FloatArray | None:
+def shortened(
+    way: FloatArray, task: Task, looks: int = LAST_LOOKS, rounds: int = ROUNDS
+) -> FloatArray | None:
     """A way (K, D) of less travel between the ends of ``way`` (M, D), free as ``task.blocked`` finds it and
     without corners that it can do without; None where none was found. ``way`` itself need not be free.
 
-    The work is bounded by last ``looks``, :data:`ROUNDS`, :data:`REPAIR_ROUNDS` and the looks that a line
-    has; the same way has the same answer.
+    The work is bounded by last ``looks``, quadratic programs before the first of them (``rounds``),
+    :data:`REPAIR_ROUNDS` and the looks that a line has; the same way has the same answer.
     """
-    return _optimised_free(way, task, looks, bent=False)
+    return _optimised_free(way, task, looks, rounds, bent=False)
 
 
 def bent(line: FloatArray, task: Task) -> FloatArray | None:
     """A free way (K, D) between the ends of a straight ``line`` (2, D) that is not free, of no more travel
     than that; None where none was found. Of two that know this and a tree, this one is asked first: its work
     is over as soon as there is nothing left to gain, or no hope after :data:`HOPEFUL_ROUNDS`."""
-    out = _optimised_free(line, task, LAST_LOOKS, bent=True)
+    out = _optimised_free(line, task, LAST_LOOKS, ROUNDS, bent=True)
     return None if out is None or travel(out) > travel(line) + SAME_TRAVEL_RAD else out
 
 
-def _optimised_free(way: FloatArray, task: Task, looks: int, bent: bool) -> FloatArray | None:
+def _optimised_free(way: FloatArray, task: Task, looks: int, rounds: int, bent: bool) -> FloatArray | None:
     """What :func:`shortened`, or :func:`bent`, gives."""
     ready = solvers()
     if not ready or len(way) < 2:
@@ -312,7 +314,7 @@ def _optimised_free(way: FloatArray, task: Task, looks: int, bent: bool) -> Floa
     now, also, bad = _padded(way, task.lever), NOWHERE, NOWHERE
     for number in range(looks):
         before, failed = now, bad
-        now = _optimised(now, also, task, ready[0], REPAIR_ROUNDS if number else ROUNDS, bent)
+        now = _optimised(now, also, task, ready[0], REPAIR_ROUNDS if number else rounds, bent)
         if bent and travel(now) > travel(way) + SAME_TRAVEL_RAD:
             break
         bad = task.blocked(now, True)

@@ -7,6 +7,7 @@ for them: the curve between two targets is known within bounds only, and the pro
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,6 +22,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.units import MM
 from planner.issues import Issue, Remedy, TandemError, aggregate
 from planner.motion import diagnosis, remedies, sag, ways
+from planner.motion.former import Former, place_told, unlike_told
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search, Trace
 from planner.motion.planning_scene import Scene
@@ -102,9 +104,11 @@ def solve(
     targets: Sequence[Targets],
     progress: Progress | None = None,
     begin: ways.Begin = ways.here,
+    former: Former | None = None,
 ) -> Plan:
     """The plan of all operations of a problem, given the targets of each. ``begin``: what begins work that
-    waits for no other, perhaps in another process; the plan is the same wherever that is.
+    waits for no other, perhaps in another process; the plan is the same wherever that is. ``former``: a plan
+    of a problem like this one, of which is taken over what holds; notes tell what did and what did not.
 
     Every setup has a cell and a block of its own. Where the block is not moved between setups, one place is
     found for all of them; bases that may be moved are found with the first place and stay. Raises
@@ -113,7 +117,7 @@ def solve(
     problem, targets = with_room(problem, targets)
     at = [0]
     try:
-        return _solve(problem, targets, progress or _silent, at, begin)
+        return _solve(problem, targets, progress or _silent, at, begin, former)
     except TandemError as error:
         raise TandemError(_advised(problem, targets, at[0], error.issues)) from error
 
@@ -139,25 +143,31 @@ def _solve(
     tell: Progress,
     at: list[int],
     begin: ways.Begin = ways.here,
+    former: Former | None = None,
 ) -> Plan:
     """As :func:`solve`; ``at`` is set to the operation that is planned."""
     tell("cell", 0.0)
     metrics: dict[str, Any] = {"stages": {}}
+    notes: list[Issue] = []
+    if former is not None and (why := former.unlike(problem)):
+        notes.append(unlike_told(former.problem.name, why))
+        former = None
     bases = {arm.name: arm.base for arm in problem.cell.arms}
     places: list[FloatArray] = []
     operations: list[OperationPlan] = []
     stands = setup_groups(problem, targets)
-    begun = _begun(problem, stands, bases, begin)
+    begun = _begun(problem, stands, bases, begin, former)
     for stand in stands:
         stand = stand if not places else stand.based(bases)
         calls = begun.get(stand.setups[0].number)
-        settled = _settle(problem, stand, tell, at, begin) if calls is None else _told(calls, at)
+        settled = _settle(problem, stand, tell, at, begin, former) if calls is None else _told(calls, at)
         settled.into(metrics, stand)
+        notes += settled.notes
         bases.update(settled.place.bases)
         places += [settled.place.stock] * len(stand.setups)
         operations += settled.operations
     tell("motion", 1.0)
-    issues = [issue for t in targets for issue in t.issues]
+    issues = [*(issue for t in targets for issue in t.issues), *notes]
     issues += [issue for operation in operations for issue in operation.issues]
     return Plan(
         problem_name=problem.name,
@@ -250,26 +260,32 @@ def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
 
 @dataclasses.dataclass(frozen=True)
 class _Settled:
-    """A place and the plans of all operations of one stand, with the seconds of its ``stages`` and figures of
-    the search for the place, None where there was none."""
+    """A place and the plans of all operations of one stand, with the seconds of its ``stages``, figures of
+    the search for the place, None where there was none, and what is told of a former place."""
 
     place: Place
     operations: list[OperationPlan]
     stages: Mapping[str, float]
     trace: Mapping[str, Any] | None
+    notes: tuple[Issue, ...] = ()
 
     def into(self, metrics: dict[str, Any], stand: Stand) -> None:
         """Writes its figures among those of the plan."""
         for stage, seconds in self.stages.items():
             metrics["stages"][stage] = metrics["stages"].get(stage, 0.0) + seconds
+        name = f"placement_{stand.setups[0].number}" if "placement_score_deg" in metrics else "placement"
         if self.trace is not None:
-            name = "placement" if "placement" not in metrics else f"placement_{stand.setups[0].number}"
             metrics[name] = self.trace
+        if self.trace is not None or self.place.score > 0.0:  # searched, or that of a former plan
             metrics[f"{name}_score_deg"] = float(np.rad2deg(self.place.score))
 
 
 def _begun(
-    problem: Problem, stands: Sequence[Stand], bases: Mapping[str, FloatArray], begin: ways.Begin
+    problem: Problem,
+    stands: Sequence[Stand],
+    bases: Mapping[str, FloatArray],
+    begin: ways.Begin,
+    former: Former | None,
 ) -> dict[int, Iterator[_Settled | _Refused]]:
     """The stands behind the first one, by the number of their first setup, the last one begun first: whoever
     waits for them takes up the next one. Empty where bases are to be found first."""
@@ -278,7 +294,7 @@ def _begun(
     out = {}
     for before, stand in reversed(list(itertools.pairwise(stands))):
         last = before.setups[-1].operations[-1]
-        out[stand.setups[0].number] = begin(_settled, problem, stand.based(bases), last)
+        out[stand.setups[0].number] = begin(_settled, problem, stand.based(bases), last, former)
     return out
 
 
@@ -290,11 +306,13 @@ class _Refused:
     operation: int
 
 
-def _settled(problem: Problem, stand: Stand, before: int) -> Iterator[_Settled | _Refused]:
+def _settled(
+    problem: Problem, stand: Stand, before: int, former: Former | None
+) -> Iterator[_Settled | _Refused]:
     """What :func:`_settle` gives or raises, ``before`` being the last operation of the stand before."""
     at = [before]
     try:
-        yield _settle(problem, stand, _silent, at)
+        yield _settle(problem, stand, _silent, at, former=former)
     except TandemError as error:
         yield _Refused(error.issues, at[0])
 
@@ -309,7 +327,12 @@ def _told(call: Iterator[_Settled | _Refused], at: list[int]) -> _Settled:
 
 
 def _settle(
-    problem: Problem, stand: Stand, tell: Progress, at: list[int], begin: ways.Begin = ways.here
+    problem: Problem,
+    stand: Stand,
+    tell: Progress,
+    at: list[int],
+    begin: ways.Begin = ways.here,
+    former: Former | None = None,
 ) -> _Settled:
     """A place and the plans of all operations of one stand."""
     stages = {}
@@ -320,14 +343,28 @@ def _settle(
         place = Place(stand.place, {}, 0.0, 0)
         if found := _inside(problem, stand, models):
             raise TandemError(found)
-        return _Settled(place, _plan(problem, stand, models, place, tell, at, begin), stages, None)
+        return _Settled(place, _plan(problem, stand, models, place, tell, at, begin, former), stages, None)
     _require_home(problem, stand, models)
     tell("placement", 0.0)
     lap = time.perf_counter()
+    notes: list[Issue] = []
+    if former is not None:
+        name, first = former.problem.name, stand.setups[0]
+        known = _search(problem, stand).judged(former.place(first), former.plan.bases, stand.each(models))
+        stages["placement"] = time.perf_counter() - lap
+        if isinstance(known, Place):
+            try:
+                operations = _plan(problem, stand, models, known, tell, at, begin, former)
+            except TandemError as error:
+                known = f"no plan there: {error.issues[0].message}"
+            else:
+                note = place_told(name, first, known, former.score(first))
+                return _Settled(known, operations, stages, None, (note,))
+        notes.append(place_told(name, first, known, None))
     places, trace = _search(problem, stand).run(stand.each(models))
     stages["placement"] = time.perf_counter() - lap
     place, operations = _first_that_works(problem, stand, models, places, trace, tell, at, begin)
-    return _Settled(place, operations, stages, trace.metrics(place.number))
+    return _Settled(place, operations, stages, trace.metrics(place.number), tuple(notes))
 
 
 def _search(problem: Problem, stand: Stand) -> Search:
@@ -344,16 +381,36 @@ def _plan(
     tell: Progress,
     at: list[int],
     begin: ways.Begin,
+    former: Former | None = None,
 ) -> list[OperationPlan]:
+    """The plans of all operations of one stand, beginning with what a ``former`` plan had; where that leads
+    to none, without it."""
     out = []
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         placed = model.with_stock(place.stock).with_bases(place.bases)
         for index, job in zip(setup.operations, jobs, strict=True):
             tell("motion", index / len(problem.operations))
             at[0] = index
-            name, settings = problem.operations[index].name, problem.settings
-            stock, bases = place.stock, place.bases
-            out.append(plan_operation(name, setup.cell, job, settings, stock, placed, bases, begin))
+            planned = functools.partial(
+                plan_operation,
+                problem.operations[index].name,
+                setup.cell,
+                job,
+                problem.settings,
+                place.stock,
+                placed,
+                place.bases,
+                begin,
+            )
+            before = None if former is None else former.path(index)
+            try:
+                out.append(planned(before))
+            except TandemError as error:
+                if before is None:
+                    raise
+                made, why = planned(), f"it leads to none: {error.issues[0].message}"
+                told = before.told(why, {"in": False, "out": False}, made.metrics)
+                out.append(dataclasses.replace(made, issues=(*made.issues, told)))
     return out
 
 

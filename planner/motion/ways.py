@@ -24,6 +24,7 @@ from planner.issues import Issue, TandemError
 from planner.motion.planning_scene import Scene
 from planner.motion.rrt import (
     MOST_MOVES,
+    REPAIR_ROUNDS,
     SAME_TRAVEL_RAD,
     Places,
     Rooms,
@@ -43,6 +44,9 @@ POSTURE_STEPS_RAD = np.deg2rad([3.0, 1.0, 0.3])
 FINE_STEP_M = 1e-3
 """How far [m] one joint may carry the tool between two postures of the last look at a way."""
 
+LONGER_SHARE: Final = 1.02
+"""A way of a former plan that is mended gets longer by no more than this."""
+
 NEAR_M = 0.1
 """Bodies [m] that have more room than this do not count in one round of making a way shorter."""
 
@@ -50,11 +54,13 @@ NEAR_M = 0.1
 @dataclasses.dataclass(frozen=True)
 class Ways:
     """Joint waypoints {arm: (M, 6)} with both ends, and the order in which the arms go. ``together``: they go
-    at once, from each waypoint to the next in one move, and have as many."""
+    at once, from each waypoint to the next in one move, and have as many. ``known``: they are those of a
+    former plan, but for their ends."""
 
     way: dict[str, FloatArray]
     order: tuple[str, ...]
     together: bool = False
+    known: bool = False
 
 
 Begin = Callable[..., Iterator[Any]]
@@ -72,20 +78,30 @@ class BothWays:
     both; where the arms are ``synchronised`` those of all of them at once, if there are such ones.
 
     They follow from the joints ``ends`` {arm: (2, 6)} at these targets alone: ``begin`` begins them as soon
-    as those are known, and they are asked for later.
+    as those are known, and they are asked for later. ``former``: ways in and out of a former plan, which are
+    taken where they still hold.
     """
 
     def __init__(
-        self, scene: Scene, ends: Mapping[str, FloatArray], synchronised: bool, begin: Begin = here
+        self,
+        scene: Scene,
+        ends: Mapping[str, FloatArray],
+        synchronised: bool,
+        begin: Begin = here,
+        former: tuple[Ways, Ways] | None = None,
     ) -> None:
         self.ends, self._scene, self._synchronised = ends, scene, synchronised
+        self._former = None if former is None else (former[0], _backwards(former[1]))
         self._first = self._begun(tuple(ends), begin)
 
     def _begun(self, order: tuple[str, ...], begin: Begin) -> list[Iterator[Ways | _Stuck]]:
         """The ways in and out; of two that wait, whoever asks works out the one in beside the other."""
         scene = dataclasses.replace(self._scene)  # without what it has kept
         goals = [{arm: q[row] for arm, q in self.ends.items()} for row in (0, 1)]
-        leaving, entering = (begin(_found, scene, goal, order, self._synchronised) for goal in goals[::-1])
+        known = self._former or (None, None)
+        leaving, entering = (
+            begin(_found, scene, goals[row], order, self._synchronised, known[row]) for row in (1, 0)
+        )
         return [entering, leaving]
 
     def found(self, targets: Targets) -> tuple[Ways, Ways]:
@@ -124,9 +140,18 @@ class _Stuck:
 
 
 def _found(
-    scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...], synchronised: bool
+    scene: Scene,
+    goal: Mapping[str, FloatArray],
+    order: tuple[str, ...],
+    synchronised: bool,
+    former: Ways | None = None,
 ) -> Iterator[Ways | _Stuck]:
     """The first ways from home to the joints {arm: (6,)}, then what they are improved to."""
+    kept = None if former is None else _kept(scene, goal, order, synchronised, former)
+    if kept is not None:
+        yield kept
+        yield kept
+        return
     if synchronised and len(order) > 1:
         straight = _straight(scene, goal, order)
         if straight is not None:
@@ -137,6 +162,43 @@ def _found(
     yield ways
     if isinstance(ways, Ways):
         yield _improved(scene, ways, synchronised)
+
+
+def _kept(
+    scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...], synchronised: bool, former: Ways
+) -> Ways | None:
+    """The ways from home of a former plan with their ends at the joints {arm: (6,)}, where they are free or
+    can be mended; else None."""
+    if former.order != order or (former.together and not synchronised):
+        return None
+    own = {arm: _carried(former.way[arm], scene.chains[arm].home, goal[arm]) for arm in order}
+    if former.together:
+        way = _mended(_Moving(scene, {}, order), np.concatenate([own[arm] for arm in order], axis=1))
+        return None if way is None else dataclasses.replace(_apart(way, order), known=True)
+    standing = {arm: scene.chains[arm].home for arm in order}
+    for arm in order:
+        way = _mended(_Moving(scene, dict(standing), (arm,)), own[arm])
+        if way is None:
+            return None
+        own[arm], standing[arm] = way, goal[arm]
+    return Ways(own, order, known=True)
+
+
+def _carried(way: FloatArray, start: FloatArray, goal: FloatArray) -> FloatArray:
+    """A way (M, 6) with other ends, every waypoint moved by its share of how far they are moved."""
+    gone = np.append(0.0, np.cumsum(np.abs(np.diff(way, axis=0)).max(axis=1)))
+    share = (gone / max(float(gone[-1]), SAME_TRAVEL_RAD))[:, None]
+    out = way + (1.0 - share) * (start - way[0]) + share * (goal - way[-1])
+    out[0], out[-1] = start, goal
+    return np.asarray(out)
+
+
+def _mended(moving: _Moving, way: FloatArray) -> FloatArray | None:
+    """The way (M, D) if it is free, else one nearby that is, and no longer; None where there is none."""
+    if not len(moving.blocked(way, False).move):
+        return way
+    found = shortened(way, moving.task, rounds=REPAIR_ROUNDS)
+    return found if found is not None and travel(found) <= LONGER_SHARE * travel(way) else None
 
 
 def _improved(scene: Scene, ways: Ways, synchronised: bool) -> Ways:

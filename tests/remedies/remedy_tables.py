@@ -171,6 +171,7 @@ NONE: Final = {
     **dict.fromkeys(("catalogue.missing_data", "plan.missing_file", "plan.damaged", "plan.schema"), DAMAGED),
     **dict.fromkeys(("part.ruled_deviation", "part.strips_found", "sign.good", "gcode.skipped"), FACT),
     **dict.fromkeys(("wire.chosen", "straight.slit", "motion.path_kept", "motion.solver"), FACT),
+    "motion.like": FACT,
     "forming.compensated": FACT,
     **dict.fromkeys(
         (

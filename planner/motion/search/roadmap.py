@@ -34,6 +34,8 @@ MOST_RUNGS: Final = 300
 
 MOST_ROUNDS: Final = 80
 """Paths that are held against bodies and moves at most."""
+NEAR_ROUNDS: Final = 20
+"""The same of paths near a former one."""
 MOST_CHOICES: Final = 6
 """Choices of branches that are looked at in each level."""
 
@@ -62,13 +64,29 @@ def search_wide(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
             found = tried.run()
             checks += tried.checks
             if found is not None:
-                return Grid(found.values[:, None], np.zeros((0, 1), dtype=np.intp)), dataclasses.replace(
-                    found, checks=checks
-                )
+                return _as_grid(found), dataclasses.replace(found, checks=checks)
             hit = tried.hit or hit
             if not tried.in_reach:
                 in_reach.remove(level)
     return _blocked(scene, targets, coordinates, plan, hit, closed)
+
+
+def search_near(
+    scene: Scene, targets: Targets, samples: FloatArray, branch: Mapping[str, int]
+) -> tuple[Grid, Found] | None:
+    """A path on given branches through ``samples`` (S, F) of all freedoms and between them, which keeps
+    clearance at and between targets; None where there is none. Samples are coordinates."""
+    coordinates = Coordinates(targets)
+    level = Level(tuple(f.name for f in targets.freedoms), samples)
+    rows = _rows(targets, RUNG_COUNTS[0])
+    tried = _Attempt(scene, targets, coordinates, level, rows, not targets.coupled, [])
+    found = tried.run(tuple(branch[arm] for arm in targets.arms), NEAR_ROUNDS)
+    return None if found is None else (_as_grid(found), found)
+
+
+def _as_grid(found: Found) -> Grid:
+    """The one sample of each target that a path goes through."""
+    return Grid(found.values[:, None], np.zeros((0, 1), dtype=np.intp))
 
 
 def _rows(targets: Targets, count: int) -> IndexArray:
@@ -126,8 +144,9 @@ class _Attempt:
         self._closed.append(target)
         return True
 
-    def run(self) -> Found | None:
-        """A path, or None; ``hit`` then has a collision that was in the way, if there was one."""
+    def run(self, only: tuple[int, ...] | None = None, rounds: int = MOST_ROUNDS) -> Found | None:
+        """A path, or None; ``hit`` then has a collision that was in the way, if there was one. ``only``: the
+        branches of all arms, in their order, that are looked at; ``rounds``: paths of each of them."""
         count = len(self.samples)
         every = np.repeat(self.rows[:, None], count, axis=1)
         values = self.coordinates.values(
@@ -137,6 +156,8 @@ class _Attempt:
         table = reach(self.scene, few, Grid(values, np.zeros((0, count), dtype=np.intp)))
         offers: list[tuple[float, int, dict[str, Rungs]]] = []
         for branches in itertools.product(*(r.branches for r in table.values())):
+            if only is not None and branches != only:
+                continue
             rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
             cost = sum(r.penalty.min(axis=-1) for r in rungs.values())
             if np.isfinite(cost).any(axis=1).all():
@@ -152,7 +173,9 @@ class _Attempt:
             branch = {arm: r.branch for arm, r in rungs.items()}
             if any(self.closes(branch, i) for i in self._closed[::-1]):
                 continue
-            path = _Graph(self, rungs).free_path()  # made again: all of them at once would fill the memory
+            path = _Graph(self, rungs).free_path(
+                rounds
+            )  # made again: all of them at once would fill the memory
             if path is not None:
                 return dataclasses.replace(path, choices=len(offers))
         return None
@@ -245,9 +268,9 @@ class _Graph:
             states[k] = best[k][states[k + 1]]
         return states, float(cost.min())
 
-    def free_path(self) -> Found | None:
+    def free_path(self, rounds: int) -> Found | None:
         """The shortest path that keeps margins and clearance everywhere, or None."""
-        for count in range(MOST_ROUNDS):
+        for count in range(rounds):
             found = self.shortest()
             if found is None or self._is_closed():
                 return None

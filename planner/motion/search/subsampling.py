@@ -178,6 +178,11 @@ class Coordinates:
         share = self._lower[rows] + coordinates * self._width[rows]
         return np.where(self.rings, coordinates - self._zero[rows], share)
 
+    def of(self, values: FloatArray) -> FloatArray:
+        """Coordinates (N, F) of values (N, F) at all targets."""
+        share = (values - self._lower) / np.where(self._width > 0.0, self._width, 1.0)
+        return np.where(self.rings, values + self._zero, share)
+
     def way(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """The shortest way (..., F) from coordinates to others."""
         change = end - start
@@ -191,10 +196,43 @@ def own_turn(targets: Targets, j: int) -> FloatArray:
         return np.zeros(targets.count)
     arm, twist = next(iter(freedom.axis.items()))
     turn = inverse(targets.pose[arm][:-1]) @ targets.pose[arm][1:]
-    quaternion = to_quaternion(turn[:, :3, :3])
+    return np.append(0.0, np.cumsum(_about(twist, turn)))
+
+
+def _about(twist: FloatArray, change: FloatArray) -> FloatArray:
+    """How far (...,) [rad], up to half a turn, changes of poses (..., 4, 4) turn about a twist's axis."""
+    quaternion = to_quaternion(change[..., :3, :3])
     length = float(np.linalg.norm(twist[:3]))
-    angle = 2.0 * np.arctan2(quaternion[:, 1:] @ twist[:3] / length, quaternion[:, 0])
-    return np.append(0.0, np.cumsum(angle - FULL_TURN * np.round(angle / FULL_TURN))) / length
+    angle = 2.0 * np.arctan2(quaternion[..., 1:] @ twist[:3] / length, quaternion[..., 0])
+    return np.asarray(angle - FULL_TURN * np.round(angle / FULL_TURN)) / length
+
+
+SAME_TURN: Final = np.deg2rad(3.0)
+"""Angles [rad] that differ by no more are sampled once."""
+
+
+def carried(former: Targets, values: FloatArray, targets: Targets) -> list[FloatArray]:
+    """Values (N, F) of the freedoms of ``former`` targets as coordinates of the same freedoms of other ones.
+
+    They stand to the frames of the targets as they did. Where an arm that may turn a frame without end holds
+    it, there are others besides: with the frame turned until its first targets stand in the world as they
+    did, wherever on it they are.
+    """
+    stands = Coordinates(former).of(values)
+    turned, held = stands.copy(), False
+    holds = [(arm, holder) for arm, holder in holders(targets) if holder is not None]
+    for j, freedom in enumerate(targets.freedoms):
+        if not isinstance(freedom, ScrewFreedom) or not full_turn(freedom):
+            continue
+        arm, twist = next(iter(freedom.axis.items()))
+        before, now = former.pose[arm][0], targets.pose[arm][0]
+        stands[:, j] -= _about(twist, inverse(before) @ now)
+        if arm not in dict(holds):
+            turned[:, j] = stands[:, j]
+        for other in (own for own, holder in holds if holder == arm):
+            held = True
+            turned[:, j] += _about(twist, former.pose[other][0] @ inverse(targets.pose[other][0]))
+    return [stands, turned] if held and np.abs(turned - stands).max() > SAME_TURN else [stands]
 
 
 def levels(targets: Targets, coordinates: Coordinates) -> list[Level]:

@@ -1,0 +1,181 @@
+"""Batches in which one problem is planned like another: who is like whom, and in which order."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+from planner import pipeline
+from planner.batch import run as batch
+from planner.batch.job import Done, Event, Finished, Job, Record
+from planner.batch.neighbours import like_neighbours
+from planner.batch.run import Item, Settings
+from planner.cli import command_line
+from planner.cli.batch import Batch
+from planner.cli.batch import run_batch as command
+from planner.issues import TandemError
+from tests import small_problem
+from tests.batch.jobs import content
+
+RINGS = {"A": "BC", "B": "ADE", "C": "AE", "D": "B", "E": "BC", "F": "", "X": "A"}
+"""Panels with their neighbours; X is of another job."""
+
+
+def element(folder: Path, names: str = "ABCDEFX") -> list[Item]:
+    """Panels of an element, each a small problem, as items of a batch."""
+    panels = folder / "panels"
+    panels.mkdir(parents=True)
+    rows = [
+        {"id": name, "neighbours": [*beyond, None], "job": "other" if name == "X" else "one"}
+        for name, beyond in RINGS.items()
+    ]
+    (folder / "element.json").write_text(json.dumps({"panels": rows}))
+    for name in names:
+        (panels / f"{name}.yaml").write_text(small_problem.PROBLEM.replace("name: small", f"name: {name}"))
+    (panels / "targets.csv").write_text("\n".join([small_problem.COLUMNS, *small_problem.ROWS]) + "\n")
+    return batch.collect([panels], folder / "out")
+
+
+def test_each_panel_is_like_the_neighbour_from_which_it_is_reached_first(tmp_path: Path) -> None:
+    like = {item.name: item.like for item in like_neighbours(element(tmp_path))}
+    assert like == {"A": None, "B": "A", "C": "A", "D": "B", "E": "B", "F": None, "X": None}
+
+
+def test_of_panels_that_are_not_planned_nobody_is_like(tmp_path: Path) -> None:
+    like = {item.name: item.like for item in like_neighbours(element(tmp_path, "ADE"))}
+    assert like == {"A": None, "D": None, "E": None}
+
+
+@pytest.mark.parametrize("text", [None, "{", "[]", '{"panels": [{"id": "A"}]}'])
+def test_problems_that_are_no_panels_are_refused(tmp_path: Path, text: str | None) -> None:
+    items = element(tmp_path)
+    if text is None:
+        (tmp_path / "element.json").unlink()
+    else:
+        (tmp_path / "element.json").write_text(text)
+    with pytest.raises(TandemError) as error:
+        like_neighbours(items)
+    assert [issue.code for issue in error.value.issues] == ["batch.field"]
+
+
+class Slow:
+    """Planners that end one job at a time, the last one begun first; what fails is no plan."""
+
+    ahead = 4
+
+    def __init__(self, failing: str = "") -> None:
+        self.jobs: list[Job] = []
+        self._failing = failing
+        self._open: list[tuple[Job, Path]] = []
+
+    @property
+    def busy(self) -> bool:
+        return bool(self._open)
+
+    def start(self, job: Job, folder: Path, record: Record | None = None) -> None:
+        self.jobs.append(job)
+        self._open.append((job, folder))
+
+    def events(self, timeout_s: float) -> Iterator[Event]:
+        job, folder = self._open.pop()
+        folder.mkdir(parents=True)
+        for name in ("plan.json", "plan.npz", "problem/problem.yaml"):
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(job.name)
+        yield Finished(job.name, Done(job.name, "infeasible" if job.name in self._failing else "verified"))
+
+
+def planned(items: list[Item], out: Path, failing: str = "", settings: Settings | None = None) -> list[Job]:
+    planners = Slow(failing)
+    rows = batch.run(items, out, planners, settings or Settings(), lambda event: None)
+    assert [row.item.name for row in rows] == [item.name for item in items]
+    return planners.jobs
+
+
+def taken(jobs: list[Job]) -> Mapping[str, str | None]:
+    """Whose plan goes with each job."""
+    out = {job.name: job.files.get("like/plan.npz", b"").decode() or None for job in jobs}
+    for job in jobs:
+        like = {name for name in job.files if name.startswith("like/")}
+        wanted = {"like/plan.json", "like/plan.npz", "like/problem/problem.yaml"} if out[job.name] else set()
+        assert like == wanted
+    return out
+
+
+def test_a_panel_waits_for_its_neighbour_and_gets_its_plan(tmp_path: Path) -> None:
+    items = like_neighbours(element(tmp_path))
+    found = taken(planned(items, tmp_path / "out"))
+    assert found == {"A": None, "B": "A", "C": "A", "D": "B", "E": "B", "F": None, "X": None}
+
+
+def test_a_neighbour_without_a_plan_stands_aside_for_its_own(tmp_path: Path) -> None:
+    items = like_neighbours(element(tmp_path))
+    assert taken(planned(items, tmp_path / "one", failing="B"))["D"] == "A"
+    assert taken(planned(items, tmp_path / "two", failing="AB"))["D"] is None
+
+
+def test_items_that_wait_for_one_another_are_planned_all_the_same(tmp_path: Path) -> None:
+    a, b, *_ = element(tmp_path)
+    pair = [dataclasses.replace(a, like="B"), dataclasses.replace(b, like="A")]
+    assert taken(planned(pair, tmp_path / "out")) == {"A": None, "B": "A"}
+
+
+def test_a_job_is_another_one_where_what_it_is_like_has_changed(tmp_path: Path) -> None:
+    (item,) = element(tmp_path, "A")
+    before = tmp_path / "before"
+    identities = set()
+    for text in ("one", "other"):
+        (before / "problem").mkdir(parents=True, exist_ok=True)
+        (before / "plan.json").write_text(text)
+        identities.add(batch.bundled_job("A", item.read(), like=before).identity({}))
+    identities.add(batch.bundled_job("A", item.read()).identity({}))
+    assert len(identities) == 3
+
+
+def test_an_earlier_batch_gives_its_plans_by_name(tmp_path: Path) -> None:
+    items = element(tmp_path)
+    planned(items[:2], tmp_path / "before")
+    found = taken(planned(items, tmp_path / "out", settings=Settings(like=tmp_path / "before")))
+    assert found == {"A": "A", "B": "B", "C": None, "D": None, "E": None, "F": None, "X": None}
+    with pytest.raises(TandemError) as error:
+        command(Batch((tmp_path / "panels",), tmp_path / "new", like=str(tmp_path / "none")))
+    assert "holds no plan of any" in error.value.issues[0].message
+
+
+def test_a_batch_of_neighbours_is_what_planning_each_like_its_neighbour_is(tmp_path: Path) -> None:
+    element(tmp_path, "AB")
+    request = Batch((tmp_path / "panels",), tmp_path / "out", workers=1, like="neighbour")
+    assert command(request) == 0
+    alone, before = tmp_path / "alone", tmp_path / "out" / "A"
+    assert command_line.plan(tmp_path / "panels" / "B.yaml", alone, like=before) == 0
+    assert content(tmp_path / "out" / "B") == content(alone)
+    assert '"like"' in (alone / "plan.json").read_text()
+    assert "motion.like" in (alone / "report.html").read_text()
+    kept = (tmp_path / "out" / "B").stat().st_ino
+    assert command(dataclasses.replace(request, resume=True)) == 0
+    assert (tmp_path / "out" / "B").stat().st_ino == kept
+
+
+def test_a_folder_that_is_no_plan_or_was_tampered_with_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    problem, out, new = small_problem.write(tmp_path), tmp_path / "out", tmp_path / "new"
+    assert command_line.plan(problem, new, like=tmp_path) == 2
+    assert "plan.missing_file" in capsys.readouterr().err
+    assert command_line.plan(problem, out) == 0
+    stated = (out / "problem" / "problem.yaml").read_text()
+    (out / "problem" / "problem.yaml").write_text(stated.replace("name: small", "name: other"))
+    assert command_line.plan(problem, new, like=out) == 2
+    assert "plan.damaged" in capsys.readouterr().err
+    (out / "problem" / "problem.yaml").write_text(stated)
+    packed = bytearray((out / "plan.npz").read_bytes())
+    packed[-40] ^= 1
+    (out / "plan.npz").write_bytes(packed)
+    with pytest.raises(TandemError) as error:
+        pipeline.plan(pipeline.load(problem), like=out)
+    assert [issue.code for issue in error.value.issues] == ["plan.damaged"]
+    assert not list(new.iterdir())
