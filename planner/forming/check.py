@@ -21,9 +21,11 @@ from scipy.spatial import cKDTree
 from planner.catalogue.materials import thickness_doubt
 from planner.catalogue.robots import robot
 from planner.forming import two_point
+from planner.forming.claims import scallop
 from planner.forming.contact import MIRROR, Face, Pass, ToolPath
 from planner.forming.operation import die_mesh
 from planner.forming.passes import SAME_ANGLE, pass_issues
+from planner.forming.paths.level_lines import FLATTEST_WALL
 from planner.forming.process_plan import Work
 from planner.forming.sheet_mechanics import ForceEstimate, estimate, payload_issue, steepest
 from planner.forming.sheet_state import clear_issues, states
@@ -31,7 +33,8 @@ from planner.forming.support.clearance import clamp_issues
 from planner.forming.support.modes import support_issues
 from planner.forming.two_point import die_issues
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
-from planner.geometry.mesh import TriangleMesh, small_pieces
+from planner.geometry.curves import along, arc_length
+from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, small_pieces
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 from planner.problem import Setup
@@ -43,6 +46,7 @@ def check(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> l
     they should, tools that would cut into what is formed already."""
     out = [*work.tree.issues, *_metal(work), *_forces(work, setup, paths), *_clear(work, paths)]
     out += clamped_issues(work, paths)
+    out += flat_issues(work, paths) if work.operation.level is None else ()
     return [*out, *two_point.step_issues(work, paths)]
 
 
@@ -79,6 +83,38 @@ def step_issues(work: Work) -> Iterator[Issue]:
             unit="mm",
             hint=hint,
         )
+
+
+def flat_issues(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
+    """Walls so flat that loops by a step in height leave more of a pass between them than its share lets them
+    (forming.path_options)."""
+    op, most = work.operation, 1.0 - work.operation.share
+    for one, path in paths if op.stepdown_mm is not None and op.mode != "adsif" else ():
+        mesh, radius = TriangleMesh(one.vertices, one.faces), work.heads[work.former(one)].radius
+        height = one.vertices[one.faces][:, :, 2]
+        level = [(np.abs(height - z) < CONTACT_TOLERANCE).all(axis=1) for z in (one.start, one.end)]
+        area = np.where(level[0] | level[1], 0.0, face_areas(mesh))
+        angle = np.arccos(np.clip(face_normals(mesh)[:, 2], -1.0, 1.0))
+        ridge = scallop(work, one) + op.gouge_tol_mm * MM
+        flat = np.flatnonzero((area > 0.0) & (angle < FLATTEST_WALL) & (ridge < 0.5 * radius))
+        if area[flat].sum() <= most * area.sum():
+            continue
+        parts, owner = small_pieces(one.vertices[one.faces[flat]], FINE_SPACING * radius, _MOST_PIECES)
+        size = np.linalg.norm(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]), axis=1)
+        gone = arc_length(path.former)
+        places = np.linspace(0.0, gone[-1], int(gone[-1] / (FINE_SPACING * radius)) + 2)
+        apart = cKDTree(along(path.former, gone, places)).query(parts.mean(axis=1))[0]
+        left = 0.5 * float(size[apart - radius > ridge[flat][owner]].sum() / area.sum())
+        if left <= most:
+            continue
+        what = (
+            f"pass {one.name}: loops {op.stepdown_mm:g} mm apart in height leave {100 * left:.0f} % of its "
+        )
+        what += f"walls between them, which are flatter than {FLATTEST_WALL / DEG:.3g} deg; allowed is "
+        what += f"{100 * most:.3g} %"
+        hint = "state scallop_mm: 0.01 in place of stepdown_mm: loops are then nearer where walls are flat"
+        field, value, limit = "operations.stepdown_mm", 100 * left, 100 * most
+        yield Issue("forming.path_options", what, field=field, value=value, limit=limit, unit="%", hint=hint)
 
 
 def of_die(work: Work) -> Iterator[Issue]:

@@ -238,6 +238,21 @@ def test_a_step_deeper_than_the_part_is_refused_as_that(tmp_path: Path) -> None:
     assert processes.job(problem(tmp_path, "spif", part, stepdown_mm=0.6), 0).targets().count > 100
 
 
+def test_a_ledge_that_no_step_in_height_forms_is_refused_and_scallop_forms_it(tmp_path: Path) -> None:
+    """15 mm of 1 degree between two walls: one loop at its foot and one at its edge."""
+    low = -4.0 - 15.0 * np.tan(np.radians(1.0))
+    profile = [(46.0, 0.0), (38.0, 0.0), (34.0, -4.0), (19.0, low), (15.0, low - 4.0), (0.0, low - 4.0)]
+    part = shapes.revolved([(r * MM, z * MM) for r, z in profile], 48)
+    with pytest.raises(TandemError) as refused:
+        processes.job(problem(tmp_path, "spif", part, stepdown_mm=1.0), 0).targets()
+    (issue,) = (one for one in refused.value.issues if one.severity is Severity.ERROR)
+    assert issue.code == "forming.path_options"
+    assert issue.value is not None
+    assert 30.0 < issue.value < 80.0
+    assert "state scallop_mm: 0.01 in place of stepdown_mm" in str(issue.hint)
+    assert processes.job(problem(tmp_path, "spif", part, scallop_mm=0.01), 0).targets().count > 300
+
+
 def test_small_fillets_are_left_to_the_ball_where_the_stated_tolerance_allows_it(tmp_path: Path) -> None:
     """Fillets of 2 mm below walls of 40 degrees: a ball of 6 mm stays (6 - 2) (1 / cos 20 - 1) = 0.26 mm off.
     The tolerance that the refusal names is enough, and half of it is not."""

@@ -117,6 +117,14 @@ def _terrace(begin: float, stop: float, passed: _Passed, start: float, sign: flo
     begin, stop = sorted((begin + 0.5 * noise, stop - 0.5 * noise))
     cell = noise / 5.0
     if stop - begin > noise:  # it slopes: its own level lines belong to the wall before it
+        # the steeper it is, the farther ahead of its end the window has too much of the wall behind it
+        rate = float(np.diff(passed(np.array([begin, stop])))[0]) / (stop - begin)
+        depths = np.linspace(stop, stop + 1.5 * noise, 76)
+        wide = passed(depths + 0.5 * cell) - passed(depths - 0.5 * cell) >= 0.5 * rate * cell
+        stop = float(depths[np.flatnonzero(wide)].max(initial=stop))
+        # at vertices: below a level between them a facet of the terrace would reach back to those before
+        vertex = float(passed.far[np.argmin(np.abs(passed.far - stop))])
+        stop = vertex if abs(vertex - stop) <= noise else stop
         levels = (stop, stop - cell, stop + cell)
         return Terrace(*(start + sign * level for level in levels))
     depths = np.linspace(begin - cell, stop + cell, 201)

@@ -43,6 +43,8 @@ _END_HALVINGS: Final = 10
 _CLOSED_GAP: Final = 3e-4
 """Where a crease keeps the ball off a piece of the curve whose ends are so near [m], the piece is a corner
 and the ball goes from end to end."""
+_TRIED_SHARES: Final = np.array([0.25, 0.5, 0.75])
+"""Places of a straight move at which it is tried whether it cuts in."""
 _CHORD_SHARE: Final = 0.9
 """Share of the chord that the spacing of targets is worked out with."""
 _TRIED_PLACES: Final = 40
@@ -87,6 +89,7 @@ def targets(curve: Curve, face: Face, creases: Creases, options: PathOptions, na
     found = put(at)
     found = _corners(found, put)
     found = _halved(found, put, face, options)
+    found = _rolled(found, face, options.cut)
     return _apart(found)
 
 
@@ -232,6 +235,43 @@ def _halved(found: Targets, put: _Put, face: Face, options: PathOptions) -> Targ
         slots = np.flatnonzero(fresh) + np.arange(1, int(more.sum()) + 1)
         found = _merged(found, middle[more])
         check = np.zeros(len(found.at) - 1, dtype=np.bool_)
+        check[slots - 1] = check[slots] = True
+    return found
+
+
+def _rolled(found: Targets, face: Face, cut: float) -> Targets:
+    """Targets put where the ball rolls over a convex edge: on the way from loop to loop the nearest place of
+    the face hops over it, however near targets are, and the straight move from one side to the other cuts
+    into the edge by more than ``cut`` [m]. There the place nearest to the move is on the edge."""
+    check = np.ones(len(found.at) - 1, dtype=np.bool_)
+    share = _TRIED_SHARES[:, None, None]
+    for _ in range(_SPLIT_ROUNDS):
+        turned = dots(found.normal[1:], found.normal[:-1]) < 1.0 - cut / face.radius
+        rows = np.flatnonzero(check & turned & (found.piece[1:] == found.piece[:-1]))
+        if not len(rows):
+            break
+        one, two = found.centre[rows], found.centre[rows + 1]
+        way = ((1.0 - share) * one + share * two).reshape(-1, 3)
+        clear = face.clearance(way).reshape(len(share), len(rows))
+        rows = rows[clear.min(axis=0) < face.radius - cut]
+        if not len(rows):
+            break
+        _, place, away = face.deepest(0.5 * (found.centre[rows] + found.centre[rows + 1]))
+        over = face.clear(place, away)
+        still = np.zeros(len(rows), dtype=np.bool_)
+        middle = Targets(
+            0.5 * (found.at[rows] + found.at[rows + 1]),
+            over.point,
+            over.normal,
+            over.centre,
+            found.loop[rows + 1],
+            found.piece[rows],
+            still,
+            still,
+        )
+        found = _merged(found, middle)
+        check = np.zeros(len(found.at) - 1, dtype=np.bool_)
+        slots = rows + np.arange(1, len(rows) + 1)
         check[slots - 1] = check[slots] = True
     return found
 

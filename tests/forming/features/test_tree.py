@@ -117,6 +117,21 @@ def test_a_stepped_dish_is_two_features_also_where_its_terrace_is_at_a_level(ste
     assert plan_area(tree.features[1].region) == pytest.approx(np.pi * (30 * MM) ** 2, rel=2e-3)
 
 
+@pytest.mark.parametrize("angle", [1.0, 2.0, 2.5])
+@pytest.mark.parametrize("noise", [0.0, 5e-6])
+def test_a_terrace_that_slopes_ends_where_the_next_wall_begins(angle: float, noise: float) -> None:
+    """Else some of it is in the feature of that wall, whose first loop is then off its outline and lost."""
+    low = -5 - 15 * np.tan(np.radians(angle))
+    profile = [(60, 0), (50, 0), (45, -5), (40, -5 + (low + 5) / 3), (30, low), (20, low - 10), (0, low - 10)]
+    made = revolved([(r * MM, z * MM) for r, z in profile])
+    up = noise * np.random.default_rng(3).uniform(-1.0, 1.0, len(made.vertices))
+    off = np.abs(made.vertices[:, 2]) > 1e-9
+    mesh = Mesh(made.vertices + np.column_stack([0.0 * up, 0.0 * up, off * up]), made.faces)
+    first, second = build(mesh, 5e-4).features
+    assert first.end == second.start == pytest.approx(low * MM, abs=1e-9 + 2.0 * noise)
+    assert plan_area(second.region) == pytest.approx(np.pi * (30 * MM) ** 2, rel=3e-3)
+
+
 @pytest.mark.parametrize("step", STEPS)
 def test_a_dimple_alone_in_a_floor_is_a_feature(step: float) -> None:
     def height(x: FloatArray, y: FloatArray) -> FloatArray:

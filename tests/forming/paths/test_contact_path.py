@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from planner.forming import contact
 from planner.forming.contact import ContactPath, Pass
 from planner.forming.paths.contact_path import make_path
 from planner.forming.paths.spiral import PathOptions
+from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import TandemError
-from tests.forming.paths.path_faces import bowl, cone, distance, rings, square_shape
+from tests.forming.paths.path_faces import bowl, cone, distance, rings, round_shape, square_shape
 
+Shape = Callable[[FloatArray], FloatArray]
 KINDS = ("contour", "alternating", "stepped", "helical")
 
 
@@ -65,6 +68,30 @@ def test_moves_over_a_round_rim_cut_less_than_they_may_be_off() -> None:
         rim = (plan[:, 1] < 0.004) & (plan[:, 0] > 0.03) & (plan[:, 1] > -0.001)
         least.append(float(np.linalg.norm(plan[rim] - [0.05, -0.006], axis=1).min()) - 0.011)
     assert least[0] < -4e-5 and -2e-5 < least[1] < 0.0
+
+
+@pytest.mark.parametrize(
+    ("angle", "shape"), [(2.0, round_shape), (4.0, round_shape), (4.0, square_shape), (8.0, round_shape)]
+)
+@pytest.mark.parametrize("kind", ["helical", "contour"])
+def test_ball_rolls_over_the_edge_of_a_ledge(kind: str, angle: float, shape: Shape) -> None:
+    """From the last loop on a ledge to the first one on the wall below the nearest place of the face hops
+    over the sharp edge between them; a straight move from side to side cuts 0.3 mm into it."""
+    down, run = 0.008 * np.sin(np.radians(45.0)), 0.008
+    fall = run * np.tan(np.radians(angle))
+    radius = 0.055 - np.array([2.0 * down + run, down + run, down, 0.0])
+    height = -np.array([2.0 * down + fall, down + fall, down, 0.0])
+    one = rings(np.append(0.0, radius), np.append(height[0], height), 72, shape=shape)
+    options = PathOptions(kind=kind, stepdown=1e-3, cut=2e-5)
+    path = make_path(one, 0.006, options)
+    turned = (path.normal[1:] * path.normal[:-1]).sum(axis=1)
+    moves = np.flatnonzero(path.working[1:] & path.working[:-1])
+    moves = moves[np.argsort(turned[moves])[:12]]
+    share = np.linspace(0.0, 1.0, 5)[1:-1, None, None]
+    between = ((1.0 - share) * path.centre[moves] + share * path.centre[moves + 1]).reshape(-1, 3)
+    assert distance(one, between).min() > 0.006 - 2.2e-5
+    edge = np.abs(path.point[:, 2] - height[1]) < 1e-6  # where it touches while it rolls
+    assert np.ptp(path.angle[edge]) > np.radians(20.0)
 
 
 @pytest.mark.parametrize("kind", KINDS)
