@@ -136,8 +136,8 @@ class ElementRun:
 def read_run(out: Path, run: Path) -> ElementRun:
     """What the batch in ``run`` made of the element in ``out``.
 
-    Raises ``TandemError``: ``element.run`` where one of them is no such folder, the element has planar
-    panels, or a plan is of another panel.
+    Raises ``TandemError``: ``element.run`` where one of them is no such folder, the element's
+    panels are none for the bent wire, or a plan is of another panel.
     """
     if not is_file(out / "element.json"):
         raise _missing(out / "element.json", "tandem element FILE -o OUT writes it")
@@ -145,7 +145,7 @@ def read_run(out: Path, run: Path) -> ElementRun:
         raise _missing(run / "summary.csv", "tandem batch OUT/panels -o RUN writes it")
     data = json.loads((out / "element.json").read_text("utf-8"))
     if "joints" not in data:
-        what = f"{out} has planar panels; joints are measured of panels for the bent wire alone"
+        what = f"{out} has panels for a straight wire; joints are measured of those for the bent wire alone"
         hint = f"verdicts and minutes of this batch are in {run / 'summary.csv'}"
         raise TandemError(Issue("element.run", what, file=str(out / "element.json"), hint=hint))
     with (run / "summary.csv").open(newline="", encoding="utf-8") as file:

@@ -203,5 +203,5 @@ def test_planar_panels_are_told_to_have_no_such_report(tmp_path: Path) -> None:
         run_element_report(ElementReport(tmp_path / "out", tmp_path / "run"))
     (issue,) = caught.value.issues
     assert issue.code == "element.run"
-    assert "planar panels" in issue.message
+    assert "straight wire" in issue.message
     assert "summary.csv" in str(issue.hint)
