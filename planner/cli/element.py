@@ -19,7 +19,7 @@ from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
     from planner.element.elastic import Judge
-    from planner.element.element_file import ElasticElement, HexagonElement
+    from planner.element.element_file import ElasticElement, HexagonElement, WallElement
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -50,6 +50,8 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
         claim_folder(request.output, output.OWNED, keep=request.file.parent / raw.stock)
     if isinstance(element, element_file.HexagonElement):
         files, told, said = _hexagons(element)
+    elif isinstance(element, element_file.WallElement):
+        files, told, said = _wall(element)
     else:
         files, told, said = _elastic(element)
     data = json.loads(files["element.json"])
@@ -91,6 +93,21 @@ def _hexagons(element: HexagonElement) -> tuple[dict[str, str], tuple[Issue, ...
     said = (
         f"{len(panels)} panels, at most {off:.1f} mm off the surface; edges from face to face lean "
         f"{lean:.1f} degrees at most"
+    )
+    return files, told, said
+
+
+def _wall(element: WallElement) -> tuple[dict[str, str], tuple[Issue, ...], str]:
+    """All files of a ruled wall, what is to be said, and what it came out as."""
+    from planner.element import wall_files, walls
+
+    panels = walls.divide_wall(element)
+    files, told = wall_files.folder(element, panels)
+    heights = np.array([panel.box[1] for panel in panels]) / MM
+    off = max(panel.off for panel in panels) / MM
+    said = (
+        f"{len(panels)} panels, {heights.min():.0f} to {heights.max():.0f} mm high; backs at most {off:.2f} "
+        "mm off one thickness behind the front"
     )
     return files, told, said
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -23,12 +23,14 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.face_offset import Rim
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.planar_panels import LEAST_COUNT, MOST_COUNT
+from planner.geometry.ruled_wall import RuledWall, ruled_wall
 from planner.geometry.units import MM
 from planner.hotwire import wire as hot_wires
 from planner.issues import Issue, TandemError
 from planner.reading import strict_yaml
 from planner.reading.cell import RackFile
 from planner.reading.materials import WireFile, WiresFile, wires_at_hand
+from planner.reading.part_ruled import RuledFile, build_ruled
 from planner.reading.part_surfaces import FrontFile, check_size, surface
 from planner.reading.problem import resolved, validate
 from planner.reading.strict_yaml import Far, FileName, Positive, Strict, Vector
@@ -39,8 +41,19 @@ USUAL_CELLS: Final = 24
 """Cells along the longer side where none are stated."""
 END_SHARE: Final = 0.6
 """Share of the tolerance by which errors of its ends may move a wire."""
-USUAL_SIDES: Final = (2.0, 10.0)
-"""Foam [mm] beside elastic panels and hexagons where none is stated."""
+USUAL_FOAM: Final = {
+    "elastic": (2.0, 12.0),
+    "hexagons": (10.0, 0.0),
+    "boxes": (4.0, 4.0),
+    "puzzle": (4.0, 4.0),
+}
+"""Foam [mm] beside panels, and above and below them, where none is stated."""
+LEAST_FOAM: Final = 3.0
+"""Foam [mm] that panels of walls need around them: their surfaces go on into it."""
+NODE_STEP: Final = 0.02
+"""Largest distance [m] of the rulings that stand for a wall."""
+CLOSED: Final = 1e-3
+"""A wall whose ends are no farther apart [m] is closed."""
 ElementName = Annotated[
     str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,17}$", description="letter first, at most 18 characters")
 ]
@@ -54,9 +67,21 @@ class PlaneFile(Strict):
 
 
 class SurfaceFile(FrontFile):
-    """The element's front, as that of a part: its normals point away from the element."""
+    """The element's front, as that of a part: its normals point away from the element. Of a wall it is
+    ``ruled``, as a surface of ``part.ruled``."""
 
+    ruled: RuledFile | None = None
     plane: PlaneFile | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> SurfaceFile:
+        if [self.loft, self.mesh, self.ruled].count(None) != 2:
+            raise ValueError("give one of loft, mesh and ruled")
+        if self.ruled is not None and self.plane is not None:
+            raise ValueError(
+                "plane: a ruled wall is divided along its rulings however it stands; take it out"
+            )
+        return self
 
 
 class ElasticFile(Strict):
@@ -105,17 +130,47 @@ class HexagonsFile(Strict):
     ] = None
 
 
+class BoxesFile(Strict):
+    """Panels of a ruled wall with four sides, in strips along it."""
+
+    least_height_mm: Annotated[float, Field(ge=20, le=2000, description="of panels, along the wall")] = 100.0
+
+
+class PuzzleFile(Strict):
+    """Panels of a ruled wall in cells, with round lobes that hold them together."""
+
+    lobe_mm: Annotated[float, Field(ge=20, le=500, description="radius of lobes")]
+    cells: Annotated[
+        tuple[Annotated[int, Field(ge=1, le=100)], Annotated[int, Field(ge=1, le=100)]] | None,
+        Field(description="across and along the wall; none: the fewest"),
+    ] = None
+
+
+Kind = Literal["elastic", "hexagons", "boxes", "puzzle"]
+
+
 class PanelsFile(Strict):
     """How the element is divided: exactly one kind of panels."""
 
     elastic: ElasticFile | None = None
     hexagons: HexagonsFile | None = None
+    boxes: BoxesFile | None = None
+    puzzle: PuzzleFile | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> PanelsFile:
-        if (self.elastic is None) == (self.hexagons is None):
-            raise ValueError("give exactly one kind of panels, elastic or hexagons")
+        if len(self._given) != 1:
+            raise ValueError(f"give exactly one kind of panels, {', '.join(get_args(Kind))}")
         return self
+
+    @property
+    def _given(self) -> list[Kind]:
+        return [kind for kind in get_args(Kind) if getattr(self, kind) is not None]
+
+    @property
+    def kind(self) -> Kind:
+        """Which of them it is."""
+        return self._given[0]
 
 
 class GroupsFile(Strict):
@@ -200,35 +255,56 @@ class ElementFile(Strict):
     foam_sides_mm: Annotated[
         float | None,
         Field(
-            ge=0, le=500, description="foam of a block beside its panel, at each side; none: 2, hexagons 10"
+            ge=0,
+            le=500,
+            description="foam of a block beside its panel, at each side; none: 2, hexagons 10, walls 4",
         ),
     ] = None
     foam_faces_mm: Annotated[
-        float, Field(ge=0, le=500, description="foam of a block above and below its elastic panel")
-    ] = 12.0
+        float | None,
+        Field(ge=0, le=500, description="foam of a block above and below its panel; none: 12, walls 4"),
+    ] = None
     raw_blocks: RawBlocksFile | None = None
     groups: Annotated[GroupsFile | None, Field(description="of hexagons")] = None
     jobs: Annotated[tuple[JobFile, ...], Field(min_length=1, max_length=50)]
 
     @model_validator(mode="after")
     def _of_one_kind(self) -> ElementFile:
-        if self.panels.elastic is not None and self.wires is None:
+        kind = self.panels.kind
+        if kind == "elastic" and self.wires is None:
             raise ValueError("wires: elastic panels are cut by bent wires; give one")
-        if self.panels.elastic is not None and self.groups is not None:
-            raise ValueError("groups: elastic panels are numbered by the lines of their grid; take that out")
-        strange = self.model_fields_set & {"wires", "foam_faces_mm"}
-        if self.panels.hexagons is not None and strange:
+        if kind != "hexagons" and self.groups is not None:
+            raise ValueError(f"groups: {kind} are numbered by where they are; take that out")
+        wall = kind in ("boxes", "puzzle")
+        if wall != (self.surface.ruled is not None):
             raise ValueError(
-                f"{' and '.join(sorted(strange))}: hexagons are cut by the bow of their cell out of blocks "
-                "as thick as they are; take that out"
+                f"surface: {kind} divide a {'ruled surface' if wall else 'loft or a mesh'}; give one"
+            )
+        strange = self.model_fields_set & ({"wires"} if kind != "elastic" else set())
+        if kind == "hexagons":
+            strange |= self.model_fields_set & {"foam_faces_mm"}
+        if strange:
+            what = "out of blocks as thick as they are" if kind == "hexagons" else "with its straight wire"
+            raise ValueError(
+                f"{' and '.join(sorted(strange))}: {kind} are cut by the bow of their cell {what}; take that "
+                "out"
+            )
+        if wall and min(self.sides, self.faces) < LEAST_FOAM * MM:
+            raise ValueError(
+                f"foam_sides_mm and foam_faces_mm: {kind} need {LEAST_FOAM:g} mm around them at least, "
+                "more than half a slot"
             )
         return self
 
     @property
     def sides(self) -> float:
         """Foam of a block beside its panel [m]."""
-        usual = USUAL_SIDES[0 if self.panels.hexagons is None else 1]
-        return (usual if self.foam_sides_mm is None else self.foam_sides_mm) * MM
+        return (USUAL_FOAM[self.panels.kind][0] if self.foam_sides_mm is None else self.foam_sides_mm) * MM
+
+    @property
+    def faces(self) -> float:
+        """Foam of a block above its panel, and below [m]."""
+        return (USUAL_FOAM[self.panels.kind][1] if self.foam_faces_mm is None else self.foam_faces_mm) * MM
 
 
 @dataclasses.dataclass(frozen=True)
@@ -277,12 +353,21 @@ class HexagonElement(Element):
     view: FloatArray
 
 
-def read(path: Path) -> ElasticElement | HexagonElement:
+@dataclasses.dataclass(frozen=True)
+class WallElement(Element):
+    """A ruled wall in boxes or puzzle pieces: ``wanted``, and the ``wall`` [m] in the file's frame, which is
+    that of the element."""
+
+    wanted: BoxesFile | PuzzleFile
+    wall: RuledWall
+
+
+def read(path: Path) -> ElasticElement | HexagonElement | WallElement:
     """The element of a file.
 
     Raises ``TandemError``: ``problem.field`` for every wrong field, with its line; issues of mesh files;
-    ``element.surface``; ``element.stock``; ``part.offset`` where the thickness folds over; ``element.jobs``
-    for templates that bring what panels bring.
+    issues of guides; ``element.surface``; ``element.stock``; ``part.offset`` where the thickness folds over;
+    ``element.jobs`` for templates that bring what panels bring.
     """
     document = strict_yaml.read(path)
     spec, issues = validate(ElementFile, document.data, document, ())
@@ -315,6 +400,9 @@ def read(path: Path) -> ElasticElement | HexagonElement:
             issues += error.issues
     if issues:
         raise TandemError(issues)
+    walls = spec.panels.boxes or spec.panels.puzzle
+    if walls is not None and spec.surface.ruled is not None:
+        return WallElement(spec, tuple(templates), stock, walls, _wall(spec.surface.ruled, folder))
     mesh, _ = surface(spec.surface.loft, spec.surface.mesh, folder, "surface")
     check_size(mesh, "surface")
     plane = spec.surface.plane
@@ -331,6 +419,24 @@ def read(path: Path) -> ElasticElement | HexagonElement:
     )
 
 
+def _wall(spec: RuledFile, folder: Path) -> RuledWall:
+    ruled, _ = build_ruled(spec, folder, "surface.ruled")
+    gap = np.linalg.norm([ruled.start[-1] - ruled.start[0], ruled.end[-1] - ruled.end[0]], axis=1).max()
+    if ruled.closed or gap < CLOSED:
+        raise _no_wall("the wall is closed: its last ruling is its first one; give it in two halves")
+    if ruled.corner[1:-1].any():
+        k = 1 + int(np.argmax(ruled.corner[1:-1]))
+        at = ", ".join(f"{v / MM:.0f}" for v in 0.5 * (ruled.start[k] + ruled.end[k]))
+        raise _no_wall(
+            f"the wall has an edge near ({at}) mm; give the parts beside it as elements of their own"
+        )
+    return ruled_wall(ruled, NODE_STEP)
+
+
+def _no_wall(what: str) -> TandemError:
+    return TandemError(Issue("element.surface", what, field="surface.ruled"))
+
+
 def _rules(spec: ElementFile, elastic: ElasticFile, wires: tuple[WireFile, ...]) -> Rules:
     return Rules(
         tuple(
@@ -345,7 +451,7 @@ def _rules(spec: ElementFile, elastic: ElasticFile, wires: tuple[WireFile, ...])
         ),
         tuple(np.array(block.size_mm) * MM for block in spec.blocks),
         spec.sides,
-        spec.foam_faces_mm * MM,
+        spec.faces,
         elastic.tolerance_mm * MM,
         elastic.end_weight,
     )

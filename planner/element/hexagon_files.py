@@ -13,24 +13,27 @@ import numpy as np
 
 from planner.element.element_file import HexagonElement, Template
 from planner.element.hexagons import HexagonPanel
-from planner.element.jobs import block_mm, chosen_templates, cut_minutes, problem, problem_text
+from planner.element.jobs import (
+    block_mm,
+    chosen_templates,
+    cut_minutes,
+    pose_mm,
+    problem,
+    problem_text,
+    ruled,
+)
 from planner.element.nest import PanelBlock
 from planner.element.nested_output import nested_folder
 from planner.element.output import table, weight_kg
+from planner.element.panel_drawing import DrawnPanel, panels_drawing
 from planner.geometry.arrays import FloatArray, transform, unit
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 
-DIGITS: Final = 9
-"""Decimals of lengths in mm: neighbours agree to a millionth of a millimetre through both of their poses."""
-POSE_DIGITS: Final = 13
-"""Decimals of the axes of poses, for the same reason."""
 LEVEL: Final = 5.0 * DEG
 """Panels that lean by less than this [rad] have no side that is up."""
 RING_DIGITS: Final = 6
 """Decimals of outlines in mm in ``element.json``: those in the files of panels have more."""
-_PAGE: Final = 1400.0  # width of the drawing [px]
-_WIDE: Final = 0.62  # mean width of a letter in sizes of type
 
 
 def folder(
@@ -68,12 +71,7 @@ def _panel_block(element: HexagonElement, panel: HexagonPanel) -> PanelBlock:
 
 def _part(panel: HexagonPanel) -> dict[str, Any]:
     """The sides between both outlines, as the part of a problem file."""
-    start, end = (
-        [[round(v, DIGITS) + 0.0 for v in point] for point in (ring / MM).tolist()]
-        for ring in (panel.bottom, panel.top)
-    )
-    sides = {"name": "sides", "closed": True, "match": "parameter"}
-    return {"ruled": [{**sides, "start": {"polyline_mm": start}, "end": {"polyline_mm": end}}]}
+    return {"ruled": [ruled("sides", panel.bottom, panel.top, closed=True)]}
 
 
 def row(element: HexagonElement, panel: HexagonPanel, own: PanelBlock, template: str) -> dict[str, Any]:
@@ -131,13 +129,6 @@ def _data(
     """The element as data: panels with the poses of their blocks in the frame of the surface's file (4, 4)
     [mm]; its totals."""
 
-    def pose(value: FloatArray) -> list[list[float]]:
-        out = value.copy()
-        out[:3, 3] /= MM
-        out[:3, :3] = np.round(out[:3, :3], POSE_DIGITS)
-        out[:3, 3] = np.round(out[:3, 3], DIGITS)
-        return [[v + 0.0 for v in line] for line in out.tolist()]
-
     def way(panel: HexagonPanel, operation: Mapping[str, Any]) -> float:
         """How far the wire goes round a panel [mm], half-way up."""
         round_it = float(_edges(0.5 * (panel.bottom + panel.top)).sum()) / MM
@@ -160,7 +151,7 @@ def _data(
                 "back_mm": np.round(panel.bottom[:, :2] / MM, RING_DIGITS).tolist(),
                 "up": _up(element, panel).tolist(),
                 "cut_min": cut_minutes(template, functools.partial(way, panel)),
-                "block_pose": pose(panel.pose),
+                "block_pose": pose_mm(panel.pose),
             }
             for one, panel, outline, template in zip(
                 rows, panels, _outlines(element, panels), templates, strict=True
@@ -230,42 +221,13 @@ def _concave(panels: tuple[HexagonPanel, ...]) -> tuple[Issue, ...]:
 def drawing(element: HexagonElement, panels: tuple[HexagonPanel, ...]) -> str:
     """All fronts with their ids, seen from the front: the darker, the farther off the surface; dashed where
     concave."""
-    rings = _outlines(element, panels)
-    size = np.concatenate(rings).max(axis=0)
-    scale = _PAGE / float(size[0])
-    high = float(size[1]) * scale
     limit, worst = element.wanted.off_surface_mm, max(panel.off for panel in panels) / MM
     title = f"{element.file.name}: {len(panels)} panels, {element.file.thickness_mm:g} mm thick"
     legend = f"seen from the front; darker: farther off the surface, at most {worst:.1f} of {limit:g} mm"
     if any(panel.concave for panel in panels):
         legend += "; dashed: concave"
-    out = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-40 -90 {_PAGE + 80:.0f} {high + 160:.0f}" '
-        'font-family="sans-serif" fill="#1a1a1a">',
-        f'<rect x="-40" y="-90" width="{_PAGE + 80:.0f}" height="{high + 160:.0f}" fill="#ffffff"/>',
-        f'<text x="0" y="-52" font-size="28" font-weight="600">{title}</text>',
-        f'<text x="0" y="-20" font-size="18">{legend}</text>',
+    drawn = [
+        DrawnPanel(panel.name, ring, panel.off / MM / limit, panel.concave)
+        for panel, ring in zip(panels, _outlines(element, panels), strict=True)
     ]
-    for panel, ring in zip(panels, rings, strict=True):
-        flat = ring * scale
-        flat[:, 1] = high - flat[:, 1]
-        share = min(panel.off / MM / limit, 1.0)
-        shade = ",".join(str(round(255 + share * (c - 255))) for c in (122, 170, 214))
-        dashed = ' stroke-dasharray="6 4"' if panel.concave else ""
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in flat.tolist())
-        out.append(
-            f'<polygon points="{points}" fill="rgb({shade})" stroke="#1a1a1a" stroke-width="1.5"{dashed}/>'
-        )
-        x, y = flat.mean(axis=0).tolist()
-        text = min(
-            22.0,
-            0.72 * float(np.ptp(flat[:, 0])) / (_WIDE * len(panel.name)),
-            0.5 * float(np.ptp(flat[:, 1])),
-        )
-        out.append(
-            f'<text x="{x:.1f}" y="{y + 0.35 * text:.1f}" font-size="{text:.1f}" font-weight="600" '
-            f'text-anchor="middle">{panel.name}</text>'
-        )
-    ends = f"{size[0]:.0f} x {size[1]:.0f} mm"
-    out += [f'<text x="0" y="{high + 40:.0f}" font-size="18">{ends}</text>', "</svg>"]
-    return "\n".join(out) + "\n"
+    return panels_drawing(title, legend, drawn)

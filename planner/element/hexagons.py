@@ -26,6 +26,7 @@ from scipy.sparse.csgraph import dijkstra
 from planner.element.elastic import FITS
 from planner.element.element_file import HexagonElement
 from planner.element.jobs import row_names
+from planner.element.panel_box import hull_boxes
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_parts, inverse, transform
 from planner.geometry.face_offset import ThickPanel
 from planner.geometry.guided_projection import LONGEST_WAY
@@ -202,14 +203,9 @@ def _in_block(element: HexagonElement, panel: ThickPanel) -> _Placed:
     """The smallest block that holds a panel, in the direction that takes least of it."""
     thick = element.file.thickness_mm * MM
     plane = _across(panel.normal)
-    cloud = np.concatenate([panel.bottom, panel.top]) @ plane
-    hull = np.asarray(shapely.convex_hull(shapely.MultiPoint(cloud)).exterior.coords)
-    edge = np.diff(hull, axis=0)
-    way = edge / np.linalg.norm(edge, axis=1, keepdims=True)
-    square = np.stack([-way[:, 1], way[:, 0]], axis=1)
-    extent = np.stack([np.ptp(hull @ way.T, axis=0), np.ptp(hull @ square.T, axis=0)], axis=1)
+    way, extent = hull_boxes(np.concatenate([panel.bottom, panel.top]) @ plane)
     tall = extent[:, 1] > extent[:, 0] * (1.0 + ALIKE)
-    way = np.where(tall[:, None], square, way)
+    way = np.where(tall[:, None], np.stack([-way[:, 1], way[:, 0]], axis=1), way)
     size = np.where(tall[:, None], extent[:, ::-1], extent) + 2.0 * element.file.sides
     area = size.prod(axis=1)
     blocks = [np.array(block.size_mm) * MM for block in element.file.blocks]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -17,8 +17,12 @@ from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.reading import strict_yaml
 
-SIZE_STEP_MM = 0.1
+SIZE_STEP_MM: Final = 0.1
 """Sizes of blocks are rounded up to this."""
+DIGITS: Final = 9
+"""Decimals of lengths in mm: neighbours agree to a millionth of a millimetre through both of their poses."""
+POSE_DIGITS: Final = 13
+"""Decimals of the axes of poses, for the same reason."""
 
 
 def ids(panels: tuple[ElasticPanel, ...]) -> tuple[str, ...]:
@@ -120,6 +124,24 @@ def problem(
 def problem_text(element: Element, name: str, data: dict[str, Any]) -> str:
     """A panel's problem as text."""
     return f"# Panel {name} of {element.file.name}, written by tandem element.\n" + strict_yaml.dump(data)
+
+
+def ruled(name: str, start: FloatArray, end: FloatArray, **more: bool) -> dict[str, Any]:
+    """A ruled surface between points (N, 3) [m], one to one, as the part of a problem file has it."""
+
+    def guide(points: FloatArray) -> dict[str, Any]:
+        return {"polyline_mm": [[round(v, DIGITS) + 0.0 for v in row] for row in (points / MM).tolist()]}
+
+    return {"name": name, **more, "match": "parameter", "start": guide(start), "end": guide(end)}
+
+
+def pose_mm(pose: FloatArray) -> list[list[float]]:
+    """A pose (4, 4) [m] as data, in mm."""
+    out = pose.copy()
+    out[:3, 3] /= MM
+    out[:3, :3] = np.round(out[:3, :3], POSE_DIGITS)
+    out[:3, 3] = np.round(out[:3, 3], DIGITS)
+    return [[v + 0.0 for v in line] for line in out.tolist()]
 
 
 def panel_files(

@@ -106,12 +106,12 @@ def weight_kg(own: PanelBlock) -> float | str:
 
 
 def outline(
-    rectangles: Sequence[tuple[int, int, int, int]], names: Sequence[str], k: int
-) -> tuple[list[tuple[int, int]], list[str | None]]:
+    rectangles: Sequence[tuple[float, float, float, float]], names: Sequence[str], k: int
+) -> tuple[list[tuple[float, float]], list[str | None]]:
     """The corners of one of the rectangles (x0, x1, y0, y1), counterclockwise, with those of its neighbours
     on its sides, and the name beyond each edge from corner i to i + 1."""
     x0, x1, y0, y1 = rectangles[k]
-    corners: list[tuple[int, int]] = []
+    corners: list[tuple[float, float]] = []
     beyond: list[str | None] = []
     for axis, at, first, last in ((1, y0, x0, x1), (0, x1, y0, y1), (1, y1, x1, x0), (0, x0, y1, y0)):
         beside = []

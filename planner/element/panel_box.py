@@ -11,11 +11,14 @@ import dataclasses
 from typing import Final
 
 import numpy as np
+import shapely
 from numpy.lib.stride_tricks import sliding_window_view
 
 from planner.element.surface import ElementSurface, profiles
 from planner.geometry.arrays import BoolArray, FloatArray, unit
 
+LEAST_EDGE: Final = 1e-9
+"""Edges of a hull that are no longer than this [m] have no direction."""
 NODE_STEP: Final = 0.042
 """Largest distance [m] of the nodes at which boxes are measured: less than a tenth of a wave of a wall."""
 
@@ -82,3 +85,14 @@ def box_sizes(nodes: Nodes, wanted: BoolArray, along: int) -> FloatArray:
         low = np.minimum(laid[0].min(axis=2), laid[1].min(axis=2))
         out[w - 1, h - 1, x, y] = np.maximum(laid[0].max(axis=2), laid[1].max(axis=2)) - low
     return out
+
+
+def hull_boxes(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The rectangles round points (K, 2) with a side on an edge of their hull, among them the smallest and
+    the narrowest (H. Freeman, R. Shapira, Comm. ACM 18, 1975): directions (E, 2) of the edges, and sizes
+    (E, 2) [m] along and to the left of them."""
+    hull = np.asarray(shapely.convex_hull(shapely.multipoints(points)).exterior.coords)
+    edge = np.diff(hull, axis=0)
+    way = unit(edge[np.linalg.norm(edge, axis=1) > LEAST_EDGE])
+    square = np.stack([-way[:, 1], way[:, 0]], axis=1)
+    return way, np.stack([np.ptp(hull @ way.T, axis=0), np.ptp(hull @ square.T, axis=0)], axis=1)

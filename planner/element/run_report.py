@@ -159,8 +159,11 @@ def read_run(out: Path, run: Path) -> ElementRun:
         raise _missing(run / "summary.csv", "tandem batch OUT/panels -o RUN writes it")
     data = json.loads((out / "element.json").read_text("utf-8"))
     if "joints" not in data or not all("outline_mm" in panel for panel in data["panels"]):
-        what = f"{out} was written without joints or outlines of its panels"
-        hint = "divide the element again: tandem element FILE -o OUT; panels that stay need no new plan"
+        what = f"{out} was written without joints or outlines of its panels; ruled walls have none"
+        hint = (
+            f"verdicts are in {run / 'summary.csv'}; divide another element again: tandem element "
+            "FILE -o OUT; panels that stay need no new plan"
+        )
         raise TandemError(Issue("element.run", what, file=str(out / "element.json"), hint=hint))
     with (run / "summary.csv").open(newline="", encoding="utf-8") as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}

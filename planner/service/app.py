@@ -44,7 +44,7 @@ from planner.service.storage import take_upload
 
 _NO_EXAMPLES: Final = ("cells",)
 """Folders of bundled files that hold no problems."""
-_NO_PROBLEMS: Final = ("faces.yaml", "expect.yaml")
+_NO_PROBLEMS: Final = ("faces.yaml", "panel.yaml", "expect.yaml")
 """Bundled files of YAML that are no problems."""
 _SCRIPT: Final = re.compile(r"\bmake_\w+\.py")
 """A script that made an example's files; what its comment says of it is not shown."""

@@ -234,9 +234,7 @@ def test_where_nothing_avoids_them_refused_panels_stay_with_their_reason() -> No
 
 
 def test_panels_that_no_wire_holds_are_avoided_where_others_cover_their_place() -> None:
-    def divided(
-        size: tuple[float, float], lengths: tuple[float, ...]
-    ) -> tuple[tuple[ElasticPanel, ...], ...]:
+    def divided(size: tuple[float, float], *lengths: float) -> tuple[tuple[ElasticPanel, ...], ...]:
         rules = dataclasses.replace(
             case(size, (4, 3), 0.8, (1.0, 0.6, 0.15)).rules,
             wires=tuple(CutWire(WIRE, length, 0.16, 0.05e-3, 0.6e-3) for length in lengths),
