@@ -28,6 +28,8 @@ from planner.element.wall_panels import WallPanel, numbers
 from planner.geometry.units import MM
 from planner.issues import Issue
 
+TURN: Final = np.array([[0.0, 1.0], [-1.0, 0.0]])
+"""Places (u, t) of a wall as seen from the front: its rulings from right to left, u up."""
 SHADED: Final = 1.0
 """A back that is so far off [mm] is drawn darkest."""
 
@@ -41,7 +43,7 @@ def folder(element: WallElement, panels: tuple[WallPanel, ...]) -> tuple[dict[st
     names = numbers(panels)
     templates = chosen_templates(element, panels, names)
     places = _places(panels)
-    flat = [(*panel.piece.across, *panel.piece.along) for panel in panels]
+    flat = [(1.0 - p.piece.across[1], 1.0 - p.piece.across[0], *p.piece.along) for p in panels]
     scale = np.array([float(element.wall.widths.max()), 1.0]) / MM
     files, rows, data, blocks = {}, [], [], []
     for k, (panel, name, place, template) in enumerate(zip(panels, names, places, templates, strict=True)):
@@ -119,16 +121,16 @@ def _row(element: WallElement, panel: WallPanel, name: str, place: str, template
 
 
 def _drawing(element: WallElement, panels: Sequence[WallPanel], names: Sequence[str]) -> str:
-    """The wall laid flat, its rulings level and as long as the longest."""
+    """The wall laid flat as seen from the front, its rulings level and as long as the longest."""
     wide = float(element.wall.widths.max())
     worst = max(panel.off for panel in panels) / MM
     title = f"{element.file.name}: {len(panels)} panels, {element.file.thickness_mm:g} mm thick"
-    legend = (
-        "laid flat; numbers grow with the height of the panel's box; darker: the straight back is farther "
-    )
-    legend += f"off one thickness behind the front, at most {worst:.2f} mm"
+    legend = "laid flat, seen from the front; numbers grow with the height of the panel's box; darker: the "
+    legend += f"straight back is farther off one thickness behind the front, at most {worst:.2f} mm"
     drawn = [
-        DrawnPanel(name, panel.piece.outline[:, ::-1] * [wide / MM, 1.0 / MM], panel.off / MM / SHADED)
+        DrawnPanel(
+            name, (panel.piece.outline @ TURN + [1.0, 0.0]) * [wide, 1.0] / MM, panel.off / MM / SHADED
+        )
         for panel, name in zip(panels, names, strict=True)
     ]
     return panels_drawing(title, legend, drawn)

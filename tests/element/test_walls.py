@@ -259,6 +259,26 @@ def test_neighbours_are_cut_along_the_same_lines(kind: str, request: pytest.Fixt
         assert alone == 0 if kind == "puzzle" else alone <= 4
 
 
+@pytest.mark.parametrize("kind", ["boxes", "puzzle"])
+def test_panels_are_laid_out_as_seen_from_the_front(kind: str, request: pytest.FixtureRequest) -> None:
+    """As labels show them: two neighbours follow each other the same way round as in the wall itself."""
+    panels = written(request.getfixturevalue(kind))
+    looked = 0
+    for panel in panels.values():
+        part = panel.part()
+        middle, front = part.mean(axis=0), part[len(part) // 2 :].mean(axis=0)
+        around = [panels[name] for name in sorted(beyond(panel))]
+        for one, other in itertools.combinations(around, 2):
+            own, first, then = (np.mean(p.row["outline_mm"], axis=0) for p in (panel, one, other))
+            drawn = np.linalg.det([first - own, then - own])
+            if abs(drawn) < 1e3:  # mm2: they lie on one line
+                continue
+            ways = [p.part().mean(axis=0) - middle for p in (one, other)]
+            assert np.sign(np.dot(np.cross(*ways), front - middle)) == np.sign(drawn)
+            looked += 1
+    assert looked > 5
+
+
 def test_faces_of_neighbours_meet_and_are_one_thickness_apart(boxes: dict[str, str]) -> None:
     for panel in written(boxes).values():
         part = panel.part()
