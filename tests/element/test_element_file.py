@@ -328,9 +328,10 @@ def test_wrong_fields_are_told_with_their_lines(tmp_path: Path) -> None:
 
 
 def test_the_facade_among_the_problems_divides(tmp_path: Path) -> None:
-    files = divided(ROOT / "problems" / "wave_facade" / "element.yaml")
-    data = json.loads(files["element.json"])
-    assert len(data["panels"]) <= 34
+    told = run_element(ElementRequest(ROOT / "problems" / "wave_facade" / "element.yaml", tmp_path))
+    assert "element.held" not in {issue.code for issue in told}
+    data = json.loads((tmp_path / "element.json").read_text())
+    assert len(data["panels"]) <= 40
     assert max(panel["off_surface_mm"] for panel in data["panels"]) <= 1.0
 
 

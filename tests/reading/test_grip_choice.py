@@ -106,7 +106,7 @@ def least_distance(problem: Problem) -> float:
     return float(np.linalg.norm(off, axis=1).min())
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in (1, 2))])
 def test_the_wires_stay_away_from_what_is_chosen(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     turn = np.sort(rng.uniform(0.0, 2.0 * np.pi, 9))
@@ -181,7 +181,7 @@ def test_faults_of_the_list_are_refused_by_field(
     assert word in found[0].message
 
 
-@pytest.mark.parametrize("stated", [False, True])
+@pytest.mark.parametrize("stated", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_what_is_advised_where_none_fits_does_fit(tmp_path: Path, stated: bool) -> None:
     thin = [[-150, 56], [-150, -54], [150, -50], [150, 52]]
     more = {"grip": {}} if stated else {}
