@@ -364,20 +364,21 @@ class Search:
 
     def _score(self, points: FloatArray, few: Sequence[Few]) -> FloatArray:
         """Score (K,) [rad] of candidates: the least margin over all targets with the best branches; below 0:
-        not reachable."""
-        out = np.empty(len(points))
-        for first in range(0, len(points), 64):
-            part = points[first : first + 64]
+        not reachable, those that face a way that is not looked at any more among them."""
+        out = np.full(len(points), -np.inf)
+        asked = np.flatnonzero(~np.isin(_quarters(points), list(self._barred)))
+        for first in range(0, len(asked), 64):
+            rows = asked[first : first + 64]
+            part = points[rows]
             stock = np.array([self._stock_pose(p) for p in part])[:, None]
             moved = [self._bases(p) for p in part]
             bases = {a.name: np.array([m[a.name] for m in moved])[:, None] for a in self._movable}
             scores = [margin(f, stock, bases, self._settings) for f in few]
-            out[first : first + 64] = np.min(scores, axis=0)
+            out[rows] = np.min(scores, axis=0)
             if self._borne:  # a support that does not reach the floor bears nothing
                 off = support.air(self._ground, self._stock, stock[:, 0]) - support.FOOT_HEIGHT
-                some = out[first : first + 64]
-                out[first : first + 64] = np.where(off > 1e-9, np.minimum(some, -1.0 - off), some)
-        return np.where(np.isin(_quarters(points), list(self._barred)), -np.inf, out)
+                out[rows] = np.where(off > 1e-9, np.minimum(out[rows], -1.0 - off), out[rows])
+        return out
 
     def _distinct(self, points: FloatArray, scores: FloatArray) -> list[int]:
         """Indices of the best candidates that lie apart."""

@@ -173,9 +173,8 @@ class _Attempt:
             branch = {arm: r.branch for arm, r in rungs.items()}
             if any(self.closes(branch, i) for i in self._closed[::-1]):
                 continue
-            path = _Graph(self, rungs).free_path(
-                rounds
-            )  # made again: all of them at once would fill the memory
+            # made again: all of them at once would fill the memory
+            path = _Graph(self, rungs).free_path(rounds)
             if path is not None:
                 return dataclasses.replace(path, choices=len(offers))
         return None
