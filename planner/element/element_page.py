@@ -147,6 +147,11 @@ def _ring(panel: Mapping[str, Any], key: str = "outline_mm") -> FloatArray:
     return np.array(panel[key], dtype=np.float64)
 
 
+def _front(panel: Mapping[str, Any]) -> FloatArray:
+    """A panel's front (C, 2) [mm]; where it is not told by itself, as it is drawn with the others."""
+    return _ring(panel, "front_mm" if "front_mm" in panel else "outline_mm")
+
+
 def _drawing(found: ElementRun) -> Drawing:
     """All panels as seen from the front, in the page's own colours."""
     rings = {panel.name: _ring(panel.panel) for panel in found.panels}
@@ -245,7 +250,7 @@ def _words(ring: FloatArray, name: str, size: float, below: str = "") -> list[st
 
 def turned_up(panel: Mapping[str, Any]) -> FloatArray:
     """The front (C, 2) [mm] of a panel laid flat with its up upwards, about the middle of its box."""
-    ring = _ring(panel, "front_mm" if "front_mm" in panel else "outline_mm")
+    ring = _front(panel)
     x, y = panel.get("up", (0.0, 1.0))
     ring = ring @ np.array([[y, x], [-x, y]])
     return np.asarray(ring - 0.5 * (ring.min(axis=0) + ring.max(axis=0)))
@@ -334,10 +339,7 @@ def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
 
 
 def _sizes(found: ElementRun) -> tuple[Grid, ...]:
-    rings = [
-        _ring(panel.panel, "front_mm" if "front_mm" in panel.panel else "outline_mm")
-        for panel in found.panels
-    ]
+    rings = [_front(panel.panel) for panel in found.panels]
     areas, edges = [], []
     for ring in rings:
         after = np.roll(ring, -1, axis=0)

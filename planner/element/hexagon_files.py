@@ -4,7 +4,6 @@ data."""
 from __future__ import annotations
 
 import functools
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
@@ -23,7 +22,7 @@ from planner.element.jobs import (
     ruled,
 )
 from planner.element.nest import PanelBlock
-from planner.element.nested_output import nested_folder
+from planner.element.nested_output import finished
 from planner.element.output import table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
 from planner.geometry.arrays import FloatArray, transform, unit
@@ -57,11 +56,7 @@ def folder(
     files["panels.csv"] = table(rows)
     files["panels.svg"] = drawing(element, panels)
     data = _data(element, panels, rows, templates)
-    of_blocks, said, blocks = nested_folder(element, own)
-    issues = (*_concave(panels), *said)
-    told = {"issues": [issue.to_dict() for issue in issues]}
-    files["element.json"] = json.dumps({**data, **blocks, **told}, indent=1) + "\n"
-    return {**files, **of_blocks}, issues
+    return finished(element, files, data, own, _concave(panels))
 
 
 def _panel_block(element: HexagonElement, panel: HexagonPanel) -> PanelBlock:

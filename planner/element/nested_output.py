@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -46,6 +47,21 @@ def nested_folder(
         "stock.csv": stock_file(made),
     }
     return files, told(made, panels, sawing), {"blocks": _data(made, panels, sawing)}
+
+
+def finished(
+    element: Element,
+    files: dict[str, str],
+    data: dict[str, Any],
+    panels: Sequence[PanelBlock],
+    issues: Sequence[Issue] = (),
+) -> tuple[dict[str, str], tuple[Issue, ...]]:
+    """An element's ``files``, those of its nest, and ``element.json`` with its ``data``, nest and issues; and
+    all that is to be said. Raises ``TandemError``: ``element.raw_block``."""
+    of_blocks, said, blocks = nested_folder(element, panels)
+    told = (*issues, *said)
+    whole = {**data, **blocks, "issues": [issue.to_dict() for issue in told]}
+    return {**files, "element.json": json.dumps(whole, indent=1) + "\n", **of_blocks}, told
 
 
 def _data(made: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> dict[str, Any]:

@@ -7,7 +7,6 @@ import csv
 import functools
 import io
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -18,7 +17,7 @@ from planner.element.elastic import ElasticPanel, Joint, joints
 from planner.element.element_file import ElasticElement
 from planner.element.jobs import block_mm, chosen_templates, cut_minutes, ids, panel_files
 from planner.element.nest import PanelBlock
-from planner.element.nested_output import nested_folder
+from planner.element.nested_output import finished
 from planner.geometry.mesh import face_areas
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity
@@ -57,11 +56,8 @@ def folder(
     files["panels.csv"] = table(rows)
     files["panels.svg"] = drawing(element, panels, names)
     data = _data(element, panels, names, met, rows)
-    of_blocks, said, blocks = nested_folder(element, own)
-    issues = (*_unsteady(element, panels, names), *_told(element, names, met), *said)
-    told = {"issues": [issue.to_dict() for issue in issues]}
-    files["element.json"] = json.dumps({**data, **blocks, **told}, indent=1) + "\n"
-    return {**files, **of_blocks}, issues
+    issues = (*_unsteady(element, panels, names), *_told(element, names, met))
+    return finished(element, files, data, own, issues)
 
 
 def _panel_blocks(

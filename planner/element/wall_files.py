@@ -3,13 +3,11 @@ panels, and all as data."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.materials import foam
 from planner.element.element_file import WallElement
 from planner.element.jobs import (
     block_mm,
@@ -21,8 +19,8 @@ from planner.element.jobs import (
     ruled,
 )
 from planner.element.nest import PanelBlock
-from planner.element.nested_output import nested_folder
-from planner.element.output import outline, table
+from planner.element.nested_output import finished
+from planner.element.output import outline, table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
 from planner.element.wall_panels import WallPanel, numbers
 from planner.geometry.units import MM
@@ -50,16 +48,15 @@ def folder(element: WallElement, panels: tuple[WallPanel, ...]) -> tuple[dict[st
         made = problem(element, panel, name, template, _part(panel))
         files[f"panels/{name}.yaml"] = problem_text(element, name, made)
         ring, beyond = outline(flat, names, k)
-        row = _row(element, panel, name, place, template.file)
+        blocks.append(panel_block(element, panel, name))
+        row = _row(element, panel, blocks[-1], place, template.file)
         rows.append({**row, "neighbours": " ".join(dict.fromkeys(one for one in beyond if one))})
         way = panel.piece.way_in
         came = {} if way is None else {"way_in": [round(v, 9) + 0.0 for v in (-way).tolist()]}
         laid = {"neighbours": beyond, "outline_mm": np.round(np.array(ring) * scale, 2).tolist()}
         data.append({**row, **laid, **came, "block_pose": pose_mm(panel.pose)})
-        blocks.append(panel_block(element, panel, name))
     files["panels.csv"] = table(rows)
     files["panels.svg"] = _drawing(element, panels, names)
-    of_blocks, said, nested = nested_folder(element, blocks)
     whole = {
         "element": 1,
         "name": element.file.name,
@@ -68,8 +65,7 @@ def folder(element: WallElement, panels: tuple[WallPanel, ...]) -> tuple[dict[st
         "volume_l": round(1e3 * sum(panel.volume for panel in panels), 3),
         "panels": data,
     }
-    files["element.json"] = json.dumps({**whole, **nested}, indent=1) + "\n"
-    return {**files, **of_blocks}, said
+    return finished(element, files, whole, blocks)
 
 
 def panel_block(element: WallElement, panel: WallPanel, name: str) -> PanelBlock:
@@ -97,13 +93,14 @@ def _part(panel: WallPanel) -> dict[str, Any]:
     }
 
 
-def _row(element: WallElement, panel: WallPanel, name: str, place: str, template: str) -> dict[str, Any]:
+def _row(
+    element: WallElement, panel: WallPanel, own: PanelBlock, place: str, template: str
+) -> dict[str, Any]:
     """A panel's row in the table."""
     block, piece = element.file.blocks[panel.block], panel.piece
-    weight = "" if block.foam is None else round(foam(block.foam).density * panel.volume, 4)
     box = zip(("width", "height", "depth"), panel.box.tolist(), strict=True)
     return {
-        "id": name,
+        "id": own.name,
         "place": place,
         "from_mm": round(piece.along[0] / MM, 3),
         "to_mm": round(piece.along[1] / MM, 3),
@@ -113,7 +110,7 @@ def _row(element: WallElement, panel: WallPanel, name: str, place: str, template
         **{f"block_{axis}_mm": v for axis, v in zip("xyz", block_mm(panel), strict=True)},
         "raw_block_mm": " x ".join(f"{v:g}" for v in block.size_mm),
         "volume_l": round(1e3 * panel.volume, 4),
-        "weight_kg": weight,
+        "weight_kg": weight_kg(own),
         "off_surface_mm": round(panel.off / MM, 3),
         "jam_mm": "" if piece.way_in is None else round(piece.jam / MM, 3),
         "job": template,

@@ -17,14 +17,13 @@ from typing import Final
 import numpy as np
 import shapely
 
+from planner.element.elastic import FITS
 from planner.element.element_file import ElementFile
 from planner.element.panel_box import hull_boxes
 from planner.geometry.arrays import FloatArray, dots, from_parts, inverse, lengths, transform, unit
 from planner.geometry.ruled_wall import RuledWall
 from planner.geometry.units import MM
 
-FITS: Final = 1e-6
-"""A box that is larger than its room by no more than this [m] fits."""
 BEYOND: Final = 0.7
 """Faces and sides go on beyond one another over this share of the foam around a panel: surfaces that cross
 bound a part together."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import html
 import itertools
 import json
 import re
@@ -17,7 +18,7 @@ import shapely
 import yaml
 
 from planner import pipeline
-from planner.element import element_file, wall_files, walls
+from planner.element import element_file, element_page, run_report, wall_files, walls
 from planner.element.boxes import most_even
 from planner.element.nested_output import nested_folder
 from planner.element.panel_box import hull_boxes
@@ -361,6 +362,21 @@ def test_panels_are_ordinary_problems(kind: str, request: pytest.FixtureRequest,
     assert problem.part is not None
     assert [one.name for one in problem.part.ruled] == ["front", "back", "sides"]
     assert [one.closed for one in problem.part.ruled] == [False, False, True]
+
+
+def test_what_is_said_of_the_raw_blocks_is_told_on_the_page_too(tmp_path: Path) -> None:
+    raw = {
+        "sizes": [{"size_mm": [1250, 600, 100], "foam": "eps_a120"}],
+        "kerf_mm": 2,
+        "bow": {"span_mm": 400, "throat_mm": 60},
+    }
+    element = read(wall(tmp_path, raw_blocks=raw))
+    files, said = wall_files.folder(element, walls.divide_wall(element))
+    assert {issue.code for issue in said} == {"element.cut"}
+    data = json.loads(files["element.json"])
+    assert data["issues"] == [issue.to_dict() for issue in said]
+    page = element_page.element_page(run_report.unplanned(data))
+    assert all(html.escape(issue.message) in page for issue in said)
 
 
 def test_blocks_too_thin_are_refused_with_the_thickness_that_fits(tmp_path: Path) -> None:
