@@ -27,6 +27,7 @@ from tests.forming import shapes
 from tests.forming.springback import level_files
 from tests.forming.springback import springback_files as files
 from tests.test_whole_forming import UPRIGHT
+from tests.verify import planner_faults
 
 PASS = "PROC form_f1()"
 
@@ -309,6 +310,32 @@ def test_what_a_level_cannot_be_with_is_refused(
     with pytest.raises(TandemError) as error:
         planner.load(written(tmp_path, level, more.pop("mode", "dsif"), **more))
     assert any(what in issue.message for issue in error.value.issues)
+
+
+def _ever_deeper(data: dict[str, Any]) -> None:
+    """From the shift at which the level before ended on by 0.045 mm a millimetre, all around."""
+    points = [point for one in data["passes"] for ring in one["rings"] for point in ring]
+    place = np.array(points)[:, :3]
+    gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1)))
+    for point, way in zip(points, gone.tolist(), strict=True):
+        point[3] = 0.3 + 0.045 * way
+
+
+def test_a_wall_too_steep_below_the_level_before_is_no_level(tmp_path: Path) -> None:
+    """Within range and slope, but from where the level before ended the sheet would be torn."""
+    path = written(tmp_path, level_files.stated(1))
+    level_files.write(path)
+    file = tmp_path / "level.json"
+    file.write_text(files.edited(file.read_text(), _ever_deeper))
+    with pytest.raises(TandemError) as refused:
+        planner.plan(planner.load(path))
+    assert "forming.wall_angle" in {issue.code for issue in refused.value.issues}
+    with planner_faults.changed(planner_faults.CHECKS):
+        outcome = planner.plan(planner.load(path))
+    assert [rule.code for rule in outcome.proof.rules if rule.ran and not rule.passed] == ["verify.level"]
+    (issue,) = (one for one in outcome.issues if one.code == "verify.level")
+    assert "has a wall of" in issue.message
+    assert issue.value > issue.limit == pytest.approx(73.0)
 
 
 @pytest.mark.parametrize("number", [0, 3])
