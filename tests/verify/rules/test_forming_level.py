@@ -374,3 +374,15 @@ def test_a_level_that_cuts_its_corners_short_is_not_formed(
 
     monkeypatch.setattr(one_level, "lay", short)
     assert "verify.formed" in {rule.code for rule in pit(tmp_path).proof.rules if not rule.passed}
+
+
+def test_a_level_is_planned_and_proven_for_a_controller_of_the_other_brand(tmp_path: Path) -> None:
+    data = small_forming.problem("spif", force_n=500.0, tangent_deg=3, level=level_files.stated(1))
+    data["cell"]["arms"][0] |= {"robot": "kr10_r1100", "home_deg": [0, -110, 110, 0, 60, 0]}
+    data["cell"]["controller"] = {}
+    path = small_forming.write(tmp_path, data, small_forming.dish(around=180))
+    level_files.write(path)
+    outcome = planner.plan(planner.load(path))
+    assert outcome.verified, outcome.issues
+    assert {Path(name).suffix for name in outcome.programs} == {".src", ".dat"}
+    assert "Level 1 of the first pass alone" in "".join(outcome.programs.values())
