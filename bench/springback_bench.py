@@ -94,6 +94,8 @@ def _compensated(name: str) -> Iterator[dict[str, Any]]:
         written = _spent() - begin
         data = yaml.safe_load(path.read_text())
         data["operations"][0]["springback"] = {"file": "back.json"}
+        # below its first pass pyramid_steep is a degree steeper than its metal is known to stand
+        data["accept"] = sorted({*data.get("accept", ()), "forming.wall_angle"})
         path.write_text(yaml.safe_dump(data))
         begin = _spent()
         outcome = planner.plan(planner.load(path))

@@ -405,12 +405,12 @@ CODES: Final[dict[str, Code]] = {
     ),
     "verify.springback": Code(
         "tools go deeper than the part by another amount or on another way than the springback file says, "
-        "or what that says is wrong",
+        "what that says is wrong, or it makes walls too steep",
         remedy="write the file again (tandem springback PROBLEM --write FILE) and plan again",
     ),
     "verify.level": Code(
         "one level of a pass is not the one that the problem states, or deeper by another amount than its "
-        "file says, or that is of another job or beyond its limits",
+        "file says, or that is of another job, beyond its limits or makes walls too steep",
         remedy="write problem and file again (tandem next-loop OUT --problem FILE) and plan again",
     ),
     "verify.forming_feed": Code("a tool moves faster on the sheet than it may"),
@@ -462,7 +462,8 @@ CODES: Final[dict[str, Code]] = {
     "forming.inside_out": Code("faces of a part's mesh look to different sides", given=True),
     "forming.wall_angle": Code(
         "a wall is too steep to be formed, or too steep for one pass",
-        accepts="a pass forms a steeper wall than the metal is known to bear at once",
+        accepts="a pass, or its loops with their springback, form a steeper wall than the metal is known to "
+        "bear at once",
     ),
     "forming.support_radius": Code("the supporting tool's ball is larger than the part leaves room for"),
     "forming.gap": Code("between targets the gap of two tools cannot be kept as well as it should be"),

@@ -279,7 +279,7 @@ class FormingJob(Job[Forming]):
             return dataclasses.replace(found, exhibits={**found.exhibits, **shown})
         deeper = compensation.shifted(paths, given.ways)
         issues += [
-            *compensation.steeper(made, paths, given.ways, given.slope),
+            *compensation.steeper(made, paths, given.ways, given.slope, level),
             compensation.told(given.ways, given.file, None if level is None else level.number),
         ]
         issues += clamped_issues(made, deeper)

@@ -251,10 +251,7 @@ def pass_issues(
         angles = [steepest(one.vertices, one.faces) for one in mine]
         before = 0.0
         for one, angle in zip(mine, angles, strict=True):
-            if (
-                angle > limit + SAME_ANGLE
-                and angle - before > max(LARGEST_ANGLE_STEP, operation.angle_step_deg * DEG) + DEG
-            ):
+            if angle > stood(before, operation, metal):
                 auto = pass_angles(angles[-1], operation.model_copy(update={"passes": "auto"}), metal)
                 issues.append(_torn(one, angle, before, limit, auto))
             before = max(before, angle)
@@ -263,6 +260,13 @@ def pass_issues(
         if trial is not None:
             issues.append(dataclasses.replace(trial, field=f"feature {feature}"))
     return tuple(issues)
+
+
+def stood(before: float, operation: Forming, metal: SheetMetal) -> float:
+    """The steepest wall [rad] that a pass may have over a shape whose walls are ``before`` [rad], 0 for the
+    flat sheet."""
+    limit = metal.wall_angle_limit(operation.mode in SUPPORTED_MODES)
+    return max(limit + SAME_ANGLE, before + max(LARGEST_ANGLE_STEP, operation.angle_step_deg * DEG) + DEG)
 
 
 def _final(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float, male: bool) -> Pass:

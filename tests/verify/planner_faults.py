@@ -54,6 +54,7 @@ CHECKS: Final[Mapping[str, Change]] = {
         "forming.check:clamped_issues",
         "forming.check:of_die",
         "forming.check:shift_issues",
+        "forming.springback.compensation:steeper",
         "forming.two_point:holder_issues",
         "milling.check:check",
         "milling.flank_cut:check",

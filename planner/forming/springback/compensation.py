@@ -18,10 +18,14 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
+import shapely
 
 from planner.forming.contact import Pass, ToolPath
-from planner.forming.passes import SAME_ANGLE, SUPPORTED_MODES
+from planner.forming.level import heights
+from planner.forming.operation import Level
+from planner.forming.passes import stood
 from planner.forming.process_plan import Work
+from planner.forming.sheet_mechanics import steepest
 from planner.forming.springback.curves import PassSpringback
 from planner.forming.springback.forecast import along as springback_along
 from planner.forming.springback.forecast import require_mode as require_forecast
@@ -42,8 +46,14 @@ SAME_PLACE: Final = 0.1 * MM
 """Targets nearer than this [m] along the path are one."""
 OFF_WAY: Final = 0.05 * MM
 """A path is the one of a file where it is off it by no more [m]."""
-GROWING: Final = 0.8
-"""A shift grows as fast as it may by this share of its slope."""
+GROWING: Final = 0.9
+"""A shift still grows from 0 where it is this share of what its slope allows there, or more."""
+SPACING: Final = 1.0 * MM
+"""Places of a loop at which its wall is looked at are so far apart [m]."""
+AROUND: Final = 3.0 * MM
+"""Distance and height of the loop above are means over so much way [m] on either side."""
+LEAST_RISE: Final = 0.1
+"""Levels that go down by less than this share of a step are floors."""
 STEEPER: Final = 0.5 * DEG
 """Walls that get steeper by less [rad] are as they were."""
 
@@ -251,49 +261,96 @@ def refused(what: str, hint: str = AGAIN) -> TandemError:
 
 
 def steeper(
-    work: Work, laid: Sequence[tuple[Pass, ToolPath]], given: Sequence[Way], slope: float
+    work: Work,
+    laid: Sequence[tuple[Pass, ToolPath]],
+    given: Sequence[Way],
+    slope: float,
+    level: Level | None = None,
 ) -> Iterator[Issue]:
-    """Walls that the shifts make steeper than one pass may be (forming.wall_angle): from each loop to the
-    next, behind the way on which the shift grows from 0 by ``slope``."""
-    limit = work.sheet.metal.wall_angle_limit(work.operation.mode in SUPPORTED_MODES)
-    for (one, _), way in zip(laid, given, strict=True):
-        step = lengths(np.diff(way.point, axis=0))
-        grown = np.flatnonzero((step > 0.0) & (np.diff(way.shift) < GROWING * slope * step))
-        begun = int(way.loop[grown[0]]) + 1 if len(grown) else 0
-        worst, at, was = 0.0, np.zeros(3), 0.0
-        for k in range(begun, int(way.loop.max())):
-            here, ahead = np.flatnonzero(way.loop == k), np.flatnonzero(way.loop == k + 1)
-            if not len(here) or not len(ahead):
-                continue
-            away = lengths(way.point[here, None, :2] - way.point[None, ahead, :2])
-            next_ = ahead[away.argmin(axis=1)]
-            across = np.maximum(away.min(axis=1), 1e-9)
-            down = one.side * (way.point[here, 2] - way.point[next_, 2])
-            angle = np.arctan2(down + way.shift[next_] - way.shift[here], across)
-            before = np.arctan2(down, across)
-            apart = np.hypot(across, down)  # a last loop that is level lies on the one before in part
-            real = (angle - before > STEEPER) & (apart > 0.5 * float(np.median(apart)))
-            more = np.where(real & (before > STEEPER), angle, 0.0)
-            j = int(np.argmax(more))
-            if more[j] > worst:
-                worst, at, was = float(more[j]), way.point[here[j]], float(before[j])
-        if worst > limit + SAME_ANGLE:
-            x, y, z = at / MM
+    """Walls that the shifts make steeper than one pass may be (forming.wall_angle), to be accepted: from each
+    loop to the next, behind the way on which the shift grows from 0 by ``slope``; where one ``level`` is
+    formed alone, from where the level before ended to its own end."""
+    op, metal = work.operation, work.sheet.metal
+    for (one, path), way in zip(laid, given, strict=True):
+        earlier = [p for p in work.passes if p.feature == one.feature and p.number < one.number]
+        limit = stood(max((steepest(p.vertices, p.faces) for p in earlier), default=0.0), op, metal)
+        if level is None:
+            places, before, angle = _between_loops(one, way, slope)
+        else:
+            places, before, angle = _below(one, path, way, level, (op.stepdown_mm or 0.0) * MM)
+        over = np.where(angle - before > STEEPER, angle, 0.0)
+        k = int(np.argmax(over)) if len(over) else 0
+        if len(over) and over[k] > limit:
+            x, y, z = places[k] / MM
             what = (
                 f"pass {one.name}: with the tools deeper by what the sheet comes back by, its wall is "
-                f"{worst / DEG:.1f} deg at ({x:.1f}, {y:.1f}, {z:.1f}) mm, {was / DEG:.1f} deg without; "
-                f"{work.sheet.metal.title} is known to stand {limit / DEG:g} deg in one pass"
+                f"{over[k] / DEG:.1f} deg at ({x:.1f}, {y:.1f}, {z:.1f}) mm, {before[k] / DEG:.1f} deg "
+                f"without; {metal.title} is known to stand {limit / DEG:.1f} deg there in one pass"
             )
             yield Issue(
                 "forming.wall_angle",
                 what,
                 Severity.WARNING,
-                field="springback",
-                value=worst / DEG,
+                field="springback" if level is None else "level",
+                value=over[k] / DEG,
                 limit=limit / DEG,
                 unit="deg",
                 hint="hold the sheet nearer to the part, so that it comes back by less, or form more passes",
+                accepted=False,
             )
+
+
+def _between_loops(one: Pass, way: Way, slope: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Places (K, 3) [m] of a way, its walls (K,) [rad] from the loop before to there, and the same walls with
+    its shifts."""
+    gone = arc_length(way.point)
+    grows = (way.shift >= GROWING * slope * gone) & (gone > 0.0)
+    begun = float(gone[grows].max(initial=0.0))
+    points, tables = [], []
+    for k in range(int(way.loop.max())):
+        here, ahead = np.flatnonzero(way.loop == k), np.flatnonzero(way.loop == k + 1)
+        if len(here) < 2 or len(ahead) < 2:
+            continue
+        at = np.union1d(gone[ahead], np.arange(gone[ahead[0]], gone[ahead[-1]], SPACING))
+        place, shift = along(way.point, gone, at), np.interp(at, gone, way.shift)
+        line, plan = shapely.linestrings(way.point[here, :2]), arc_length(way.point[here, :2])
+        spot = shapely.points(place[:, :2])
+        on = shapely.line_locate_point(line, spot)
+        rise = one.side * (np.interp(on, plan, way.point[here, 2]) - place[:, 2])
+        more = shift - np.interp(on, plan, way.shift[here])
+        late = np.interp(on, plan, gone[here]) > begun
+        points.append(place[late])
+        tables.append(np.stack([at, shapely.distance(line, spot), rise, more], axis=1)[late])
+    if not points:
+        return np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+    place, height = np.concatenate(points), np.concatenate(tables)
+    apart = np.hypot(height[:, 1], height[:, 2])  # a last loop that is level lies on the one before in part
+    rows = np.flatnonzero(apart > 0.5 * float(np.median(apart))) if len(apart) else np.arange(0)
+    place, (at, away, rise, more) = place[rows], height[rows].T
+    # loops are polygons whose corners lie beside one another by chance
+    first, last = np.searchsorted(at, at - AROUND), np.searchsorted(at, at + AROUND, side="right")
+    total = np.cumsum(np.pad(np.stack([away, rise, more]), ((0, 0), (1, 0))), axis=1)
+    away, rise, more = (total[:, last] - total[:, first]) / (last - first)
+    return place, np.arctan2(rise, away), np.arctan2(rise + more, away)
+
+
+def _below(
+    one: Pass, path: ToolPath, way: Way, level: Level, step: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The same of a level that is formed alone, below the one above it: that ends at the shift with which
+    this one begins, and is deeper by the slope of the way from there at most, so its walls are as steep as
+    this says at least."""
+    none = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+    begin, end = heights(one, step, level.number)
+    gone = arc_length(way.point)
+    first = level.before_mm * MM
+    if begin <= 0.0 or end - begin < LEAST_RISE * step:
+        return none
+    if first > 0.0 and first >= GROWING * level.slope * gone[-1] * level.number:
+        return none  # it still grows from 0
+    before = np.interp(gone, arc_length(path.former), path.contact.angle)
+    more = np.maximum(way.shift - first - level.slope * (gone[-1] - gone), 0.0)
+    return way.point, before, np.arctan(np.tan(before) * (1.0 + more / (end - begin)))
 
 
 def told(given: Sequence[Way], file: str, level: int | None = None) -> Issue:

@@ -28,7 +28,7 @@ from planner.tooling import FormingTool
 MARKS = 4e-4
 """Marks on a way are so far apart [m] at most."""
 NEAREST_MARKS = 5
-"""Marks nearest to a place whose pieces of the way are looked at."""
+"""Marks nearest to a place whose pieces of the way are looked at, first."""
 AT_ONCE = 100_000
 """Places that are looked at once."""
 ROUNDING = 3e-8
@@ -322,14 +322,25 @@ class Deeper:
         return shift, off
 
     def _some(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        found = self._tree.query(places, k=min(NEAREST_MARKS, len(self._marks)))[1]
-        piece = self._owner[np.asarray(found).reshape(len(places), -1)]
+        shift, off = np.empty(len(places)), np.empty(len(places))
+        left, count = np.arange(len(places)), min(NEAREST_MARKS, len(self._marks))
+        while len(left):
+            apart, found = (
+                np.asarray(one).reshape(len(left), -1) for one in self._tree.query(places[left], k=count)
+            )
+            shift[left], off[left] = self._nearest(places[left], self._owner[found])
+            # where ways lie close to one another the nearest piece may have none of the nearest marks
+            more = apart[:, -1] < off[left] + 0.5 * MARKS
+            left = left[more] if count < len(self._marks) else left[:0]
+            count = min(2 * count, len(self._marks))
+        return shift, off
+
+    def _nearest(self, places: FloatArray, piece: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Shifts (N,) [m] at the nearest place on any of the pieces (N, M), and how far (N,) [m] that is."""
         rest = places[:, None] - self._start[piece]
         share = np.clip((rest * self._way[piece]).sum(axis=2) / self._square[piece], 0.0, 1.0)
         away = np.sqrt(((rest - share[..., None] * self._way[piece]) ** 2).sum(axis=2))
         best = away.argmin(axis=1)[:, None]
-        piece, share = (np.take_along_axis(one, best, axis=1)[:, 0] for one in (piece, share))
+        piece, share, away = (np.take_along_axis(one, best, axis=1)[:, 0] for one in (piece, share, away))
         value = self.way.shift
-        return value[piece] + share * (value[piece + 1] - value[piece]), np.take_along_axis(away, best, 1)[
-            :, 0
-        ]
+        return value[piece] + share * (value[piece + 1] - value[piece]), away

@@ -15,7 +15,7 @@ from planner.claims.forming import FormsLevel, FormsSheet
 from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
-from planner.verify.forming import springback_file
+from planner.verify.forming import loop_walls, springback_file
 from planner.verify.forming.level import OneLevel
 from planner.verify.forming.state import Formed, Forming
 
@@ -33,8 +33,8 @@ WAY_OFF = 1e-4
 @rule("verify.level", FormsLevel)
 def level(context: Context, forming: Forming) -> Outcome:
     """One level alone is formed, the one that the problem states, between its heights; tools are deeper by
-    what its file says, which is of this job and level, within the problem's limits and begins where the level
-    before ended."""
+    what its file says, which is of this job and level, within the problem's limits, begins where the level
+    before ended, and makes no wall steeper from there than the metal stands."""
     issues: list[Issue] = list(_claimed(context, forming))
     worst, limit, where = 0.0, None, ""
     for one in forming.levels:
@@ -46,7 +46,9 @@ def level(context: Context, forming: Forming) -> Outcome:
             continue
         if not found:
             off, beyond = _heights(context, one, made)
-            found = [*beyond, *_way(context, one, made)]
+            walls = loop_walls.of_level(made, one)
+            steep = loop_walls.too_steep(CODE, context, forming, made, walls)
+            found = [*beyond, *_way(context, one, made), *steep]
             if limit is None or off > worst:
                 worst, limit, where = off, mm(OFF_STEP * one.step), str(one.claim.segment)
         issues += found

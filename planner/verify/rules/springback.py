@@ -22,7 +22,7 @@ from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.tooling import FormingTool
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
-from planner.verify.forming import elastic, springback_bounds, springback_file
+from planner.verify.forming import elastic, loop_walls, springback_bounds, springback_file
 from planner.verify.forming.released import Told
 from planner.verify.forming.shapes import PartShapes
 from planner.verify.forming.springback_bounds import STEP, FilePass
@@ -77,8 +77,8 @@ MODES = frozenset({"spif", "dsif", "dpif_l", "heat"})
 @rule("verify.springback", ComesBack)
 def springback(context: Context, forming: Forming) -> Outcome:
     """Tools that go deeper than the part do so, both alike, as the problem's springback file says; that is of
-    this very job, within its limits, and an elastic sheet comes back by what it says, at places drawn by
-    lot."""
+    this very job, within its limits, makes no wall steeper than the metal stands, and an elastic sheet comes
+    back by what it says, at places drawn by lot."""
     issues: list[Issue] = list(_unclaimed(context, forming))
     worst, where = 0.0, ""
     for one in forming.told:
@@ -90,6 +90,7 @@ def springback(context: Context, forming: Forming) -> Outcome:
         found += _placed(one, passes)
         found += _along(one, passes) if not found else []
         found += _way(context, forming, one)
+        found += _steep(context, forming, one)
         issues += found
         if found:
             continue  # nothing of it is worth being worked out
@@ -345,6 +346,15 @@ def _way(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
             )
             measure = (mm(float(way.aside[k])), mm(WAY_OFF), "mm")
             yield at_sample(CODE, what, context.motion, claim.arm, int(way.rows[k]), measure)
+
+
+def _steep(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
+    """Whether walls between the replayed loops, which shifts make steeper, are such as the metal stands."""
+    slope = float(one.operation.springback.slope)
+    for made in forming.formed:
+        if made.setup != one.index or made.claim.segment not in one.claim.segments:
+            continue
+        yield from loop_walls.too_steep(CODE, context, forming, made, loop_walls.of_pass(made, slope))
 
 
 def _solved(

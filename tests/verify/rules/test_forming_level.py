@@ -27,6 +27,7 @@ from tests.forming import shapes
 from tests.forming.springback import level_files
 from tests.forming.springback import springback_files as files
 from tests.test_whole_forming import UPRIGHT
+from tests.verify import planner_faults
 
 PASS = "PROC form_f1()"
 
@@ -311,6 +312,32 @@ def test_what_a_level_cannot_be_with_is_refused(
     assert any(what in issue.message for issue in error.value.issues)
 
 
+def _ever_deeper(data: dict[str, Any]) -> None:
+    """From the shift at which the level before ended on by 0.045 mm a millimetre, all around."""
+    points = [point for one in data["passes"] for ring in one["rings"] for point in ring]
+    place = np.array(points)[:, :3]
+    gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1)))
+    for point, way in zip(points, gone.tolist(), strict=True):
+        point[3] = 0.3 + 0.045 * way
+
+
+def test_a_wall_too_steep_below_the_level_before_is_no_level(tmp_path: Path) -> None:
+    """Within range and slope, but from where the level before ended the sheet would be torn."""
+    path = written(tmp_path, level_files.stated(1))
+    level_files.write(path)
+    file = tmp_path / "level.json"
+    file.write_text(files.edited(file.read_text(), _ever_deeper))
+    with pytest.raises(TandemError) as refused:
+        planner.plan(planner.load(path))
+    assert "forming.wall_angle" in {issue.code for issue in refused.value.issues}
+    with planner_faults.changed(planner_faults.CHECKS):
+        outcome = planner.plan(planner.load(path))
+    assert [rule.code for rule in outcome.proof.rules if rule.ran and not rule.passed] == ["verify.level"]
+    (issue,) = (one for one in outcome.issues if one.code == "verify.level")
+    assert "has a wall of" in issue.message
+    assert issue.value > issue.limit == pytest.approx(73.0)
+
+
 @pytest.mark.parametrize("number", [0, 3])
 def test_the_first_and_the_last_level_are_proven(tmp_path: Path, number: int) -> None:
     path = written(tmp_path, level_files.stated(number, before_mm=0.0 if number == 0 else 0.4))
@@ -347,3 +374,15 @@ def test_a_level_that_cuts_its_corners_short_is_not_formed(
 
     monkeypatch.setattr(one_level, "lay", short)
     assert "verify.formed" in {rule.code for rule in pit(tmp_path).proof.rules if not rule.passed}
+
+
+def test_a_level_is_planned_and_proven_for_a_controller_of_the_other_brand(tmp_path: Path) -> None:
+    data = small_forming.problem("spif", force_n=500.0, tangent_deg=3, level=level_files.stated(1))
+    data["cell"]["arms"][0] |= {"robot": "kr10_r1100", "home_deg": [0, -110, 110, 0, 60, 0]}
+    data["cell"]["controller"] = {}
+    path = small_forming.write(tmp_path, data, small_forming.dish(around=180))
+    level_files.write(path)
+    outcome = planner.plan(planner.load(path))
+    assert outcome.verified, outcome.issues
+    assert {Path(name).suffix for name in outcome.programs} == {".src", ".dat"}
+    assert "Level 1 of the first pass alone" in "".join(outcome.programs.values())

@@ -366,6 +366,24 @@ def test_shifts_are_worked_out_once_more_anywhere(
         assert any("f1 at" in one.message and what in one.message for one in issues)
 
 
+def test_of_loops_that_lie_close_together_each_place_has_the_shift_of_its_own() -> None:
+    """A ball that just fits a fillet stays where it is from loop to loop, and only the shifts differ."""
+    turn = np.radians(np.arange(0.0, 24 * 360.0, 0.77))
+    loop = (turn // (2.0 * np.pi)).astype(np.int64)
+    drop = 0.01 * MM * turn / (2.0 * np.pi)
+    point = np.column_stack([20.0 * MM * np.cos(turn), 20.0 * MM * np.sin(turn), -0.2 * drop])
+    way = springback_file.Way(point, 1.0 * MM - 0.8 * drop, loop)
+    at = np.linspace(0.0, len(turn) - 1.0, 50_000)
+    place, shift = (
+        np.stack([np.interp(at, np.arange(len(turn)), row) for row in np.atleast_2d(rows)], axis=-1)
+        for rows in (point.T, way.shift)
+    )
+    place[:, 2] -= shift[:, 0]
+    found, off = springback_file.Deeper(way, 1).at(place)
+    assert off.max() < 1e-9
+    np.testing.assert_allclose(found, shift[:, 0], atol=1e-9)
+
+
 def test_a_way_out_that_presses_into_the_flat_sheet_is_found(context: Context) -> None:
     """Beside the end of the way no file says that the sheet gives way: tools are where they are."""
     out = dict(context.programs)
