@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator
+import shapely
 
 from planner.catalogue.materials import foam
 from planner.element.assembly import GIVE, Assembly, Body, rests_on
@@ -21,7 +21,7 @@ from planner.element.element_file import ElasticElement
 from planner.element.jobs import block_mm, chosen_templates, cut_minutes, ids, panel_files
 from planner.element.nest import PanelBlock
 from planner.element.nested_output import finished
-from planner.geometry.arrays import FloatArray, transform
+from planner.geometry.arrays import FloatArray, IntArray, transform
 from planner.geometry.assembly import NONE, Slab, bodies_beyond, put_up
 from planner.geometry.mesh import face_areas
 from planner.geometry.rulings import boundaries
@@ -43,8 +43,9 @@ OWNED: Final = (
 """What the folder of an element holds; anything else in it is left alone."""
 JOINT_SHARE: Final = 95.0
 """Percent of a joint's points that must be within the step that is allowed."""
-GRID: Final = 0.06
-"""Largest distance [m] of points by which the bodies of panels are drawn and put up."""
+GRID: Final = 0.0617
+"""Largest distance [m] of points by which the bodies of panels are drawn and put up; an odd number on
+purpose: no size is a multiple of it, so these points move no more than the surface does."""
 BESIDE: Final = 1e-5
 """How far [m] outside of a side the panel beyond is looked for."""
 INSIDE: Final = 1e-7
@@ -94,6 +95,24 @@ def assembly(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: S
     return Assembly(tuple(bodies), steps, up)
 
 
+def _over(flat: FloatArray, faces: IntArray, values: FloatArray, places: FloatArray) -> FloatArray:
+    """Values (V, K) of a mesh over the plane, with vertices ``flat`` (V, 2), at places (N, 2) in it: by its
+    own triangles, which stay the same where it moves a little."""
+    corners = flat[faces]
+    tree = shapely.STRtree(shapely.polygons(corners))
+    at, face = tree.query(shapely.points(places), predicate="intersects")
+    order = np.lexsort((face, at))
+    at, first = np.unique(at[order], return_index=True)
+    if len(at) < len(places):
+        raise ValueError("a panel does not lie over its rectangle")
+    face = face[order][first]
+    first_corner, one, two = corners[face].transpose(1, 0, 2)
+    sides = np.stack([one - first_corner, two - first_corner], axis=-1)
+    share = np.linalg.solve(sides, (places - first_corner)[..., None])
+    a, b, c = values[faces[face]].transpose(1, 0, 2)
+    return np.asarray(a + share[:, 0] * (b - a) + share[:, 1] * (c - a))
+
+
 def _whole(panel: ElasticPanel) -> Slab:
     """A panel with the faces that its wire leaves."""
     front, back = (transform(panel.pose, face.vertices) for face in (panel.front, panel.back))
@@ -113,7 +132,7 @@ def _grid(panel: ElasticPanel, bounds: FloatArray, x: FloatArray, y: FloatArray)
     places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
     front, back = (transform(panel.pose, face.vertices) for face in (panel.front, panel.back))
     inside = np.clip(places, bounds[::2] + INSIDE, bounds[1::2] - INSIDE)
-    points = LinearNDInterpolator(front[:, :2], np.concatenate([front[:, 2:], back], axis=1))(inside)
+    points = _over(front[:, :2], panel.front.faces, np.concatenate([front[:, 2:], back], axis=1), inside)
     number = np.arange(len(places)).reshape([len(one) for one in lines])
     a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]).reshape(-1, 3)
