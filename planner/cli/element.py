@@ -34,8 +34,8 @@ class ElementRequest:
     file: tyro.conf.Positional[Path]
     """the element file"""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
-    """folder for panels/, panels.csv, panels.svg, element.html, labels.svg, element.json, and where raw
-    blocks are stated blocks.csv, blocks.svg and stock.csv"""
+    """folder for panels/, panels.csv, panels.svg, element.html, element.obj, labels.svg, element.json, and
+    where raw blocks are stated blocks.csv, blocks.svg and stock.csv"""
 
 
 def run_element(request: ElementRequest) -> tuple[Issue, ...]:

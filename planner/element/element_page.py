@@ -11,11 +11,12 @@ from __future__ import annotations
 import base64
 import html
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from planner.element.assembly_page import assembly_section
 from planner.element.run_page import bars, cut_section, hours, joints_section, run_tiles
 from planner.element.run_report import MINUTE, ElementRun, PanelRun
 from planner.geometry.arrays import FloatArray
@@ -74,6 +75,7 @@ def element_page(found: ElementRun, blocks: str | None = None) -> str:
         words = f"Fronts at one scale, by {by}; up is up in the element where they lean."
         flat = Folded(f"{count} panels, by {by}", Drawing(_flat(found)))
         sections.append(Section("flat", "Panels laid flat", (Paragraph(words, "soft"), flat)))
+    sections.append(Section("assembly", "How it is put up", assembly_section(data, _colours(found))))
     sections.append(Section("told", "What was said of it", _told(data)))
     sections.append(Section("totals", "Totals", (Facts(tuple(_totals(found))), Paragraph(_BASIS, "soft"))))
     if found.planned:
@@ -96,6 +98,22 @@ _BASIS: Final = (
     "Hours to cut are the lengths of the cuts at the feeds of the jobs, for each arm that takes part. Ways "
     "in and out, loading and mounting come on top."
 )
+
+
+def _colours(found: ElementRun) -> Callable[[Mapping[str, Any]], str]:
+    """The colours of panels that stand: by their states where a batch is known, else by groups, if any."""
+    states = {panel.name: _state(panel) for panel in found.panels}
+
+    def fill(panel: Mapping[str, Any]) -> str:
+        if found.planned:
+            return {"proven": "--ok", "refused": "--bad", "open": "--c7"}[states[str(panel["id"])]]
+        return _group_colour(str(panel["id"])) if found.data.get("grouped") else "--c0"
+
+    return fill
+
+
+def _group_colour(name: str) -> str:
+    return f"--c{(ord(name[0]) - ord('A')) % _COLOURS}"
 
 
 def _key(found: ElementRun) -> str:
@@ -172,7 +190,7 @@ def _drawing(found: ElementRun) -> Drawing:
         dashed = ' stroke-dasharray="5 3"' if own.get("concave") == "yes" else ""
         fill = _FILL[_state(panel)]
         if found.data.get("grouped") and not found.planned:
-            fill = f"var(--c{(ord(panel.name[0]) - ord('A')) % _COLOURS})"
+            fill = f"var({_group_colour(panel.name)})"
             dashed += ' fill-opacity="0.3"'
         out.append(f"<g><title>{html.escape(said)}</title>{_polygon(ring, fill, dashed)}")
         if "wire_along" in own:

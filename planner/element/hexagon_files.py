@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from planner.element.assembly import Assembly, Body, rests_on, ring_slab
 from planner.element.element_file import HexagonElement, Template
 from planner.element.hexagons import HexagonPanel
 from planner.element.jobs import (
@@ -26,6 +27,7 @@ from planner.element.nested_output import finished
 from planner.element.output import table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
 from planner.geometry.arrays import FloatArray, transform, unit
+from planner.geometry.assembly import CLEAR, NONE, put_up
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 
@@ -39,15 +41,18 @@ def folder(
     element: HexagonElement, panels: tuple[HexagonPanel, ...]
 ) -> tuple[dict[str, str], tuple[Issue, ...]]:
     """All files by their names, and what is to be said: ``element.concave`` for panels with inner corners,
-    ``element.cut`` for cuts of raw blocks that no bow reaches.
+    ``element.assembly`` for panels without a way in, ``element.cut`` for cuts of raw blocks that no bow
+    reaches.
 
     Raises ``TandemError``: ``element.jobs``, ``element.raw_block``.
     """
     names = [panel.name for panel in panels]
     templates = chosen_templates(element, panels, names)
     own = [_panel_block(element, panel) for panel in panels]
+    up = assembly(panels)
     rows = [
-        row(element, panel, block, one.file) for panel, block, one in zip(panels, own, templates, strict=True)
+        {**row(element, panel, block, one.file), **columns}
+        for panel, block, one, columns in zip(panels, own, templates, up.columns(), strict=True)
     ]
     files = {}
     for panel, template in zip(panels, templates, strict=True):
@@ -55,8 +60,26 @@ def folder(
         files[f"panels/{panel.name}.yaml"] = problem_text(element, panel.name, made)
     files["panels.csv"] = table(rows)
     files["panels.svg"] = drawing(element, panels)
-    data = _data(element, panels, rows, templates)
-    return finished(element, files, data, own, _concave(panels))
+    files["element.obj"] = up.obj()
+    data = _data(element, panels, rows, templates, up)
+    return finished(element, files, data, own, (*_concave(panels), *up.issues(CLEAR)))
+
+
+def assembly(panels: tuple[HexagonPanel, ...]) -> Assembly:
+    """How a shell is put up: by rows, whatever its groups are. Sides are planes, so nothing may be in the
+    way."""
+    number = {panel.name: k for k, panel in enumerate(panels)}
+    bodies = []
+    for panel in panels:
+        front, back = (transform(panel.pose, ring) for ring in (panel.top, panel.bottom))
+        beyond = np.array([number.get(name, NONE) for name in panel.beyond])
+        slab = ring_slab(front, back, panel.top[:, :2], beyond)
+        bodies.append(Body(panel.name, slab, slab))
+    row = np.array([panel.row for panel in panels])
+    slabs = [body.whole for body in bodies]
+    rests = rests_on([slab.beyond for slab in slabs], row)
+    up = np.array([0.0, 0.0, 1.0])
+    return Assembly(tuple(bodies), put_up(slabs, row, rests, up, CLEAR), up)
 
 
 def _panel_block(element: HexagonElement, panel: HexagonPanel) -> PanelBlock:
@@ -120,6 +143,7 @@ def _data(
     panels: tuple[HexagonPanel, ...],
     rows: Sequence[dict[str, Any]],
     templates: Sequence[Template],
+    up: Assembly,
 ) -> dict[str, Any]:
     """The element as data: panels with the poses of their blocks in the frame of the surface's file (4, 4)
     [mm]; its totals."""
@@ -134,11 +158,13 @@ def _data(
         "name": element.file.name,
         "pose": np.eye(4).tolist(),
         "thickness_mm": element.file.thickness_mm,
+        "up": up.up.tolist(),
         "grouped": element.file.groups is not None,
         "volume_l": round(1e3 * sum(panel.volume for panel in panels), 3),
         "panels": [
             {
                 **one,
+                **stands,
                 "neighbours": [name or None for name in panel.beyond],
                 "on_ground": panel.level.tolist(),
                 "outline_mm": np.round(outline, 2).tolist(),
@@ -148,8 +174,8 @@ def _data(
                 "cut_min": cut_minutes(template, functools.partial(way, panel)),
                 "block_pose": pose_mm(panel.pose),
             }
-            for one, panel, outline, template in zip(
-                rows, panels, _outlines(element, panels), templates, strict=True
+            for one, panel, outline, template, stands in zip(
+                rows, panels, _outlines(element, panels), templates, up.data(), strict=True
             )
         ],
         "joints": list(_joints(panels)),

@@ -28,6 +28,7 @@ from planner.element.element_file import HexagonElement
 from planner.element.jobs import row_names
 from planner.element.panel_box import hull_boxes
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_parts, inverse, transform
+from planner.geometry.assembly import rows_up
 from planner.geometry.face_offset import ThickPanel
 from planner.geometry.guided_projection import LONGEST_WAY
 from planner.geometry.panel_pattern import RIM, PatternError
@@ -64,12 +65,13 @@ class HexagonPanel:
     along its box, y rather upwards, the origin in the middle of the bottom face.
 
     ``bottom``, ``top`` (C, 3) [m] in that frame; ``beyond``: ids of the panels beyond the sides, from corner
-    i to i + 1, empty on the rim; ``level`` (C,): sides on the ground. ``block``: the kind of block in the
-    file, ``size`` (3,) [m] of the piece of it. ``off`` [m]: front to surface; ``lean`` [rad] of the steepest
-    edge from face to face.
+    i to i + 1, empty on the rim; ``level`` (C,): sides on the ground. ``row``: of the shell, from 0;
+    ``block``: the kind of block in the file, ``size`` (3,) [m] of the piece of it. ``off`` [m]: front to
+    surface; ``lean`` [rad] of the steepest edge from face to face.
     """
 
     name: str
+    row: int
     block: int
     size: FloatArray
     pose: FloatArray
@@ -98,7 +100,8 @@ def divide_hexagons(element: HexagonElement) -> tuple[HexagonPanel, ...]:
     and helps, where one does.
     """
     made = _shell(element)
-    names, order = _named(element, made)
+    rows = _rows(made.panels)
+    names, order = _named(element, made, rows)
     issues = _faults(element, made, names)
     if not issues:
         placed = [_in_block(element, panel) for panel in made.panels]
@@ -108,7 +111,7 @@ def divide_hexagons(element: HexagonElement) -> tuple[HexagonPanel, ...]:
         raise TandemError(
             [dataclasses.replace(i, hint="; ".join(filter(None, (i.hint, hint)))) for i in issues]
         )
-    return tuple(_panel(made, placed, names, k) for k in order)
+    return tuple(_panel(made, placed, names, rows, k) for k in order)
 
 
 def _shell(element: HexagonElement) -> PanelShell:
@@ -131,14 +134,14 @@ def _shell(element: HexagonElement) -> PanelShell:
     return made
 
 
-def _named(element: HexagonElement, made: PanelShell) -> tuple[list[str], IntArray]:
-    """The id of each panel, and the panels in the order of their ids."""
+def _named(element: HexagonElement, made: PanelShell, rows: IntArray) -> tuple[list[str], IntArray]:
+    """The id of each panel, by the ``rows`` that they are in, and the panels in the order of their ids."""
     panels = made.panels
     middle = np.array([panel.top.mean(axis=0) for panel in panels])
     own = (middle - middle.mean(axis=0)) @ element.view
     lies = abs(float(element.view[2, 2])) > np.cos(45.0 * DEG)
     along = (np.arctan2(own[:, 1], own[:, 0]) - FIRST) % (2.0 * np.pi) if lies else own[:, 0]
-    letter = by = rows = _rows(panels)
+    letter = by = rows
     if (groups := element.file.groups) is not None:
         letter = np.argsort(np.argsort(along)) * groups.parts // len(panels)
         if groups.numbering == "height":
@@ -169,18 +172,8 @@ def _rows(panels: Sequence[ThickPanel]) -> IntArray:
     lowest = np.array([panel.top[:, 2].min() for panel in panels])
     flat = [shapely.Polygon(panel.top @ _across(panel.normal)).area for panel in panels]
     first = np.array([panel.level.any() for panel in panels])
-    rows = np.zeros(len(panels), dtype=np.int64)  # 0: in none yet
     low = rim & (lowest < lowest[rim].min() + LOW * np.sqrt(np.mean(flat)))
-    now = np.flatnonzero(first if first.any() else low)
-    for row in range(1, len(panels) + 1):
-        rows[now] = row
-        if (rows > 0).all():
-            break
-        near = np.concatenate([panels[k].across for k in now.tolist()])
-        now = np.unique(near[(near != RIM) & (rows[near] == 0)])
-        if not len(now):  # pieces that hang together by a corner alone
-            now = np.array([int(np.argmin(np.where(rows == 0, lowest, np.inf)))])
-    return rows - 1
+    return rows_up([panel.across for panel in panels], first if first.any() else low, lowest)
 
 
 def _across(normal: FloatArray) -> FloatArray:
@@ -229,13 +222,16 @@ def _in_block(element: HexagonElement, panel: ThickPanel) -> _Placed:
     return _Placed(found, np.array([*size[best], thick]), from_parts(axes, origin))
 
 
-def _panel(made: PanelShell, placed: Sequence[_Placed], names: Sequence[str], k: int) -> HexagonPanel:
+def _panel(
+    made: PanelShell, placed: Sequence[_Placed], names: Sequence[str], rows: IntArray, k: int
+) -> HexagonPanel:
     panel, own, check = made.panels[k], placed[k], made.check
     bottom, top = (transform(inverse(own.pose), ring) for ring in (panel.bottom, panel.top))
     # planes within a billionth of a metre are these two
     bottom[:, 2], top[:, 2] = 0.0, own.size[2]
     return HexagonPanel(
         names[k],
+        int(rows[k]),
         0 if own.block is None else own.block,
         own.size,
         own.pose,

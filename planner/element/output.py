@@ -4,6 +4,7 @@ data."""
 from __future__ import annotations
 
 import csv
+import dataclasses
 import functools
 import io
 import itertools
@@ -11,20 +12,26 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+import shapely
 
 from planner.catalogue.materials import foam
+from planner.element.assembly import GIVE, Assembly, Body, rests_on
 from planner.element.elastic import ElasticPanel, Joint, joints
 from planner.element.element_file import ElasticElement
 from planner.element.jobs import block_mm, chosen_templates, cut_minutes, ids, panel_files
 from planner.element.nest import PanelBlock
 from planner.element.nested_output import finished
+from planner.geometry.arrays import FloatArray, IntArray, transform
+from planner.geometry.assembly import NONE, Slab, bodies_beyond, put_up
 from planner.geometry.mesh import face_areas
+from planner.geometry.rulings import boundaries
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity
 
 OWNED: Final = (
     "element.json",
     "element.html",
+    "element.obj",
     "labels.svg",
     "panels",
     "panels.csv",
@@ -36,6 +43,13 @@ OWNED: Final = (
 """What the folder of an element holds; anything else in it is left alone."""
 JOINT_SHARE: Final = 95.0
 """Percent of a joint's points that must be within the step that is allowed."""
+GRID: Final = 0.0617
+"""Largest distance [m] of points by which the bodies of panels are drawn and put up; an odd number on
+purpose: no size is a multiple of it, so these points move no more than the surface does."""
+BESIDE: Final = 1e-5
+"""How far [m] outside of a side the panel beyond is looked for."""
+INSIDE: Final = 1e-7
+"""Points on the rim are looked for this far [m] inside of it."""
 _PAGE: Final = 1200.0  # width of the drawing [px]
 
 
@@ -43,8 +57,8 @@ def folder(
     element: ElasticElement, panels: tuple[ElasticPanel, ...]
 ) -> tuple[dict[str, str], tuple[Issue, ...]]:
     """All files by their names, and what is to be said: ``element.held`` for panels in whose shapes no wire
-    is safe, ``element.joint`` for joints beyond the step asked, ``element.cut`` for cuts that no bow
-    reaches.
+    is safe, ``element.joint`` for joints beyond the step asked, ``element.assembly`` for panels without a way
+    in, ``element.cut`` for cuts that no bow reaches.
 
     Raises ``TandemError``: ``element.jobs``, ``element.raw_block``.
     """
@@ -52,12 +66,78 @@ def folder(
     met = joints(panels)
     files = panel_files(element, panels, names)
     own = _panel_blocks(element, panels, names)
-    rows = [_row(element, panel, block) for panel, block in zip(panels, own, strict=True)]
+    up = assembly(element, panels, names)
+    rows = [
+        {**_row(element, panel, block), **columns}
+        for panel, block, columns in zip(panels, own, up.columns(), strict=True)
+    ]
     files["panels.csv"] = table(rows)
     files["panels.svg"] = drawing(element, panels, names)
-    data = _data(element, panels, names, met, rows)
-    issues = (*_unsteady(element, panels, names), *_told(element, names, met))
+    files["element.obj"] = up.obj()
+    data = _data(element, panels, names, met, rows, up)
+    issues = (*_unsteady(element, panels, names), *_told(element, names, met), *up.issues(GIVE))
     return finished(element, files, data, own, issues)
+
+
+def assembly(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: Sequence[str]) -> Assembly:
+    """How a free-form element is put up: by its lines, from below in the drawing; a panel rests on those on
+    the line where it begins."""
+    bounds = np.array([np.concatenate(_bounds(element, panel)) for panel in panels]) * MM
+    x, y = np.unique(bounds[:, :2]), np.unique(bounds[:, 2:])
+    grids = [_grid(panel, own, x, y) for panel, own in zip(panels, bounds, strict=True)]
+    beyond = bodies_beyond([grid.front[grid.rim, :2] for grid in grids], BESIDE)
+    slabs = [dataclasses.replace(grid, beyond=one) for grid, one in zip(grids, beyond, strict=True)]
+    begins = np.unique(bounds[:, 2], return_inverse=True)[1]
+    rests = [one[bounds[one, 3] < bounds[k, 2] + BESIDE] for k, one in enumerate(rests_on(beyond, begins))]
+    up = np.array([0.0, 1.0, 0.0])
+    steps = put_up(slabs, np.arange(len(panels)), rests, up, GIVE)
+    bodies = (Body(n, _whole(p), s) for n, p, s in zip(names, panels, slabs, strict=True))
+    return Assembly(tuple(bodies), steps, up)
+
+
+def _over(flat: FloatArray, faces: IntArray, values: FloatArray, places: FloatArray) -> FloatArray:
+    """Values (V, K) of a mesh over the plane, with vertices ``flat`` (V, 2), at places (N, 2) in it: by its
+    own triangles, which stay the same where it moves a little."""
+    corners = flat[faces]
+    tree = shapely.STRtree(shapely.polygons(corners))
+    at, face = tree.query(shapely.points(places), predicate="intersects")
+    order = np.lexsort((face, at))
+    at, first = np.unique(at[order], return_index=True)
+    if len(at) < len(places):
+        raise ValueError("a panel does not lie over its rectangle")
+    face = face[order][first]
+    first_corner, one, two = corners[face].transpose(1, 0, 2)
+    sides = np.stack([one - first_corner, two - first_corner], axis=-1)
+    share = np.linalg.solve(sides, (places - first_corner)[..., None])
+    a, b, c = values[faces[face]].transpose(1, 0, 2)
+    return np.asarray(a + share[:, 0] * (b - a) + share[:, 1] * (c - a))
+
+
+def _whole(panel: ElasticPanel) -> Slab:
+    """A panel with the faces that its wire leaves."""
+    front, back = (transform(panel.pose, face.vertices) for face in (panel.front, panel.back))
+    rim = boundaries(panel.front)[0]
+    return Slab(front, back, panel.front.faces, rim, np.full(len(rim), NONE))
+
+
+def _grid(panel: ElasticPanel, bounds: FloatArray, x: FloatArray, y: FloatArray) -> Slab:
+    """A panel over x0, x1, y0, y1 of the element's plane [m], its faces between points on a grid, with lines
+    at those of ``x`` and ``y`` on which others begin or end."""
+    lines = []
+    for (low, high), cuts in zip(bounds.reshape(2, 2).tolist(), (x, y), strict=True):
+        even = np.linspace(low, high, int(np.ceil((high - low) / GRID)) + 1)
+        cuts = cuts[(cuts > low + BESIDE) & (cuts < high - BESIDE)]
+        even = even[np.abs(even[:, None] - cuts).min(axis=1, initial=np.inf) > 0.1 * GRID]
+        lines.append(np.union1d(even, cuts))
+    places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    front, back = (transform(panel.pose, face.vertices) for face in (panel.front, panel.back))
+    inside = np.clip(places, bounds[::2] + INSIDE, bounds[1::2] - INSIDE)
+    points = _over(front[:, :2], panel.front.faces, np.concatenate([front[:, 2:], back], axis=1), inside)
+    number = np.arange(len(places)).reshape([len(one) for one in lines])
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]).reshape(-1, 3)
+    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
+    return Slab(np.concatenate([places, points[:, :1]], axis=1), points[:, 1:], faces, rim, rim)
 
 
 def _panel_blocks(
@@ -158,6 +238,7 @@ def _data(
     names: tuple[str, ...],
     met: tuple[Joint, ...],
     rows: list[dict[str, Any]],
+    up: Assembly,
 ) -> dict[str, Any]:
     """The element as data; poses are (4, 4) in mm, of the element in the surface's file and of blocks in the
     element."""
@@ -192,19 +273,23 @@ def _data(
         "name": element.file.name,
         "pose": pose(element.surface.pose),
         "size_mm": [round(float(v) / MM, 3) for v in element.surface.size],
+        "up": up.up.tolist(),
         "cells": list(element.cells),
         "tolerance_mm": element.wanted.tolerance_mm,
         "joint_mm": element.wanted.joint_mm,
         "panels": [
             {
                 **row,
+                **stands,
                 "cells": list(panel.rectangle),
                 "neighbours": beyond,
                 "outline_mm": np.round(np.array(ring) * step, 2).tolist(),
                 "cut_min": cut_minutes(template, functools.partial(way, panel)),
                 "block_pose": pose(panel.pose),
             }
-            for row, panel, template, (ring, beyond) in zip(rows, panels, templates, around, strict=True)
+            for row, panel, template, (ring, beyond), stands in zip(
+                rows, panels, templates, around, up.data(), strict=True
+            )
         ],
         "joints": steps,
     }

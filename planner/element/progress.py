@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from planner.element import stock_list
+from planner.element.assembly import in_order
 from planner.element.output import table
 from planner.element.stock_list import LeftOver
 from planner.files import is_file, no_file
@@ -123,11 +124,12 @@ def told(found: Progress, out: Path) -> Iterator[str]:
         f"{count['broken']} broken, {len(left)} to be cut"
     )
     yield from _next_cut(found, left)
-    waiting = next((name for name in names if found.state(name) != "glued"), None)
+    order = [str(panel["id"]) for panel in in_order(found.data)]
+    waiting = next((k for k, name in enumerate(order) if found.state(name) != "glued"), None)
     if waiting is not None:
-        state = found.state(waiting)
+        state = found.state(order[waiting])
         ready = "it is cut" if state == "cut" else f"it is {state or 'not cut yet'}"
-        yield f"next to be glued, by ids: {waiting}; {ready}"
+        yield f"next to be glued: {order[waiting]}, {waiting + 1} of {len(order)} in order; {ready}"
     yield from _again(found, out)
 
 

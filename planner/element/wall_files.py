@@ -3,12 +3,16 @@ panels, and all as data."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+import shapely
 
+from planner.element.assembly import GIVE, SHOWN, Assembly, Body, rests_on, ring_slab, thinned
 from planner.element.element_file import WallElement
+from planner.element.hexagons import LOW
 from planner.element.jobs import (
     block_mm,
     chosen_templates,
@@ -23,6 +27,8 @@ from planner.element.nested_output import finished
 from planner.element.output import outline, table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
 from planner.element.wall_panels import WallPanel, numbers
+from planner.element.wall_panels import outline as outline_of
+from planner.geometry.assembly import NONE, Step, bodies_beyond, put_up, rows_up
 from planner.geometry.units import MM
 from planner.issues import Issue
 
@@ -30,11 +36,15 @@ TURN: Final = np.array([[0.0, 1.0], [-1.0, 0.0]])
 """Places (u, t) of a wall as seen from the front: its rulings from right to left, u up."""
 SHADED: Final = 1.0
 """A back that is so far off [mm] is drawn darkest."""
+NEAR: Final = 2e-4
+"""How far outlines may be off [m] as the way in is looked for."""
+BESIDE: Final = 1e-5
+"""How far [m] outside of a side the panel beyond is looked for."""
 
 
 def folder(element: WallElement, panels: tuple[WallPanel, ...]) -> tuple[dict[str, str], tuple[Issue, ...]]:
-    """All files by their names, and what is to be said: ``element.cut`` for cuts of raw blocks that no bow
-    reaches.
+    """All files by their names, and what is to be said: ``element.assembly`` for panels without a way in,
+    ``element.cut`` for cuts of raw blocks that no bow reaches.
 
     Raises ``TandemError``: ``element.jobs``, ``element.raw_block``.
     """
@@ -44,28 +54,70 @@ def folder(element: WallElement, panels: tuple[WallPanel, ...]) -> tuple[dict[st
     flat = [(1.0 - p.piece.across[1], 1.0 - p.piece.across[0], *p.piece.along) for p in panels]
     scale = np.array([float(element.wall.widths.max()), 1.0]) / MM
     files, rows, data, blocks = {}, [], [], []
+    up = assembly(element, panels, names)
+    columns, stands = up.columns(), up.data()
     for k, (panel, name, place, template) in enumerate(zip(panels, names, places, templates, strict=True)):
         made = problem(element, panel, name, template, _part(panel))
         files[f"panels/{name}.yaml"] = problem_text(element, name, made)
         ring, beyond = outline(flat, names, k)
         blocks.append(panel_block(element, panel, name))
-        row = _row(element, panel, blocks[-1], place, template.file)
+        row = {**_row(element, panel, blocks[-1], place, template.file), **columns[k]}
         rows.append({**row, "neighbours": " ".join(dict.fromkeys(one for one in beyond if one))})
-        way = panel.piece.way_in
-        came = {} if way is None else {"way_in": [round(v, 9) + 0.0 for v in (-way).tolist()]}
         laid = {"neighbours": beyond, "outline_mm": np.round(np.array(ring) * scale, 2).tolist()}
-        data.append({**row, **laid, **came, "block_pose": pose_mm(panel.pose)})
+        data.append({**row, **laid, **stands[k], "block_pose": pose_mm(panel.pose)})
     files["panels.csv"] = table(rows)
     files["panels.svg"] = _drawing(element, panels, names)
+    files["element.obj"] = up.obj()
     whole = {
         "element": 1,
         "name": element.file.name,
         "pose": np.eye(4).tolist(),
+        "up": up.up.tolist(),
         "thickness_mm": element.file.thickness_mm,
         "volume_l": round(1e3 * sum(panel.volume for panel in panels), 3),
         "panels": data,
     }
-    return finished(element, files, whole, blocks)
+    told = () if any(panel.piece.way_in is not None for panel in panels) else up.issues(GIVE)
+    return finished(element, files, whole, blocks, told)
+
+
+def assembly(element: WallElement, panels: Sequence[WallPanel], names: Sequence[str]) -> Assembly:
+    """How a wall is put up. Puzzle pieces follow their places, as their sides are made for; others go up in
+    rows from what of the rim is low."""
+    wall, thickness = element.wall, element.file.thickness_mm * MM
+    cuts = np.unique([panel.piece.along for panel in panels])
+    rings, plans = [], []
+    for panel in panels:
+        piece = panel.piece
+        if piece.way_in is None:  # with the corners of panels beside it
+            part = piece.outline[piece.outline[:, 1] == piece.across[0], 0]
+            part = np.union1d(part, cuts[(cuts > part[0]) & (cuts < part[-1])])
+            sides = [np.stack([part, np.full(len(part), t)], axis=1) for t in piece.across]
+            places = np.concatenate([sides[0], sides[1][::-1]])
+            piece = dataclasses.replace(piece, outline=places, leads=wall.normals(*places.T))
+        plan = piece.outline * [1.0, float(wall.widths.mean())]
+        way = 1 if shapely.is_ccw(shapely.LinearRing(plan)) else -1
+        rings.append([ring[::way] for ring in outline_of(wall, piece, thickness)])
+        plans.append(plan[::way])
+    beyond = bodies_beyond(plans, BESIDE)
+    bodies = []
+    for name, (front, back), plan, one in zip(names, rings, plans, beyond, strict=True):
+        slab = ring_slab(front, back, plan, one)
+        bodies.append(Body(name, slab, thinned(slab, plan, SHOWN)))
+    pieces, up = [panel.piece for panel in panels], np.array([0.0, 0.0, 1.0])
+    order = sorted(range(len(panels)), key=lambda k: pieces[k].place)
+    ways = [(k, pieces[k].way_in) for k in order]
+    given = tuple(Step(k, -way, pieces[k].jam) for k, way in ways if way is not None)
+    if len(given) == len(panels):
+        return Assembly(tuple(bodies), given, up)
+    slabs = [thinned(body.whole, plan, NEAR) for body, plan in zip(bodies, plans, strict=True)]
+    low = np.array([slab.mesh[0][:, 2].min() for slab in slabs])
+    rim = np.array([(one == NONE).any() for one in beyond])
+    size = np.mean([float(np.sqrt(panel.box[:2].prod())) for panel in panels])
+    row = rows_up(beyond, rim & (low < low.min() + LOW * size), low)
+    rank = np.empty(len(panels), dtype=np.int64)
+    rank[sorted(range(len(panels)), key=lambda k: (int(row[k]), pieces[k].place))] = range(len(panels))
+    return Assembly(tuple(bodies), put_up(slabs, rank, rests_on(beyond, row), up, GIVE), up)
 
 
 def panel_block(element: WallElement, panel: WallPanel, name: str) -> PanelBlock:
@@ -112,7 +164,6 @@ def _row(
         "volume_l": round(1e3 * panel.volume, 4),
         "weight_kg": weight_kg(own),
         "off_surface_mm": round(panel.off / MM, 3),
-        "jam_mm": "" if piece.way_in is None else round(piece.jam / MM, 3),
         "job": template,
     }
 

@@ -35,6 +35,7 @@ from planner.batch.workers import Workers
 from planner.catalogue.robots import data_dir
 from planner.files import is_file
 from planner.issues import Issue, TandemError, has_errors
+from planner.report import view3d
 from planner.service import routes
 from planner.service.routes import REFUSALS, REQUESTS, Caller, Here
 from planner.service.runner import Team
@@ -224,7 +225,9 @@ def job(job: str, here: Here) -> HTMLResponse:
 @page_router.get("/ui/static/{name:path}")
 def static(name: str) -> Response:
     """Styles and scripts of this version."""
-    path = STATIC / name
+    path = next(
+        (folder / name for folder in (STATIC, view3d.FOLDER) if (folder / name).is_file()), STATIC / name
+    )
     kind = TYPES.get(path.suffix)
     if kind is None or ".." in name or not path.is_file():
         raise _unknown(f"/ui/static/{name}")

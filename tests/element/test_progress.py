@@ -66,7 +66,9 @@ def test_marks_are_kept_once_and_stay_where_the_element_is_divided_again(file: P
     assert rows_of(out)[0]["state"] == "glued"
 
 
-def test_the_next_panel_is_one_of_the_block_that_is_begun_and_the_next_to_glue_by_rows(out: Path) -> None:
+def test_the_next_panel_is_one_of_the_block_that_is_begun_and_the_next_to_glue_by_the_order(
+    out: Path,
+) -> None:
     data = data_of(out)
     blocks = [[one["id"] for one in block["panels"]] for block in data["blocks"]["blocks"]]
     assert f"next to be cut: {blocks[0][0]}" in lines(out)
@@ -75,10 +77,11 @@ def test_the_next_panel_is_one_of_the_block_that_is_begun_and_the_next_to_glue_b
     for name in blocks[2]:
         mark(out, name, "cut")
     assert f"next to be cut: {blocks[0][0]}" in lines(out)
-    first, second = (panel["id"] for panel in data["panels"][:2])
-    assert f"next to be glued, by ids: {first}" in lines(out)
+    order = sorted(data["panels"], key=lambda panel: int(panel["order"]))
+    first, second = (panel["id"] for panel in order[:2])
+    assert f"next to be glued: {first}, 1 of" in lines(out)
     mark(out, first, "glued")
-    assert f"next to be glued, by ids: {second}; it is" in lines(out)
+    assert f"next to be glued: {second}, 2 of" in lines(out)
     for panel in data["panels"]:
         mark(out, panel["id"], "glued")
     assert "next" not in lines(out)

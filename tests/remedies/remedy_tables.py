@@ -99,6 +99,10 @@ ELSEWHERE: Final = {
         "element/test_hexagons",
         "test_panels_beyond_a_limit_are_named_with_a_change_that_helps",
     ),
+    "element.assembly": (
+        "element/test_assembly",
+        "test_panels_without_a_way_in_are_named_and_what_is_advised_opens_one",
+    ),
     "element.concave": (
         "element/test_hexagons",
         "test_concave_panels_are_named_all_and_none_else",

@@ -13,6 +13,7 @@ import pytest
 
 from planner import pipeline
 from planner.geometry.arrays import Mesh
+from planner.report import view3d
 from planner.service import app
 from planner.service.app import PAGE_FOLDER, STATIC
 from planner.service.upload_reader import path_bars, shapes, thinned
@@ -67,7 +68,7 @@ def test_pages_run_their_own_files_alone(here: InProcess, path: str) -> None:
 
 
 def test_scripts_make_no_markup_of_text_and_fetch_nothing_from_elsewhere() -> None:
-    for path in STATIC.glob("*.js"):
+    for path in (*STATIC.glob("*.js"), *view3d.FOLDER.glob("*.js")):
         text = path.read_text("utf-8")
         for word in (
             "innerHTML",
@@ -81,7 +82,8 @@ def test_scripts_make_no_markup_of_text_and_fetch_nothing_from_elsewhere() -> No
         urls = set(re.findall(r"https?://[^\"'` ]+", text)) - {"http://www.w3.org/2000/svg"}
         assert not urls, f"{path.name}: {urls}"
         for name in re.findall(r'from "(\./[^"]+)"', text):
-            assert (STATIC / name).is_file(), f"{path.name}: {name}"
+            found = [folder for folder in (STATIC, view3d.FOLDER) if (folder / name).is_file()]
+            assert len(found) == 1, f"{path.name}: {name}"
 
 
 def test_vendored_scripts_have_their_licence_beside_them() -> None:
@@ -206,6 +208,6 @@ def test_templates_styles_and_scripts_travel_in_the_wheel(tmp_path: Path) -> Non
     (made,) = builder.WheelBuilder(str(REPOSITORY)).build(directory=str(tmp_path), versions=["standard"])
     with zipfile.ZipFile(made) as wheel:
         inside = set(wheel.namelist())
-    for path in (*(PAGE_FOLDER / "templates").iterdir(), *STATIC.rglob("*")):
+    for path in (*(PAGE_FOLDER / "templates").iterdir(), *STATIC.rglob("*"), *view3d.FOLDER.glob("*.js")):
         if path.is_file():
             assert path.relative_to(REPOSITORY).as_posix() in inside
