@@ -159,6 +159,10 @@ def into_the_middle(texts: Mapping[str, str], task: str, way: str, z: float) -> 
     return out
 
 
+def test_tools_of_an_honest_plan_are_not_pushed_through_the_sheet(context: Context) -> None:
+    assert forming_tool.sheet(context, Forming(context)).issues == ()
+
+
 @pytest.mark.parametrize(
     ("arm", "way", "z"), [(0, "form_f1_in", 1.0), (0, "form_f1_out", 1.0), (1, "form_f1_in", 8.0)]
 )
@@ -166,8 +170,6 @@ def test_tools_on_their_ways_are_not_pushed_through_the_sheet(
     outcome: Outcome, arm: int, way: str, z: float
 ) -> None:
     """In the middle the sheet is where the level before has left it, whatever it is to become."""
-    honest = context_of(outcome)
-    assert forming_tool.sheet(honest, Forming(honest)).issues == ()
     bad = context_of(outcome, into_the_middle(outcome.programs, tasks(outcome)[arm], way, z))
     found = [issue.message for issue in forming_tool.sheet(bad, Forming(bad)).issues]
     assert any("deeper than the sheet is formed by then" in what for what in found), found
