@@ -34,7 +34,7 @@ PASS = "PROC form_f1()"
 def written(folder: Path, level: dict[str, Any], mode: str = "dsif", **more: Any) -> Path:
     data = small_forming.problem(mode, force_n=500.0, tangent_deg=3, level=level, **more)
     data["sheet"]["place"] = UPRIGHT
-    return small_forming.write(folder, data, small_forming.dish(around=180))
+    return small_forming.write(folder, data, small_forming.dish(around=120))
 
 
 @pytest.fixture(scope="module")
