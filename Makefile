@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# Tests start some hundred processes, each of which would compile the planner anew: more than a second each.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-long bench lint clean
 

@@ -40,12 +40,12 @@ def planned(folder: Path, mode: str, part: Mesh | None = None, **operation: Any)
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
-    return planned(tmp_path_factory.mktemp("spif"), "spif")
+    return planned(tmp_path_factory.mktemp("spif"), "spif", small_forming.dish(around=120))
 
 
 @pytest.fixture(scope="module")
 def together(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
-    return planned(tmp_path_factory.mktemp("dsif"), "dsif", tangent_deg=3)
+    return planned(tmp_path_factory.mktemp("dsif"), "dsif", small_forming.dish(around=120), tangent_deg=3)
 
 
 def centres(outcome: Outcome, arm: str, segment: str) -> np.ndarray:

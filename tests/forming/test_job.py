@@ -185,7 +185,7 @@ def test_the_ball_is_on_the_mesh_and_never_in_it(tmp_path: Path, kind: str) -> N
 @pytest.mark.parametrize("up", [False, True], ids=["down", "up"])
 @pytest.mark.parametrize("squeeze", [1.0, 0.9])
 def test_the_gap_is_the_sheet_by_the_sine_law(tmp_path: Path, up: bool, squeeze: float) -> None:
-    part = shapes.revolved([(0.045, 0.0), (0.03, 0.0), (0.012, -0.018), (0.0, -0.018)], 240)  # 45 deg
+    part = shapes.revolved([(0.045, 0.0), (0.03, 0.0), (0.012, -0.018), (0.0, -0.018)], 120)  # 45 deg
     found = problem(tmp_path, "dsif", upside_down(part) if up else part, squeeze=squeeze)
     targets = processes.job(found, 0).targets()
     left, right = (centres(targets, arm, "form/f1") for arm in ("left", "right"))
@@ -201,7 +201,7 @@ def test_the_gap_is_the_sheet_by_the_sine_law(tmp_path: Path, up: bool, squeeze:
 
 
 def test_a_shifted_support_keeps_its_distance_and_turns_toward_the_vertical(tmp_path: Path) -> None:
-    part = shapes.cone(45.0, 0.018, 0.03, 240)
+    part = shapes.cone(45.0, 0.018, 0.03, 120)
     for shift in (20.0, 45.0):
         found = problem(tmp_path, "dpif_l", part, shift_deg=shift, stepdown_mm=3)
         targets = processes.job(found, 0).targets()
@@ -219,7 +219,7 @@ def test_a_support_too_large_for_a_bend_is_told_with_the_largest_that_fits(tmp_p
     bend[:, 1] -= bend[0, 1] + 0.017 * np.tan(turn[0])
     foot = bend[-1, 0] - (0.02 + bend[-1, 1]) / np.tan(turn[-1])
     bent = [(0.055, 0.0), (0.045, 0.0), *map(tuple, bend), (foot, -0.02), (0.0, -0.02)]
-    part = shapes.revolved(bent, 240)
+    part = shapes.revolved(bent, 120)
     (told,) = {
         issue
         for issue in processes.job(problem(tmp_path, "dsif", part), 0).targets().issues

@@ -232,20 +232,23 @@ def _forget() -> None:
 # ---- running a job ----
 
 
-def run(job: str, folder: Path, changes: Mapping[str, Change]) -> Verdict:
-    """A job's plan, programs and proof while ``changes`` are in force and the planner's checks are off."""
+def run(job: str, folder: Path, changes: Mapping[str, Change], first_error: bool = False) -> Verdict:
+    """A job's plan, programs and proof while ``changes`` are in force and the planner's checks are off.
+    ``first_error``: the proof stops at the first rule that is broken, by which it does not hold."""
     modules()
     path = JOBS[job](folder)
     with changed({**CHECKS, **changes}):
-        return _planned(path)
+        return _planned(path, first_error)
 
 
-def _planned(path: Path) -> Verdict:
+def _planned(path: Path, first_error: bool) -> Verdict:
     written: dict[str, str] = {}
     own = prove.prove
 
     def watched(problem: Problem, claims: Any, programs: Mapping[str, str], *begin: Any) -> Proof:
         written.update(programs)
+        if first_error:
+            return prove.Prover(problem, claims, *begin).prove(programs, first_error=True)
         return own(problem, claims, programs, *begin)
 
     prove.prove = watched

@@ -86,7 +86,7 @@ def test_the_sample_has_every_process_mode_and_language(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", SAMPLE)
 def test_a_planner_with_a_fault_gets_nothing_proven(name: str, tmp_path: Path) -> None:
     fault = FAULTS[name]
-    verdict = run(fault.job, tmp_path, fault.changes)
+    verdict = run(fault.job, tmp_path, fault.changes, first_error=True)
     _told(fault, verdict.broken)
     assert verdict.programs, f"no programs came out: {verdict.refused}; another fault would say more"
     assert not verdict.proven

@@ -50,6 +50,8 @@ _FIRST_STEPS: Final = 6
 """Steps of each pose before the best of them is chosen."""
 _MOST_STEPS: Final = 30
 """Steps of the best pose at most."""
+_LEAF_SIZE: Final = 128
+"""Places in a leaf of the tree, which is twice as fast so, in seven dimensions, as with the usual 16."""
 _FLAT_MEAN: Final = 0.8
 """A surface whose mean normal is longer than this is nearly flat."""
 _FAN_ANGLE: Final = float(np.deg2rad(6.0))
@@ -72,7 +74,7 @@ class _Target:
     def __init__(self, parts: list[Samples], size: float) -> None:
         self.points, self.normals, self.weight, number = _together(parts)
         self.size = size
-        self._tree = cKDTree(self._told(self.points, self.normals, number))
+        self._tree = cKDTree(self._told(self.points, self.normals, number), leafsize=_LEAF_SIZE)
 
     def _told(self, points: FloatArray, normals: FloatArray, number: FloatArray) -> FloatArray:
         apart = _OTHER_SURFACE_DISTANCE * self.size * number[:, None]

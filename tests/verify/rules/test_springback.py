@@ -38,7 +38,7 @@ PASS = "PROC form_f1()"
 def stated(folder: Path, **more: Any) -> Path:
     data = small_forming.problem("dsif", force_n=FORCE, tangent_deg=3, **more)
     data["sheet"]["place"] = UPRIGHT
-    return small_forming.write(folder, data, small_forming.dish(around=180))
+    return small_forming.write(folder, data, small_forming.dish(around=120))
 
 
 @pytest.fixture(scope="module")
