@@ -18,8 +18,8 @@ def sags(problem: Problem, setup: Setup) -> tuple[ArmSags, ...]:
         mass, cog = carried(arm, setup.stock) if arm.sag.load else (0.0, np.zeros(3))
         force = problem.force_on(arm.name, setup)
         vector = np.zeros(3) if force is None else force.vector
-        in_tool = force is not None and force.frame == "tool"
-        out.append(ArmSags(arm.name, arm.stiffness.joints, mass, cog, vector, in_tool, arm.sag.most))
+        frame = "stock" if force is None else force.frame
+        out.append(ArmSags(arm.name, arm.stiffness.joints, mass, cog, vector, frame, arm.sag.most))
     return tuple(out)
 
 

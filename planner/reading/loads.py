@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
+from planner.claims.claim import ForceFrame
 from planner.issues import Issue
 from planner.problem import Force, Problem
 from planner.reading.strict_yaml import Name, Strict
@@ -20,7 +21,11 @@ class ForceFile(Strict):
 
     force_n: Annotated[tuple[Newton, Newton, Newton], Field(description="on the tool, along x, y, z")]
     frame: Annotated[
-        Literal["stock", "tool"], Field(description="whose x, y, z: the block's or sheet's, or the TCP's")
+        ForceFrame,
+        Field(
+            description="whose x, y, z: the block's or sheet's, the TCP's, or the feed's: forward, right, "
+            "and along the tool's axis into the work"
+        ),
     ] = "stock"
 
     def value(self) -> Force:

@@ -46,6 +46,13 @@ def refused(path: Path) -> Mapping[str, Issue]:
     return {issue.code: issue for issue in found.value.issues}
 
 
+def refused_all(path: Path, code: str) -> list[str]:
+    """All that is said under a code."""
+    with pytest.raises(TandemError) as found:
+        pipeline.plan(pipeline.load(path))
+    return [issue.message for issue in found.value.issues if issue.code == code]
+
+
 def test_by_the_compliance_at_the_pose_the_arm_gives_way_to_where_it_is_wanted(tmp_path: Path) -> None:
     """C times the wrench of weight and force, from the Jacobian, is the way from command to plan."""
     problem, plan = planned(JOBS["posed_sag"](tmp_path))
@@ -117,6 +124,57 @@ def test_the_tool_stands_where_force_comes_and_goes(tmp_path: Path) -> None:
     assert made.targets.stop[changes].all()
     assert made.targets.stop[changes + 1].all()
     assert (np.diff(made.time) >= np.diff(before.time) - 1e-12).all()
+
+
+def test_a_force_that_turns_with_the_feed_turns_one_soft_axis_by_its_moment(tmp_path: Path) -> None:
+    """With axis 1 alone soft an arm turns about it by moment over stiffness. The direction of the feed is
+    found here by walking the way in small steps."""
+    soft, force = 1e6, np.array([-60.0, 80.0, 30.0])
+    path = edited(
+        JOBS["gcode_feed"](tmp_path),
+        stiffness={"joints_nm_rad": [soft, *[1e9] * 5], "source": "made up"},
+        compensate_sag={"load": False},
+    )
+    problem, plan = planned(path)
+    before, after = plan.operations[0], sag.commanded(problem, plan)[0].operations[0]
+    (arm,) = problem.cell.arms
+    stand = arm.base @ forward(robot(arm.robot), before.q["robot"]) @ arm.tool.tcp
+    place, axis = stand[:, :3, 3], stand[:, :3, 2]
+    works = sag.working(before.targets) > 0.0
+    wanted = np.zeros(len(place))
+    for run in np.split(np.flatnonzero(works), np.flatnonzero(np.diff(np.flatnonzero(works)) != 1) + 1):
+        steps, ends = [], [0]
+        for k in run:
+            count = int(np.ceil(np.linalg.norm(place[k] - place[k - 1]) / 2e-5))
+            steps += [(place[k] - place[k - 1]) / count] * count
+            ends.append(len(steps))
+        long = np.linalg.norm(steps, axis=1)
+        gone = np.cumsum(long) - 0.5 * long
+        for k, end in zip(run, ends[1:], strict=True):
+            near = np.abs(gone - long[:end].sum()) < 5e-3
+            feed = np.array(steps)[near].sum(axis=0) / long[near].sum()
+            ahead = feed - (feed @ axis[k]) * axis[k]
+            work = force[0] * ahead + force[1] * np.cross(axis[k], ahead) + force[2] * axis[k]
+            lever = place[k] - arm.base[:3, 3]
+            wanted[k] = np.cross(lever, work) @ arm.base[:3, 2] / soft
+    turned = before.q["robot"] - after.q["robot"]
+    assert np.ptp(wanted[works]) > 1e-4
+    np.testing.assert_allclose(turned[:, 0], wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("job", ["gcode_feed", "gcode_feed_krl"])
+def test_a_force_that_turns_with_the_feed_is_made_up_for_and_proven(job: str, tmp_path: Path) -> None:
+    outcome = pipeline.plan(pipeline.load(JOBS[job](tmp_path)))
+    assert outcome.verified
+    (told,) = [issue for issue in outcome.issues if issue.code == "motion.sag"]
+    (rule,) = [rule for rule in outcome.proof.rules if rule.code == "verify.sag"]
+    # what the planner takes off is what the proof finds by the programs' text
+    assert rule.worst == pytest.approx(told.value, abs=2e-3)
+
+
+def test_a_force_that_turns_shifts_no_arm_farther_than_it_can_be_told(tmp_path: Path) -> None:
+    path = edited(JOBS["gcode_feed"](tmp_path), stiffness=SOFT)
+    assert "under a force that turns with the feed over" in str(refused_all(path, "motion.sag_range"))
 
 
 def test_a_shift_beyond_its_range_is_refused_and_the_range_advised_is_enough(tmp_path: Path) -> None:

@@ -100,10 +100,13 @@ def _figures(context: Context, index: int, name: str, arm: Arm, own: list[ArmSag
         ("mass [kg]", claim.mass, mass),
         ("moment of its mass [kg m]", claim.mass * claim.cog, moment),
         ("force of the work [N]", claim.force, np.zeros(3) if force is None else force.vector),
-        ("frame of that force", float(claim.in_tool), float(force is not None and force.frame == "tool")),
         ("range [m]", claim.most, arm.sag.most),
     )
     out = []
+    if claim.frame != (frame := "stock" if force is None else force.frame):
+        out.append(
+            _wrong(arm.name, f"in {name}: the force is in the frame {claim.frame}, the problem has {frame}")
+        )
     for what, got, should in wanted:
         if not np.allclose(got, should, rtol=FIGURE_ERROR, atol=FIGURE_ERROR):
             out.append(_wrong(arm.name, f"in {name}: {what} is {got}, the problem has {should}"))
