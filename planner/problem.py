@@ -39,10 +39,13 @@ class SagCompensation:
 
 @dataclasses.dataclass(frozen=True)
 class Force:
-    """What the work exerts on a tool at its TCP while it works: ``vector`` (3,) [N] in ``frame``, that of the
-    stock, of the TCP or of the feed, as :class:`planner.claims.claim.ArmSags` has it."""
+    """What the work exerts on a tool at its TCP while it works: ``vectors`` (K, 3) [N] where the TCP is at
+    ``height`` (K,) [m] in the stock's frame, ascending, one of each for a force that is the same everywhere;
+    in ``frame``, that of the stock, of the TCP or of the feed, as :class:`planner.claims.claim.ArmSags` has
+    it."""
 
-    vector: FloatArray
+    vectors: FloatArray
+    height: FloatArray
     frame: ForceFrame
 
 

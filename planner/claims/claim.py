@@ -291,10 +291,12 @@ class ArmSags:
     m/rad] about the axes as its controller counts them; nowhere do these move its TCP by more than ``most``
     [m].
 
-    ``mass`` [kg] hangs at ``cog`` (3,) [m, flange] all the time. ``force`` (3,) [N] acts at the TCP, in the
+    ``mass`` [kg] hangs at ``cog`` (3,) [m, flange] all the time. ``force`` (K, 3) [N] acts at the TCP, in the
     ``frame`` of the stock, the TCP ("tool") or the feed, while segments work: on the way to the first target
     of their work proper it rises from nothing, evenly along that way, and on the way off the last one it
-    falls.
+    falls. It is what a table has at the ``height`` (K,) [m], ascending, of the TCP in the stock's frame,
+    evenly between its rows; with one row it is the same everywhere. Where it comes and goes it is that of the
+    target at which it acts in full.
 
     In the frame of the feed z is the TCP's z axis, x what the feed has across it and y = z x x. The feed is
     the mean direction of the way from :data:`FEED_WAY` [m] before to as far behind, along the straight moves
@@ -308,6 +310,7 @@ class ArmSags:
     mass: float
     cog: FloatArray
     force: FloatArray
+    height: FloatArray
     frame: ForceFrame
     most: float
 

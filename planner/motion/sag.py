@@ -37,28 +37,34 @@ MOST_TURN: Final = 0.05
 MOST_PART_OF_WAY: Final = 0.25
 """What a force that turns with the feed shifts an arm by is at most this part of the way over which the
 direction of the feed is taken: beyond it no one could tell from commanded places where the arm goes."""
+ROUNDING: Final = 1e-6
+"""A tool is this far [m] beyond a table of forces at most."""
 RANGE_CODE: Final = "motion.sag_range"
 
 
 @dataclasses.dataclass(frozen=True)
 class _Standing:
     """An arm on its ``base`` (4, 4), with its claim if its sag is compensated, and with the work's ``force``
-    (3,) [N] along the world's axes or, by ``claim.frame``, those of the TCP or the feed."""
+    (K, 3) [N] at heights ``claim.height`` of the TCP in the stock, which stands at ``place`` (4, 4)."""
 
     arm: Arm
     data: RobotData
     base: FloatArray
     claim: ArmSags | None
     force: FloatArray
+    place: FloatArray
 
     @property
     def turns(self) -> bool:
         """Whether the force of the work turns with the feed."""
         return self.claim is not None and self.claim.frame == "feed" and bool(self.claim.force.any())
 
-    def way(self, q: FloatArray, share: FloatArray, feed: FloatArray) -> FloatArray:
+    def way(
+        self, q: FloatArray, share: FloatArray, feed: FloatArray, height: FloatArray | None = None
+    ) -> FloatArray:
         """By how much (N, 6) [rad] the joints of the arm at ``q`` (N, 6) stand farther on than commanded,
-        with a ``share`` (N,) of the work's force, at a mean direction ``feed`` (N, 3) in the world."""
+        with a ``share`` (N,) of the work's force, at a mean direction ``feed`` (N, 3) in the world and, where
+        the force is not that of the place itself, at a ``height`` (N,) [m]."""
         if self.claim is None:
             return np.zeros_like(q)
         flange = forward(self.data, q)
@@ -68,13 +74,24 @@ class _Standing:
         tcp = flange @ self.arm.tool.tcp
         match self.claim.frame:
             case "stock":
-                own = np.broadcast_to(to_base @ self.force, (len(q), 3))
+                axes = np.broadcast_to(to_base @ self.place[:3, :3], (len(q), 3, 3))
             case "tool":
-                own = tcp[:, :3, :3] @ self.force
+                axes = tcp[:, :3, :3]
             case "feed":
-                own = np.einsum("nij,j->ni", _feed_axes(feed @ to_base.T, tcp[:, :3, 2]), self.force)
+                axes = _feed_axes(feed @ to_base.T, tcp[:, :3, 2])
+        own = np.einsum("nij,nj->ni", axes, self.forces(self.height(q) if height is None else height))
         loads = (PointLoad(hanging, down), PointLoad(tcp[:, :3, 3], share[:, None] * own))
         return given_way(self.data, JointStiffness(self.claim.joints, ""), q, loads)
+
+    def height(self, q: FloatArray) -> FloatArray:
+        """The height (N,) [m] of the TCP in the stock's frame."""
+        return np.asarray((self.tcp(q)[:, :3, 3] - self.place[:3, 3]) @ self.place[:3, 2])
+
+    def forces(self, at: FloatArray) -> FloatArray:
+        """The whole force (N, 3) [N] of the work at heights (N,) [m], along the axes of its frame."""
+        if self.claim is None or len(self.force) == 1:
+            return np.broadcast_to(self.force[0], (len(at), 3))
+        return np.stack([np.interp(at, self.claim.height, column) for column in self.force.T], axis=1)
 
     def weighed(self, q: FloatArray) -> FloatArray:
         """The same where nothing is worked."""
@@ -130,11 +147,11 @@ def room(problem: Problem) -> tuple[float, float]:
             arm = setup.cell.arm(claim.arm)
             data = robot(arm.robot)
             hand = abs(data.opw.c4) + float(np.linalg.norm(arm.tool.tcp[:3, 3]) + np.linalg.norm(claim.cog))
-            force = claim.mass * GRAVITY + float(np.linalg.norm(claim.force))
+            force = claim.mass * GRAVITY + largest(claim)
             # a rod passes what it bears on to axis 2 as well
             rods = 1.0 if data.coupling is None else 2.0
             turn = max(turn, rods * force * (data.reach + hand) / float(claim.joints.min()))
-            still = _Standing(arm, data, arm.base, claim, np.zeros(3)).weighed(arm.home[None])
+            still = _Standing(arm, data, arm.base, claim, np.zeros((1, 3)), np.eye(4)).weighed(arm.home[None])
             way = max(way, float(np.abs(still).sum()) * (data.reach + hand) + LEFT_IN_AIR_M)
     return way, turn
 
@@ -146,12 +163,15 @@ def _standing(problem: Problem, setup: Setup, plan: Plan) -> dict[str, _Standing
     out = {}
     for arm in setup.cell.arms:
         claim = claims.get(arm.name)
-        force = np.zeros(3) if claim is None else claim.force
-        if claim is not None and claim.frame == "stock":
-            force = place[:3, :3] @ force
+        force = np.zeros((1, 3)) if claim is None else claim.force
         base = np.asarray(plan.bases.get(arm.name, arm.base))
-        out[arm.name] = _Standing(arm, robot(arm.robot), base, claim, force)
+        out[arm.name] = _Standing(arm, robot(arm.robot), base, claim, force, place)
     return out
+
+
+def largest(claim: ArmSags) -> float:
+    """The largest force [N] of the work that is stated for an arm."""
+    return float(np.linalg.norm(claim.force, axis=1).max())
 
 
 def working(targets: Targets) -> FloatArray:
@@ -221,6 +241,8 @@ def _operation(
             wrong += _least_feed(plan, name)
         if own.turns:
             wrong += _too_soft(plan, name, own, share, feed.way)
+        if len(own.force) > 1:
+            wrong += _off_table(plan, name, own, share, feed.at)
         wrong += _uneven(plan, name, _left(own, plan.q[name], share, feed))
     entry, exit_ = (
         {arm: rows - arms[arm].weighed(rows) for arm, rows in way.items()} for way in (plan.entry, plan.exit)
@@ -317,13 +339,16 @@ def _left(own: _Standing, q: FloatArray, share: FloatArray, feed: _Feed) -> Floa
     there less what the sags at both ends make of it."""
     middle = 0.5 * (q[1:] + q[:-1])
     at_ends = own.way(q, share, feed.at)
-    there = own.way(middle, 0.5 * (share[1:] + share[:-1]), feed.middle)
+    # where the force comes and goes it is that of the place where it acts in full
+    first, last = own.height(q[:-1]), own.height(q[1:])
+    height = np.where(share[:-1] == share[1:], own.height(middle), np.where(share[1:] > 0.0, last, first))
+    there = own.way(middle, 0.5 * (share[1:] + share[:-1]), feed.middle, height)
     return own.apart(middle + there - 0.5 * (at_ends[1:] + at_ends[:-1]), middle)
 
 
 def _told(plan: OperationPlan, arm: str, claim: ArmSags, shift: FloatArray) -> Issue:
     worst = int(np.argmax(shift))
-    load = f"{claim.mass:.2f} kg and {float(np.linalg.norm(claim.force)):g} N"
+    load = f"{claim.mass:.2f} kg and {largest(claim):g} N"
     what = f"{plan.name}: {arm} is commanded up to {shift[worst] / MM:.3f} mm off where it is wanted, by "
     what += f"what it gives way under {load}; its controller must not make up for the same"
     hint = "switch the controller's own compensation of load off, or state load: false (docs/stiffness.md)"
@@ -398,6 +423,41 @@ def _too_soft(
     )
     what += "; take a stiffer arm, less force or a longer cut, or state the force in the frame of the tool"
     return [_at(RANGE_CODE, what, plan, arm, worst, (shift[worst], limit))]
+
+
+def _off_table(
+    plan: OperationPlan, arm: str, own: _Standing, share: FloatArray, feed: FloatArray
+) -> list[Issue]:
+    """An issue where the tool works above or below a table of forces, and one where the table is so steep
+    that no one could tell from commanded places how deep the arm goes."""
+    q, out = plan.q[arm], list[Issue]()
+    rows = np.flatnonzero(share > 0.0)
+    knots = own.claim.height if own.claim is not None else np.zeros(1)
+    if not len(rows):
+        return out
+    at = own.height(q[rows])
+    past = np.maximum(knots[0] - at, at - knots[-1])
+    k = int(np.argmax(past))
+    if past[k] > ROUNDING:
+        index, end = int(rows[k]), knots[0] if at[k] < knots[0] else knots[-1]
+        what = (
+            f"{plan.name}: {arm} works at z {at[k] / MM:.2f} mm of the stock, at {plan.targets.name(index)}; "
+        )
+        what += f"its table of forces goes from {knots[0] / MM:g} to {knots[-1] / MM:g} mm; add rows"
+        out.append(_at(RANGE_CODE, what, plan, arm, index, (at[k], end)))
+    slope = np.diff(own.force, axis=0) / np.diff(knots)[:, None]
+    steep = dataclasses.replace(own, force=slope[[int(np.argmax(np.linalg.norm(slope, axis=1)))]])
+    bare = np.zeros(len(rows))
+    moved = steep.way(q[rows], share[rows] * MM, feed[rows]) - steep.way(q[rows], bare, feed[rows])
+    shift = own.apart(q[rows], q[rows] + moved)
+    k = int(np.argmax(shift))
+    if shift[k] > MOST_PART_OF_WAY * MM:
+        index = int(rows[k])
+        what = f"{plan.name}: where the table of forces of {arm} is steepest the arm gives way by another "
+        what += f"{shift[k] / MM:.2f} mm from one millimetre to the next, at {plan.targets.name(index)}; "
+        what += f"allowed: {MOST_PART_OF_WAY:g} mm; take a stiffer arm, or rows that are farther apart"
+        out.append(_at(RANGE_CODE, what, plan, arm, index, (shift[k], MOST_PART_OF_WAY * MM)))
+    return out
 
 
 def _uneven(plan: OperationPlan, arm: str, left: FloatArray) -> list[Issue]:

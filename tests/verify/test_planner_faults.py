@@ -55,6 +55,7 @@ SAMPLE: Final = (
     "sag_claims_left_out",
     "sag_feed_half_force",
     "sag_feed_turned",
+    "sag_table_first_row",
 )
 """Faults that are tried in every run of the tests: each process, mode and language at least once."""
 

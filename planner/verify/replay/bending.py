@@ -23,6 +23,8 @@ from planner.verify.replay.motion import Instants, Motion, Poses
 
 ROUNDS: Final = 3
 """Iterations: each one leaves some thousandths of the error of the one before."""
+TABLE_ROUNDS: Final = 10
+"""The same where a force changes with the height: each round leaves at most a quarter."""
 FEED_ROUNDS: Final = 40
 """Iterations of the feed's direction at most: each one leaves at most half of the last error."""
 FEED_ERROR: Final = 1e-8
@@ -34,7 +36,7 @@ LEAST_WAY: Final = 1e-6
 @dataclasses.dataclass(frozen=True)
 class Bent:
     """An arm under its loads in one setup, on its ``base`` (4, 4), with its ``tcp`` (4, 4) in the flange;
-    ``block`` (3, 3): the axes of the stock's frame in the world."""
+    ``block`` (4, 4): the stock's frame in the world."""
 
     machine: Machine
     claim: ArmSags
@@ -47,26 +49,34 @@ class Bent:
         """Whether the work's force turns with the feed."""
         return self.claim.frame == "feed"
 
-    def joints(self, q: FloatArray, share: FloatArray, feed: FloatArray | None = None) -> FloatArray:
+    def joints(
+        self,
+        q: FloatArray,
+        share: FloatArray,
+        feed: FloatArray | None = None,
+        height: FloatArray | None = None,
+    ) -> FloatArray:
         """Serial angles (M, 6) [rad] of the loaded arm whose drives are at ``q`` (M, 6), under a ``share``
-        (M,) of the work's force where the tool goes along ``feed`` (M, 3), none where it does not matter."""
+        (M,) of the work's force where the tool goes along ``feed`` (M, 3), none where it does not matter; as
+        it is at a ``height`` (M,) [m] of the stock, NaN for that of the tool itself."""
         feed = np.zeros((len(q), 3)) if feed is None else feed
+        height = np.full(len(q), np.nan) if height is None else height
         out = np.empty_like(q)
         for first in range(0, len(q), POSTURES_TOGETHER):
             some = slice(first, first + POSTURES_TOGETHER)
             own = q[some]
             bent = own
-            for _ in range(ROUNDS):
-                bent = own + self._turned(bent, share[some], feed[some])
+            for _ in range(ROUNDS if len(self.claim.height) == 1 else TABLE_ROUNDS):
+                bent = own + self._turned(bent, share[some], feed[some], height[some])
             out[some] = bent
         return out
 
-    def _turned(self, q: FloatArray, share: FloatArray, feed: FloatArray) -> FloatArray:
+    def _turned(self, q: FloatArray, share: FloatArray, feed: FloatArray, height: FloatArray) -> FloatArray:
         chain = self.machine.chain
         frames = self.base @ chain.frames(q)
         flange = frames[:, 6]
         hand = flange @ self.tcp
-        work = share[:, None] * self._work(hand[:, :3, :3], feed)
+        work = share[:, None] * self._work(hand, feed, height)
         weight = np.array([0.0, 0.0, -self.claim.mass * GRAVITY])
         centre = flange[:, :3, :3] @ self.claim.cog + flange[:, :3, 3]
         torque = np.empty_like(q)
@@ -85,16 +95,28 @@ class Bent:
         turn[:, 2] -= turn[:, 1]
         return turn
 
-    def _work(self, hand: FloatArray, feed: FloatArray) -> FloatArray:
-        """The whole force of the work (M, 3) [N] in the world, on hands whose axes are ``hand`` (M, 3, 3)."""
-        force = self.claim.force
+    def _work(self, hand: FloatArray, feed: FloatArray, height: FloatArray) -> FloatArray:
+        """The whole force of the work (M, 3) [N] in the world, at places ``hand`` (M, 4, 4) of the TCP."""
+        height = np.where(np.isnan(height), self.heights(hand), height)
+        knots = self.claim.height
+        # the row above, and how far it is to it from the one below
+        above = np.clip(np.searchsorted(knots, height), 1, max(len(knots) - 1, 1))
+        below, above = above - 1, np.minimum(above, len(knots) - 1)
+        span = np.where(above > below, knots[above] - knots[below], np.inf)
+        part = np.clip((height - knots[below]) / span, 0.0, 1.0)[:, None]
+        force = (1.0 - part) * self.claim.force[below] + part * self.claim.force[above]
         if self.claim.frame == "tool":
-            return np.asarray(hand @ force)
+            return np.asarray(np.einsum("mij,mj->mi", hand[:, :3, :3], force))
         if self.claim.frame == "stock":
-            return np.tile(self.block @ force, (len(hand), 1))
-        down = hand[:, :, 2]
+            return np.asarray(force @ self.block[:3, :3].T)
+        down = hand[:, :3, 2]
         ahead = feed - np.einsum("mi,mi->m", feed, down)[:, None] * down
-        return np.asarray(force[0] * ahead + force[1] * np.cross(down, ahead) + force[2] * down)
+        x, y, z = force.T[:, :, None]
+        return np.asarray(x * ahead + y * np.cross(down, ahead) + z * down)
+
+    def heights(self, hand: FloatArray) -> FloatArray:
+        """Heights (M,) [m] of places (M, 4, 4) of the TCP in the stock's frame."""
+        return np.asarray((inverse(self.block) @ hand)[:, 2, 3])
 
     def places(self, q: FloatArray) -> FloatArray:
         """Flange poses (M, 4, 4) in the world."""
@@ -132,6 +154,7 @@ def _one(
     at_node = working(motion)
     share = _shares(motion, name, at_node)
     node_feed, feed = _feeds(motion, name, own, at_node, node_setup)
+    height = _heights(motion, name, own, at_node, node_setup, node_feed)
     q, links = motion.q[name], np.array(motion.q[name])
     tcp, between = Poses.empty(len(q)), Poses.empty(len(motion.between.time))
     node_tcp = np.array(motion.node_tcp[name])
@@ -147,7 +170,7 @@ def _one(
             continue
         arm = own[index]
         for some in _pieces(rows):
-            links[some] = arm.joints(q[some], share[some], feed[some])
+            links[some] = arm.joints(q[some], share[some], feed[some], height[some])
             tcp[some] = _off(arm, q[some], links[some]) @ motion.tcp[name][some]
         # between two samples both what the joints bend and where they are go on evenly
         span = np.maximum(motion.time[after[late]] - motion.time[looks[late]], 1e-9)
@@ -193,6 +216,28 @@ def _shares(motion: Motion, name: str, at_node: FloatArray) -> FloatArray:
     own = node[changing]
     part = _parts(motion, name, changing)
     out[changing] = before[own] + part * (at_node[own] - before[own])
+    return out
+
+
+def _heights(
+    motion: Motion,
+    name: str,
+    own: Mapping[int, Bent],
+    at_node: FloatArray,
+    node_setup: IntArray,
+    node_feed: FloatArray,
+) -> FloatArray:
+    """Heights (S,) [m] of the stock whose force acts at samples where it comes or goes: that of the loaded
+    arm at the end of the move at which it acts in full; elsewhere NaN."""
+    out, works = np.full(len(motion.time), np.nan), np.append(at_node, 0.0) > 0.0
+    for node in np.flatnonzero(works[:-1] != np.append(False, works[:-2])):
+        full = node if works[node] else node - 1
+        arm = own.get(int(node_setup[full]))
+        if arm is None or len(arm.claim.height) == 1:
+            continue
+        links = arm.joints(motion.q[name][[motion.node_sample[full]]], np.ones(1), node_feed[[full]])
+        rows = slice(*np.searchsorted(motion.node, [node, node + 1]))
+        out[rows] = arm.heights(arm.places(links) @ arm.tcp)[0]
     return out
 
 

@@ -59,8 +59,8 @@ def test_the_proof_bends_an_arm_as_the_planner_unbends_it(name: str, frame: Any)
         PointLoad(hand[:, :3, 3], share * work),
     )
     drives = q - given_way(data, JointStiffness(JOINTS, ""), q, loads)
-    claim = ArmSags("a", JOINTS, 35.0, cog, force, frame, 0.1)
-    bent = Bent(machine_of(name), claim, BASE, TCP, np.eye(3)).joints(drives, share[:, 0], feed)
+    claim = ArmSags("a", JOINTS, 35.0, cog, force[None], np.zeros(1), frame, 0.1)
+    bent = Bent(machine_of(name), claim, BASE, TCP, np.eye(4)).joints(drives, share[:, 0], feed)
     assert np.abs(drives - q).max() > 1e-3
     np.testing.assert_allclose(bent, q, atol=1e-9)
 
