@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.catalogue.materials import Foam, SheetMetal
 from planner.catalogue.robots import JointStiffness
+from planner.claims.claim import ForceFrame
 from planner.claims.vocabulary import Handshake
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape
 from planner.geometry.units import DEG
@@ -38,11 +39,14 @@ class SagCompensation:
 
 @dataclasses.dataclass(frozen=True)
 class Force:
-    """What the work exerts on a tool at its TCP while it works: ``vector`` (3,) [N] in ``frame``, that of the
-    stock or of the TCP."""
+    """What the work exerts on a tool at its TCP while it works: ``vectors`` (K, 3) [N] where the TCP is at
+    ``height`` (K,) [m] in the stock's frame, ascending, one of each for a force that is the same everywhere;
+    in ``frame``, that of the stock, of the TCP or of the feed, as :class:`planner.claims.claim.ArmSags` has
+    it."""
 
-    vector: FloatArray
-    frame: Literal["stock", "tool"]
+    vectors: FloatArray
+    height: FloatArray
+    frame: ForceFrame
 
 
 @dataclasses.dataclass(frozen=True)

@@ -90,7 +90,7 @@ def test_every_row_is_needed() -> None:
 
 WORDS_OF_PROGRAMS = {"claims.vocabulary", "claims.sag"}
 """Modules of claims that motion and post may know: sentences, signals and names of moves, arms that sag."""
-CLAIMS_OF_NO_PROCESS = {"Claim", "HoldsStock", "ArmSags", "on_straight_moves_alone"}
+CLAIMS_OF_NO_PROCESS = {"Claim", "HoldsStock", "ArmSags", "FEED_WAY", "ForceFrame", "on_straight_moves_alone"}
 """What they may know of ``claims.claim``: what a robot carries and bends under, and kinds by name."""
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Final, Literal
 
 import numpy as np
 
@@ -278,15 +279,30 @@ class FollowsTable:
     run_up: float = 0.0
 
 
+ForceFrame = Literal["stock", "tool", "feed"]
+"""Along whose axes a force stands: the stock's, the TCP's, or those of the feed."""
+FEED_WAY: Final = 5e-3
+"""Over this way [m] before and behind a place the direction of its feed is taken, and forces turn with it."""
+
+
 @dataclasses.dataclass(frozen=True)
 class ArmSags:
     """What is claimed of the places of ``arm`` holds of the arm as its loads bend it, by ``joints`` (6,) [N
     m/rad] about the axes as its controller counts them; nowhere do these move its TCP by more than ``most``
     [m].
 
-    ``mass`` [kg] hangs at ``cog`` (3,) [m, flange] all the time. ``force`` (3,) [N] acts at the TCP, in the
-    stock's frame or with ``in_tool`` in the TCP's, while segments work: on the way to the first target of
-    their work proper it rises from nothing, evenly along that way, and on the way off the last one it falls.
+    ``mass`` [kg] hangs at ``cog`` (3,) [m, flange] all the time. ``force`` (K, 3) [N] acts at the TCP, in the
+    ``frame`` of the stock, the TCP ("tool") or the feed, while segments work: on the way to the first target
+    of their work proper it rises from nothing, evenly along that way, and on the way off the last one it
+    falls. It is what a table has at the ``height`` (K,) [m], ascending, of the TCP in the stock's frame,
+    evenly between its rows; with one row it is the same everywhere. Where it comes and goes it is that of the
+    target at which it acts in full.
+
+    In the frame of the feed z is the TCP's z axis, x what the feed has across it and y = z x x. The feed is
+    the mean direction of the way from :data:`FEED_WAY` [m] before to as far behind, along the straight moves
+    on which the force acts, so shorter than 1 where these turn: x and y count by the share of the feed that
+    goes across the axis, and a tool that goes along its axis has z alone. On the way off the force is what it
+    was at its beginning, falling.
     """
 
     arm: str
@@ -294,7 +310,8 @@ class ArmSags:
     mass: float
     cog: FloatArray
     force: FloatArray
-    in_tool: bool
+    height: FloatArray
+    frame: ForceFrame
     most: float
 
 

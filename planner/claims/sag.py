@@ -6,7 +6,7 @@ import numpy as np
 
 from planner.claims.claim import ArmSags
 from planner.geometry.arrays import FloatArray
-from planner.problem import Arm, Problem, Setup, Stock
+from planner.problem import Arm, Force, Problem, Setup, Stock
 
 
 def sags(problem: Problem, setup: Setup) -> tuple[ArmSags, ...]:
@@ -17,9 +17,10 @@ def sags(problem: Problem, setup: Setup) -> tuple[ArmSags, ...]:
             continue
         mass, cog = carried(arm, setup.stock) if arm.sag.load else (0.0, np.zeros(3))
         force = problem.force_on(arm.name, setup)
-        vector = np.zeros(3) if force is None else force.vector
-        in_tool = force is not None and force.frame == "tool"
-        out.append(ArmSags(arm.name, arm.stiffness.joints, mass, cog, vector, in_tool, arm.sag.most))
+        if force is None:
+            force = Force(np.zeros((1, 3)), np.zeros(1), "stock")
+        stiff, most = arm.stiffness.joints, arm.sag.most
+        out.append(ArmSags(arm.name, stiff, mass, cog, force.vectors, force.height, force.frame, most))
     return tuple(out)
 
 

@@ -4,8 +4,8 @@ plan has them.
 A plan is where arms are wanted. With S(q) what the loads turn the joints of the arm at q by
 (:func:`planner.cell.compliance.given_way`), q - S(q) is commanded: the loads are those of the arm where it
 really stands, so nothing is iterated. Weight acts all along, the force of the work at targets that work, but
-at the first one; from target to target it rises and falls evenly, as the commanded place does. Between
-targets the sag itself is not quite even: what that leaves is measured in the middle of moves.
+at the first one; a force may turn with the feed. From target to target the commanded place goes on evenly.
+Between targets the sag itself is not quite even: what that leaves is measured in the middle of moves.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy as np
 from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.cell.compliance import PointLoad, given_way
 from planner.cell.kinematics import forward
-from planner.claims.claim import ArmSags
+from planner.claims.claim import FEED_WAY, ArmSags
 from planner.claims.sag import sags
-from planner.geometry.arrays import BoolArray, FloatArray, inverse
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
 from planner.geometry.units import GRAVITY, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import OperationPlan, Plan
@@ -32,23 +32,39 @@ MOST_LEFT_M: Final = 2e-5
 """What sag may be off between two targets [m] at most while a tool works."""
 LEFT_IN_AIR_M: Final = 1e-4
 """How much nearer [m] than planned bodies may come by sag between targets in the air."""
+MOST_TURN: Final = 0.05
+"""By how much [rad] more than planned a commanded way may turn at a target where the tool does not stand."""
+MOST_PART_OF_WAY: Final = 0.25
+"""What a force that turns with the feed shifts an arm by is at most this part of the way over which the
+direction of the feed is taken: beyond it no one could tell from commanded places where the arm goes."""
+ROUNDING: Final = 1e-6
+"""A tool is this far [m] beyond a table of forces at most."""
 RANGE_CODE: Final = "motion.sag_range"
 
 
 @dataclasses.dataclass(frozen=True)
 class _Standing:
     """An arm on its ``base`` (4, 4), with its claim if its sag is compensated, and with the work's ``force``
-    (3,) [N] along the world's axes or, with ``claim.in_tool``, the TCP's."""
+    (K, 3) [N] at heights ``claim.height`` of the TCP in the stock, which stands at ``place`` (4, 4)."""
 
     arm: Arm
     data: RobotData
     base: FloatArray
     claim: ArmSags | None
     force: FloatArray
+    place: FloatArray
 
-    def way(self, q: FloatArray, share: FloatArray) -> FloatArray:
+    @property
+    def turns(self) -> bool:
+        """Whether the force of the work turns with the feed."""
+        return self.claim is not None and self.claim.frame == "feed" and bool(self.claim.force.any())
+
+    def way(
+        self, q: FloatArray, share: FloatArray, feed: FloatArray, height: FloatArray | None = None
+    ) -> FloatArray:
         """By how much (N, 6) [rad] the joints of the arm at ``q`` (N, 6) stand farther on than commanded,
-        with a ``share`` (N,) of the work's force."""
+        with a ``share`` (N,) of the work's force, at a mean direction ``feed`` (N, 3) in the world and, where
+        the force is not that of the place itself, at a ``height`` (N,) [m]."""
         if self.claim is None:
             return np.zeros_like(q)
         flange = forward(self.data, q)
@@ -56,10 +72,30 @@ class _Standing:
         down = np.broadcast_to(to_base @ [0.0, 0.0, -self.claim.mass * GRAVITY], (len(q), 3))
         hanging = flange[:, :3, :3] @ self.claim.cog + flange[:, :3, 3]
         tcp = flange @ self.arm.tool.tcp
-        own = np.broadcast_to(self.force, (len(q), 3))
-        own = np.einsum("nij,nj->ni", tcp[:, :3, :3], own) if self.claim.in_tool else own @ to_base.T
+        match self.claim.frame:
+            case "stock":
+                axes = np.broadcast_to(to_base @ self.place[:3, :3], (len(q), 3, 3))
+            case "tool":
+                axes = tcp[:, :3, :3]
+            case "feed":
+                axes = _feed_axes(feed @ to_base.T, tcp[:, :3, 2])
+        own = np.einsum("nij,nj->ni", axes, self.forces(self.height(q) if height is None else height))
         loads = (PointLoad(hanging, down), PointLoad(tcp[:, :3, 3], share[:, None] * own))
         return given_way(self.data, JointStiffness(self.claim.joints, ""), q, loads)
+
+    def height(self, q: FloatArray) -> FloatArray:
+        """The height (N,) [m] of the TCP in the stock's frame."""
+        return np.asarray((self.tcp(q)[:, :3, 3] - self.place[:3, 3]) @ self.place[:3, 2])
+
+    def forces(self, at: FloatArray) -> FloatArray:
+        """The whole force (N, 3) [N] of the work at heights (N,) [m], along the axes of its frame."""
+        if self.claim is None or len(self.force) == 1:
+            return np.broadcast_to(self.force[0], (len(at), 3))
+        return np.stack([np.interp(at, self.claim.height, column) for column in self.force.T], axis=1)
+
+    def weighed(self, q: FloatArray) -> FloatArray:
+        """The same where nothing is worked."""
+        return self.way(q, np.zeros(len(q)), np.zeros((len(q), 3)))
 
     def tcp(self, q: FloatArray) -> FloatArray:
         """TCP poses (N, 4, 4) in the world."""
@@ -111,11 +147,11 @@ def room(problem: Problem) -> tuple[float, float]:
             arm = setup.cell.arm(claim.arm)
             data = robot(arm.robot)
             hand = abs(data.opw.c4) + float(np.linalg.norm(arm.tool.tcp[:3, 3]) + np.linalg.norm(claim.cog))
-            force = claim.mass * GRAVITY + float(np.linalg.norm(claim.force))
+            force = claim.mass * GRAVITY + largest(claim)
             # a rod passes what it bears on to axis 2 as well
             rods = 1.0 if data.coupling is None else 2.0
             turn = max(turn, rods * force * (data.reach + hand) / float(claim.joints.min()))
-            still = _Standing(arm, data, arm.base, claim, np.zeros(3)).way(arm.home[None], np.zeros(1))
+            still = _Standing(arm, data, arm.base, claim, np.zeros((1, 3)), np.eye(4)).weighed(arm.home[None])
             way = max(way, float(np.abs(still).sum()) * (data.reach + hand) + LEFT_IN_AIR_M)
     return way, turn
 
@@ -127,12 +163,15 @@ def _standing(problem: Problem, setup: Setup, plan: Plan) -> dict[str, _Standing
     out = {}
     for arm in setup.cell.arms:
         claim = claims.get(arm.name)
-        force = np.zeros(3) if claim is None else claim.force
-        if claim is not None and not claim.in_tool:
-            force = place[:3, :3] @ force
+        force = np.zeros((1, 3)) if claim is None else claim.force
         base = np.asarray(plan.bases.get(arm.name, arm.base))
-        out[arm.name] = _Standing(arm, robot(arm.robot), base, claim, force)
+        out[arm.name] = _Standing(arm, robot(arm.robot), base, claim, force, place)
     return out
+
+
+def largest(claim: ArmSags) -> float:
+    """The largest force [N] of the work that is stated for an arm."""
+    return float(np.linalg.norm(claim.force, axis=1).max())
 
 
 def working(targets: Targets) -> FloatArray:
@@ -141,6 +180,45 @@ def working(targets: Targets) -> FloatArray:
     share = np.array(works, dtype=np.float64)
     share[:1] = 0.0
     return share
+
+
+@dataclasses.dataclass(frozen=True)
+class _Feed:
+    """Mean direction of the feed in the world ``at`` targets (N, 3), in the ``middle`` of moves (N - 1, 3),
+    and the ``way`` (N,) [m] over which it is taken; 0 where no force acts."""
+
+    at: FloatArray
+    middle: FloatArray
+    way: FloatArray
+
+
+def feed_directions(place: FloatArray, share: FloatArray) -> _Feed:
+    """Directions of the feed along straight moves through places (N, 3), where a share (N,) of the work's
+    force acts: each from a place `FEED_WAY` before to one as far behind, in the same run of such moves."""
+    works, rows = share > 0.0, np.arange(len(share))
+    gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
+    begins = works & ~np.concatenate([[False], works[:-1]])
+    ends = works & ~np.concatenate([works[1:], [False]])
+    low = gone[np.maximum(np.maximum.accumulate(np.where(begins, rows, 0)) - 1, 0)]
+    high = gone[np.minimum.accumulate(np.where(ends, rows, len(rows) - 1)[::-1])[::-1]]
+
+    def mean(at: FloatArray, row: IntArray) -> tuple[FloatArray, FloatArray]:
+        first, last = np.maximum(at - FEED_WAY, low[row]), np.minimum(at + FEED_WAY, high[row])
+        chord = np.stack([np.interp(last, gone, x) - np.interp(first, gone, x) for x in place.T], axis=1)
+        way = np.where(works[row], last - first, 0.0)
+        return np.where(way > 0.0, 1.0 / np.maximum(way, 1e-12), 0.0)[:, None] * chord, way
+
+    at, way = mean(gone, rows)
+    middle, _ = mean(0.5 * (gone[1:] + gone[:-1]), rows[1:])
+    falls = works[:-1] & ~works[1:]
+    return _Feed(at, np.where(falls[:, None], at[:-1], middle), way)
+
+
+def _feed_axes(feed: FloatArray, axis: FloatArray) -> FloatArray:
+    """Axes of the feed as columns (N, 3, 3): forward, to the right and along the tool's ``axis`` (N, 3); the
+    first two as long as ``feed`` (N, 3) goes across it."""
+    across = feed - np.sum(feed * axis, axis=1, keepdims=True) * axis
+    return np.stack([across, np.cross(axis, across), axis], axis=-1)
 
 
 def _operation(
@@ -154,16 +232,20 @@ def _operation(
         own = arms[name]
         if own.claim is None:
             continue
-        q[name] = plan.q[name] - own.way(plan.q[name], share)
+        feed = feed_directions(own.tcp(plan.q[name])[:, :3, 3], share)
+        q[name] = plan.q[name] - own.way(plan.q[name], share, feed.at)
         shift = own.apart(plan.q[name], q[name])
         told.append(_told(plan, name, own.claim, shift))
         wrong += _beyond(plan, name, own.claim, shift)
         if own.claim.force.any():
             wrong += _least_feed(plan, name)
-        wrong += _uneven(plan, name, _left(own, plan.q[name], share))
+        if own.turns:
+            wrong += _too_soft(plan, name, own, share, feed.way)
+        if len(own.force) > 1:
+            wrong += _off_table(plan, name, own, share, feed.at)
+        wrong += _uneven(plan, name, _left(own, plan.q[name], share, feed))
     entry, exit_ = (
-        {arm: rows - arms[arm].way(rows, np.zeros(len(rows))) for arm, rows in way.items()}
-        for way in (plan.entry, plan.exit)
+        {arm: rows - arms[arm].weighed(rows) for arm, rows in way.items()} for way in (plan.entry, plan.exit)
     )
     time, stop = _timed(plan, arms, q, share, settings)
     made = dataclasses.replace(
@@ -207,8 +289,9 @@ def _timed(
     settings: Settings,
 ) -> tuple[FloatArray, BoolArray]:
     """Times (N,) [s] and stops (N,) of the targets: the tool stands where the force begins to come or go and
-    where it has, for the commanded way has corners there that must not be cut; moves from and to these new
-    stops take the time that this needs.
+    where it has, for the commanded way has corners there that must not be cut, and where it turns so fast
+    with the feed that there are others than planned; moves from and to these new stops take the time that
+    this needs.
 
     From stop to stop by a cubic a move of the mean speed 1 has the highest speed 3/2 and, in the time 1, the
     highest acceleration 6; with a stop at one end and the mean speed at the other it is 4/3 and 4."""
@@ -216,13 +299,25 @@ def _timed(
     changes = np.flatnonzero(np.diff(share) != 0.0) + 1
     stop = targets.stop.copy()
     stop[np.concatenate([changes - 1, changes])] = True
+    for name in (arm for arm in targets.arms if arms[arm].turns):
+        ways = (_directions(arms[name].tcp(rows)[:, :3, 3]) for rows in (plan.q[name], q[name]))
+        planned, made = (np.diff(way, axis=0) for way in ways)
+        turned = np.linalg.norm(made - planned, axis=1) > MOST_TURN
+        stop[1:-1] |= turned & (share[1:-1] > 0.0)
     fresh = stop & ~targets.stop
     ends = (stop[1:].astype(np.int64) + stop[:-1]) * (fresh[1:] | fresh[:-1])
     ends[changes - 1] = np.maximum(ends[changes - 1], 2)
     duration = np.diff(plan.time)
     for name in targets.arms:
         own = arms[name]
-        way = np.linalg.norm(np.diff(own.tcp(q[name])[:, :3, 3], axis=0), axis=1)
+        # the longer one of the commanded way and the one that the sagged arm goes
+        way = np.max(
+            [
+                np.linalg.norm(np.diff(own.tcp(rows)[:, :3, 3], axis=0), axis=1)
+                for rows in (q[name], plan.q[name])
+            ],
+            axis=0,
+        )
         speed = np.minimum(targets.feed[1:], settings.tcp_speed)
         quick = np.array([0.0, 4.0 / 3.0, 1.5])[ends] * way / speed
         step = np.abs(np.diff(q[name], axis=0)) / (settings.acceleration_fraction * own.data.acceleration)
@@ -233,18 +328,27 @@ def _timed(
     return plan.time[0] + np.concatenate([[0.0], np.cumsum(duration)]), stop
 
 
-def _left(own: _Standing, q: FloatArray, share: FloatArray) -> FloatArray:
+def _directions(place: FloatArray) -> FloatArray:
+    """Directions (N - 1, 3) of moves through places (N, 3), shorter than 1 where these are no way apart."""
+    way = np.diff(place, axis=0)
+    return np.asarray(way / np.maximum(np.linalg.norm(way, axis=1), 1e-6)[:, None])
+
+
+def _left(own: _Standing, q: FloatArray, share: FloatArray, feed: _Feed) -> FloatArray:
     """How far (N - 1,) [m] the TCP is off in the middle of moves between targets ``q`` (N, 6): by the sag
     there less what the sags at both ends make of it."""
     middle = 0.5 * (q[1:] + q[:-1])
-    at_ends = own.way(q, share)
-    there = own.way(middle, 0.5 * (share[1:] + share[:-1]))
+    at_ends = own.way(q, share, feed.at)
+    # where the force comes and goes it is that of the place where it acts in full
+    first, last = own.height(q[:-1]), own.height(q[1:])
+    height = np.where(share[:-1] == share[1:], own.height(middle), np.where(share[1:] > 0.0, last, first))
+    there = own.way(middle, 0.5 * (share[1:] + share[:-1]), feed.middle, height)
     return own.apart(middle + there - 0.5 * (at_ends[1:] + at_ends[:-1]), middle)
 
 
 def _told(plan: OperationPlan, arm: str, claim: ArmSags, shift: FloatArray) -> Issue:
     worst = int(np.argmax(shift))
-    load = f"{claim.mass:.2f} kg and {float(np.linalg.norm(claim.force)):g} N"
+    load = f"{claim.mass:.2f} kg and {largest(claim):g} N"
     what = f"{plan.name}: {arm} is commanded up to {shift[worst] / MM:.3f} mm off where it is wanted, by "
     what += f"what it gives way under {load}; its controller must not make up for the same"
     hint = "switch the controller's own compensation of load off, or state load: false (docs/stiffness.md)"
@@ -295,6 +399,65 @@ def _least_feed(plan: OperationPlan, arm: str) -> list[Issue]:
         f"{plan.name}: where the force on {arm} comes and goes the tool stands, but a least feed is stated; "
     )
     return [Issue(RANGE_CODE, f"{what}take the force or the least feed out", arm=arm)]
+
+
+def _too_soft(
+    plan: OperationPlan, arm: str, own: _Standing, share: FloatArray, way: FloatArray
+) -> list[Issue]:
+    """An issue where a force that turns with the feed shifts the arm too far for the way in which it does."""
+    q = plan.q[arm]
+    still = q - own.way(q, share, np.zeros((len(q), 3)))
+    axes = own.tcp(q)[:, :3, :2]
+    one, other = (own.apart(still, q - own.way(q, share, axes[:, :, k])) for k in range(2))
+    shift = one + other
+    over = np.where(way > 0.0, shift - MOST_PART_OF_WAY * way, -np.inf)
+    worst = int(np.argmax(over))
+    if not over[worst] > 0.0:
+        return []
+    limit = MOST_PART_OF_WAY * way[worst]
+    what = (
+        f"{plan.name}: at {plan.targets.name(worst)} {arm} gives way by {shift[worst] / MM:.2f} mm under a "
+    )
+    what += (
+        f"force that turns with the feed over {way[worst] / MM:.2f} mm of way; allowed: {limit / MM:.2f} mm"
+    )
+    what += "; take a stiffer arm, less force or a longer cut, or state the force in the frame of the tool"
+    return [_at(RANGE_CODE, what, plan, arm, worst, (shift[worst], limit))]
+
+
+def _off_table(
+    plan: OperationPlan, arm: str, own: _Standing, share: FloatArray, feed: FloatArray
+) -> list[Issue]:
+    """An issue where the tool works above or below a table of forces, and one where the table is so steep
+    that no one could tell from commanded places how deep the arm goes."""
+    q, out = plan.q[arm], list[Issue]()
+    rows = np.flatnonzero(share > 0.0)
+    knots = own.claim.height if own.claim is not None else np.zeros(1)
+    if not len(rows):
+        return out
+    at = own.height(q[rows])
+    past = np.maximum(knots[0] - at, at - knots[-1])
+    k = int(np.argmax(past))
+    if past[k] > ROUNDING:
+        index, end = int(rows[k]), knots[0] if at[k] < knots[0] else knots[-1]
+        what = (
+            f"{plan.name}: {arm} works at z {at[k] / MM:.2f} mm of the stock, at {plan.targets.name(index)}; "
+        )
+        what += f"its table of forces goes from {knots[0] / MM:g} to {knots[-1] / MM:g} mm; add rows"
+        out.append(_at(RANGE_CODE, what, plan, arm, index, (at[k], end)))
+    slope = np.diff(own.force, axis=0) / np.diff(knots)[:, None]
+    steep = dataclasses.replace(own, force=slope[[int(np.argmax(np.linalg.norm(slope, axis=1)))]])
+    bare = np.zeros(len(rows))
+    moved = steep.way(q[rows], share[rows] * MM, feed[rows]) - steep.way(q[rows], bare, feed[rows])
+    shift = own.apart(q[rows], q[rows] + moved)
+    k = int(np.argmax(shift))
+    if shift[k] > MOST_PART_OF_WAY * MM:
+        index = int(rows[k])
+        what = f"{plan.name}: where the table of forces of {arm} is steepest the arm gives way by another "
+        what += f"{shift[k] / MM:.2f} mm from one millimetre to the next, at {plan.targets.name(index)}; "
+        what += f"allowed: {MOST_PART_OF_WAY:g} mm; take a stiffer arm, or rows that are farther apart"
+        out.append(_at(RANGE_CODE, what, plan, arm, index, (shift[k], MOST_PART_OF_WAY * MM)))
+    return out
 
 
 def _uneven(plan: OperationPlan, arm: str, left: FloatArray) -> list[Issue]:

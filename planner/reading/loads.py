@@ -3,29 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from planner.claims.claim import ForceFrame
+from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.problem import Force, Problem
 from planner.reading.strict_yaml import Name, Strict
 
+Height = Annotated[float, Field(ge=-10_000, le=10_000)]
 Newton = Annotated[float, Field(ge=-20_000, le=20_000)]
 
 
 class ForceFile(Strict):
     """What the work exerts on a tool at its TCP while it works, as measured or reckoned."""
 
-    force_n: Annotated[tuple[Newton, Newton, Newton], Field(description="on the tool, along x, y, z")]
+    force_n: Annotated[
+        tuple[Newton, Newton, Newton] | None, Field(description="on the tool, along x, y, z")
+    ] = None
+    table: Annotated[
+        list[tuple[Height, Newton, Newton, Newton]] | None,
+        Field(
+            min_length=2,
+            max_length=1000,
+            description="instead: the force by depth, rows of z of the TCP in the stock's frame [mm] and the "
+            "force along x, y, z [N] there; between rows it goes on evenly",
+        ),
+    ] = None
     frame: Annotated[
-        Literal["stock", "tool"], Field(description="whose x, y, z: the block's or sheet's, or the TCP's")
+        ForceFrame,
+        Field(
+            description="whose x, y, z: the block's or sheet's, the TCP's, or the feed's: forward, right, "
+            "and along the tool's axis into the work"
+        ),
     ] = "stock"
+
+    @model_validator(mode="after")
+    def _one_source(self) -> ForceFile:
+        if (self.force_n is None) == (self.table is None):
+            raise ValueError("state force_n, or a table of it by depth: one of them")
+        if self.table is not None and len({row[0] for row in self.table}) < len(self.table):
+            raise ValueError("two rows of the table have the same z; take one of them out")
+        return self
 
     def value(self) -> Force:
         """In SI units."""
-        return Force(np.array(self.force_n, dtype=np.float64), self.frame)
+        rows = [(0.0, *(self.force_n or (0.0, 0.0, 0.0)))] if self.table is None else sorted(self.table)
+        made = np.array(rows, dtype=np.float64)
+        return Force(made[:, 1:], made[:, 0] * MM, self.frame)
 
 
 class ForcesFile(Strict):
@@ -70,7 +98,11 @@ def faults(problem: Problem) -> Iterator[Issue]:
 def _alike(one: Force | None, other: Force | None) -> bool:
     if one is None or other is None:
         return one is other
-    return one.frame == other.frame and np.array_equal(one.vector, other.vector)
+    return (
+        one.frame == other.frame
+        and np.array_equal(one.vectors, other.vectors)
+        and np.array_equal(one.height, other.height)
+    )
 
 
 def _fault(what: str, field: str) -> Issue:

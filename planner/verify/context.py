@@ -346,7 +346,7 @@ class Context:
     def _bending(self, index: int) -> dict[str, Bent]:
         """Arms of a setup that bend under what is claimed of their loads."""
         place = self.places[index]
-        block = np.eye(3) if place is None else place[:3, :3]
+        block = np.eye(4) if place is None else place
         out = {}
         for claim in (c for group in self.setup_claims[index].groups for c in group):
             if isinstance(claim, ArmSags):

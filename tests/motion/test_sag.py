@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,7 +24,7 @@ from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import markup
 from planner.report.setup_sheet import controller_checks
-from tests.verify.planner_jobs import JOBS, SOFT, sagging
+from tests.verify.planner_jobs import DEEPER, JOBS, SOFT, sagging
 
 
 def planned(path: Path) -> tuple[Problem, Plan]:
@@ -44,6 +45,13 @@ def refused(path: Path) -> Mapping[str, Issue]:
     with pytest.raises(TandemError) as found:
         pipeline.plan(pipeline.load(path))
     return {issue.code: issue for issue in found.value.issues}
+
+
+def refused_all(path: Path, code: str) -> list[str]:
+    """All that is said under a code."""
+    with pytest.raises(TandemError) as found:
+        pipeline.plan(pipeline.load(path))
+    return [issue.message for issue in found.value.issues if issue.code == code]
 
 
 def test_by_the_compliance_at_the_pose_the_arm_gives_way_to_where_it_is_wanted(tmp_path: Path) -> None:
@@ -119,6 +127,103 @@ def test_the_tool_stands_where_force_comes_and_goes(tmp_path: Path) -> None:
     assert (np.diff(made.time) >= np.diff(before.time) - 1e-12).all()
 
 
+def test_a_force_that_turns_with_the_feed_turns_one_soft_axis_by_its_moment(tmp_path: Path) -> None:
+    """With axis 1 alone soft an arm turns about it by moment over stiffness. The direction of the feed is
+    found here by walking the way in small steps."""
+    soft, force = 1e6, np.array([-60.0, 80.0, 30.0])
+    path = edited(
+        JOBS["gcode_feed"](tmp_path),
+        stiffness={"joints_nm_rad": [soft, *[1e9] * 5], "source": "made up"},
+        compensate_sag={"load": False},
+    )
+    problem, plan = planned(path)
+    before, after = plan.operations[0], sag.commanded(problem, plan)[0].operations[0]
+    (arm,) = problem.cell.arms
+    stand = arm.base @ forward(robot(arm.robot), before.q["robot"]) @ arm.tool.tcp
+    place, axis = stand[:, :3, 3], stand[:, :3, 2]
+    works = sag.working(before.targets) > 0.0
+    wanted = np.zeros(len(place))
+    for run in np.split(np.flatnonzero(works), np.flatnonzero(np.diff(np.flatnonzero(works)) != 1) + 1):
+        steps, ends = [], [0]
+        for k in run:
+            count = int(np.ceil(np.linalg.norm(place[k] - place[k - 1]) / 2e-5))
+            steps += [(place[k] - place[k - 1]) / count] * count
+            ends.append(len(steps))
+        long = np.linalg.norm(steps, axis=1)
+        gone = np.cumsum(long) - 0.5 * long
+        for k, end in zip(run, ends[1:], strict=True):
+            near = np.abs(gone - long[:end].sum()) < 5e-3
+            feed = np.array(steps)[near].sum(axis=0) / long[near].sum()
+            ahead = feed - (feed @ axis[k]) * axis[k]
+            work = force[0] * ahead + force[1] * np.cross(axis[k], ahead) + force[2] * axis[k]
+            lever = place[k] - arm.base[:3, 3]
+            wanted[k] = np.cross(lever, work) @ arm.base[:3, 2] / soft
+    turned = before.q["robot"] - after.q["robot"]
+    assert np.ptp(wanted[works]) > 1e-4
+    np.testing.assert_allclose(turned[:, 0], wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("job", ["gcode_feed", "gcode_feed_krl"])
+def test_a_force_that_turns_with_the_feed_is_made_up_for_and_proven(job: str, tmp_path: Path) -> None:
+    outcome = pipeline.plan(pipeline.load(JOBS[job](tmp_path)))
+    assert outcome.verified
+    (told,) = [issue for issue in outcome.issues if issue.code == "motion.sag"]
+    (rule,) = [rule for rule in outcome.proof.rules if rule.code == "verify.sag"]
+    # what the planner takes off is what the proof finds by the programs' text
+    assert rule.worst == pytest.approx(told.value, abs=2e-3)
+
+
+def test_a_force_that_turns_shifts_no_arm_farther_than_it_can_be_told(tmp_path: Path) -> None:
+    path = edited(JOBS["gcode_feed"](tmp_path), stiffness=SOFT)
+    assert "under a force that turns with the feed over" in str(refused_all(path, "motion.sag_range"))
+
+
+def test_a_force_by_depth_is_that_of_the_table_at_each_place(tmp_path: Path) -> None:
+    """C times the force between the rows of the table, by hand, is the way from command to plan."""
+    problem, plan = planned(edited(JOBS["dsif_deep"](tmp_path), compensate_sag={"load": False}))
+    before, after = plan.operations[0], sag.commanded(problem, plan)[0].operations[0]
+    own = problem.cell.arm("left")
+    assert own.stiffness is not None
+    data = robot(own.robot)
+    stand, command = (own.base @ forward(data, p.q["left"]) @ own.tool.tcp for p in (before, after))
+    heights = (np.linalg.inv(plan.stock_pose) @ stand)[:, 2, 3] * 1e3
+    wrench = np.zeros((len(stand), 6))
+    for i in np.flatnonzero(sag.working(before.targets)):
+        (low, *least), (high, *most) = next(
+            (b, a) for a, b in itertools.pairwise(DEEPER["left"]) if b[0] <= heights[i] <= a[0]
+        )
+        part = (heights[i] - low) / (high - low)
+        there = [(1.0 - part) * x + part * y for x, y in zip(least, most, strict=True)]
+        wrench[i, 3:] = plan.stock_pose[:3, :3] @ there
+    assert np.ptp(np.linalg.norm(wrench[1:-1, 3:], axis=1)) > 200.0
+    compliance = tcp_compliance(data, own.stiffness, before.q["left"], own.tool.tcp, own.base)
+    moved = np.einsum("nij,nj->ni", compliance, wrench)
+    np.testing.assert_allclose(stand[:, :3, 3] - command[:, :3, 3], moved[:, 3:], atol=2e-6)
+
+
+def test_a_force_by_depth_is_made_up_for_and_proven_and_tables_that_end_early_or_jump_are_not(
+    tmp_path: Path,
+) -> None:
+    path = JOBS["dsif_deep"](tmp_path)
+    outcome = pipeline.plan(pipeline.load(path))
+    assert outcome.verified
+    worst = max(issue.value for issue in outcome.issues if issue.code == "motion.sag" and issue.value)
+    (rule,) = [rule for rule in outcome.proof.rules if rule.code == "verify.sag"]
+    assert rule.worst == pytest.approx(worst, abs=2e-3)
+    data = yaml.safe_load(path.read_text())
+    stated = data["operations"][0]["forces"]["left"]
+    for table, said in (
+        (DEEPER["left"][:-1], "its table of forces goes from 3 to 8 mm; add rows"),
+        (
+            [[3.01, 0, 0, 0], [3, 0, 0, 600], [8, 0, 0, 0], [-4, 0, 0, 600]],
+            "is steepest the arm gives way by",
+        ),
+    ):
+        stated["table"] = table
+        path.write_text(yaml.safe_dump(data))
+        assert said in str(refused_all(path, "motion.sag_range"))
+
+
 def test_a_shift_beyond_its_range_is_refused_and_the_range_advised_is_enough(tmp_path: Path) -> None:
     path = edited(JOBS["posed_sag"](tmp_path), compensate_sag={"most_mm": 0.1})
     issue = refused(path)["motion.sag_range"]
@@ -181,6 +286,10 @@ def test_spline_blocks_are_refused(tmp_path: Path) -> None:
         ({"compensate_sag": None}, {"left": {"force_n": [0, 0, 1]}}, "its sag is not compensated"),
         ({}, {"right": {"force_n": [0, 0, 1]}}, "takes no part in"),
         ({}, {"left": {"force_n": [0, 1]}}, "is missing"),
+        ({}, {"left": {"frame": "tool"}}, "one of them"),
+        ({}, {"left": {"force_n": [0, 0, 1], "table": [[0, 0, 0, 1], [1, 0, 0, 2]]}}, "one of them"),
+        ({}, {"left": {"table": [[0, 0, 0, 1], [0, 0, 0, 2]]}}, "have the same z"),
+        ({}, {"left": {"table": [[0, 0, 0, 1]]}}, "at least 2"),
         ({}, {"left": {"force_n": [0, 0, 1e6]}}, "less than or equal to 20000"),
         ({}, {"left": {"force_n": [0, 0, 1], "frame": "world"}}, "frame"),
         ({}, {}, "forces"),

@@ -65,6 +65,24 @@ def _late(share: Any) -> Any:
     return np.concatenate([[0.0], share[:-1]])
 
 
+_OTHER: Final = {"stock": "tool", "tool": "stock"}
+
+
+def _forced(change: Any) -> dict[str, Any]:
+    """The force of the work is another for the planner alone."""
+    return _standing(lambda arms: {name: of(own, force=change) for name, own in arms.items()})
+
+
+def _feeds(change: Any) -> dict[str, Any]:
+    """The feed goes elsewhere for the planner."""
+    return {"motion.sag:feed_directions": result(lambda feed: of(feed, at=change))}
+
+
+def _to_the_left(axes: Any) -> Any:
+    """The feed's axes are turned by a right angle about the tool's."""
+    return np.stack([-axes[..., 1], axes[..., 0], axes[..., 2]], axis=-1)
+
+
 FAULTS: Final = (
     Fault("sag_wrong_sign", "posed_sag", _ways(_negative)),
     Fault("sag_not_made_up_for", "posed_sag", _ways(lambda way: 0.0 * way)),
@@ -78,11 +96,25 @@ FAULTS: Final = (
     ),
     Fault("sag_without_weight", "held_sag", _standing(_each(mass=lambda mass: 0.0 * mass))),
     Fault("sag_force_left_out", "posed_sag", _standing(_each(force=lambda force: 0.0 * force))),
-    Fault("sag_force_in_the_other_frame", "posed_sag", _standing(_each(in_tool=lambda own: not own))),
+    Fault("sag_force_in_the_other_frame", "posed_sag", _standing(_each(frame=_OTHER.get))),
     Fault("sag_force_late", "posed_sag", {"motion.sag:working": result(_late)}),
     Fault("sag_wrong_sign_krl", "posed_sag_krl", _ways(_negative)),
     Fault("sag_wrong_sign_formed", "dsif_sag", _ways(_negative)),
     Fault("sag_one_former_left_out", "dsif_sag", _standing(_unbent("left"))),
+    Fault("sag_feed_half_force", "gcode_feed", _forced(lambda force: 0.5 * force)),
+    Fault("sag_feed_wrong_sign", "gcode_feed", _forced(np.negative)),
+    Fault("sag_feed_wrong_sign_krl", "gcode_feed_krl", _forced(np.negative)),
+    Fault("sag_feed_turned", "gcode_feed", {"motion.sag:_feed_axes": result(_to_the_left)}),
+    Fault("sag_feed_on_the_other_side", "gcode_feed", _forced(lambda force: force * [1.0, -1.0, 1.0])),
+    Fault("sag_feed_of_another_target", "gcode_feed", _feeds(lambda feed: np.roll(feed, 8, axis=0))),
+    Fault("sag_feed_of_the_first_target", "gcode_feed", _feeds(lambda feed: 0.0 * feed + feed[1])),
+    Fault("sag_claimed_in_the_tool", "gcode_feed", _claims(lambda c: of(c, frame=lambda frame: "tool"))),
+    Fault("sag_table_half_force", "dsif_deep", _forced(lambda force: 0.5 * force)),
+    Fault("sag_table_wrong_sign", "dsif_deep", _forced(np.negative)),
+    Fault("sag_table_first_row", "dsif_deep", _forced(lambda force: 0.0 * force + force[-1])),
+    Fault("sag_table_upside_down", "dsif_deep", _forced(lambda force: force[::-1])),
+    Fault("sag_claimed_of_another_depth", "dsif_deep", _claims(lambda c: of(c, height=lambda z: z + 5e-4))),
+    Fault("sag_table_in_the_tool", "dsif_deep", _standing(_each(frame=_OTHER.get))),
     Fault("sag_claims_left_out", "posed_sag", {"claims.sag:sags": result(lambda made: ())}),
     Fault("sag_claim_of_one_arm", "posed_sag", {"claims.sag:sags": result(lambda made: made[:1])}),
     Fault("sag_claimed_stiffer", "posed_sag", _claims(lambda c: of(c, joints=lambda joints: 1.2 * joints))),

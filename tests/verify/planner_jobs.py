@@ -471,6 +471,27 @@ def sagging(path: Path, softer: float = 1.0, **forces: Any) -> Path:
     return _write(path.parent, data)
 
 
+def turning(path: Path) -> Path:
+    """A milling job with targets 2 mm apart, under a force that turns with the feed."""
+    data = yaml.safe_load(path.read_text())
+    data["operations"][0] |= {"step_mm": 2, "shape_tol_mm": 0.1}
+    return sagging(_write(path.parent, data), 0.1, robot=([-60, 80, 30], "feed"))
+
+
+DEEPER: Final[dict[str, list[list[float]]]] = {
+    "left": [[8, 10, 0, 300], [6, 10, 0, 300], [3, 20, 0, 460], [-4, 30, 0, 600]],
+    "right": [[-4, 0, 0, -150], [-5, 0, 0, -150], [-8, 0, 10, -240], [-12, 0, 10, -300]],
+}
+"""Forces of a forming job by z of the balls' centres."""
+
+
+def deepening(path: Path) -> Path:
+    """A forming job under forces that grow with depth."""
+    data = yaml.safe_load(sagging(path, 0.1).read_text())
+    data["operations"][0]["forces"] = {arm: {"table": rows} for arm, rows in DEEPER.items()}
+    return _write(path.parent, data)
+
+
 JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "posed": posed,
     "posed_two": lambda folder: posed(folder, 2),
@@ -515,6 +536,9 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "dsif_sag": lambda folder: sagging(
         forming(folder, "dsif"), 0.1, left=([20, 0, 300], "stock"), right=([0, 10, -200], "stock")
     ),
+    "dsif_deep": lambda folder: deepening(forming(folder, "dsif")),
+    "gcode_feed": lambda folder: turning(gcode(folder)),
+    "gcode_feed_krl": lambda folder: turning(gcode_krl(folder)),
     "flank_rough": lambda folder: flank(folder, stepdown_mm=20),
 }
 """The makers of all jobs, by name."""

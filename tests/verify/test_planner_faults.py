@@ -53,6 +53,9 @@ SAMPLE: Final = (
     "sag_stiffness_of_another_robot",
     "sag_mass_of_another_tool",
     "sag_claims_left_out",
+    "sag_feed_half_force",
+    "sag_feed_turned",
+    "sag_table_first_row",
 )
 """Faults that are tried in every run of the tests: each process, mode and language at least once."""
 

@@ -99,13 +99,18 @@ def _figures(context: Context, index: int, name: str, arm: Arm, own: list[ArmSag
         ("stiffness of the joints [N m/rad]", claim.joints, stiffness.joints),
         ("mass [kg]", claim.mass, mass),
         ("moment of its mass [kg m]", claim.mass * claim.cog, moment),
-        ("force of the work [N]", claim.force, np.zeros(3) if force is None else force.vector),
-        ("frame of that force", float(claim.in_tool), float(force is not None and force.frame == "tool")),
+        ("force of the work [N]", claim.force, np.zeros((1, 3)) if force is None else force.vectors),
+        ("height of that force [m]", claim.height, np.zeros(1) if force is None else force.height),
         ("range [m]", claim.most, arm.sag.most),
     )
     out = []
+    if claim.frame != (frame := "stock" if force is None else force.frame):
+        out.append(
+            _wrong(arm.name, f"in {name}: the force is in the frame {claim.frame}, the problem has {frame}")
+        )
     for what, got, should in wanted:
-        if not np.allclose(got, should, rtol=FIGURE_ERROR, atol=FIGURE_ERROR):
+        alike = np.shape(got) == np.shape(should)
+        if not alike or not np.allclose(got, should, rtol=FIGURE_ERROR, atol=FIGURE_ERROR):
             out.append(_wrong(arm.name, f"in {name}: {what} is {got}, the problem has {should}"))
     return out
 
