@@ -124,4 +124,5 @@ def box_piece(
     outline = np.concatenate(
         [np.stack([u, np.full(len(u), t)], axis=1)[:: 1 if k == 0 else -1] for k, t in enumerate(across)]
     )
-    return Piece(place, along, across, outline, wall.normals(*outline.T))
+    corners = (0, len(u) - 1, len(u), 2 * len(u) - 1)
+    return Piece(place, along, across, outline, wall.normals(*outline.T), corners)

@@ -119,11 +119,11 @@ def puzzle_pieces(
     level = {(i, k): side((i, k), 1) for i in range(rows + 1) for k in range(across)}
     out = []
     for i, k in np.ndindex(rows, across):
-        ring = (level[i, k], upright[i, k + 1], level[i + 1, k], upright[i, k])
+        ring = (upright[i, k], level[i + 1, k], upright[i, k + 1], level[i, k])
         turned = [
             (one.places[::s][:-1], one.leads[::s][:-1]) for one, s in zip(ring, (1, 1, -1, -1), strict=True)
         ]
-        there = [one for one, inner in ((ring[0], i > 0), (ring[3], k > 0)) if inner]
+        there = [one for one, inner in ((ring[3], i > 0), (ring[0], k > 0)) if inner]
         out.append(
             Piece(
                 (i, k),
@@ -131,6 +131,7 @@ def puzzle_pieces(
                 (float(t[k]), float(t[k + 1])),
                 np.concatenate([places for places, _ in turned]),
                 np.concatenate([leads for _, leads in turned]),
+                tuple(np.cumsum([0, *(len(leads) for _, leads in turned[:3])]).tolist()),
                 ways[i, k],
                 max((_jam(wall, thickness, one, ways[i, k]) for one in there), default=0.0),
             )

@@ -26,7 +26,7 @@ from planner.element.nest import PanelBlock
 from planner.element.nested_output import finished
 from planner.element.output import outline, table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
-from planner.element.wall_panels import WallPanel, numbers
+from planner.element.wall_panels import SIDES, WallPanel, numbers
 from planner.element.wall_panels import outline as outline_of
 from planner.geometry.assembly import NONE, Step, bodies_beyond, put_up, rows_up
 from planner.geometry.units import MM
@@ -140,7 +140,7 @@ def _part(panel: WallPanel) -> dict[str, Any]:
         "ruled": [
             ruled("front", *panel.front),
             ruled("back", *panel.back, flip=True),
-            ruled("sides", *panel.sides, closed=True),
+            *(ruled(name, *side) for name, side in zip(SIDES, panel.sides, strict=True)),
         ]
     }
 

@@ -11,6 +11,7 @@ as much foam above as below.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Final
 
@@ -31,6 +32,8 @@ ROUNDS: Final = 4
 """Each of them leaves of what is wrong the share that the thickness is of the radius of curvature."""
 NEAR: Final = 0.7
 """Least cosine between the z axis of a block and the middle normal of its panel."""
+SIDES: Final = ("right", "top", "left", "bottom")
+"""Sides of a panel as seen from the front, in the order of its outline."""
 SAME_HEIGHT: Final = 0.0937
 """Panels are numbered by heights in these steps [mm], an odd number on purpose: no regular wall has panels
 that differ by a whole one."""
@@ -51,9 +54,10 @@ class Piece:
     """A panel on the wall: the strip and the ``place`` in it where it belongs, its part of the wall from and
     to ``along`` [m] and as shares of the rulings, ``across``.
 
-    ``outline`` (C, 2): places (u, t) of the wall, which may go beyond that part; ``leads`` (C, 3): directions
-    from back to front in which it is cut. ``way_in`` (3,): from the front, where there is one way in
-    alone; ``jam`` [m]: how far sides are in that way.
+    ``outline`` (C, 2): places (u, t) of the wall, which may go beyond that part, first up along the wall;
+    ``leads`` (C, 3): directions from back to front in which it is cut; ``corners``: places of the outline
+    where the sides of ``SIDES`` begin. ``way_in`` (3,): from the front, where there is one way in alone;
+    ``jam`` [m]: how far sides are in that way.
     """
 
     place: tuple[int, int]
@@ -61,6 +65,7 @@ class Piece:
     across: tuple[float, float]
     outline: FloatArray
     leads: FloatArray
+    corners: tuple[int, ...]
     way_in: FloatArray | None = None
     jam: float = 0.0
 
@@ -71,8 +76,9 @@ class WallPanel:
     bottom face; the rest is in the block's frame [m].
 
     ``size`` (3,) of the piece of the kind of ``block`` that it is cut from, ``box`` (3,): its own. ``front``,
-    ``back`` (2, N, 3): ends of rulings, beyond the sides; ``sides`` (2, C, 3): of the outline's, beyond both
-    faces. ``volume`` [m^3]; ``off``: the back's largest distance from the surface one thickness behind.
+    ``back`` (2, N, 3): ends of rulings, beyond the sides; ``sides``, as of ``SIDES``, (2, K, 3) each: beyond
+    both faces and one another. ``volume`` [m^3]; ``off``: the back's largest distance from the
+    surface one thickness behind.
     """
 
     piece: Piece
@@ -82,7 +88,7 @@ class WallPanel:
     pose: FloatArray
     front: FloatArray
     back: FloatArray
-    sides: FloatArray
+    sides: tuple[FloatArray, ...]
     volume: float
     off: float
 
@@ -159,7 +165,10 @@ def in_block(
     # rulings that fan may go on beyond the foam beside the outline
     half[1] = max(half[1], *(float(np.abs(face[..., 1]).max()) for face in (front, back)))
     lead = BEYOND * foam[1] * piece.leads
-    sides = transform(to_block, np.stack([bottom - lead, top + lead]))
+    ring = transform(to_block, np.stack([bottom - lead, top + lead]))
+    ring = np.concatenate([ring, ring[:, :1]], axis=1)
+    ends = itertools.pairwise((*piece.corners, ring.shape[1] - 1))
+    sides = tuple(_going_on(ring[:, i : k + 1], go_on) for i, k in ends)
     size = np.array([*(2.0 * half), room.thickness])
     measures = _measures(wall, piece, thickness)
     return WallPanel(piece, room.block, size, box, pose, front, back, sides, *measures)
@@ -192,6 +201,19 @@ def _to_sides(rulings: FloatArray, far: float) -> FloatArray:
     start, end = rulings
     share = (np.array([[-far], [far]]) - start[:, 0]) / (end - start)[:, 0]
     return np.asarray(start + share[..., None] * (end - start))
+
+
+def _going_on(side: FloatArray, beyond: float) -> FloatArray:
+    """A side (2, K, 3) that goes straight on ``beyond`` [m] both of its ends, level and in its own plane. So
+    each side is a cut of its own: the wire need not turn round the panel's corners, and may come to the next
+    side from elsewhere."""
+    ends = []
+    for at, before in ((0, 1), (-1, -2)):
+        low, high = side[:, at]
+        way = (side[:, at] - side[:, before]).sum(axis=0)
+        way = unit(way - way[2] / (high[2] - low[2]) * (high - low))
+        ends.append(side[:, at] + beyond * way)
+    return np.concatenate([ends[0][:, None], side, ends[1][:, None]], axis=1)
 
 
 def _measures(wall: RuledWall, piece: Piece, thickness: float) -> tuple[float, float]:

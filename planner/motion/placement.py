@@ -37,6 +37,8 @@ MOST_CHECKED_PLACES: Final = 60
 
 MOST_FREE_PLACES: Final = 6
 """Free places with which the search ends."""
+FREEST_PLACES: Final = 3
+"""Places that are kept where none is free for all of a few targets."""
 COARSE_TARGETS: Final = 10
 """Targets of an operation by which places are compared first."""
 FINE_TARGETS: Final = 20
@@ -91,21 +93,25 @@ class Place:
     number: int
 
 
+def _freest(shares: Sequence[tuple[float, Place]]) -> tuple[tuple[float, Place], ...]:
+    """The best of places with any share, the first of equals first."""
+    return tuple(sorted((item for item in shares if item[0]), key=lambda item: -item[0])[:FREEST_PLACES])
+
+
 @dataclasses.dataclass(frozen=True)
 class Trace:
-    """All candidates looked at: ``positions`` (K, 3) of the stock [m] and ``score`` (K,) [rad]. ``nearest``
-    is the one with free postures for most targets where none has them for all; ``free`` is their share."""
+    """All candidates looked at: ``positions`` (K, 3) of the stock [m] and ``score`` (K,) [rad]. ``freest``
+    are a few with free postures for most targets, the best first, and their shares."""
 
     positions: FloatArray
     score: FloatArray
-    nearest: Place | None = None
-    free: float = 0.0
+    freest: tuple[tuple[float, Place], ...] = ()
 
     def with_more(self, more: Trace) -> Trace:
         """These candidates with ``more`` behind them."""
-        best = max((self, more), key=lambda trace: trace.free)
         positions = np.concatenate([self.positions, more.positions])
-        return Trace(positions, np.concatenate([self.score, more.score]), best.nearest, best.free)
+        score = np.concatenate([self.score, more.score])
+        return Trace(positions, score, _freest([*self.freest, *more.freest]))
 
     def metrics(self, chosen: int | None) -> dict[str, Any]:
         """The search as the report reads it, in degrees; candidates that fail have no score."""
@@ -232,14 +238,15 @@ class Search:
         trace = Trace(np.array([self._stock_pose(v)[:3, 3] for v in every]), all_scores)
         if models:
             looked, ordered = ordered[: 2 * MOST_CHECKED_PLACES], []
+            shares: list[tuple[float, Place]] = []
             for place in looked:
                 share = self._share_free(models, place)
-                if share > trace.free:
-                    trace = dataclasses.replace(trace, nearest=place, free=share)
+                shares.append((share, place))
                 if share == 1.0:
                     ordered.append(place)
                 if len(ordered) == MOST_FREE_PLACES:
                     break
+            trace = dataclasses.replace(trace, freest=_freest(shares))
         return ordered, trace, faced
 
     def _rounded(self, points: FloatArray, scores: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:

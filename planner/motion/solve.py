@@ -424,13 +424,13 @@ def _first_that_works(
     at: list[int],
     begin: ways.Begin,
 ) -> tuple[Place, list[OperationPlan]]:
-    reasons: tuple[Issue, ...] = ()
-    for place in places[:PLACES_TRIED]:
+    tried, reasons = _tried(problem, stand, models, places, trace, at)
+    for place in tried:
         try:
             return place, _plan(problem, stand, models, place, tell, at, begin)
         except TandemError as error:
-            reasons = reasons or error.issues
-    raise TandemError([_unplaced(trace, stand), *(reasons or _nearly(problem, stand, models, trace, at))])
+            reasons = reasons or list(error.issues)
+    raise TandemError([_unplaced(trace, stand), *reasons])
 
 
 def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> None:
@@ -462,12 +462,12 @@ def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, 
     except TandemError as error:
         return None, list(error.issues)
     places, trace = _search(problem, stand).run(stand.each(models))
-    reasons = []
-    for place in places[:PLACES_TRIED]:
+    tried, reasons = _tried(problem, stand, models, places, trace, at)
+    for place in tried:
         reasons = _no_path(problem, stand, models, place, at)
         if not reasons:
             return place, []
-    return None, [_unplaced(trace, stand), *(reasons or _nearly(problem, stand, models, trace, at))]
+    return None, [_unplaced(trace, stand), *reasons]
 
 
 def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list[Issue]:
@@ -581,11 +581,25 @@ def _no_path(
     return out
 
 
-def _nearly(
-    problem: Problem, stand: Stand, models: Sequence[CellModel], trace: Trace, at: list[int]
-) -> list[Issue]:
-    """What is in the way at the place where most targets are free, if none is where all of them are."""
-    return [] if trace.nearest is None else _no_path(problem, stand, models, trace.nearest, at)
+def _tried(
+    problem: Problem,
+    stand: Stand,
+    models: Sequence[CellModel],
+    places: Sequence[Place],
+    trace: Trace,
+    at: list[int],
+) -> tuple[Sequence[Place], list[Issue]]:
+    """The places to try. The search looks at few postures of a target: where it finds no place, the first of
+    its freest that has a path after all is tried; if none has, what is in the way at the very freest."""
+    if places:
+        return places[:PLACES_TRIED], []
+    reasons: list[Issue] = []
+    for _, place in trace.freest:
+        found = _no_path(problem, stand, models, place, at)
+        if not found:
+            return [place], []
+        reasons = reasons or found
+    return [], reasons
 
 
 def _unplaced(trace: Trace, stand: Stand) -> Issue:
@@ -599,9 +613,10 @@ def _unplaced(trace: Trace, stand: Stand) -> Issue:
     x, y, z = 1e3 * trace.positions[best]
     reachable = int((trace.score > 0).sum())
     free = ""
-    if trace.nearest is not None:
-        x, y, z = 1e3 * trace.nearest.stock[:3, 3]
-        free = f", with free postures for {trace.free:.0%} of a few targets"
+    if trace.freest:
+        share, freest = trace.freest[0]
+        x, y, z = 1e3 * freest.stock[:3, 3]
+        free = f", with free postures for {share:.0%} of a few targets"
         room += "mend what is in the way there, which is told as well (a longer wire or tool or a smaller "
         room += "block where a tool or a wrist meets it); "
     return Issue(

@@ -23,12 +23,15 @@ from planner.element.boxes import most_even
 from planner.element.nested_output import nested_folder
 from planner.element.panel_box import hull_boxes
 from planner.element.puzzle import FILLET, lobe
+from planner.hotwire.operation import Straight
+from planner.hotwire.straight.job import StraightJob
 from planner.issues import Issue, TandemError
 from tests.element.walls import ROOT
 
 PROBLEM = ROOT / "problems" / "ruled_wall_108"
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 THICK = 50.0
+SIDES = ("right", "top", "left", "bottom")
 
 
 def wall(folder: Path, panels: Any = None, **changes: Any) -> Path:
@@ -97,9 +100,13 @@ class Written:
         pose = np.array(self.row["block_pose"])
         return (points - pose[:3, 3]) @ pose[:3, :3]
 
+    def sides(self) -> np.ndarray:
+        """The rulings (2, N, 3) of all sides, without those by which they go on through the block."""
+        return np.concatenate([self.surfaces[side][:, 1:-1] for side in SIDES], axis=1)
+
     def part(self) -> np.ndarray:
         """Points (K, 3) all round its body: where the rulings of its sides go through front and back."""
-        sides = self.surfaces["sides"]
+        sides = self.sides()
         ways = sides[1] - sides[0]
         found = [
             sides[0] + _through(sides[0], ways, self.surfaces[face])[:, None] * ways
@@ -244,12 +251,12 @@ def beyond(panel: Written) -> set[str]:
 def test_neighbours_are_cut_along_the_same_lines(kind: str, request: pytest.FixtureRequest) -> None:
     """Each ruling of a side but those on the rim is one of a neighbour's, as written."""
     panels = written(request.getfixturevalue(kind))
-    shared = {name: np.zeros(panel.surfaces["sides"].shape[1], dtype=bool) for name, panel in panels.items()}
+    shared = {name: np.zeros(panel.sides().shape[1], dtype=bool) for name, panel in panels.items()}
     for name, panel in panels.items():
-        own = panel.surfaces["sides"]
+        own = panel.sides()
         for other in beyond(panel):
             assert name in beyond(panels[other])
-            there = panels[other].surfaces["sides"]
+            there = panels[other].sides()
             gaps = np.abs(own[:, :, None] - there[:, None]).max(axis=(0, 3)).min(axis=1)
             assert (gaps < 1e-6).sum() >= 2 or kind == "boxes"
             shared[name] |= gaps < 1e-6
@@ -318,8 +325,8 @@ def test_pieces_slide_in_one_way_and_have_up_to_four_lobes_around_them(puzzle: d
         for other in beyond(panel):
             if panels[other].row["place"] > place:
                 continue
-            there = panels[other].surfaces["sides"]
-            own = panel.surfaces["sides"]
+            there = panels[other].sides()
+            own = panel.sides()
             same = np.abs(own[:, :, None] - there[:, None]).max(axis=(0, 3)).min(axis=1) < 1e-6
             lines = own[1, same] - own[0, same]
             along = lines / np.linalg.norm(lines, axis=1, keepdims=True)
@@ -360,8 +367,33 @@ def test_panels_are_ordinary_problems(kind: str, request: pytest.FixtureRequest,
     (tmp_path / "P03.yaml").write_text(files["panels/P03.yaml"])
     problem = pipeline.load(tmp_path / "P03.yaml")
     assert problem.part is not None
-    assert [one.name for one in problem.part.ruled] == ["front", "back", "sides"]
-    assert [one.closed for one in problem.part.ruled] == [False, False, True]
+    assert [one.name for one in problem.part.ruled] == ["front", "back", *SIDES]
+
+
+@pytest.mark.parametrize("kind", ["boxes", "puzzle"])
+def test_sides_go_straight_on_beyond_one_another(kind: str, request: pytest.FixtureRequest) -> None:
+    for panel in written(request.getfixturevalue(kind)).values():
+        for name in SIDES:
+            side = np.stack([panel.local(line) for line in panel.surfaces[name]])
+            for on, at, before in ((0, 1, 2), (-1, -2, -3)):
+                np.testing.assert_allclose(side[:, on, 2], side[:, at, 2], atol=1e-6)
+                way, lean = side[:, on] - side[:, at], side[1, at] - side[0, at]
+                np.testing.assert_allclose(way[0], way[1], atol=1e-6)
+                assert np.linalg.norm(way[0]) == pytest.approx(0.7 * 4.0, abs=1e-6)
+                normal = np.cross(lean, (side[:, at] - side[:, before]).sum(axis=0))
+                assert abs(way[0] @ normal) < 1e-4 * np.linalg.norm(normal) * np.linalg.norm(way[0])
+
+
+def test_what_goes_on_beyond_a_corner_takes_nothing_from_the_part(
+    puzzle: dict[str, str], tmp_path: Path
+) -> None:
+    """There the back goes on below the side, beyond the next one."""
+    (tmp_path / "P04.yaml").write_text(puzzle["panels/P04.yaml"])
+    problem = pipeline.load(tmp_path / "P04.yaml")
+    sides = problem.operations[1]
+    assert isinstance(sides, Straight) and problem.part is not None
+    made = StraightJob(sides, problem.setups[0], problem.part).targets()
+    assert {issue.code for issue in made.issues} <= {"kerf.doubt"}
 
 
 def test_what_is_said_of_the_raw_blocks_is_told_on_the_page_too(tmp_path: Path) -> None:
@@ -407,7 +439,7 @@ def test_lobes_too_large_for_their_cells_are_refused_with_the_size_that_fits(tmp
     radius = 1e-3 * float(found[1])
     panels = walls.divide_wall(read(wall(tmp_path, {"puzzle": {"lobe_mm": 1e3 * radius, "cells": [4, 5]}})))
     for panel in panels:
-        outline = shapely.Polygon(panel.sides[1, :, :2])
+        outline = shapely.Polygon(np.concatenate([side[1, 1:-2, :2] for side in panel.sides]))
         assert outline.is_valid
         assert outline.buffer(-0.2 * radius).geom_type == "Polygon"
 

@@ -143,10 +143,19 @@ def test_places_that_face_another_way_are_searched_where_the_best_collide(
     assert places
     assert shut
     assert not {facing(place) for place in places} & shut
-    assert trace.free == 1.0
+    assert [share for share, _ in trace.freest] == [1.0] * placement.FREEST_PLACES
     for place in places:
         assert np.array_equal(trace.positions[place.number], place.stock[:3, 3])
         assert trace.score[place.number] > 0.0
+
+
+def test_a_place_that_few_postures_do_not_show_free_is_tried(
+    monkeypatch: pytest.MonkeyPatch, targets: Targets
+) -> None:
+    monkeypatch.setattr(Search, "_share_free", lambda self, models, place: 0.9)
+    job = problem(two_arms(1.8), targets, None)
+    assert not check(job, [targets])
+    assert solve(job, [targets]).operations[0].metrics["clearance_mm"] >= 10.0
 
 
 def test_a_joint_limit_is_named(targets: Targets) -> None:

@@ -8,6 +8,7 @@ wires run another way.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from typing import Final
 
@@ -250,6 +251,18 @@ def _of_the_part(places: FloatArray, own: Ruled, ruled: tuple[Ruled, ...], box: 
     return real
 
 
+def _going_on(ruled: Ruled, far: float) -> Ruled:
+    """A strip that goes straight on from both of its ends by ``far`` [m]."""
+    if ruled.closed:
+        return ruled
+    ends = np.stack([ruled.start, ruled.end])
+    way = (ends[:, [0, -1]] - ends[:, [1, -2]]).sum(axis=0)
+    on = ends[:, [0, -1]] + far * way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-30)
+    ends = np.concatenate([on[:, :1], ends, on[:, 1:]], axis=1)
+    corner = np.concatenate([[True], ruled.corner, [True]])
+    return dataclasses.replace(ruled, start=ends[0], end=ends[1], corner=corner)
+
+
 LENGTH_SHARES: Final = (0.02, 0.5, 0.98)
 """Shares of the common length of all rulings at which slots are held against other pieces."""
 STEEP_WAY: Final = 6.0
@@ -381,8 +394,10 @@ def _own_side(op: Straight, cut: Cut) -> Iterator[Issue]:
 
 def _through(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
     """The ways in and out of a strip do not enter the part through another surface that the strip itself does
-    not cross. (Surfaces that cross bound the part together: what is beyond one is no part.)"""
+    not cross. (Surfaces that cross bound the part together: what is beyond one is no part, nor what is beyond
+    a strip that would go straight on, as that way does.)"""
     on = cut.on.lines
+    bounds = tuple(_going_on(one, float(np.linalg.norm(np.ptp(box, axis=0)))) for one in ruled)
     near = 4.0 * float(cut.on.half.max())
     for other in ruled:
         if other.name == cut.wanted.ruled.name:
@@ -390,19 +405,20 @@ def _through(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) 
         mesh = tessellate(resample(other, LEAD_CHORD, 0.05), LEAD_CHORD)
         triangles = mesh.vertices[mesh.faces]
         inner = _between(on, near)
-        if len(inner) > 1 and _entered(inner[:: max(1, len(inner) // 40)], triangles, box, both=True).size:
+        if len(inner) > 1 and len(_passed(inner[:: max(1, len(inner) // 40)], triangles, box, both=True)):
             continue
         out = cut.out[: cut.turns] if cut.turns else cut.out
         for lines, word in ((cut.into.reversed(), "in"), (out, "out")):
             # from the wire before, since the last one may stand exactly in the other surface
             ends = join([on[[1 if word == "in" else -2]], lines[[-1]]])
-            place = _entered(ends, triangles, box, both=False)
-            if place.size:
+            places = _passed(ends, triangles, box, both=False)
+            places = places[_of_the_part(places, other, bounds, box)]
+            if len(places):
                 yield Issue(
                     "straight.lead",
                     f"{op.name}: the way {word} of {cut.wanted.segment} goes straight on through the part, "
-                    f"into which it comes through {other.name} at {place_text(place)}; make both one surface "
-                    "with a corner, or move them apart",
+                    f"into which it comes through {other.name} at {place_text(places[0])}; make both one "
+                    "surface with a corner, or move them apart",
                     field=str(cut.wanted.segment),
                 )
                 return
@@ -415,9 +431,9 @@ def _between(lines: Lines, near: float) -> Lines:
     return lines[far[0] & far[1]]
 
 
-def _entered(lines: Lines, triangles: FloatArray, box: FloatArray, both: bool) -> FloatArray:
-    """A place (3,) where points of the wire in the foam pass triangles (T, 3, 3) from outside to inside, or
-    either way; of no size where there is none (Moller and Trumbore's test)."""
+def _passed(lines: Lines, triangles: FloatArray, box: FloatArray, both: bool) -> FloatArray:
+    """Places (K, 3) where points of the wire in the foam pass triangles (T, 3, 3) from outside to inside, or
+    either way (Moller and Trumbore's test)."""
     # wires outside the block are followed between their guide points
     length = np.linalg.norm(lines.end - lines.start, axis=1)
     first, last = chord(lines, box)
@@ -426,6 +442,7 @@ def _entered(lines: Lines, triangles: FloatArray, box: FloatArray, both: bool) -
     base = lines.start[:, None] + lines.direction[:, None] * along[..., None]
     origin, way = base[:-1].reshape(-1, 3), np.diff(base, axis=0).reshape(-1, 3)
     a, one, two = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    places = []
     for start, move in zip(origin, way, strict=True):
         cross = np.cross(move, two)
         det = np.sum(one * cross, axis=1)
@@ -438,6 +455,5 @@ def _entered(lines: Lines, triangles: FloatArray, box: FloatArray, both: bool) -
         hit = (u > 0.0) & (v > 0.0) & (u + v < 1.0) & (t > 0.0) & (t < 1.0)
         if not both:
             hit &= np.cross(one, two) @ move < 0.0
-        if hit.any():
-            return np.asarray(start + t[int(np.argmax(hit))] * move)
-    return np.zeros(0)
+        places.append(start + t[hit, None] * move)
+    return np.concatenate(places)

@@ -373,8 +373,10 @@ def _bounds_the_part(
 ) -> BoolArray:
     """Which places (N, 3) of a surface bound the part: those not outside of another one that it crosses in
     the block."""
-    # all over each facet: those of a ruled surface have all corners in faces of the block
-    inner = np.array([(i, j, 10 - i - j) for i in range(1, 9) for j in range(1, 10 - i)]) / 10.0
+    # all over each facet: those of a ruled surface have all corners in faces of the block, and a surface may
+    # go on little beyond another
+    inner = np.array([(i, j, 10 - i - j) for i in range(11) for j in range(11 - i)]) / 10.0
+    inner = 0.97 * inner + 0.01
     points = np.einsum("wk,fkd->fwd", inner, own.vertices[own.faces]).reshape(-1, 3)
     points = points[((points > block[0]) & (points < block[1])).all(axis=1)]
     points = np.random.default_rng(0).permutation(points)[: 2 * CROSSING_SAMPLES]
