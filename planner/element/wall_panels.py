@@ -51,8 +51,8 @@ class Piece:
     """A panel on the wall: the strip and the ``place`` in it where it belongs, its part of the wall from and
     to ``along`` [m] and as shares of the rulings, ``across``.
 
-    ``outline`` (C, 2): places (u, t) of the wall, which may go beyond that part; ``leads`` (C, 3): directions
-    from back to front in which it is cut. ``way_in`` (3,): from the front, where there is one way in
+    ``outline`` (C, 2): places (u, t) of the wall, which may go beyond that part; ``leads`` (C, 3): from back
+    to front, the way in which it is cut. ``way_in`` (3,): from the front, where there is one way in
     alone; ``jam`` [m]: how far sides are in that way.
     """
 
@@ -132,7 +132,7 @@ def face_rulings(
     """Ends (2, N, 3) [m] of the rulings of a front and of its back over a part of the wall, at ways (N,)."""
     u, t = np.broadcast_arrays(u, np.array(across)[:, None])
     front = wall.points(u, t)
-    return front, front - thickness * wall.normals(u, t)
+    return front, front - thickness * wall.depths(u, t)
 
 
 def in_block(
