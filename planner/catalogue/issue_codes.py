@@ -67,7 +67,9 @@ CODES: Final[dict[str, Code]] = {
     ),
     "element.wire": Code("no wire is long enough for the smallest panel at some place of an element"),
     "element.tolerance": Code("panels are farther off the surface of an element than is allowed"),
-    "element.shape": Code("planar panels of an element cross themselves, lean too far or are too small"),
+    "element.shape": Code(
+        "panels of an element cross themselves, fold over behind, lean too far or are too small"
+    ),
     "element.concave": Code("planar panels of an element have inner corners"),
     "element.assembly": Code("panels of an element have no straight way in that is free, in any order tried"),
     "element.block": Code("no block holds a panel at some place of an element"),

@@ -19,7 +19,7 @@ from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
     from planner.element.elastic import Judge
-    from planner.element.element_file import ElasticElement, HexagonElement, WallElement
+    from planner.element.element_file import ElasticElement, HexagonElement, StripsElement, WallElement
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -52,6 +52,8 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
         files, told, said = _hexagons(element)
     elif isinstance(element, element_file.WallElement):
         files, told, said = _wall(element)
+    elif isinstance(element, element_file.StripsElement):
+        files, told, said = _strips(element)
     else:
         files, told, said = _elastic(element)
     data = json.loads(files["element.json"])
@@ -108,6 +110,21 @@ def _wall(element: WallElement) -> tuple[dict[str, str], tuple[Issue, ...], str]
     said = (
         f"{len(panels)} panels, {heights.min():.0f} to {heights.max():.0f} mm high; backs at most {off:.2f} "
         "mm off one thickness behind the front"
+    )
+    return files, told, said
+
+
+def _strips(element: StripsElement) -> tuple[dict[str, str], tuple[Issue, ...], str]:
+    """All files of a surface in ruled strips, what is to be said, and what it came out as."""
+    from planner.element import strips, wall_files
+
+    found = strips.divide_strips(element)
+    files, told = wall_files.strips_folder(element, found)
+    tried = "; ".join(f"across {one}: {p} in {s} strips" for one, (s, p) in found.tried.items())
+    said = (
+        f"{len(found.panels)} panels in {len(found.cuts) - 1} ruled strips across {found.across} ({tried}), "
+        f"at most {found.off.max() / MM:.2f} mm off the surface; kinks of at most "
+        f"{found.kinks.max(initial=0.0) / DEG:.1f} degrees between neighbours"
     )
     return files, told, said
 

@@ -36,7 +36,7 @@ def divide_boxes(
     for count in range(fewest, fewest + MORE_STRIPS + 1):
         strips: list[FloatArray] = []
         for across in itertools.pairwise(np.linspace(0.0, 1.0, count + 1).tolist()):
-            cuts = _strip(wall, thickness, rooms, least, across)
+            cuts = strip_cuts(wall, thickness, rooms, least, across)
             if cuts is None:
                 break
             strips.append(cuts)
@@ -52,10 +52,11 @@ def fewest_strips(wall: RuledWall, rooms: Sequence[Room], beside: float = 0.0) -
     return int(np.ceil(float(wall.widths.max()) / width - 1e-9))
 
 
-def _strip(
+def strip_cuts(
     wall: RuledWall, thickness: float, rooms: Sequence[Room], least: float, across: tuple[float, float]
 ) -> FloatArray | None:
-    """Where a strip is cut (N + 1,) [m], from end to end."""
+    """Where a strip is cut (N + 1,) [m], from end to end, into panels no lower than ``least`` [m] that all
+    fit a room; None where there are none such."""
     nodes = wall.nodes
     at = np.unique(np.searchsorted(nodes, np.arange(0.0, nodes[-1], CUT_STEP)))
     at = np.append(at[at < len(nodes) - 1], len(nodes) - 1)
@@ -125,4 +126,4 @@ def box_piece(
         [np.stack([u, np.full(len(u), t)], axis=1)[:: 1 if k == 0 else -1] for k, t in enumerate(across)]
     )
     corners = (0, len(u) - 1, len(u), 2 * len(u) - 1)
-    return Piece(place, along, across, outline, wall.normals(*outline.T), corners)
+    return Piece(place, along, across, outline, wall.depths(*outline.T), corners)

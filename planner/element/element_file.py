@@ -23,6 +23,7 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.face_offset import Rim
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.planar_panels import LEAST_COUNT, MOST_COUNT
+from planner.geometry.ruled_approximation import Patch
 from planner.geometry.ruled_wall import RuledWall, ruled_wall
 from planner.geometry.units import MM
 from planner.hotwire import wire as hot_wires
@@ -31,7 +32,7 @@ from planner.reading import strict_yaml
 from planner.reading.cell import RackFile
 from planner.reading.materials import WireFile, WiresFile, wires_at_hand
 from planner.reading.part_ruled import RuledFile, build_ruled
-from planner.reading.part_surfaces import FrontFile, check_size, surface
+from planner.reading.part_surfaces import FrontFile, check_size, surface, surface_patch
 from planner.reading.problem import resolved, validate
 from planner.reading.strict_yaml import Far, FileName, Positive, Strict, Vector
 
@@ -46,11 +47,12 @@ USUAL_FOAM: Final = {
     "hexagons": (10.0, 0.0),
     "boxes": (4.0, 4.0),
     "puzzle": (4.0, 4.0),
+    "strips": (4.0, 4.0),
 }
 """Foam [mm] beside panels, and above and below them, where none is stated. Under a back that a wire cuts 12
 are too few: wires came to 9.95 mm of pedestals, of which they keep 10."""
 LEAST_FOAM: Final = 3.0
-"""Foam [mm] that panels of walls need around them: their surfaces go on into it."""
+"""Foam [mm] that panels of walls and strips need around them: their surfaces go on into it."""
 NODE_STEP: Final = 0.02
 """Largest distance [m] of the rulings that stand for a wall."""
 CLOSED: Final = 1e-3
@@ -147,7 +149,17 @@ class PuzzleFile(Strict):
     ] = None
 
 
-Kind = Literal["elastic", "hexagons", "boxes", "puzzle"]
+class StripPanelsFile(Strict):
+    """Panels of a free-form surface with ruled faces, in strips beside one another."""
+
+    tolerance_mm: Annotated[float, Field(ge=0.01, le=100, description="of fronts to the surface")]
+    least_width_mm: Annotated[float, Field(ge=20, le=2000, description="of strips, in the mean")] = 60.0
+    least_height_mm: Annotated[float, Field(ge=20, le=2000, description="of panels, along their strip")] = (
+        100.0
+    )
+
+
+Kind = Literal["elastic", "hexagons", "boxes", "puzzle", "strips"]
 
 
 class PanelsFile(Strict):
@@ -157,6 +169,7 @@ class PanelsFile(Strict):
     hexagons: HexagonsFile | None = None
     boxes: BoxesFile | None = None
     puzzle: PuzzleFile | None = None
+    strips: StripPanelsFile | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> PanelsFile:
@@ -258,12 +271,17 @@ class ElementFile(Strict):
         Field(
             ge=0,
             le=500,
-            description="foam of a block beside its panel, at each side; none: 2, hexagons 10, walls 4",
+            description="foam of a block beside its panel, at each side; none: 2, hexagons 10, walls "
+            "and strips 4",
         ),
     ] = None
     foam_faces_mm: Annotated[
         float | None,
-        Field(ge=0, le=500, description="foam of a block above and below its panel; none: 14, walls 4"),
+        Field(
+            ge=0,
+            le=500,
+            description="foam of a block above and below its panel; none: 14, walls and strips 4",
+        ),
     ] = None
     raw_blocks: RawBlocksFile | None = None
     groups: Annotated[GroupsFile | None, Field(description="of hexagons")] = None
@@ -284,13 +302,15 @@ class ElementFile(Strict):
         strange = self.model_fields_set & ({"wires"} if kind != "elastic" else set())
         if kind == "hexagons":
             strange |= self.model_fields_set & {"foam_faces_mm"}
+        if kind == "strips" and self.surface.plane is not None:
+            raise ValueError("surface.plane: strips follow the surface however it stands; take it out")
         if strange:
             what = "out of blocks as thick as they are" if kind == "hexagons" else "with its straight wire"
             raise ValueError(
                 f"{' and '.join(sorted(strange))}: {kind} are cut by the bow of their cell {what}; take that "
                 "out"
             )
-        if wall and min(self.sides, self.faces) < LEAST_FOAM * MM:
+        if (wall or kind == "strips") and min(self.sides, self.faces) < LEAST_FOAM * MM:
             raise ValueError(
                 f"foam_sides_mm and foam_faces_mm: {kind} need {LEAST_FOAM:g} mm around them at least, "
                 "more than half a slot"
@@ -363,12 +383,21 @@ class WallElement(Element):
     wall: RuledWall
 
 
-def read(path: Path) -> ElasticElement | HexagonElement | WallElement:
+@dataclasses.dataclass(frozen=True)
+class StripsElement(Element):
+    """A free-form surface in ruled strips: ``wanted``, and the surface as a ``patch`` [m] in the file's
+    frame, which is that of the element."""
+
+    wanted: StripPanelsFile
+    patch: Patch
+
+
+def read(path: Path) -> ElasticElement | HexagonElement | WallElement | StripsElement:
     """The element of a file.
 
     Raises ``TandemError``: ``problem.field`` for every wrong field, with its line; issues of mesh files;
-    issues of guides; ``element.surface``; ``element.stock``; ``part.offset`` where the thickness folds over;
-    ``element.jobs`` for templates that bring what panels bring.
+    issues of guides; ``part.patch``; ``element.surface``; ``element.stock``; ``part.offset`` where the
+    thickness folds over; ``element.jobs`` for templates that bring what panels bring.
     """
     document = strict_yaml.read(path)
     spec, issues = validate(ElementFile, document.data, document, ())
@@ -404,6 +433,10 @@ def read(path: Path) -> ElasticElement | HexagonElement | WallElement:
     walls = spec.panels.boxes or spec.panels.puzzle
     if walls is not None and spec.surface.ruled is not None:
         return WallElement(spec, tuple(templates), stock, walls, _wall(spec.surface.ruled, folder))
+    strips = spec.panels.strips
+    if strips is not None:
+        patch = surface_patch(spec.surface.loft, spec.surface.mesh, folder, "surface")
+        return StripsElement(spec, tuple(templates), stock, strips, patch)
     mesh, _ = surface(spec.surface.loft, spec.surface.mesh, folder, "surface")
     check_size(mesh, "surface")
     plane = spec.surface.plane

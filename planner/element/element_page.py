@@ -329,6 +329,11 @@ def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
         for letter, members in groups.items():
             heavy = sum(float(one["weight_kg"] or 0.0) for one in members)
             yield f"group {letter}", f"{len(members)} panels" + (f", {heavy:.1f} kg" if heavy else "")
+    if strips := data.get("strips"):
+        widths, across = strips["widths_mm"], strips["across"]
+        tried = (f"across {p}: {n['panels']} in {n['strips']} strips" for p, n in strips["tried"].items())
+        size = f"{min(widths):.0f} to {max(widths):.0f} mm wide"
+        yield "ruled strips", f"{len(widths)} across {across}, {size}; panels {', '.join(tried)}"
     if weights:
         yield "weight", f"{sum(weights):.1f} kg, the heaviest {max(weights):.2f} kg"
     if found.joints:
@@ -370,6 +375,9 @@ def _sizes(found: ElementRun) -> tuple[Grid, ...]:
         Figure("Blocks that they are cut from", bars(blocks.prod(axis=1) * 1e-9, "volume [m³]")),
     ]
     angles = [float(j["angle_deg"]) for j in found.data.get("joints", ()) if "angle_deg" in j]
+    for own in (panel.panel for panel in found.panels):
+        kinks = zip(own.get("kinks_deg", ()), own["neighbours"], strict=False)
+        angles += [float(kink) for kink, beyond in kinks if beyond is not None and beyond > own["id"]]
     if angles:
         figures.append(Figure("Angle between neighbours", bars(np.array(angles), "angle [deg]")))
     off = [float(panel.panel["off_surface_mm"]) for panel in found.panels if "off_surface_mm" in panel.panel]

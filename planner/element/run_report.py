@@ -159,7 +159,7 @@ def read_run(out: Path, run: Path) -> ElementRun:
         raise _missing(run / "summary.csv", "tandem batch OUT/panels -o RUN writes it")
     data = json.loads((out / "element.json").read_text("utf-8"))
     if "joints" not in data or not all("outline_mm" in panel for panel in data["panels"]):
-        what = f"{out} was written without joints or outlines of its panels; ruled walls have none"
+        what = f"{out} was written without joints or outlines of its panels; ruled walls and strips have none"
         hint = (
             f"verdicts are in {run / 'summary.csv'}; divide another element again: tandem element "
             "FILE -o OUT; panels that stay need no new plan"

@@ -1,5 +1,5 @@
-"""What a ruled wall in boxes or puzzle pieces leaves in a folder: problems, a table and a drawing of its
-panels, and all as data."""
+"""What a ruled wall in boxes or puzzle pieces, or a surface in ruled strips, leaves in a folder: problems, a
+table and a drawing of its panels, and all as data."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-import shapely
 
-from planner.element.assembly import GIVE, SHOWN, Assembly, Body, rests_on, ring_slab, thinned
-from planner.element.element_file import WallElement
-from planner.element.hexagons import LOW
+from planner.element.assembly import GIVE
+from planner.element.element_file import Element, StripsElement, WallElement
 from planner.element.jobs import (
     block_mm,
     chosen_templates,
@@ -26,47 +24,125 @@ from planner.element.nest import PanelBlock
 from planner.element.nested_output import finished
 from planner.element.output import outline, table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
+from planner.element.strips import Divided
+from planner.element.wall_assembly import Stand, assembly
 from planner.element.wall_panels import SIDES, WallPanel, numbers
-from planner.element.wall_panels import outline as outline_of
-from planner.geometry.assembly import NONE, Step, bodies_beyond, put_up, rows_up
-from planner.geometry.units import MM
+from planner.geometry.arrays import FloatArray
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue
 
 TURN: Final = np.array([[0.0, 1.0], [-1.0, 0.0]])
 """Places (u, t) of a wall as seen from the front: its rulings from right to left, u up."""
 SHADED: Final = 1.0
 """A back that is so far off [mm] is drawn darkest."""
-NEAR: Final = 2e-4
-"""How far outlines may be off [m] as the way in is looked for."""
-BESIDE: Final = 1e-5
-"""How far [m] outside of a side the panel beyond is looked for."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Laid:
+    """What is told of a panel by its kind. ``ring``: its corners [mm] among those of its neighbours, laid
+    flat as seen from the front, with the panel ``beyond`` each edge; ``outline`` (C, 2) [mm]: as it is drawn;
+    ``across``: its part of the surface there, from and to as shares; ``share`` of what is allowed that it is
+    off; ``row`` of the table, and ``data`` beside it."""
+
+    ring: Sequence[tuple[float, float]]
+    beyond: Sequence[str | None]
+    outline: FloatArray
+    across: tuple[float, float]
+    share: float
+    row: dict[str, Any]
+    data: dict[str, Any]
 
 
 def folder(element: WallElement, panels: tuple[WallPanel, ...]) -> tuple[dict[str, str], tuple[Issue, ...]]:
-    """All files by their names, and what is to be said: ``element.assembly`` for panels without a way in,
-    ``element.cut`` for cuts of raw blocks that no bow reaches.
+    """All files of a ruled wall by their names, and what is to be said: ``element.assembly`` for panels
+    without a way in, ``element.cut`` for cuts of raw blocks that no bow reaches.
 
     Raises ``TandemError``: ``element.jobs``, ``element.raw_block``.
     """
+    wide, names = float(element.wall.widths.max()) / MM, numbers(panels)
+    pieces = [panel.piece for panel in panels]
+    parts = [
+        (wide * (1.0 - p.across[1]), wide * (1.0 - p.across[0]), p.along[0] / MM, p.along[1] / MM)
+        for p in pieces
+    ]
+    laid = []
+    for k, (panel, piece) in enumerate(zip(panels, pieces, strict=True)):
+        own = (piece.outline @ TURN + [1.0, 0.0]) * [wide, 1.0 / MM]
+        row = {"off_surface_mm": round(panel.off / MM, 3)}
+        ring = outline(parts, names, k)
+        laid.append(Laid(*ring, own, piece.across, panel.off / MM / SHADED, row, {}))
+    worst = max(panel.off for panel in panels) / MM
+    legend = f"the straight back is farther off one thickness behind the front, at most {worst:.2f} mm"
+    wall = element.wall
+    stand = Stand(wall, wall.nodes, np.array([0.0, wall.widths.mean()]))
+    return _folder(element, panels, laid, [stand] * len(panels), ("", legend), {})
+
+
+def strips_folder(element: StripsElement, found: Divided) -> tuple[dict[str, str], tuple[Issue, ...]]:
+    """All files of a surface in ruled strips, as `folder`; with how far each panel is off it, and the kinks
+    between neighbours."""
+    panels, limit, names = found.panels, element.wanted.tolerance_mm, numbers(found.panels)
+    places, share = found.lines.places[found.cuts], found.lines.share[found.cuts]
+    known = {name: found.steps(k) for k, name in enumerate(names)}
+    parts = []
+    for strip, first, last in known.values():
+        x, y = (places[-1] - places[[strip + 1, strip]]) / MM, found.lines.way[[first, last]] / MM
+        parts.append((float(x[0]), float(x[1]), float(y[0]), float(y[1])))
+    laid = []
+    for k, own in enumerate(known.values()):
+        ring, beyond = outline(parts, names, k)
+        kinks = [None if one is None else round(found.kink(own, known[one]) / DEG, 3) for one in beyond]
+        row = {
+            "off_surface_mm": round(float(found.off[k]) / MM, 3),
+            "kink_deg": max((kink for kink in kinks if kink is not None), default=0.0),
+            "back_off_mm": round(panels[k].off / MM, 3),
+        }
+        across = float(share[own[0]]), float(share[own[0] + 1])
+        drawn = np.array(parts[k])[[[0, 2], [1, 2], [1, 3], [0, 3]]]
+        data = {"kinks_deg": kinks}
+        laid.append(Laid(ring, beyond, drawn, across, float(found.off[k]) / MM / limit, row, data))
+    worst = float(found.off.max()) / MM
+    told = (
+        f" in {len(share) - 1} strips across {found.across}",
+        f"the front is farther off the surface, at most {worst:.2f} of {limit:g} mm",
+    )
+    whole = {
+        "across": found.across,
+        "breaks": np.round(share, 9).tolist(),
+        "widths_mm": np.round(np.diff(places) / MM, 3).tolist(),
+        "tolerance_mm": limit,
+        "tried": {one: {"strips": s, "panels": p} for one, (s, p) in found.tried.items()},
+    }
+    strips = [panel.piece.place[0] for panel in panels]
+    stands = [Stand(found.walls[k], found.lines.way, places[[k, k + 1]]) for k in strips]
+    return _folder(element, panels, laid, stands, told, {"strips": whole})
+
+
+def _folder(
+    element: Element,
+    panels: Sequence[WallPanel],
+    laid: Sequence[Laid],
+    stands: Sequence[Stand],
+    told: tuple[str, str],
+    more: dict[str, Any],
+) -> tuple[dict[str, str], tuple[Issue, ...]]:
     names = numbers(panels)
     templates = chosen_templates(element, panels, names)
-    places = _places(panels)
-    flat = [(1.0 - p.piece.across[1], 1.0 - p.piece.across[0], *p.piece.along) for p in panels]
-    scale = np.array([float(element.wall.widths.max()), 1.0]) / MM
     files, rows, data, blocks = {}, [], [], []
-    up = assembly(element, panels, names)
-    columns, stands = up.columns(), up.data()
-    for k, (panel, name, place, template) in enumerate(zip(panels, names, places, templates, strict=True)):
+    up = assembly(panels, names, stands, element.file.thickness_mm * MM)
+    columns, bodies = up.columns(), up.data()
+    for k, (panel, own, name, place, template) in enumerate(
+        zip(panels, laid, names, _places(panels), templates, strict=True)
+    ):
         made = problem(element, panel, name, template, _part(panel))
         files[f"panels/{name}.yaml"] = problem_text(element, name, made)
-        ring, beyond = outline(flat, names, k)
         blocks.append(panel_block(element, panel, name))
-        row = {**_row(element, panel, blocks[-1], place, template.file), **columns[k]}
-        rows.append({**row, "neighbours": " ".join(dict.fromkeys(one for one in beyond if one))})
-        laid = {"neighbours": beyond, "outline_mm": np.round(np.array(ring) * scale, 2).tolist()}
-        data.append({**row, **laid, **stands[k], "block_pose": pose_mm(panel.pose)})
+        row = {**_row(element, panel, own, blocks[-1], place, template.file), **columns[k]}
+        rows.append({**row, "neighbours": " ".join(dict.fromkeys(one for one in own.beyond if one))})
+        drawn = {"neighbours": list(own.beyond), "outline_mm": np.round(np.array(own.ring), 2).tolist()}
+        data.append({**row, **drawn, **own.data, **bodies[k], "block_pose": pose_mm(panel.pose)})
     files["panels.csv"] = table(rows)
-    files["panels.svg"] = _drawing(element, panels, names)
+    files["panels.svg"] = _drawing(element, laid, names, told)
     files["element.obj"] = up.obj()
     whole = {
         "element": 1,
@@ -75,52 +151,14 @@ def folder(element: WallElement, panels: tuple[WallPanel, ...]) -> tuple[dict[st
         "up": up.up.tolist(),
         "thickness_mm": element.file.thickness_mm,
         "volume_l": round(1e3 * sum(panel.volume for panel in panels), 3),
+        **more,
         "panels": data,
     }
-    told = () if any(panel.piece.way_in is not None for panel in panels) else up.issues(GIVE)
-    return finished(element, files, whole, blocks, told)
+    said = () if any(panel.piece.way_in is not None for panel in panels) else up.issues(GIVE)
+    return finished(element, files, whole, blocks, said)
 
 
-def assembly(element: WallElement, panels: Sequence[WallPanel], names: Sequence[str]) -> Assembly:
-    """How a wall is put up. Puzzle pieces follow their places, as their sides are made for; others go up in
-    rows from what of the rim is low."""
-    wall, thickness = element.wall, element.file.thickness_mm * MM
-    cuts = np.unique([panel.piece.along for panel in panels])
-    rings, plans = [], []
-    for panel in panels:
-        piece = panel.piece
-        if piece.way_in is None:  # with the corners of panels beside it
-            part = piece.outline[piece.outline[:, 1] == piece.across[0], 0]
-            part = np.union1d(part, cuts[(cuts > part[0]) & (cuts < part[-1])])
-            sides = [np.stack([part, np.full(len(part), t)], axis=1) for t in piece.across]
-            places = np.concatenate([sides[0], sides[1][::-1]])
-            piece = dataclasses.replace(piece, outline=places, leads=wall.normals(*places.T))
-        plan = piece.outline * [1.0, float(wall.widths.mean())]
-        way = 1 if shapely.is_ccw(shapely.LinearRing(plan)) else -1
-        rings.append([ring[::way] for ring in outline_of(wall, piece, thickness)])
-        plans.append(plan[::way])
-    beyond = bodies_beyond(plans, BESIDE)
-    bodies = []
-    for name, (front, back), plan, one in zip(names, rings, plans, beyond, strict=True):
-        slab = ring_slab(front, back, plan, one)
-        bodies.append(Body(name, slab, thinned(slab, plan, SHOWN)))
-    pieces, up = [panel.piece for panel in panels], np.array([0.0, 0.0, 1.0])
-    order = sorted(range(len(panels)), key=lambda k: pieces[k].place)
-    ways = [(k, pieces[k].way_in) for k in order]
-    given = tuple(Step(k, -way, pieces[k].jam) for k, way in ways if way is not None)
-    if len(given) == len(panels):
-        return Assembly(tuple(bodies), given, up)
-    slabs = [thinned(body.whole, plan, NEAR) for body, plan in zip(bodies, plans, strict=True)]
-    low = np.array([slab.mesh[0][:, 2].min() for slab in slabs])
-    rim = np.array([(one == NONE).any() for one in beyond])
-    size = np.mean([float(np.sqrt(panel.box[:2].prod())) for panel in panels])
-    row = rows_up(beyond, rim & (low < low.min() + LOW * size), low)
-    rank = np.empty(len(panels), dtype=np.int64)
-    rank[sorted(range(len(panels)), key=lambda k: (int(row[k]), pieces[k].place))] = range(len(panels))
-    return Assembly(tuple(bodies), put_up(slabs, rank, rests_on(beyond, row), up, GIVE), up)
-
-
-def panel_block(element: WallElement, panel: WallPanel, name: str) -> PanelBlock:
+def panel_block(element: Element, panel: WallPanel, name: str) -> PanelBlock:
     """What is nested into raw blocks for a panel."""
     length, width, high = (v * MM for v in block_mm(panel))
     own = element.file.blocks[panel.block].foam
@@ -146,7 +184,7 @@ def _part(panel: WallPanel) -> dict[str, Any]:
 
 
 def _row(
-    element: WallElement, panel: WallPanel, own: PanelBlock, place: str, template: str
+    element: Element, panel: WallPanel, laid: Laid, own: PanelBlock, place: str, template: str
 ) -> dict[str, Any]:
     """A panel's row in the table."""
     block, piece = element.file.blocks[panel.block], panel.piece
@@ -156,29 +194,22 @@ def _row(
         "place": place,
         "from_mm": round(piece.along[0] / MM, 3),
         "to_mm": round(piece.along[1] / MM, 3),
-        "from_share": round(piece.across[0], 6),
-        "to_share": round(piece.across[1], 6),
+        "from_share": round(laid.across[0], 6),
+        "to_share": round(laid.across[1], 6),
         **{f"box_{side}_mm": round(v / MM, 3) for side, v in box},
         **{f"block_{axis}_mm": v for axis, v in zip("xyz", block_mm(panel), strict=True)},
         "raw_block_mm": " x ".join(f"{v:g}" for v in block.size_mm),
         "volume_l": round(1e3 * panel.volume, 4),
         "weight_kg": weight_kg(own),
-        "off_surface_mm": round(panel.off / MM, 3),
+        **laid.row,
         "job": template,
     }
 
 
-def _drawing(element: WallElement, panels: Sequence[WallPanel], names: Sequence[str]) -> str:
-    """The wall laid flat as seen from the front, its rulings level and as long as the longest."""
-    wide = float(element.wall.widths.max())
-    worst = max(panel.off for panel in panels) / MM
-    title = f"{element.file.name}: {len(panels)} panels, {element.file.thickness_mm:g} mm thick"
-    legend = "laid flat, seen from the front; numbers grow with the height of the panel's box; darker: the "
-    legend += f"straight back is farther off one thickness behind the front, at most {worst:.2f} mm"
-    drawn = [
-        DrawnPanel(
-            name, (panel.piece.outline @ TURN + [1.0, 0.0]) * [wide, 1.0] / MM, panel.off / MM / SHADED
-        )
-        for panel, name in zip(panels, names, strict=True)
-    ]
-    return panels_drawing(title, legend, drawn)
+def _drawing(element: Element, laid: Sequence[Laid], names: Sequence[str], told: tuple[str, str]) -> str:
+    """The panels laid flat as seen from the front; of a wall with its rulings level and as long as the
+    longest. ``told``: of their number, and what the darker ones are."""
+    title = f"{element.file.name}: {len(names)} panels{told[0]}, {element.file.thickness_mm:g} mm thick"
+    legend = "laid flat, seen from the front; numbers grow with the height of the panel's box; darker: "
+    drawn = [DrawnPanel(name, one.outline, one.share) for name, one in zip(names, laid, strict=True)]
+    return panels_drawing(title, legend + told[1], drawn)

@@ -55,9 +55,9 @@ class Piece:
     to ``along`` [m] and as shares of the rulings, ``across``.
 
     ``outline`` (C, 2): places (u, t) of the wall, which may go beyond that part, first up along the wall;
-    ``leads`` (C, 3): directions from back to front in which it is cut; ``corners``: places of the outline
-    where the sides of ``SIDES`` begin. ``way_in`` (3,): from the front, where there is one way in alone;
-    ``jam`` [m]: how far sides are in that way.
+    ``leads`` (C, 3): from back to front, the way in which it is cut; ``corners``: places of the outline where
+    the sides of ``SIDES`` begin. ``way_in`` (3,): from the front, where there is one way in alone; ``jam``
+    [m]: how far sides are in that way.
     """
 
     place: tuple[int, int]
@@ -138,7 +138,7 @@ def face_rulings(
     """Ends (2, N, 3) [m] of the rulings of a front and of its back over a part of the wall, at ways (N,)."""
     u, t = np.broadcast_arrays(u, np.array(across)[:, None])
     front = wall.points(u, t)
-    return front, front - thickness * wall.normals(u, t)
+    return front, front - thickness * wall.depths(u, t)
 
 
 def in_block(

@@ -84,7 +84,10 @@ def of_mesh(mesh: TriangleMesh, field: str) -> Patch:
     """
     rings = boundaries(mesh)
     if len(rings) != 1:
-        raise _refuse(field, f"the mesh has {len(rings)} boundaries, a patch has 1; close its holes")
+        what = (
+            f"the mesh has {len(rings)} boundaries, a patch has 1; close its holes, or cut it open where it "
+        )
+        raise _refuse(field, what + "goes all round")
     ring = rings[0]
     turn = turns(mesh.vertices[ring], True)
     order = np.argsort(-turn, kind="stable")
@@ -260,7 +263,7 @@ def cut_strips(patch: Patch, across: Across, tolerance: float, count: int | None
     return _folded(patch, across, found)
 
 
-def _grid(patch: Patch, across: Across, a: FloatArray, b: FloatArray) -> FloatArray:
+def parameter_grid(patch: Patch, across: Across, a: FloatArray, b: FloatArray) -> FloatArray:
     """Points (A, B, 3) at values a (A,) of the parameter across the strips and b (B,) along them."""
     one, two = np.meshgrid(a, b, indexing="ij")
     return patch.points(one, two) if across == "u" else patch.points(two, one)
@@ -271,7 +274,7 @@ def _shares(patch: Patch, across: Across) -> FloatArray:
     largest bends across them.
     """
     a = np.linspace(0.0, 1.0, _CELLS_ACROSS + 1)
-    grid = _grid(patch, across, a, np.linspace(0.0, 1.0, 33))
+    grid = parameter_grid(patch, across, a, np.linspace(0.0, 1.0, 33))
     bend = np.zeros(_CELLS_ACROSS + 1)
     middle = grid[1:-1] - 0.5 * (grid[2:] + grid[:-2])
     way = grid[2:] - grid[:-2]
@@ -289,7 +292,7 @@ def _shares(patch: Patch, across: Across) -> FloatArray:
 def _measured(patch: Patch, across: Across, share: FloatArray, count: int, near: Nearness) -> Strips:
     breaks = np.interp(np.linspace(0.0, 1.0, count + 1), share, np.linspace(0.0, 1.0, len(share)))
     breaks[[0, -1]] = 0.0, 1.0
-    rows = _grid(patch, across, breaks, np.linspace(0.0, 1.0, _RULINGS_PER_STRIP + 1))
+    rows = parameter_grid(patch, across, breaks, np.linspace(0.0, 1.0, _RULINGS_PER_STRIP + 1))
     # tangent x ruling is dS/du x dS/dv for strips across v and its opposite for strips across u
     if (across == "u") == patch.right:
         rows = rows[:, ::-1]
@@ -316,7 +319,7 @@ def _folded(patch: Patch, across: Across, found: Strips) -> Strips:
         near = np.abs(even[:, None] - kinks).min(axis=1, initial=np.inf) < 0.25 / _RULINGS_PER_STRIP
         near[[0, -1]] = False
         place = np.sort(np.concatenate([even[~near], kinks]))
-        rows = _grid(patch, across, found.breaks[k : k + 2], place)
+        rows = parameter_grid(patch, across, found.breaks[k : k + 2], place)
         corner = np.isin(place, kinks)
         if (across == "u") == patch.right:
             rows, corner = rows[:, ::-1], corner[::-1]
@@ -331,7 +334,7 @@ def _kinks(patch: Patch, across: Across, at: float) -> FloatArray:
     place, turn = patch.folds(0 if across == "u" else 1, at)
     place, turn = place[turn > KINK_ANGLE], turn[turn > KINK_ANGLE]
     ends = np.concatenate([[0.0], place, [1.0]])
-    points = _grid(patch, across, np.array([at]), ends)[0]
+    points = parameter_grid(patch, across, np.array([at]), ends)[0]
     way = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.asarray(place[(np.maximum(way[:-1], way[1:]) > SMOOTH_FACET_LENGTH) | (turn > CORNER_ANGLE)])
 

@@ -22,11 +22,14 @@ class RuledWall:
 
     A place is (u, t): the way and the share of the ruling from its start. Between nodes ends go straight, and
     beyond the first and the last one straight on. The outward normal is that of `arrays.Ruled`.
+    ``mitres`` (M, 2, 3): at the ends, from the back to the front of a wall one thickness of 1 thick; without
+    them, they are its normals.
     """
 
     nodes: FloatArray
     ends: FloatArray
     slopes: FloatArray
+    mitres: FloatArray | None = None
 
     @property
     def widths(self) -> FloatArray:
@@ -53,6 +56,10 @@ class RuledWall:
     def normals(self, u: FloatArray, t: FloatArray) -> FloatArray:
         """Outward unit normals (..., 3) at places u, t (...)."""
         return unit(np.cross(*self.tangents(u, t)))
+
+    def depths(self, u: FloatArray, t: FloatArray) -> FloatArray:
+        """What is in front of a back one thickness of 1 behind (..., 3), at places u, t (...)."""
+        return self.normals(u, t) if self.mitres is None else _along(self._rows(self.mitres, u), t)
 
     def _rows(self, values: FloatArray, u: FloatArray) -> FloatArray:
         """Values (..., 2, 3) at u (...), straight between those at the nodes."""

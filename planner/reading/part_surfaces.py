@@ -341,7 +341,7 @@ def build_strips(spec: StripsFile, folder: Path) -> tuple[Ruled, list[Issue]]:
 
     Raises ``TandemError``: issues of mesh files, ``part.patch``, ``part.strips``.
     """
-    patch = _patch(spec, folder)
+    patch = surface_patch(spec.loft, spec.mesh, folder, "part.strips")
     found = ruled_approximation.cut_strips(
         patch, spec.across, spec.tolerance_mm * MM, spec.count, "part.strips"
     )
@@ -367,10 +367,13 @@ def build_strips(spec: StripsFile, folder: Path) -> tuple[Ruled, list[Issue]]:
     return resample(found.strips[spec.take - 1], 0.5e-5, 1.0), [note]
 
 
-def _patch(spec: StripsFile, folder: Path) -> Patch:
-    mesh, _ = surface(spec.loft, spec.mesh, folder, "part.strips")
-    check_size(mesh, "part.strips")
-    if spec.loft is None:
-        return of_mesh(mesh, "part.strips.mesh")
-    region = spec.loft.region
-    return of_loft(spec.loft.loft(), region.u, region.v, mesh, spec.loft.flip)
+def surface_patch(loft: LoftFile | None, mesh: FaceMeshFile | None, folder: Path, field: str) -> Patch:
+    """A loft or a mesh with four corners over the unit square.
+
+    Raises ``TandemError``: issues of mesh files, ``part.patch``.
+    """
+    own, _ = surface(loft, mesh, folder, field)
+    check_size(own, field)
+    if loft is None:
+        return of_mesh(own, f"{field}.mesh")
+    return of_loft(loft.loft(), loft.region.u, loft.region.v, own, loft.flip)
