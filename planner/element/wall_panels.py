@@ -34,6 +34,8 @@ NEAR: Final = 0.7
 """Least cosine between the z axis of a block and the middle normal of its panel."""
 SIDES: Final = ("right", "top", "left", "bottom")
 """Sides of a panel as seen from the front, in the order of its outline."""
+LEAST_ON: Final = 1e-4
+"""[m] by which a side goes on at least."""
 SAME_HEIGHT: Final = 0.0937
 """Panels are numbered by heights in these steps [mm], an odd number on purpose: no regular wall has panels
 that differ by a whole one."""
@@ -168,7 +170,7 @@ def in_block(
     ring = transform(to_block, np.stack([bottom - lead, top + lead]))
     ring = np.concatenate([ring, ring[:, :1]], axis=1)
     ends = itertools.pairwise((*piece.corners, ring.shape[1] - 1))
-    sides = tuple(_going_on(ring[:, i : k + 1], go_on) for i, k in ends)
+    sides = tuple(_through(ring[:, i : k + 1], half - foam[0] + go_on) for i, k in ends)
     size = np.array([*(2.0 * half), room.thickness])
     measures = _measures(wall, piece, thickness)
     return WallPanel(piece, room.block, size, box, pose, front, back, sides, *measures)
@@ -203,16 +205,18 @@ def _to_sides(rulings: FloatArray, far: float) -> FloatArray:
     return np.asarray(start + share[..., None] * (end - start))
 
 
-def _going_on(side: FloatArray, beyond: float) -> FloatArray:
-    """A side (2, K, 3) that goes straight on ``beyond`` [m] both of its ends, level and in its own plane. So
-    each side is a cut of its own: the wire need not turn round the panel's corners, and may come to the next
-    side from elsewhere."""
+def _through(side: FloatArray, half: FloatArray) -> FloatArray:
+    """A side (2, K, 3) that goes straight on from both of its ends, level and in its own plane, to ``half``
+    (2,) [m] from the middle of the block. So each side is a cut of its own: the wire need not turn round the
+    panel's corners, and may come to the next side from elsewhere."""
     ends = []
     for at, before in ((0, 1), (-1, -2)):
         low, high = side[:, at]
         way = (side[:, at] - side[:, before]).sum(axis=0)
         way = unit(way - way[2] / (high[2] - low[2]) * (high - low))
-        ends.append(side[:, at] + beyond * way)
+        with np.errstate(divide="ignore"):
+            left = (half - np.sign(way[:2]) * side[:, at, :2]) / np.abs(way[:2])
+        ends.append(side[:, at] + max(float(left.min()), LEAST_ON) * way)
     return np.concatenate([ends[0][:, None], side, ends[1][:, None]], axis=1)
 
 

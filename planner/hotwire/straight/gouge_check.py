@@ -65,6 +65,7 @@ def check_neighbours(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: Floa
     """``straight.crossing`` where the slot of a cut takes from another surface of the part, cut before it or
     after it. Surfaces that cross bound the part together: what is outside of one is no part."""
     own, lines, half = cut.wanted.ruled, cut.on.lines, cut.on.half
+    bounds = tuple(_going_on(one, box) for one in ruled)
     reach, allowed = float(half.max()) + CROSSING_DISTANCE, GRAZE_SHARE * op.shape_tol_mm * MM
     for other in ruled:
         if other.name == own.name or (own.closed and other.closed and alike(own, other)):
@@ -87,7 +88,7 @@ def check_neighbours(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: Floa
         beyond[beyond] = _side(own, places[beyond])[0] > -MEETING_DISTANCE
         depth = wide - np.where(beyond, along, far)
         bad = np.flatnonzero(depth > allowed)
-        bad = bad[_of_the_part(places[bad], other, ruled, box)]
+        bad = bad[_of_the_part(places[bad], other, bounds, box)]
         if len(bad):
             k = int(bad[np.argmax(depth[bad])])
             facing = float(_side(own, places[[k]])[1][0] @ normal[k]) < FACING_COSINE
@@ -251,10 +252,11 @@ def _of_the_part(places: FloatArray, own: Ruled, ruled: tuple[Ruled, ...], box: 
     return real
 
 
-def _going_on(ruled: Ruled, far: float) -> Ruled:
-    """A strip that goes straight on from both of its ends by ``far`` [m]."""
+def _going_on(ruled: Ruled, box: FloatArray) -> Ruled:
+    """A strip that goes straight on from both of its ends till it is out of the block (2, 3)."""
     if ruled.closed:
         return ruled
+    far = float(np.linalg.norm(np.ptp(box, axis=0)))
     ends = np.stack([ruled.start, ruled.end])
     way = (ends[:, [0, -1]] - ends[:, [1, -2]]).sum(axis=0)
     on = ends[:, [0, -1]] + far * way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-30)
@@ -397,7 +399,7 @@ def _through(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) 
     not cross. (Surfaces that cross bound the part together: what is beyond one is no part, nor what is beyond
     a strip that would go straight on, as that way does.)"""
     on = cut.on.lines
-    bounds = tuple(_going_on(one, float(np.linalg.norm(np.ptp(box, axis=0)))) for one in ruled)
+    bounds = tuple(_going_on(one, box) for one in ruled)
     near = 4.0 * float(cut.on.half.max())
     for other in ruled:
         if other.name == cut.wanted.ruled.name:

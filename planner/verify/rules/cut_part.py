@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.claims.claim import CutsSurface, FeedWindow, SlitsAllowed
 from planner.claims.vocabulary import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_node, at_sample, mm, rule
 from planner.verify.replay.motion import during, local
@@ -20,7 +20,7 @@ from planner.verify.result import CutFace
 from planner.verify.rules.wire import wire_issue
 from planner.verify.wire.cut_surface import Sweep, cut_face, deepest, part_obj, unreached
 from planner.verify.wire.slits import in_slit, slits
-from planner.verify.wire.walls import Walls, taken_by_bent, taken_depth, walls
+from planner.verify.wire.walls import Walls, crosses, taken_by_bent, taken_depth, walls
 from planner.verify.wire.wire_motion import Wire, end_error, to_block
 
 
@@ -323,26 +323,51 @@ class _Bounds:
     """What bounds the part: contours that are closed, and faces that may go on beyond these."""
 
     def __init__(self, context: Context, claims: tuple[CutsSurface, ...]) -> None:
-        closed = {
+        self.closed = {
             claim.segment.key
             for claim in context.rulings
             if np.abs(claim.start[0] - claim.start[-1]).max() < SIDE_DISTANCE
         }
-        self.groups: list[tuple[Walls, FloatArray]] = []
+        self.block = context.datum.box
+        self.groups: list[tuple[Walls, tuple[CutsSurface, ...]]] = []
         for contour in (True, False):
-            some = tuple(c for c in claims if (c.segment.key in closed) == contour)
+            some = tuple(c for c in claims if (c.segment.key in self.closed) == contour)
             if some:
-                self.groups.append((walls(some), np.array([c.tolerance for c in some])))
+                self.groups.append((walls(some), some))
+        self.crossed: dict[str, tuple[Walls, ...]] = {}
 
     def off(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance (N,) [m] of points (N, 3) to the part, negative inside, NaN where it is not known, and the
-        tolerance (N,) there. What is outside of either the contours or the faces is outside."""
+        tolerance (N,) there. What is outside of either the contours or the faces is outside, and so is what
+        is outside of a face that the nearest one crosses: both bound the part together."""
         off, tolerance = np.full(len(points), -np.inf), np.full(len(points), np.nan)
-        for group, limits in self.groups:
+        for group, claims in self.groups:
             here, owner = group.off(points)
-            tolerance = np.where(here > off, limits[owner], tolerance)
+            here = self._beyond(points, here, owner, claims)
+            tolerance = np.where(here > off, np.array([c.tolerance for c in claims])[owner], tolerance)
             off = np.maximum(off, here)  # NaN remains
         return np.where(np.isinf(off), np.nan, off), tolerance
+
+    def _beyond(
+        self, points: FloatArray, off: FloatArray, owner: IntArray, claims: tuple[CutsSurface, ...]
+    ) -> FloatArray:
+        """Distances (N,) [m] of points (N, 3), where ``off`` is that to the nearest of the claims, ``owner``
+        (N,)."""
+        off = off.copy()
+        for number in np.unique(owner[off < 0.0]).tolist():
+            for wall in self._crossed(claims[number], claims):
+                rows = np.flatnonzero((off < 0.0) & (owner == number))
+                own, _ = wall.off(points[rows])
+                off[rows] = np.where(own > 0.0, own, off[rows])
+        return off
+
+    def _crossed(self, own: CutsSurface, claims: tuple[CutsSurface, ...]) -> tuple[Walls, ...]:
+        """The other faces that a face is on both sides of; none of a contour."""
+        key = own.segment.key
+        if key not in self.crossed:
+            others = [] if key in self.closed else [walls((one,)) for one in claims if one is not own]
+            self.crossed[key] = tuple(wall for wall in others if crosses(own, wall, self.block))
+        return self.crossed[key]
 
 
 def _is_side(context: Context, claim: CutsSurface) -> bool:

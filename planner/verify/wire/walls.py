@@ -373,6 +373,19 @@ def _bounds_the_part(
 ) -> BoolArray:
     """Which places (N, 3) of a surface bound the part: those not outside of another one that it crosses in
     the block."""
+    real = np.ones(len(places), dtype=np.bool_)
+    for other in part:
+        if other is own:
+            continue
+        wall = walls((other,))
+        if crosses(own, wall, block):
+            rows = np.flatnonzero(real)
+            real[rows] &= ~(wall.off(places[rows])[0] > -MEETING_ROUNDING)
+    return real
+
+
+def crosses(own: CutsSurface, wall: Walls, block: FloatArray) -> bool:
+    """Whether a surface is on both sides of another one, the ``wall``, in the block (2, 3)."""
     # all over each facet: those of a ruled surface have all corners in faces of the block, and a surface may
     # go on little beyond another
     inner = np.array([(i, j, 10 - i - j) for i in range(11) for j in range(11 - i)]) / 10.0
@@ -380,16 +393,8 @@ def _bounds_the_part(
     points = np.einsum("wk,fkd->fwd", inner, own.vertices[own.faces]).reshape(-1, 3)
     points = points[((points > block[0]) & (points < block[1])).all(axis=1)]
     points = np.random.default_rng(0).permutation(points)[: 2 * CROSSING_SAMPLES]
-    real = np.ones(len(places), dtype=np.bool_)
-    for other in part:
-        if other is own:
-            continue
-        wall = walls((other,))
-        off, _ = wall.off(points)
-        if (off > CROSSING_DEPTH).any() and (off < -CROSSING_DEPTH).any():
-            rows = np.flatnonzero(real)
-            real[rows] &= ~(wall.off(places[rows])[0] > -MEETING_ROUNDING)
-    return real
+    off, _ = wall.off(points)
+    return bool((off > CROSSING_DEPTH).any() and (off < -CROSSING_DEPTH).any())
 
 
 def _cross(corners: FloatArray) -> FloatArray:
