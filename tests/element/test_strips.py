@@ -141,11 +141,7 @@ def test_neighbours_are_cut_along_the_same_lines_but_on_the_rim(waves: dict[str,
         shared = np.zeros(own.shape[1], dtype=bool)
         for other in {one for one in panel.row["neighbours"] if one is not None}:
             assert name in panels[other].row["neighbours"]
-            gaps = (
-                np.abs(own[:, :, None] - panels[other].sides()[:, None])
-                .max(axis=(0, 3))
-                .min(axis=1)
-            )
+            gaps = np.abs(own[:, :, None] - panels[other].sides()[:, None]).max(axis=(0, 3)).min(axis=1)
             assert (gaps < 1e-6).sum() >= 2
             shared |= gaps < 1e-6
         middle = own[:, ~shared].mean(axis=0)[:, :2]

@@ -101,7 +101,7 @@ class Written:
         return (points - pose[:3, 3]) @ pose[:3, :3]
 
     def sides(self) -> np.ndarray:
-        """The rulings (2, N, 3) of all sides, each once, without those by which they go on through the block."""
+        """The rulings (2, N, 3) of all sides, without those by which they go on through the block."""
         return np.concatenate([self.surfaces[side][:, 1:-2] for side in SIDES], axis=1)
 
     def part(self) -> np.ndarray:
@@ -395,6 +395,14 @@ def test_what_goes_on_beyond_a_corner_takes_nothing_from_the_part(
     assert isinstance(sides, Straight) and problem.part is not None
     made = StraightJob(sides, problem.setups[0], problem.part).targets()
     assert {issue.code for issue in made.issues} <= {"kerf.doubt"}
+
+
+@pytest.mark.long
+def test_faces_and_sides_of_a_panel_are_planned_and_proven(tmp_path: Path) -> None:
+    """As they are written; the operator moves the block between them."""
+    (tmp_path / "P20.yaml").write_text(divided(PROBLEM / "boxes.yaml")["panels/P20.yaml"])
+    outcome = pipeline.plan(pipeline.load(tmp_path / "P20.yaml"))
+    assert outcome.verified, outcome.issues
 
 
 def test_what_is_said_of_the_raw_blocks_is_told_on_the_page_too(tmp_path: Path) -> None:
