@@ -24,6 +24,7 @@ from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import markup
 from planner.report.setup_sheet import controller_checks
+from planner.verify.replay import bending
 from tests.verify.planner_jobs import DEEPER, JOBS, SOFT, sagging
 
 
@@ -176,6 +177,15 @@ def test_a_force_that_turns_with_the_feed_is_made_up_for_and_proven(job: str, tm
 def test_a_force_that_turns_shifts_no_arm_farther_than_it_can_be_told(tmp_path: Path) -> None:
     path = edited(JOBS["gcode_feed"](tmp_path), stiffness=SOFT)
     assert "under a force that turns with the feed over" in str(refused_all(path, "motion.sag_range"))
+
+
+def test_nothing_is_proven_where_the_feed_of_the_loaded_arm_does_not_settle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As if the planner took shifts that are too large for the feed to be told."""
+    monkeypatch.setattr(bending, "FEED_ERROR", 0.0)
+    said = refused_all(JOBS["gcode_feed"](tmp_path), "verify.sag")
+    assert "its way cannot be told" in said[0]
 
 
 def test_a_force_by_depth_is_that_of_the_table_at_each_place(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from planner.claims.claim import FEED_WAY, ArmSags
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.geometry.units import GRAVITY
+from planner.issues import Issue, TandemError
 from planner.verify.replay.arm_model import POSTURES_TOGETHER, Machine
 from planner.verify.replay.motion import Instants, Motion, Poses
 
@@ -281,7 +282,10 @@ def _feeds(
 
 
 def _loaded_way(motion: Motion, name: str, arm: Bent, run: IntArray) -> FloatArray:
-    """Where (M + 1, 3) the loaded tool is at the beginning of a run of moves that work and at their ends."""
+    """Where (M + 1, 3) the loaded tool is at the beginning of a run of moves that work and at their ends.
+
+    Raises ``TandemError``: ``verify.sag`` where that cannot be told.
+    """
     nodes = np.append(run[0] - 1, run)
     stated = _ends(motion, name, nodes)
     q = motion.q[name][np.where(nodes >= 0, motion.node_sample[np.maximum(nodes, 0)], 0)]
@@ -291,12 +295,14 @@ def _loaded_way(motion: Motion, name: str, arm: Bent, run: IntArray) -> FloatArr
         gone = _gone(place)
         links = arm.joints(q, share, _mean(place, gone, gone))
         off = _off(arm, q, links)
-        loaded = np.einsum("mij,mj->mi", off[:, :3, :3], stated) + off[:, :3, 3]
+        loaded = np.asarray(np.einsum("mij,mj->mi", off[:, :3, :3], stated) + off[:, :3, 3])
         moved = float(np.abs(loaded - place).max())
         place = loaded
         if moved < FEED_ERROR:
-            break
-    return place
+            return place
+    what = f"{name} gives way so far under a force that turns with the feed that its way cannot be told: "
+    what += f"after {FEED_ROUNDS} rounds places still move by {1e3 * moved:.3g} mm; take a stiffer arm"
+    raise TandemError(Issue("verify.sag", what, arm=name))
 
 
 def _gone(place: FloatArray) -> FloatArray:
