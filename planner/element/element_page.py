@@ -76,7 +76,7 @@ def element_page(found: ElementRun, blocks: str | None = None) -> str:
         flat = Folded(f"{count} panels, by {by}", Drawing(_flat(found)))
         sections.append(Section("flat", "Panels laid flat", (Paragraph(words, "soft"), flat)))
     sections.append(Section("assembly", "How it is put up", assembly_section(data, _colours(found))))
-    sections.append(Section("told", "What was said of it", _told(data)))
+    sections.append(Section("told", "What was said of it", _told(found)))
     sections.append(Section("totals", "Totals", (Facts(tuple(_totals(found))), Paragraph(_BASIS, "soft"))))
     if found.planned:
         sections.append(Section("hours", "Robot hours", hours(found)))
@@ -300,8 +300,9 @@ def _flat(found: ElementRun) -> str:
     return _svg(y + tall, "panels laid flat") + "".join(out) + "</svg>"
 
 
-def _told(data: Mapping[str, Any]) -> tuple[Block, ...]:
-    found = data.get("issues", ())
+def _told(run: ElementRun) -> tuple[Block, ...]:
+    """What was said of the element as it was divided, and as it is cut."""
+    found = [*run.data.get("issues", ()), *(one.to_dict() for one in run.issues() if run.planned)]
     if not found:
         return (Paragraph("Nothing: no panel was refused, and none is out of what was asked."),)
     kinds = {"warning": "warning", "note": "note"}

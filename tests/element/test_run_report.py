@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import html
 import json
 import re
 import sys
@@ -280,6 +281,8 @@ def test_joints_of_planar_panels_are_those_of_their_sides_as_cut(planar: Path, t
     told = [issue.message for issue in issues if issue.code == "element.joint"]
     assert len(told) == len(over)
     assert all(any(f"joint {a} to {b} " in words for words in told) for a, b in over)
+    page = (planar / "element.html").read_text()
+    assert all(html.escape(words) in page for words in told)
 
 
 def test_what_a_wire_leaves_between_corners_counts_and_parts_of_others_are_refused(
