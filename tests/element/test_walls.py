@@ -389,8 +389,8 @@ def test_what_goes_on_beyond_a_corner_takes_nothing_from_the_part(
     puzzle: dict[str, str], tmp_path: Path
 ) -> None:
     """There the back goes on below the side, beyond the next one."""
-    (tmp_path / "P04.yaml").write_text(puzzle["panels/P04.yaml"])
-    problem = pipeline.load(tmp_path / "P04.yaml")
+    (tmp_path / "P02.yaml").write_text(puzzle["panels/P02.yaml"])
+    problem = pipeline.load(tmp_path / "P02.yaml")
     sides = problem.operations[1]
     assert isinstance(sides, Straight) and problem.part is not None
     made = StraightJob(sides, problem.setups[0], problem.part).targets()

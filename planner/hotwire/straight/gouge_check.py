@@ -65,7 +65,6 @@ def check_neighbours(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: Floa
     """``straight.crossing`` where the slot of a cut takes from another surface of the part, cut before it or
     after it. Surfaces that cross bound the part together: what is outside of one is no part."""
     own, lines, half = cut.wanted.ruled, cut.on.lines, cut.on.half
-    bounds = tuple(_going_on(one, box) for one in ruled)
     reach, allowed = float(half.max()) + CROSSING_DISTANCE, GRAZE_SHARE * op.shape_tol_mm * MM
     for other in ruled:
         if other.name == own.name or (own.closed and other.closed and alike(own, other)):
@@ -88,7 +87,7 @@ def check_neighbours(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: Floa
         beyond[beyond] = _side(own, places[beyond])[0] > -MEETING_DISTANCE
         depth = wide - np.where(beyond, along, far)
         bad = np.flatnonzero(depth > allowed)
-        bad = bad[_of_the_part(places[bad], other, bounds, box)]
+        bad = bad[_of_the_part(places[bad], other, ruled, box)]
         if len(bad):
             k = int(bad[np.argmax(depth[bad])])
             facing = float(_side(own, places[[k]])[1][0] @ normal[k]) < FACING_COSINE
