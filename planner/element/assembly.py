@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from planner.element.jobs import obj_lines
 from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.geometry.assembly import NONE, Slab, Step, outline_faces
 from planner.geometry.units import MM
@@ -20,6 +21,8 @@ from planner.issues import Issue, Severity
 
 GIVE: Final = 1e-3
 """What foam gives way by [m] without a word, where sides are no planes."""
+BESIDE: Final = 1e-5
+"""How far [m] outside of a side the panel beyond is looked for."""
 SHOWN: Final = 1e-3
 """How far outlines on the page may be off [m]."""
 WAY_DIGITS: Final = 9
@@ -66,9 +69,7 @@ class Assembly:
         lines, count = ["# panels in the frame of element.json, mm"], 1
         for body in self.bodies:
             vertices, faces = body.whole.mesh
-            lines.append(f"o {body.name}")
-            lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in (vertices / MM + 0.0).tolist()]
-            lines += [f"f {a} {b} {c}" for a, b, c in (faces + count).tolist()]
+            lines += [f"o {body.name}", *obj_lines(vertices / MM + 0.0, faces, count)]
             count += len(vertices)
         return "\n".join(lines) + "\n"
 

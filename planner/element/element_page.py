@@ -302,7 +302,8 @@ def _flat(found: ElementRun) -> str:
 
 def _told(run: ElementRun) -> tuple[Block, ...]:
     """What was said of the element as it was divided, and as it is cut."""
-    found = [*run.data.get("issues", ()), *(one.to_dict() for one in run.issues() if run.planned)]
+    cut = run.issues() if run.planned else ()
+    found = [*run.data.get("issues", ()), *(issue.to_dict() for issue in cut)]
     if not found:
         return (Paragraph("Nothing: no panel was refused, and none is out of what was asked."),)
     kinds = {"warning": "warning", "note": "note"}

@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.element.elastic import ElasticPanel
 from planner.element.element_file import ElasticElement, Element, Template
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -168,7 +168,12 @@ def panel_files(
 
 def _obj(mesh: TriangleMesh, what: str) -> str:
     """A mesh in the frame of its block, in millimetres."""
-    lines = [f"# {what}, in the frame of its block, mm"]
-    lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in (mesh.vertices / MM).tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    lines = [f"# {what}, in the frame of its block, mm", *obj_lines(mesh.vertices / MM, mesh.faces)]
     return "\n".join(lines) + "\n"
+
+
+def obj_lines(points: FloatArray, faces: IntArray, first: int = 1) -> list[str]:
+    """Points (V, 3) [mm] and triangles (F, 3) as lines of an OBJ file, in which the first point is number
+    ``first``."""
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in points.tolist()]
+    return lines + [f"f {a} {b} {c}" for a, b, c in (faces + first).tolist()]

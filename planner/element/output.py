@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 
 from planner.catalogue.materials import foam
-from planner.element.assembly import GIVE, Assembly, Body, rests_on
+from planner.element.assembly import BESIDE, GIVE, Assembly, Body, rests_on
 from planner.element.elastic import ElasticPanel, Joint, joints
 from planner.element.element_file import ElasticElement
 from planner.element.jobs import block_mm, chosen_templates, cut_minutes, ids, panel_files
@@ -46,8 +46,6 @@ JOINT_SHARE: Final = 95.0
 GRID: Final = 0.0617
 """Largest distance [m] of points by which the bodies of panels are drawn and put up; an odd number on
 purpose: no size is a multiple of it, so these points move no more than the surface does."""
-BESIDE: Final = 1e-5
-"""How far [m] outside of a side the panel beyond is looked for."""
 INSIDE: Final = 1e-7
 """Points on the rim are looked for this far [m] inside of it."""
 _PAGE: Final = 1200.0  # width of the drawing [px]

@@ -10,7 +10,6 @@ their backs have the line behind the joint in common.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -54,28 +53,24 @@ TRIES: Final = 12
 @dataclasses.dataclass(frozen=True)
 class Divided:
     """A divided surface: ``cuts`` (N + 1,), the lines between which its N strips lie, ``kinks`` (N - 1, M)
-    [rad] along those that two of them share; ``panels`` by their numbers, and ``off`` (P,) [m], how far the
-    front of each is off the surface. ``tried``: strips and panels by parameter, where there is a division."""
+    [rad] along those that two of them share, and the strips, with mitres, as ``walls``; ``panels`` by
+    their numbers, and ``off`` (P,) [m], how far the front of each is off the surface. ``tried``: strips and
+    panels by parameter, where there is a division."""
 
     across: Across
     lines: Lines
     cuts: IntArray
     kinks: FloatArray
+    walls: list[RuledWall]
     panels: tuple[WallPanel, ...]
     off: FloatArray
     tried: Mapping[Across, tuple[int, int]]
-
-    @functools.cached_property
-    def walls(self) -> list[RuledWall]:
-        """The strips, with mitres between them."""
-        return mitred([self.lines.wall(i, j) for i, j in itertools.pairwise(self.cuts.tolist())])[0]
 
     def steps(self, k: int) -> tuple[int, int, int]:
         """The strip of a panel, and the first and last of the common steps along it that it takes."""
         piece = self.panels[k].piece
         strip = piece.place[0]
-        nodes = self.lines.wall(int(self.cuts[strip]), int(self.cuts[strip + 1])).nodes
-        first, last = np.searchsorted(nodes, np.array(piece.along) - 1e-9).tolist()
+        first, last = np.searchsorted(self.walls[strip].nodes, np.array(piece.along) - 1e-9).tolist()
         return strip, first, last
 
     def kink(self, one: tuple[int, int, int], other: tuple[int, int, int]) -> float:
@@ -223,7 +218,7 @@ class _Search:
         )
         if far:
             return far
-        return Divided(self.across, self.lines, np.array(cuts), kinks, ordered, off, {})
+        return Divided(self.across, self.lines, np.array(cuts), kinks, walls, ordered, off, {})
 
 
 def _between(ends: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import shapely
 
-from planner.element.assembly import GIVE, SHOWN, Assembly, Body, rests_on, ring_slab, thinned
+from planner.element.assembly import BESIDE, GIVE, SHOWN, Assembly, Body, rests_on, ring_slab, thinned
 from planner.element.hexagons import LOW
 from planner.element.wall_panels import WallPanel, outline
 from planner.geometry.arrays import FloatArray
@@ -18,8 +18,6 @@ from planner.geometry.ruled_wall import RuledWall
 
 NEAR: Final = 2e-4
 """How far outlines may be off [m] as the way in is looked for."""
-BESIDE: Final = 1e-5
-"""How far [m] outside of a side the panel beyond is looked for."""
 
 
 @dataclasses.dataclass(frozen=True)

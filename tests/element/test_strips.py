@@ -20,7 +20,7 @@ from planner.element import element_file, element_page, labels, run_report, stri
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, TandemError
 from tests.element.test_walls import SIDES, Written, written
-from tests.element.walls import ROOT, write_obj
+from tests.element.walls import ROOT, refused, write_obj
 
 THICK = 30.0
 LONG, WIDE = 0.4, 0.3
@@ -78,10 +78,7 @@ def divided(path: Path) -> dict[str, str]:
 
 def refusal(path: Path) -> Issue:
     """The one issue that an element is refused with."""
-    with pytest.raises(TandemError) as caught:
-        strips.divide_strips(read(path))
-    (issue,) = caught.value.issues
-    return issue
+    return refused(lambda: strips.divide_strips(read(path)))
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ from planner.element.puzzle import FILLET, lobe
 from planner.hotwire.operation import Straight
 from planner.hotwire.straight.job import StraightJob
 from planner.issues import Issue, TandemError
-from tests.element.walls import ROOT
+from tests.element.walls import ROOT, refused
 
 PROBLEM = ROOT / "problems" / "ruled_wall_108"
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -80,10 +80,7 @@ def divided(path: Path) -> dict[str, str]:
 
 def refusal(path: Path) -> Issue:
     """The one issue that a wall is refused with."""
-    with pytest.raises(TandemError) as caught:
-        walls.divide_wall(read(path))
-    (issue,) = caught.value.issues
-    return issue
+    return refused(lambda: walls.divide_wall(read(path)))
 
 
 @dataclasses.dataclass(frozen=True)

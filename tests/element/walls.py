@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import yaml
 
 from planner.geometry.mesh import TriangleMesh
+from planner.issues import Issue, TandemError
 
 ROOT = Path(__file__).parents[2]
 
@@ -41,6 +44,14 @@ def write_obj(path: Path, mesh: TriangleMesh) -> None:
     lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in (mesh.vertices * 1e3).tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
     path.write_text("\n".join(lines) + "\n")
+
+
+def refused(divide: Callable[[], object]) -> Issue:
+    """The one issue that an element is refused with."""
+    with pytest.raises(TandemError) as caught:
+        divide()
+    (issue,) = caught.value.issues
+    return issue
 
 
 def element(folder: Path, mesh: TriangleMesh | None = None, **changes: Any) -> Path:

@@ -406,13 +406,14 @@ def _through(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) 
         mesh = tessellate(resample(other, LEAD_CHORD, 0.05), LEAD_CHORD)
         triangles = mesh.vertices[mesh.faces]
         inner = _between(on, near)
-        if len(inner) > 1 and len(_passed(inner[:: max(1, len(inner) // 40)], triangles, box, both=True)):
+        few = inner[:: max(1, len(inner) // 40)]
+        if len(inner) > 1 and any(map(len, _passed(few, triangles, box, both=True))):
             continue
         out = cut.out[: cut.turns] if cut.turns else cut.out
         for lines, word in ((cut.into.reversed(), "in"), (out, "out")):
             # from the wire before, since the last one may stand exactly in the other surface
             ends = join([on[[1 if word == "in" else -2]], lines[[-1]]])
-            places = _passed(ends, triangles, box, both=False)
+            places = np.concatenate(list(_passed(ends, triangles, box, both=False)))
             places = places[_of_the_part(places, other, bounds, box)]
             if len(places):
                 yield Issue(
@@ -432,9 +433,9 @@ def _between(lines: Lines, near: float) -> Lines:
     return lines[far[0] & far[1]]
 
 
-def _passed(lines: Lines, triangles: FloatArray, box: FloatArray, both: bool) -> FloatArray:
-    """Places (K, 3) where points of the wire in the foam pass triangles (T, 3, 3) from outside to inside, or
-    either way (Moller and Trumbore's test)."""
+def _passed(lines: Lines, triangles: FloatArray, box: FloatArray, both: bool) -> Iterator[FloatArray]:
+    """For each point of the wire in the foam, from line to line, the places (K, 3) where it passes triangles
+    (T, 3, 3) from outside to inside, or either way (Moller and Trumbore's test)."""
     # wires outside the block are followed between their guide points
     length = np.linalg.norm(lines.end - lines.start, axis=1)
     first, last = chord(lines, box)
@@ -443,7 +444,6 @@ def _passed(lines: Lines, triangles: FloatArray, box: FloatArray, both: bool) ->
     base = lines.start[:, None] + lines.direction[:, None] * along[..., None]
     origin, way = base[:-1].reshape(-1, 3), np.diff(base, axis=0).reshape(-1, 3)
     a, one, two = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    places = []
     for start, move in zip(origin, way, strict=True):
         cross = np.cross(move, two)
         det = np.sum(one * cross, axis=1)
@@ -456,5 +456,4 @@ def _passed(lines: Lines, triangles: FloatArray, box: FloatArray, both: bool) ->
         hit = (u > 0.0) & (v > 0.0) & (u + v < 1.0) & (t > 0.0) & (t < 1.0)
         if not both:
             hit &= np.cross(one, two) @ move < 0.0
-        places.append(start + t[hit, None] * move)
-    return np.concatenate(places)
+        yield start + t[hit, None] * move

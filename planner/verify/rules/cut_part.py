@@ -7,6 +7,7 @@ from other surfaces, and what has to be cut before what.
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
@@ -323,51 +324,55 @@ class _Bounds:
     """What bounds the part: contours that are closed, and faces that may go on beyond these."""
 
     def __init__(self, context: Context, claims: tuple[CutsSurface, ...]) -> None:
-        self.closed = {
+        closed = {
             claim.segment.key
             for claim in context.rulings
             if np.abs(claim.start[0] - claim.start[-1]).max() < SIDE_DISTANCE
         }
         self.block = context.datum.box
-        self.groups: list[tuple[Walls, tuple[CutsSurface, ...]]] = []
-        for contour in (True, False):
-            some = tuple(c for c in claims if (c.segment.key in self.closed) == contour)
-            if some:
-                self.groups.append((walls(some), some))
-        self.crossed: dict[str, tuple[Walls, ...]] = {}
+        contours = tuple(claim for claim in claims if claim.segment.key in closed)
+        self.faces = tuple(claim for claim in claims if claim.segment.key not in closed)
+        self.groups = [
+            (walls(some), np.array([claim.tolerance for claim in some]), some is self.faces)
+            for some in (contours, self.faces)
+            if some
+        ]
+        self.crossed: dict[int, tuple[Walls, ...]] = {}
 
     def off(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance (N,) [m] of points (N, 3) to the part, negative inside, NaN where it is not known, and the
         tolerance (N,) there. What is outside of either the contours or the faces is outside, and so is what
         is outside of a face that the nearest one crosses: both bound the part together."""
         off, tolerance = np.full(len(points), -np.inf), np.full(len(points), np.nan)
-        for group, claims in self.groups:
+        for group, limits, are_faces in self.groups:
             here, owner = group.off(points)
-            here = self._beyond(points, here, owner, claims)
-            tolerance = np.where(here > off, np.array([c.tolerance for c in claims])[owner], tolerance)
+            if are_faces:
+                here = self._beyond(points, here, owner)
+            tolerance = np.where(here > off, limits[owner], tolerance)
             off = np.maximum(off, here)  # NaN remains
         return np.where(np.isinf(off), np.nan, off), tolerance
 
-    def _beyond(
-        self, points: FloatArray, off: FloatArray, owner: IntArray, claims: tuple[CutsSurface, ...]
-    ) -> FloatArray:
-        """Distances (N,) [m] of points (N, 3), where ``off`` is that to the nearest of the claims, ``owner``
-        (N,)."""
+    def _beyond(self, points: FloatArray, off: FloatArray, owner: IntArray) -> FloatArray:
+        """Distances (N,) [m] of points (N, 3), where ``off`` is that to the nearest face, ``owner`` (N,)."""
         off = off.copy()
         for number in np.unique(owner[off < 0.0]).tolist():
-            for wall in self._crossed(claims[number], claims):
+            for wall in self._crossed(number):
                 rows = np.flatnonzero((off < 0.0) & (owner == number))
                 own, _ = wall.off(points[rows])
                 off[rows] = np.where(own > 0.0, own, off[rows])
         return off
 
-    def _crossed(self, own: CutsSurface, claims: tuple[CutsSurface, ...]) -> tuple[Walls, ...]:
-        """The other faces that a face is on both sides of; none of a contour."""
-        key = own.segment.key
-        if key not in self.crossed:
-            others = [] if key in self.closed else [walls((one,)) for one in claims if one is not own]
-            self.crossed[key] = tuple(wall for wall in others if crosses(own, wall, self.block))
-        return self.crossed[key]
+    def _crossed(self, number: int) -> tuple[Walls, ...]:
+        """The other faces that a face is on both sides of."""
+        if number not in self.crossed:
+            others = [wall for k, wall in enumerate(self._alone) if k != number]
+            own = self.faces[number]
+            self.crossed[number] = tuple(wall for wall in others if crosses(own, wall, self.block))
+        return self.crossed[number]
+
+    @functools.cached_property
+    def _alone(self) -> list[Walls]:
+        return [walls((face,)) for face in self.faces]
 
 
 def _is_side(context: Context, claim: CutsSurface) -> bool:
