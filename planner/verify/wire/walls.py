@@ -354,8 +354,9 @@ class _Sheet:
         """Which places (N, 3) have something within ``size`` (N,) [m] that the slot might reach."""
         if self.tree is None:
             return np.zeros(len(points), dtype=np.bool_)
-        distance, _ = self.tree.query(points)
-        return np.asarray(distance <= size + self.most + self.gap)
+        reach = size + self.most + self.gap
+        distance, _ = self.tree.query(points, distance_upper_bound=1.001 * float(reach.max(initial=0.0)))
+        return np.asarray(distance <= reach)  # infinite where farther than any of them
 
     def nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
         """Of each of points (N, 3) that may be near: the distance (N,) [m] to the sheet, the nearest place
