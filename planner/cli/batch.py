@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 from rich.console import Console
@@ -63,6 +63,8 @@ class Batch:
     like: str | None = None
     """neighbour: plan each panel of an element like one beside it; or the folder of an earlier batch: plan
     each problem like its result there"""
+    reports: Literal["all", "failed"] = "all"
+    """failed: only what is not verified gets report and replay; tandem report makes those of the others"""
 
 
 def usable_cores() -> int:
@@ -84,7 +86,8 @@ def run_batch(request: Batch) -> int:
         items = collect(request.problems, request.output)
         count = min(request.workers or usable_cores(), len(items))
         items, former = _like(request, items)
-        settings = batch.Settings(request.timeout, request.memory, request.resume, former)
+        limits = request.timeout, request.memory
+        settings = batch.Settings(*limits, request.resume, former, request.reports)
         known = {item.name: item for item in items}
         with _planners(request, count) as planners, _progress(items) as shown:
 
