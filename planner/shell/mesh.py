@@ -116,8 +116,9 @@ def mesh_walls(
 
     ``places`` (p, 2 or more) [m]: x, y of points that become nodes, on flange, floors or within `OFF_RING` of
     a ring; about them elements are of ``near`` [m], or `NEAREST` of the others, and grow from there, but
-    larger where they do not do with a share of the triangles. Raises ValueError where a ring crosses another
-    or the outline, is not level where it has to be, a place is elsewhere, or so few triangles do not do.
+    larger, or as the others, where they do not do with a share of the triangles. Raises ValueError where a
+    ring crosses another or the outline, is not level where it has to be, a place is elsewhere, or so few
+    triangles do not do.
     """
     some = (
         np.empty((0, 2)) if places is None else np.asarray(places, dtype=np.float64).reshape(len(places), -1)
@@ -146,6 +147,9 @@ def mesh_walls(
             near = _LARGER_NEAR * max(near, NEAREST * size)
         larger = float(np.sqrt(even / max(0.5 * (1.0 + _ENOUGH) * triangles - more, 0.5 * triangles)))
         size *= max(larger, _LARGER) if count > triangles else larger
+    if best is None and np.isfinite(near):
+        wider = 2.0 * max(near, NEAREST * size)
+        return mesh_walls(walls, outline, triangles, places, wider if wider < size else np.inf)
     if best is None:
         raise ValueError(f"got {triangles} triangles: {why}")
     return best
