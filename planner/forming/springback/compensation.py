@@ -211,6 +211,12 @@ def _refined(path: ToolPath, number: FloatArray) -> ToolPath:
     )
 
 
+def at_targets(way: Way, path: ToolPath) -> FloatArray:
+    """Shifts (N,) [m] of a way at the targets of the path that it was made of."""
+    places, known = arc_length(path.former), arc_length(way.point)
+    return np.interp(places, known * (places[-1] / max(float(known[-1]), 1e-12)), way.shift)
+
+
 def shifted(laid: Sequence[tuple[Pass, ToolPath]], given: Sequence[Way]) -> list[tuple[Pass, ToolPath]]:
     """The paths of both tools, shifted alike as the ``given`` ways say, with the targets that these have.
     Raises ``TandemError`` (forming.compensation) where a path is none of them."""

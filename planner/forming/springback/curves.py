@@ -36,6 +36,8 @@ TRIANGLES: Final = 4000
 """Triangles of an elastic sheet at most: within half a percent of five times as many."""
 SQUARE: Final = 3.0 * MM
 """Width [m] of the square that a tool presses on."""
+NEAR: Final = SQUARE / 3.0
+"""Elements there at most [m]: beside a sharp rim or on a narrow ledge it decides, not how many there are."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +98,8 @@ class PassSpringback:
         above = np.clip(np.searchsorted(height, points[:, 2]), 1, max(len(height) - 1, 1))
         below = above - 1
         above = np.minimum(above, len(height) - 1)
-        rise = np.where(above > below, height[above] - height[below], 1.0)
+        rise = height[above] - height[below]
+        rise = np.where(rise > 0.0, rise, 1.0)  # of a file two levels may be nearest to one loop
         share = np.clip((points[:, 2] - height[below]) / rise, 0.0, 1.0)
         rows = np.arange(len(points))
         return _between(each[below, rows], each[above, rows], share)
@@ -149,7 +152,7 @@ def solved(work: Work, point: Point, triangles: int = TRIANGLES, shares: FloatAr
     """
     one = work.passes[point.number]
     formed = walls(work, point.number, float(point.place[2]))
-    made = mesh_walls(formed, work.sheet.opening, triangles, point.place[None])
+    made = mesh_walls(formed, work.sheet.opening, triangles, point.place[None], NEAR)
     mesh = Mesh(made.nodes, made.triangles)
     metal = work.sheet.metal
     sheet = Sheet(made.nodes, made.triangles, thickness(work, point.number, mesh), metal.young, metal.poisson)

@@ -41,6 +41,8 @@ LEAST_FORCE_SHARE: Final = 0.01
 """Forces of a pass are at least this share of its largest: where it is flat the formula says 0."""
 TRIED: Final = 4
 """Points of each pass at which a sheet is held against a finer one."""
+NOT_APART: Final = 0.005 * MM
+"""Differences of springback [m] that are none."""
 ESTIMATE_TRIANGLES: Final = 1200
 """Triangles of a sheet of which a plan says about how far it comes back."""
 ESTIMATE_SHARES: Final = np.array([0.4, 1.0])
@@ -101,24 +103,26 @@ def some_points(control: Sequence[tuple[ControlPoints, Sequence[Point]]]) -> lis
 
 
 def apart(some: Sequence[Point], found: Sequence[Curve], other: Sequence[Curve]) -> float:
-    """The largest share by which places come back by other than with ``other`` curves, under their forces;
-    0 where both snap."""
+    """The largest share by which places come back by other than with ``other`` curves, under their forces,
+    but for `NOT_APART`; 0 where both snap."""
     back = np.array(
         [[curve.at(point.force) for curve in pair] for point, *pair in zip(some, found, other, strict=True)]
     )
     snaps = np.isnan(back)
     if (snaps[:, 0] != snaps[:, 1]).any():
         return float("inf")
-    off = np.abs(back[:, 0] / back[:, 1] - 1.0)
+    off = np.maximum(np.abs(back[:, 0] - back[:, 1]) - NOT_APART, 0.0) / back[:, 1]
     return float(np.nan_to_num(off).max(initial=0.0))
 
 
-def curves(work: Work, some: Sequence[Point], triangles: int = TRIANGLES) -> Iterator[Curve]:
-    """The curves at some points, one after the other: what a process works out. Raises ``TandemError``
-    (forming.springback_mesh)."""
+def curves(
+    work: Work, some: Sequence[Point], triangles: int = TRIANGLES, shares: FloatArray = LOAD_SHARES
+) -> Iterator[Curve]:
+    """The curves at some points, at ``shares`` of their forces, one after the other: what a process works
+    out. Raises ``TandemError`` (forming.springback_mesh)."""
     for point in some:
         try:
-            found = solved(work, point, triangles)
+            found = solved(work, point, triangles, shares)
         except ValueError as error:
             what = (
                 f"pass {work.passes[point.number].name}: the sheet as formed at z = "
