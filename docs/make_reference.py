@@ -64,6 +64,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`adsif` of `forming`", "", forming.Adsif),
     ("`die` of `forming`", "", forming.Die),
     ("`springback` of `forming`", "", forming.Springback),
+    ("`force_by` of `forming`", "", forming.ForceBy),
     ("`level` of `forming`", "", forming.Level),
     ("Process `milling`", "milling", milling_operation.Milling),
     ("`cuts` of `milling`: a flank", "", milling_operation.FlankCut),

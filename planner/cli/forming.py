@@ -57,8 +57,8 @@ MOST_ROWS = 24
 class Springback:
     """Foretell how far a formed part comes back when the tools let go: by places, forces and levels.
 
-    The sheet as formed at each place is an elastic shell with large displacements. Forces are the operation's
-    force_n, or a formula for one tool.
+    The sheet as formed at each place is an elastic shell with large displacements. Forces are those that the
+    operation states (force_n or force_by, less support_force_n), or of a formula for one tool.
     """
 
     problem: tyro.conf.Positional[Path]
@@ -233,6 +233,8 @@ def _solved(
 
 
 def _print(work: Work, found: Sequence[PassSpringback], seconds: float) -> None:
+    from planner.forming.springback.forecast import forces_told
+
     count = sum(len(one.curves) for one in found)
     table = Table("pass", "z mm", "points", "wall deg", "force N", "springback mm")
     rows = [row for one in found for row in _levels(one)]
@@ -248,8 +250,8 @@ def _print(work: Work, found: Sequence[PassSpringback], seconds: float) -> None:
         if border == float("inf")
         else (f"gives way by a spring of {border * MM**2:g} N/mm for each mm")
     )
-    force = "force_n of the operation" if work.operation.force_n is not None else "formula for one tool"
-    out.print(f"{count} control points in {seconds:.1f} s; forces: {force}; assumed: the sheet's edge {kind}")
+    force = "; ".join(forces_told(work))
+    out.print(f"{count} control points in {seconds:.1f} s; {force}; assumed: the sheet's edge {kind}")
 
 
 def _levels(one: PassSpringback) -> Iterator[tuple[str, ...]]:

@@ -25,11 +25,11 @@ from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
-    from planner.loops.forces_file import Measured
     from planner.loops.job_border import JobBorder
     from planner.loops.loop_plan import LoopPlan
     from planner.loops.next_loop import Law, Offsets
     from planner.loops.simulate import Run
+    from planner.reading.forces_file import Measured
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -99,8 +99,8 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     import numpy as np
 
     from planner.loops import next_loop
-    from planner.loops.forces_file import Measured, read_forces
     from planner.loops.job_border import job_border, require_settling
+    from planner.reading.forces_file import Measured, read_forces
 
     _require_suffix(request.output, (".csv", ".json", ".html"))
     plan, law = _plan(request.folder, request.law), _law(request.law)
@@ -109,7 +109,7 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     if request.before_mm is not None and not 0.0 <= request.before_mm <= request.law.most_mm:
         what = f"0 to {request.law.most_mm:g}, as most_mm has it"
         raise TandemError(_out_of_range("before_mm", request.before_mm, what))
-    measured = Measured((), ()) if request.forces is None else read_forces(request.forces, plan)
+    measured = Measured((), ()) if request.forces is None else read_forces(request.forces, [plan.asked])[0]
     number = len(measured.force)
     if number >= len(plan.levels):
         what = f"got forces of all {number} levels of {plan.name}: there is no next one"

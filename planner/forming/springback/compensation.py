@@ -20,8 +20,7 @@ from typing import Any, Final
 import numpy as np
 import shapely
 
-from planner.forming.contact import Pass, ToolPath
-from planner.forming.level import heights
+from planner.forming.contact import Pass, ToolPath, heights
 from planner.forming.operation import Level
 from planner.forming.passes import stood
 from planner.forming.process_plan import Work

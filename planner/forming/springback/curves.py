@@ -131,12 +131,12 @@ def _between(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatA
     return np.asarray(np.where(share <= 0.0, first, np.where(share >= 1.0, second, mixed)))
 
 
-def forces(work: Work, radius: float, angle: FloatArray) -> FloatArray:
-    """Forces (N,) [N] along z on walls at ``angle`` (N,) [rad] under a ball of ``radius`` [m]: the user's
-    figure, else the formula of `axial_force`, which knows of no second tool."""
-    op = work.operation
-    if op.force_n is not None:
-        return np.full(len(angle), op.force_n)
+def forces(work: Work, one: Pass, points: FloatArray, angle: FloatArray) -> FloatArray:
+    """Forces (N,) [N] along z on the sheet at places (N, 3) [m] of a pass, on walls at ``angle`` (N,) [rad]:
+    as the user states them, else by the formula of `axial_force`, which knows of no second tool."""
+    if work.stated is not None:
+        return work.stated.at(one.name, points)
+    op, radius = work.operation, work.heads[work.former(one)].radius
     if op.stepdown_mm is None:
         ridge = np.full(len(angle), (op.scallop_mm or 0.0) * MM)
     else:

@@ -54,13 +54,13 @@ def file_data(
                 "side": one.side,
                 "ball_radius_mm": radius / MM,
                 "force_exponent": FORCE_EXPONENT,
-                "levels": _levels(one, path, springback),
+                "levels": _levels(work, one, path, springback),
             }
         )
     return {"tandem_loop": 1, "problem": name, "digest": digest, "passes": passes}
 
 
-def _levels(one: Pass, path: ToolPath, found: PassSpringback) -> list[dict[str, Any]]:
+def _levels(work: Work, one: Pass, path: ToolPath, found: PassSpringback) -> list[dict[str, Any]]:
     contact, out = path.contact, []
     mix = _Mixed(found)
     for number in first_loops(one, contact):
@@ -69,6 +69,8 @@ def _levels(one: Pass, path: ToolPath, found: PassSpringback) -> list[dict[str, 
         ring = evenly(points)
         place = _places(ring, found)
         loads, springback, force = mix.at(ring[place])
+        if work.stated is not None:
+            force = work.stated.at(one.name, ring[place])
         out.append(
             {
                 "depth_mm": round(depth / MM, 4),

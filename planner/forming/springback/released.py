@@ -72,7 +72,9 @@ def estimated(work: Work, laid: Laid, found: Estimate) -> dict[str, Any]:
     }
     count = len(found.rows)
     note = f"estimated at {count} place{'s' * (count > 1)} of pass {estimated_pass.name}, under "
-    note += f"{work.operation.force_n:g} N, by depth between; nothing was measured"
+    low, high = min(found.force), max(found.force)
+    note += f"{low:.0f} N" if low == high else f"{low:.0f} to {high:.0f} N"
+    note += ", by depth between; nothing was measured"
     return _exhibit(work, laid, back, {}, note)
 
 
