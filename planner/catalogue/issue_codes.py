@@ -70,6 +70,7 @@ CODES: Final[dict[str, Code]] = {
     "element.shape": Code(
         "panels of an element cross themselves, fold over behind, lean too far or are too small"
     ),
+    "element.count": Code("a shell of quads has more or fewer panels than asked, as its rows come out"),
     "element.concave": Code("planar panels of an element have inner corners"),
     "element.assembly": Code("panels of an element have no straight way in that is free, in any order tried"),
     "element.block": Code("no block holds a panel at some place of an element"),

@@ -22,7 +22,7 @@ from planner.element.surface import ElementSurface, axes, stand
 from planner.geometry.arrays import FloatArray
 from planner.geometry.face_offset import Rim
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.planar_panels import LEAST_COUNT, MOST_COUNT
+from planner.geometry.planar_panels import LEAST_COUNT, MOST_COUNT, Shape
 from planner.geometry.ruled_approximation import Patch
 from planner.geometry.ruled_wall import RuledWall, ruled_wall
 from planner.geometry.units import MM
@@ -121,9 +121,16 @@ class ElasticFile(Strict):
 
 
 class HexagonsFile(Strict):
-    """Thick planar panels, most of six sides, that a straight wire cuts out of held blocks."""
+    """Thick planar panels that a straight wire cuts out of held blocks."""
 
     count: Annotated[int, Field(ge=LEAST_COUNT, le=MOST_COUNT, description="of panels")]
+    shape: Annotated[
+        Shape,
+        Field(
+            description="most panels have six sides, or four, in rows along conjugate directions: then the "
+            "count is the nearest that such rows make"
+        ),
+    ] = "hexagon"
     least_edge_mm: Annotated[float, Field(ge=1, le=1000, description="of either face")] = 50.0
     least_width_mm: Annotated[float, Field(ge=0, le=2000, description="of either face, across")] = 100.0
     off_surface_mm: Annotated[float, Field(gt=0, le=1000, description="of fronts to the surface")] = 30.0

@@ -103,6 +103,10 @@ ELSEWHERE: Final = {
         "element/test_assembly",
         "test_panels_without_a_way_in_are_named_and_what_is_advised_opens_one",
     ),
+    "element.count": (
+        "element/test_quads",
+        "test_a_count_that_rows_cannot_make_is_told_and_narrower_panels_make_it",
+    ),
     "element.concave": (
         "element/test_hexagons",
         "test_concave_panels_are_named_all_and_none_else",
