@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from planner.files import is_file
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, inverse
 from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
 
@@ -29,7 +29,8 @@ class OpwParameters:
 
     Lengths [m]; ``offsets`` (6,) [rad] and ``signs`` (6,): theta_i = signs_i * q_i - offsets_i. Flange pose
     in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) Rz(t6) T(0, 0,
-    c4).
+    c4). An arm from a file whose links of base and tip stand otherwise has that between ``left`` and
+    ``right`` (4, 4), None where they are the form's own.
     """
 
     a1: float
@@ -41,6 +42,20 @@ class OpwParameters:
     c4: float
     offsets: FloatArray
     signs: FloatArray
+    left: FloatArray | None = None
+    right: FloatArray | None = None
+
+    def inner(self, flange: FloatArray) -> FloatArray:
+        """Poses (..., 4, 4) of the form's own flange in its own base, of flange poses (..., 4, 4)."""
+        if self.left is not None:
+            flange = inverse(self.left) @ flange
+        return flange if self.right is None else flange @ inverse(self.right)
+
+    @property
+    def hand(self) -> float:
+        """From the wrist's centre to the flange at most [m]."""
+        beyond = 0.0 if self.right is None else float(np.linalg.norm(self.right[:3, 3]))
+        return abs(self.c4) + beyond
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,6 +204,7 @@ def _table() -> dict[str, RobotData]:
 def _read(name: str, entry: dict[str, Any]) -> RobotData:
     limits = np.array(entry["limits_deg"], dtype=np.float64) * DEG
     velocity = np.array(entry["velocity_deg_s"], dtype=np.float64) * DEG
+    length = {key: float(value) for key, value in entry["opw_m"].items()}
     rise = float(entry["full_speed_after_s"])
     coupled = entry.get("coupled_deg")
     acceleration = f"acceleration: assumed, every axis reaches its full speed in {rise:g} s from rest"
@@ -198,7 +214,13 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
         family=entry["family"],
         controller=entry["controller"],
         opw=OpwParameters(
-            **{key: float(value) for key, value in entry["opw_m"].items()},
+            a1=length["a1"],
+            a2=length["a2"],
+            b=length["b"],
+            c1=length["c1"],
+            c2=length["c2"],
+            c3=length["c3"],
+            c4=length["c4"],
             offsets=_frozen(np.array(entry["offset_deg"], dtype=np.float64) * DEG),
             signs=_frozen(np.array(entry["sign"], dtype=np.float64)),
         ),

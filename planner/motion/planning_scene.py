@@ -46,6 +46,7 @@ def inverse_kinematics(
     Angles are not wrapped into limits. The branch number of a solution is continuous in the pose while the
     arm does not pass a singularity.
     """
+    flange = opw.inner(flange)
     r = flange[..., :3, :3]
     centre = flange[..., :3, 3] - opw.c4 * r[..., :, 2]
     cx, cy, up = centre[..., 0], centre[..., 1], centre[..., 2] - opw.c1
