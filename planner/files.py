@@ -41,6 +41,10 @@ RESULT = (
 """What a result folder holds; anything else in the folder is left alone."""
 
 
+FILE_KEYS: Final = ("file", "urdf")
+"""Keys of problem files whose text is the name of a file."""
+
+
 def is_file(path: Path) -> bool:
     """Whether ``path`` is a file; False also for names that no file can have and folders that are closed."""
     try:

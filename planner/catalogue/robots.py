@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from planner.files import is_file
-from planner.geometry.arrays import FloatArray, inverse
+from planner.geometry.arrays import FloatArray, Shape, inverse
 from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
 
@@ -81,12 +81,30 @@ class JointStiffness:
 
 
 @dataclasses.dataclass(frozen=True)
+class RobotFile:
+    """What a robot of the user's own has of its URDF: its ``text``, and the links ``base`` and ``tip`` in it.
+
+    ``zero`` (8, 4, 4): frames of the base, of the links that the joints turn and of the tip, in the base with
+    all joints at zero; ``axis`` (6, 3): unit vectors of the axes in the base, through the origins of the
+    links. ``shapes``: what is held apart, of the base and of links 1 to 6, in their frames.
+    """
+
+    text: str
+    base: str
+    tip: str
+    zero: FloatArray
+    axis: FloatArray
+    shapes: tuple[tuple[Shape, ...], ...]
+
+
+@dataclasses.dataclass(frozen=True)
 class RobotData:
     """One robot. Joint angles are serial angles (6,) [rad]; velocity [rad/s], acceleration [rad/s^2].
 
     ``home`` (6,) [rad] is the posture of cells that state none. ``sources`` say where figures come from,
     ``assumed`` which ones do not come from a source, and on what ground they were set. ``stiffness`` is None
     where nobody has published any that is certain: then nothing is claimed of how far the arm gives way.
+    ``file`` is None for robots of the catalogue, whose URDF is :func:`urdf_path`.
     """
 
     name: str
@@ -105,6 +123,7 @@ class RobotData:
     sources: tuple[str, ...]
     assumed: tuple[str, ...]
     stiffness: JointStiffness | None = None
+    file: RobotFile | None = None
 
     def to_controller(self, q: FloatArray) -> FloatArray:
         """The controller's joint values (..., 6) [rad] of serial angles (..., 6)."""

@@ -24,9 +24,9 @@ AXES_MEET: Final = 3e-3
 """Axes count as meeting, to tell the class of an arm, that pass each other this near [m] ..."""
 AXES_SQUARE: Final = 1e-3
 """... and as parallel or square within this [rad]. What is off by so much is refused by its deviation."""
-MOST_OFF: Final = 1e-6
-"""The closed form leads to the tip within this [m] ..."""
-MOST_TURNED: Final = 1e-6
+MOST_OFF: Final = 5e-10
+"""The closed form leads to the tip within this [m], half of what the proof allows ..."""
+MOST_TURNED: Final = 5e-10
 """... and this [rad] on all postures that are tried."""
 POSTURES: Final = 1000
 """Postures within the limits that are tried, from a fixed seed."""

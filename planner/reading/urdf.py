@@ -47,7 +47,8 @@ class UrdfShape:
 class UrdfChain:
     """Turning joints in a row, by the text of a URDF.
 
-    ``joints``: their names; ``links``: the base and the links that they turn. ``zero`` (N + 2, 4, 4): frames
+    ``joints``: their names; ``links``: the base and the links that they
+    turn; ``tip_link``: the tip. ``zero`` (N + 2, 4, 4): frames
     of these links and of the tip in the base with all joints at zero; ``written``: the same by the angles as
     they are written, not snapped. ``axis`` (N, 3): unit vectors in the base at zero; axis i goes through the
     origin of frame i + 1. ``lower``, ``upper`` [rad], ``velocity`` [rad/s] (N,), NaN where none is stated.
@@ -59,6 +60,7 @@ class UrdfChain:
     joints: tuple[str, ...]
     kinds: tuple[str, ...]
     links: tuple[str, ...]
+    tip_link: str
     zero: FloatArray
     written: FloatArray
     axis: FloatArray
@@ -101,7 +103,7 @@ def read_chain(text: str, base: str, tip: str | None) -> UrdfChain:
     issues = list(_faults(way))
     if issues:
         raise TandemError(issues)
-    return _chain(root, way, above, base)
+    return _chain(root, way, above, base, tip)
 
 
 def limit_faults(chain: UrdfChain) -> list[Issue]:
@@ -263,7 +265,9 @@ def _hangs(above: dict[str, ET.Element], link: str, base: str) -> bool:
     return False
 
 
-def _chain(root: ET.Element, way: list[ET.Element], above: dict[str, ET.Element], base: str) -> UrdfChain:
+def _chain(
+    root: ET.Element, way: list[ET.Element], above: dict[str, ET.Element], base: str, tip: str
+) -> UrdfChain:
     poses, written = [np.eye(4)], [np.eye(4)]
     axes, raw_axes, limits, names, kinds, links = [], [], [], [], [], [base]
     pose, raw = np.eye(4), np.eye(4)
@@ -286,6 +290,7 @@ def _chain(root: ET.Element, way: list[ET.Element], above: dict[str, ET.Element]
         joints=tuple(names),
         kinds=tuple(kinds),
         links=tuple(links),
+        tip_link=tip,
         zero=np.array([*poses, pose]),
         written=np.array([*written, raw]),
         axis=np.array(axes).reshape(-1, 3),

@@ -10,8 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.catalogue import robots
-from planner.catalogue.robots import robot
 from planner.cell import support
 from planner.claims.claim import CutsSurface, FeedWindow, HoldsStock, StraightWire, WireJoins
 from planner.claims.forming import SinksHolder
@@ -49,7 +47,7 @@ def tool_table(setup: Setup, plan: Plan) -> Block:
     """What each arm carries, its TCP on the flange and its base in the world."""
     rows, frames = [], []
     for arm in setup.cell.arms:
-        robot = robots.robot(arm.robot)
+        robot = arm.data
         cog = ", ".join(markup.fixed(float(v) / MM, 1) for v in arm.tool.cog)
         rows.append((arm.name, robot.title, robot.controller, arm.tool.name, arm.tool.mass, cog))
         base = np.asarray(plan.bases.get(arm.name, arm.base))
@@ -160,9 +158,7 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> Table:
             continue
         q = made.q[arm.name][0]
         counted = made.commanded.get(arm.name, made.q[arm.name])[0]
-        angles = ", ".join(
-            markup.fixed(float(v) / DEG, 3) for v in robots.robot(arm.robot).to_controller(counted)
-        )
+        angles = ", ".join(markup.fixed(float(v) / DEG, 3) for v in arm.data.to_controller(counted))
         place, turn, _ = pose_cells(scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)
         rows.append((f"{arm.name}: TCP at {made.targets.name(0)}, world", place, turn, angles, _FILL))
     stock = setup.stock
@@ -199,7 +195,7 @@ def controller_checks(problem: Problem, plan: Plan) -> Table:
     rows: list[tuple[Phrase, ...]] = []
     seen = False
     for arm in arms:
-        if robot(arm.robot).family == "KUKA":
+        if arm.data.family == "KUKA":
             rows += [
                 (arm.name, what, wanted, _FILL) for what, wanted in _kuka(problem, plan, arm.name, joined)
             ]
@@ -221,9 +217,7 @@ def _sag(arm: Arm) -> list[tuple[str, str]]:
     """What makes up for the arm's sag, which must be done once, and by what figures."""
     if arm.sag is None or arm.stiffness is None:
         return []
-    own = (
-        "model of a positionally accurate robot" if robot(arm.robot).family == "KUKA" else "Absolute Accuracy"
-    )
+    own = "model of a positionally accurate robot" if arm.data.family == "KUKA" else "Absolute Accuracy"
     off = f"off ({own}): the program makes up for the load's sag itself"
     on = f"on ({own}): the program makes up for the work's force alone"
     joints = ", ".join(f"{value:.3g}" for value in arm.stiffness.joints)
@@ -426,7 +420,7 @@ def _listed(phrases: Sequence[Phrase]) -> Phrase:
 def _controllers(problem: Problem) -> list[tuple[object, object]]:
     """Tasks of ABB's arms; of KUKA's the dialect, what the controller must have, and numbers of signals."""
     controller = problem.cell.controller
-    krl = [arm.name for arm in problem.cell.arms if robot(arm.robot).family == "KUKA"]
+    krl = [arm.name for arm in problem.cell.arms if arm.data.family == "KUKA"]
     named = [
         f"{arm.name}: {task}"
         for arm, task in zip(problem.cell.arms, controller.tasks, strict=False)
