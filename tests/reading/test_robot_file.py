@@ -16,6 +16,7 @@ from planner.catalogue import robots
 from planner.geometry.arrays import from_rpy, inverse, to_rpy
 from planner.issues import TandemError
 from planner.reading import problem as problem_file
+from planner.report import setup_sheet
 from planner.tooling import wire_holder
 from planner.verify.replay import arm_model
 from tests import small_problem
@@ -174,3 +175,9 @@ def test_a_proof_sees_a_urdf_that_was_changed_behind_the_plan(both):
     wrong = dataclasses.replace(robot, opw=dataclasses.replace(robot.opw, c2=robot.opw.c2 + 1e-4))
     assert arm_model.differences(arm_model.machine_of(robot)) == []
     assert "c2 is" in arm_model.differences(arm_model.machine_of(wrong))[0]
+
+
+def test_the_setup_sheet_shows_what_is_assumed(both):
+    _, problem, (_, own) = both
+    told = repr(setup_sheet.tool_table(problem.setups[0], own.plan))
+    assert "coupling: assumed, none" in told
