@@ -17,7 +17,18 @@ from planner.catalogue.issue_codes import CODES
 from planner.forming import operation as forming
 from planner.hotwire import operation
 from planner.milling import operation as milling_operation
-from planner.reading import cell, controller, loads, part_ruled, part_surfaces, poses, problem, sheet, stock
+from planner.reading import (
+    cell,
+    controller,
+    loads,
+    part_ruled,
+    part_surfaces,
+    poses,
+    problem,
+    robot_file,
+    sheet,
+    stock,
+)
 from planner.reading import part as part_file
 from planner.verify import prove
 
@@ -76,6 +87,8 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`free` of `targets`, each", "", poses.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell.CellFile),
     ("`cell.arms`, each", "", cell.ArmFile),
+    ("`robot` of an arm, one of your own", "", robot_file.OwnRobotFile),
+    ("`meshes` of `robot`, each", "", robot_file.LinkMeshFile),
     ("`stiffness` of an arm", "", cell.StiffnessFile),
     ("`compensate_sag` of an arm", "", cell.SagFile),
     ("Tool `wire_holder`", "", cell.WireHolderFile),

@@ -42,7 +42,7 @@ from planner.batch.job import (
 )
 from planner.batch.workers import Workers
 from planner.catalogue.robots import bundled
-from planner.files import RESULT, STAGING, claim_folder, is_file, write_folder
+from planner.files import FILE_KEYS, RESULT, STAGING, claim_folder, is_file, write_folder
 from planner.issues import Issue, TandemError, given_wrong
 from planner.pipeline import Outcome
 from planner.plans import ARRAYS_FILE, DATA_FILE, Plan
@@ -174,7 +174,7 @@ def _pairs(carried: Any, source: Any) -> Iterator[tuple[str, str]]:
     """Names of files in the bundle and in the problem, where both have a value of the key ``file``."""
     if isinstance(carried, dict):
         for key, value in carried.items():
-            if key == "file" and isinstance(value, str):
+            if key in FILE_KEYS and isinstance(value, str):
                 yield value, str(Path(source[key]))
             else:
                 yield from _pairs(value, source[key])

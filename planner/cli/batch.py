@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from planner.files import is_file
+from planner.files import FILE_KEYS, is_file
 from planner.issues import Issue, TandemError, accepted
 
 if TYPE_CHECKING:
@@ -372,7 +372,7 @@ def _compare(field: str, a: Any, b: Any) -> Iterator[Difference]:
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys([*a, *b]):
             name = f"{field}.{key}" if field else str(key)
-            if key == "file":
+            if key in FILE_KEYS:
                 yield from _files(name, a.get(key, _ABSENT), b.get(key, _ABSENT))
             else:
                 yield from _compare(name, a.get(key, _ABSENT), b.get(key, _ABSENT))

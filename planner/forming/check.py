@@ -19,7 +19,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from planner.catalogue.materials import thickness_doubt
-from planner.catalogue.robots import robot
 from planner.forming import two_point
 from planner.forming.claims import scallop
 from planner.forming.contact import MIRROR, Face, Pass, ToolPath
@@ -184,7 +183,7 @@ def _forces(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) ->
                 most[arm] = own
     for arm, found in most.items():
         mounted = setup.cell.arm(arm)
-        data = robot(mounted.robot)
+        data = mounted.data
         issue = payload_issue(found, f"arm {arm}", data.title, data.payload, mounted.tool.mass)
         if issue is not None:
             yield issue

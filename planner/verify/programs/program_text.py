@@ -22,6 +22,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from planner.claims.vocabulary import Segment
+from planner.files import FILE_KEYS
 from planner.problem import Controller
 from planner.verify.programs.steps import Fault
 from planner.verify.rapid.lexer import Cursor
@@ -301,7 +302,7 @@ def changed(source: Any) -> tuple[str, ...]:
     out: list[str] = []
     if isinstance(source, Mapping):
         for key, value in source.items():
-            path = Path(value) if key == "file" and isinstance(value, str) else None
+            path = Path(value) if key in FILE_KEYS and isinstance(value, str) else None
             if path is None:
                 out += changed(value)
             elif path.parent.name == "files" and _DIGEST.fullmatch(path.stem) and _other(path):
