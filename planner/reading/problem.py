@@ -70,8 +70,10 @@ def resolved(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     if isinstance(data.get("cell"), str):
         path = folder / data["cell"]
         out["cell"] = _each_file(strict_yaml.read(path).data, lambda name: str(path.parent / name))
-    for arm in out["cell"]["arms"]:
-        if isinstance(arm["robot"], Mapping):
+    cell = out.get("cell")
+    arms = cell.get("arms") if isinstance(cell, dict) else None
+    for arm in arms if isinstance(arms, list) else ():
+        if isinstance(arm, dict) and isinstance(arm.get("robot"), dict):
             arm["robot"] = with_meshes(arm["robot"])
     return out
 

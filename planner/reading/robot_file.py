@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, ValidationError
 from scipy.spatial import ConvexHull, QhullError
 
 from planner.catalogue.robots import OpwParameters, RobotData, RobotFile, RodCoupling
@@ -251,8 +251,12 @@ def mesh_file(name: str, spec: OwnRobotFile, urdf: Path) -> Path | None:
 
 
 def with_meshes(robot: Mapping[str, Any]) -> dict[str, Any]:
-    """What a problem states of a robot, every file name absolute, with all meshes of the URDF named."""
-    spec = OwnRobotFile.model_validate(dict(robot))
+    """What a problem states of a robot, every file name absolute, with all meshes of the URDF named; as it is
+    where it is not well stated, which whoever reads it says."""
+    try:
+        spec = OwnRobotFile.model_validate(dict(robot))
+    except ValidationError:
+        return dict(robot)
     path = Path(spec.urdf)
     chain = read_chain(_text(path), spec.base, spec.tip)
     named = dict.fromkeys(one.file for one in chain.shapes if one.kind == "mesh")

@@ -181,3 +181,11 @@ def test_the_setup_sheet_shows_what_is_assumed(both):
     _, problem, (_, own) = both
     told = repr(setup_sheet.tool_table(problem.setups[0], own.plan))
     assert "coupling: assumed, none" in told
+
+
+@pytest.mark.parametrize(
+    "cell", [{}, [], None, {"arms": {}}, {"arms": [1, {}, {"robot": {}}, {"robot": {"urdf": 3}}]}]
+)
+def test_a_cell_that_is_not_well_stated_is_carried_as_it_is(tmp_path, cell):
+    """Elements, batches and templates carry what nobody has read yet; whoever reads it says what is wrong."""
+    assert problem_file.resolved({"cell": cell}, tmp_path) == {"cell": cell}
