@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -21,9 +21,11 @@ from planner.geometry.arrays import FloatArray, Shape, read_only
 from planner.geometry.mesh import read_mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.reading.opw import OpwFit, fit
 from planner.reading.strict_yaml import Angle, FileName, Name, Strict
 from planner.reading.urdf import MAX_URDF_BYTES, UrdfChain, UrdfShape, read_chain
+
+if TYPE_CHECKING:
+    from planner.reading.opw import OpwFit
 
 FULL_SPEED_AFTER: Final = 0.4
 """Time [s] from rest to full speed of every axis where none is stated: that of the largest arms built in."""
@@ -85,6 +87,8 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     """The robot of a file; names start at ``folder``. Raises :class:`TandemError` as
     :func:`planner.reading.urdf.read_chain` and :func:`planner.reading.opw.fit`, ``robot.bodies`` for bodies
     that are not known, ``problem.field`` for lines that contradict one another."""
+    from planner.reading.opw import fit  # with kinematics, which problems without such arms are read without
+
     path = folder / spec.urdf
     text = _text(path)
     chain = read_chain(text, spec.base, spec.tip)

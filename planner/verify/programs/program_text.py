@@ -22,7 +22,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from planner.claims.vocabulary import Segment
-from planner.files import FILE_KEYS
 from planner.problem import Controller
 from planner.verify.programs.steps import Fault
 from planner.verify.rapid.lexer import Cursor
@@ -295,6 +294,8 @@ class Partner:
 
 _DIGEST: Final = re.compile(r"[0-9a-f]{16}")
 """The digest that a program carries."""
+_FILE_KEYS: Final = ("file", "urdf")
+"""Keys of a problem whose text is the name of a file."""
 
 
 def changed(source: Any) -> tuple[str, ...]:
@@ -302,7 +303,7 @@ def changed(source: Any) -> tuple[str, ...]:
     out: list[str] = []
     if isinstance(source, Mapping):
         for key, value in source.items():
-            path = Path(value) if key in FILE_KEYS and isinstance(value, str) else None
+            path = Path(value) if key in _FILE_KEYS and isinstance(value, str) else None
             if path is None:
                 out += changed(value)
             elif path.parent.name == "files" and _DIGEST.fullmatch(path.stem) and _other(path):
