@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -246,11 +247,11 @@ def _number(text: str) -> float:
 
 def _missing(file: str, one: Asked, force: dict[tuple[int, int], float]) -> list[Issue]:
     last = max((level for level, _ in force), default=-1)
+    farthest = dict(sorted(force))  # of a level's points the last one stays
     issues = []
     for number in range(last + 1):
         known = one.places[number]
-        own = [point for level, point in force if level == number]
-        points = range(len(known) if known is not None else max(own, default=0) + 1)
+        points = range(len(known) if known is not None else farthest.get(number, 0) + 1)
         left = [str(k) for k in points if (number, k) not in force]
         if left:
             some = ", ".join(left[:5]) + (" ..." if len(left) > 5 else "")
@@ -291,7 +292,7 @@ def _value(
     name: str, force: dict[Key, float], lift: dict[Key, float], place: dict[Key, FloatArray]
 ) -> Measured:
     mine = sorted(key for key in force if key[0] == name)
-    levels = [[key for key in mine if key[1] == number] for number in range(mine[-1][1] + 1 if mine else 0)]
+    levels = [list(some) for _, some in itertools.groupby(mine, key=lambda key: key[1])]  # all are there
     nowhere = np.full(2, math.nan)
     return Measured(
         tuple(np.array([force[key] for key in level]) for level in levels),

@@ -13,7 +13,7 @@ import shapely
 
 from planner.geometry.mesh import TriangleMesh, merge
 from tests.element.shells import THICK, Written, patch, saddle, shell, written
-from tests.element.test_hexagons import divided, off_plane, refusals, sides, told
+from tests.element.test_hexagons import divided, off_plane, refusals, require_convex_panel, sides, told
 
 
 def wavy() -> TriangleMesh:
@@ -52,14 +52,7 @@ def test_panels_are_planar_do_not_cross_and_keep_the_limits(quads: Any) -> None:
     four = 0
     for panel in panels.values():
         four += len(panel.top) == 4
-        for ring, height in zip(panel.own, (0.0, thick), strict=True):
-            assert (ring[:, 2] == height).all()
-            outline = shapely.Polygon(ring[:, :2])
-            assert outline.is_valid
-            assert outline.exterior.is_ccw
-            assert outline.convex_hull.area - outline.area < 1e-3
-            assert np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1).min() >= 40.0
-        assert max(map(off_plane, sides(panel))) < 1e-6
+        require_convex_panel(panel, thick, 40.0)
         rise = np.linalg.norm(panel.own[1] - panel.own[0], axis=1)
         assert rise.max() <= 1.15 * thick
         assert np.degrees(np.arccos(thick / rise)).max() <= 30.0

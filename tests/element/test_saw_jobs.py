@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from planner.cli.element import ElementReport, ElementRequest, run_element, run_
 from planner.element import element_file
 from planner.issues import TandemError
 from tests.element.shells import shell
+from tests.element.test_run_report import data_of
 from tests.element.walls import ROOT
 from tests.test_plans import some_plan
 
@@ -53,11 +53,6 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("saw")
     run_element(ElementRequest(sawn_shell(folder), folder / "out"))
     return folder / "out"
-
-
-def data_of(out: Path) -> dict[str, Any]:
-    loaded: dict[str, Any] = json.loads((out / "element.json").read_text())
-    return loaded
 
 
 def job_file(out: Path, name: str) -> dict[str, Any]:
