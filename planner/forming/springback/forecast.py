@@ -46,7 +46,9 @@ NOT_APART: Final = 0.005 * MM
 ESTIMATE_TRIANGLES: Final = 1200
 """Triangles of a sheet of which a plan says about how far it comes back."""
 ESTIMATE_SHARES: Final = np.array([0.4, 1.0])
-"""Loads that it is asked at, over the force that is stated."""
+"""Loads that it is asked at, over the force that is taken."""
+FORMULA: Final = "formula for one tool (Aerens and others), not measured"
+"""Where forces come from that nobody states."""
 CURVES_SHOWN: Final = 8
 """Curves of a picture at most."""
 
@@ -66,7 +68,7 @@ def forces_told(work: Work) -> list[str]:
     if op.force_n is not None:
         force = f"the force is {op.force_n:g} N everywhere, as force_n states"
     elif op.force_by is None:
-        force = "forces are those of a formula for one tool (Aerens and others), not measured"
+        force = f"forces are those of a {FORMULA}"
     elif op.force_by.file is not None:
         force = f"forces are those of {op.force_by.file.name}, by level as measured, of all tools together"
     else:
@@ -215,19 +217,26 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
 @dataclasses.dataclass(frozen=True)
 class Estimate:
     """Springback of pass ``number`` of a plan at the targets ``rows`` of its path: ``springback`` each [m],
-    under the ``force`` [N]."""
+    under the ``force`` [N], which is ``assumed`` where the user states none."""
 
     number: int
     rows: tuple[int, ...]
     springback: tuple[float, ...]
     force: tuple[float, ...]
+    assumed: bool
+
+    def under(self, force: Sequence[float]) -> str:
+        """Some of its forces [N] in words, from the least to the largest."""
+        low, high = min(force), max(force)
+        said = f"{high:.0f} N" if round(low) == round(high) else f"{low:.0f} to {high:.0f} N"
+        return f"an assumed force of {said} ({FORMULA})" if self.assumed else said
 
 
 def estimate(work: Work, laid: Sequence[tuple[Pass, ToolPath]]) -> Estimate | None:
-    """What a plan says of springback where the user states the force: two places of the deepest pass, on
-    coarse sheets; some half a second a place. None without a force or a forecast of the mode; without
-    places where the sheet snaps or is too coarse, of which `tandem springback` says what to do."""
-    if work.stated is None or work.operation.mode not in MODES:
+    """What a plan says of springback: two places of the deepest pass, on coarse sheets; some half a second a
+    place. None where the mode has no forecast; without places where the sheet snaps or is too coarse, of
+    which `tandem springback` says what to do."""
+    if work.operation.mode not in MODES:
         return None
     number = int(np.argmax([abs(one.end - one.start) for one in work.passes]))
     one, contact = laid[number][0], laid[number][1].contact
@@ -247,7 +256,8 @@ def estimate(work: Work, laid: Sequence[tuple[Pass, ToolPath]]) -> Estimate | No
             continue
         if not curve.snaps:
             found[row] = float(curve.springback[-1])
-    return Estimate(number, tuple(found), tuple(found.values()), tuple(float(force[row]) for row in found))
+    under = tuple(float(force[row]) for row in found)
+    return Estimate(number, tuple(found), tuple(found.values()), under, work.stated is None)
 
 
 def estimate_issues(work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Estimate) -> list[Issue]:
@@ -266,10 +276,12 @@ def estimate_issues(work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Es
     count = len(found.rows)
     what = (
         f"pass {one.name}: when the tool lets go the sheet will come back by about {most:.1f} mm at "
-        f"({x:.1f}, {y:.1f}, {z:.1f}) mm under {force:.0f} N: so much too shallow the part "
+        f"({x:.1f}, {y:.1f}, {z:.1f}) mm under {found.under([force])}: so much too shallow the part "
         f"will be; estimated at {count} place{'s' * (count > 1)}, of {TOLD:g} mm and less nothing is told"
     )
     hint = "tandem springback says it all over the part; --write makes a file that springback: takes"
+    if found.assumed:
+        hint = f"state a measured force (force_n, force_by), for which another figure may come out; {hint}"
     return [
         Issue(
             "forming.springback",

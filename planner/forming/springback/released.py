@@ -58,7 +58,7 @@ def compensated(work: Work, laid: Laid, given: Compensation) -> dict[str, Any]:
 
 
 def estimated(work: Work, laid: Laid, found: Estimate) -> dict[str, Any]:
-    """What is left without a springback file where the force is stated: of the feature that was estimated, by
+    """What is left without a springback file: of the feature that was estimated, by
     depth between its places and as at the nearest of them beyond."""
     estimated_pass, estimated_path = laid[found.number]
     depth = np.abs(estimated_path.contact.point[list(found.rows), 2] - estimated_pass.start)
@@ -72,9 +72,7 @@ def estimated(work: Work, laid: Laid, found: Estimate) -> dict[str, Any]:
     }
     count = len(found.rows)
     note = f"estimated at {count} place{'s' * (count > 1)} of pass {estimated_pass.name}, under "
-    low, high = min(found.force), max(found.force)
-    note += f"{low:.0f} N" if low == high else f"{low:.0f} to {high:.0f} N"
-    note += ", by depth between; nothing was measured"
+    note += f"{found.under(found.force)}, by depth between; nothing was measured"
     return _exhibit(work, laid, back, {}, note)
 
 

@@ -92,7 +92,7 @@ def test_an_estimate_goes_by_depth(together: FormingJob) -> None:
     contact = laid[0][1].contact
     rows = tuple(int(np.flatnonzero(contact.loop == k)[0]) for k in (2, int(contact.loop.max())))
     shape = released.estimated(
-        together.planned, laid, Estimate(0, rows, (1.0 * MM, 0.4 * MM), (500.0, 500.0))
+        together.planned, laid, Estimate(0, rows, (1.0 * MM, 0.4 * MM), (500.0, 500.0), False)
     )
     points = [
         {"x_mm": float(contact.point[row, 0]) / MM, "y_mm": float(contact.point[row, 1]) / MM} for row in rows
@@ -116,10 +116,11 @@ def test_control_points_that_are_none_are_refused(together: FormingJob, text: st
         given(together, tmp_path, files.edited(text, cut)).targets()
 
 
-def test_nothing_is_shown_where_no_springback_is_known(tmp_path: Path) -> None:
+def test_a_force_that_nobody_stated_is_shown_as_assumed(tmp_path: Path) -> None:
     made = job(tmp_path)
     operation = made.operation.model_copy(update={"force_n": None})
-    assert page(FormingJob(operation, made.setup, made.part).targets()) == []
+    (sheet,) = page(FormingJob(operation, made.setup, made.part).targets())
+    assert re.search(r"under an assumed force of \d+", sheet["note"])
 
 
 def test_maps_of_a_forecast_are_on_one_scale(together: FormingJob) -> None:

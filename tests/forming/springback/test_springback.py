@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import dataclasses
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -220,7 +221,7 @@ def test_the_command_writes_what_it_found(tmp_path: Path) -> None:
     assert "Springback over force" in page.read_text()
 
 
-def test_a_plan_says_it_where_the_force_is_stated(tmp_path: Path) -> None:
+def test_a_plan_says_it_and_whether_the_force_is_assumed(tmp_path: Path) -> None:
     made = of(tmp_path, shapes.cone(45.0, 0.020, 0.050, 120), force_n=400.0, stepdown_mm=4)
     laid = lay_all(made)
     found = forecast.estimate(made, laid)
@@ -231,7 +232,13 @@ def test_a_plan_says_it_where_the_force_is_stated(tmp_path: Path) -> None:
     assert said.value == pytest.approx(4.0, abs=0.25)
     assert "400 N" in said.message
     alone = dataclasses.replace(made, operation=made.operation.model_copy(update={"force_n": None}))
-    assert forecast.estimate(alone, laid) is None
+    assumed = forecast.estimate(alone, laid)
+    assert assumed is not None
+    (said,) = forecast.estimate_issues(alone, laid, assumed)
+    assert re.search(r"under an assumed force of \d+ N \(formula for one tool", said.message)
+    assert "state a measured force (force_n, force_by)" in said.hint
+    mode = made.operation.model_copy(update={"mode": "adsif"})  # which has no forecast
+    assert forecast.estimate(dataclasses.replace(made, operation=mode), laid) is None
     weak = dataclasses.replace(made, operation=made.operation.model_copy(update={"force_n": 5.0}))
     little = forecast.estimate(weak, laid)
     assert little is not None
