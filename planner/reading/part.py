@@ -169,7 +169,7 @@ def _guides(spec: PlateFile, folder: Path) -> tuple[list[Guide], list[str], list
     if spec.rhino is not None:
         path, field = folder / spec.rhino.file, "part.plate.rhino"
         found, told = rhino.curves(spec.rhino, folder, field)
-        notes += [*told, *_flat(path, found, field, rhino.NOTE)]
+        notes += [*told, *_flat(path, found, field, "part.rhino_left_out")]
         drawn += [(field, curve) for curve in found]
     # a drawing has no order of its own: from left to right
     for number, (field, curve) in sorted(enumerate(drawn, start=1), key=lambda c: _corner(c[1][1].points)):

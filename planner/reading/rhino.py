@@ -37,8 +37,6 @@ from planner.reading.drawing import (
 from planner.reading.strict_yaml import FileName, Strict, Unit
 
 Kind = Literal["curve", "face", "mesh"]
-NOTE: Final = "part.rhino_note"
-"""Code of what is told of a file that is read."""
 UNITS: Final = {
     "Microns": 1e-6,
     "Millimeters": 1e-3,
@@ -220,7 +218,7 @@ def face(spec: RhinoFaceFile, folder: Path, field: str) -> RhinoFace:
         f"{found.path.name}: {len(faces)} facets are off the face by {off / MM:.2g} mm at most, as measured"
     )
     told = Issue(
-        NOTE,
+        "part.rhino_facets",
         what,
         Severity.NOTE,
         file=str(found.path),
@@ -271,7 +269,7 @@ def _read(spec: RhinoFile, folder: Path, field: str, kinds: Sequence[Kind]) -> _
         raise refused("part.rhino", path, field, what + _HINT)
     if left:
         what = f"{path.name}: left out {', '.join(left)}{spec.asked()}; {_HINT}"
-        notes.append(Issue(NOTE, what, Severity.NOTE, file=str(path), field=field))
+        notes.append(Issue("part.rhino_left_out", what, Severity.NOTE, file=str(path), field=field))
     return _Found(path, tuple(mine), metres, tuple(notes))
 
 
@@ -291,7 +289,7 @@ def _unit(model: Any, spec: RhinoFile, path: Path, field: str) -> tuple[float, l
         what += "(_Units)"
         raise refused("part.rhino", path, field, what)
     what = f"{path.name} is in {said.lower() if own is not None else spec.unit}"
-    note = Issue(NOTE, what, Severity.NOTE, file=str(path), field=field)
+    note = Issue("part.rhino_unit", what, Severity.NOTE, file=str(path), field=field)
     return float(own or stated or 0.0), [note]
 
 

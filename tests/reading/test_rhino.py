@@ -11,10 +11,13 @@ import pytest
 import rhino3dm
 from scipy.spatial import cKDTree
 
+from planner.geometry.mesh import face_normals
 from planner.issues import TandemError
 from planner.reading import rhino
+from planner.reading.part_surfaces import BackFile, FrontFile, build_faces
 from planner.reading.rhino import RhinoFaceFile, RhinoFile, RhinoRuledFile
 from planner.verify.files import rhino as proof
+from planner.verify.files.surfaces import stated
 from tests.rhino_files import LOWER, UNITS, Model, along, at, curve, free_surface, ruled_surface
 
 MM = 1e-3
@@ -305,3 +308,28 @@ def test_damaged_files_are_refused_in_words(tmp_path: Path) -> None:
     assert "it is no whole 3DM file" in refusal(read)
     path.unlink()
     assert refusal(read).startswith("problem.missing_file")
+
+
+def test_faces_of_one_file_are_front_and_back_of_a_part(tmp_path: Path) -> None:
+    model = Model()
+    back = rhino3dm.Brep.CreateFromSurface(free_surface())
+    back.Flip()
+    back.Transform(rhino3dm.Transform.Translation(0, 0, -60))
+    model.add(free_surface(), name="outside")
+    model.add(back, name="inside")
+    model.write(tmp_path / "part.3dm")
+    given = {
+        "front": {"rhino": {"file": "part.3dm", "name": "outside", "chord_mm": 0.05}},
+        "back": {"rhino": {"file": "part.3dm", "name": "inside", "chord_mm": 0.05}},
+    }
+    faces = build_faces(FrontFile(**given["front"]), BackFile(**given["back"]), tmp_path)
+    assert faces.back is not None
+    assert faces.edges is not None
+    assert face_normals(faces.front)[:, 2].max() > 0.9
+    assert face_normals(faces.back)[:, 2].min() < -0.9
+    said = {k: {"rhino": {**v["rhino"], "file": str(tmp_path / "part.3dm")}} for k, v in given.items()}
+    names = [one.name for one in stated(said, 0.1)]
+    assert names == ["front", "back", "edges"]
+    over = {"rhino": {**given["front"]["rhino"], "flip": True}}
+    with pytest.raises(TandemError, match="turn over the front"):
+        build_faces(FrontFile(**over), BackFile(**given["back"]), tmp_path)

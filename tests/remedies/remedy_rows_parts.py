@@ -63,11 +63,13 @@ def drawing(*open_by: float, closed: bool = True) -> str:
     return out.getvalue()
 
 
-def model() -> bytes:
-    """A Rhino file of a square on layer cut."""
+def model(hidden: bool = False) -> bytes:
+    """A Rhino file of a square on layer cut, and a hidden line beside it."""
     made = Model()
     made.layer("cut")
     made.add(rhino_curve([(0, 0, 0), (80, 0, 0), (80, 80, 0), (0, 80, 0), (0, 0, 0)], 1), "cut")
+    if hidden:
+        made.add(rhino_curve([(0, 0, 0), (0, 200, 0)], 1), "cut", Visible=False)
     with tempfile.TemporaryDirectory() as folder:
         return made.write(Path(folder) / "plate.3dm").read_bytes()
 
@@ -145,6 +147,8 @@ ROWS: Final = [
         {"plate.dxf": drawing(closed=False)}),
     Row("part.rhino", load, block(change(PLATE_RHINO, "plate.rhino.layer", "nothing")), "its layers are cut",
         {"part.plate.rhino.layer": Word("its layers are (\\w+)")}, {"plate.3dm": model()}),
+    Row("part.rhino_left_out", load, block(PLATE_RHINO), "show what is hidden", {"@plate.3dm": model()},
+        {"plate.3dm": model(hidden=True)}),
     Row("part.not_ruled", load, block({"mesh": PATCH}, LARGE), "cut it in ruled strips (part.strips)",
         {"part": {"strips": {"mesh": PATCH, "tolerance_mm": 5}}}, {"m.ply": DOME}),
     Row("part.patch", load, block({"mesh": PATCH}, LARGE), "close its holes", {"@m.ply": FLAT},
