@@ -42,6 +42,7 @@ from planner.reading import (
     part,
     part_ruled,
     part_surfaces,
+    rhino,
     robot_file,
     sheet,
     stock,
@@ -279,6 +280,15 @@ class GuideDxf(Section, model=part_ruled.DxfFile): ...
 
 
 class Ruled(Section, model=part_ruled.RuledFile): ...
+
+
+class RhinoCurves(Section, model=rhino.RhinoFile): ...
+
+
+class RhinoRuled(Section, model=rhino.RhinoRuledFile): ...
+
+
+class RhinoFace(Section, model=rhino.RhinoFaceFile): ...
 
 
 class Airfoil(Section, model=part_ruled.SectionFile): ...

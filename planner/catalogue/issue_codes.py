@@ -197,6 +197,13 @@ CODES: Final[dict[str, Code]] = {
     "part.dxf_left_out": Code(
         "entities of a DXF file were left out because they are of no use here", given=True
     ),
+    "part.rhino": Code(
+        "a Rhino file cannot be read, or holds nothing, or not one thing, of what is wanted from it",
+        given=True,
+    ),
+    "part.rhino_unit": Code("the unit in which a Rhino file was read", given=True),
+    "part.rhino_left_out": Code("objects of a Rhino file were left out, or read in another way", given=True),
+    "part.rhino_facets": Code("how far facets are off the face of a Rhino file, as measured", given=True),
     "part.edges": Code("the boundaries of front and back cannot be joined by straight edges", given=True),
     "part.patch": Code("a mesh is not a patch with one boundary and four corners", given=True),
     "part.not_ruled": Code("a surface is farther from any ruled one than its tolerance", given=True),

@@ -81,8 +81,8 @@ class SurfaceFile(FrontFile):
 
     @model_validator(mode="after")
     def _one(self) -> SurfaceFile:
-        if [self.loft, self.mesh, self.ruled].count(None) != 2:
-            raise ValueError("give one of loft, mesh and ruled")
+        if [self.loft, self.mesh, self.rhino, self.ruled].count(None) != 3:
+            raise ValueError("give one of loft, mesh, rhino and ruled")
         if self.ruled is not None and self.plane is not None:
             raise ValueError(
                 "plane: a ruled wall is divided along its rulings however it stands; take it out"
@@ -473,9 +473,9 @@ def read(path: Path) -> ElasticElement | HexagonElement | WallElement | StripsEl
         return WallElement(spec, tuple(templates), stock, saw, walls, _wall(spec.surface.ruled, folder))
     strips = spec.panels.strips
     if strips is not None:
-        patch = surface_patch(spec.surface.loft, spec.surface.mesh, folder, "surface")
+        patch, _ = surface_patch(spec.surface, folder, "surface")
         return StripsElement(spec, tuple(templates), stock, saw, strips, patch)
-    mesh, _ = surface(spec.surface.loft, spec.surface.mesh, folder, "surface")
+    mesh, _, _ = surface(spec.surface, folder, "surface")
     check_size(mesh, "surface")
     plane = spec.surface.plane
     stated = (None, None) if plane is None else (np.array(plane.normal), np.array(plane.along))

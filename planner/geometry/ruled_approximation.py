@@ -26,6 +26,7 @@ from planner.geometry.curves import CORNER_ANGLE, Guide, Loft, along, arc_length
 from planner.geometry.matching import best_path
 from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.geometry.mesh_queries import Nearness
+from planner.geometry.nurbs import NurbsSurface
 from planner.geometry.placing import backwards
 from planner.geometry.rulings import boundaries, outward, points, resample, tessellate
 from planner.geometry.units import DEG, MM
@@ -65,14 +66,18 @@ class Patch:
         return place, np.arctan2(cross, np.sum(way[:, 0] * way[:, 1], axis=1))
 
 
-def of_loft(
-    loft: Loft, u: tuple[float, float], v: tuple[float, float], mesh: TriangleMesh, flip: bool
+def of_surface(
+    surface: Loft | NurbsSurface,
+    u: tuple[float, float],
+    v: tuple[float, float],
+    mesh: TriangleMesh,
+    flip: bool,
 ) -> Patch:
-    """The region of a loft, with its tessellation."""
+    """The region of a surface, with its tessellation."""
 
     def points(a: FloatArray, b: FloatArray) -> FloatArray:
         a, b = np.broadcast_arrays(a, b)
-        return loft.points(u[0] + a * (u[1] - u[0]), v[0] + b * (v[1] - v[0]))
+        return surface.points(u[0] + a * (u[1] - u[0]), v[0] + b * (v[1] - v[0]))
 
     return Patch(points, mesh, not flip)
 

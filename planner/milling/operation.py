@@ -270,6 +270,8 @@ class EngraveCut(_Cut):
 
     @model_validator(mode="after")
     def _axes(self) -> Self:
+        if any(curve.rhino is not None for curve in (*self.engrave, *self.axis_curves)):
+            raise ValueError("curves to engrave are not read from Rhino files; save them as DXF (dxf:)")
         if (self.axis == "curves") != bool(self.axis_curves):
             raise ValueError("axis_curves belong to axis: curves, which needs them")
         if self.axis_curves and len(self.axis_curves) != len(self.engrave):

@@ -313,7 +313,7 @@ def engraved_runs(op: Milling, cut: EngraveCut, over: Over, cutter: Cutter) -> l
 
 def _curve(spec: GuideFile, field: str) -> FloatArray:
     """Places (N, 3) [m] along a curve, evenly apart, with its corners."""
-    own = guide(spec, False, Path(), field).points
+    own = guide(spec, False, Path(), field)[0].points
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(own, axis=0), axis=1))])
     even = np.linspace(0.0, length[-1], max(int(np.ceil(length[-1] / CURVE_SPACING)), 2) + 1)
     at = np.unique(np.concatenate([even, length]))

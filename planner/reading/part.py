@@ -34,9 +34,11 @@ from planner.geometry.rulings import resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, Remedy, Severity, TandemError, has_errors
 from planner.problem import Part, Stock
-from planner.reading import part_ruled, part_surfaces, sheet
-from planner.reading.part_ruled import SPLINE_CHORD, RuledFile, WingFile, read_dxf
+from planner.reading import part_ruled, part_surfaces, rhino, sheet
+from planner.reading.drawing import FileCurve, read_dxf
+from planner.reading.part_ruled import SPLINE_CHORD, RuledFile, WingFile
 from planner.reading.part_surfaces import BackFile, Faces, FrontFile, RuledMeshFile, StripsFile
+from planner.reading.rhino import RhinoFile
 from planner.reading.sheet import SheetMeshFile
 from planner.reading.strict_yaml import Far, FileName, Positive, Strict, Unit, Vector
 
@@ -77,18 +79,20 @@ class OutlineFile(Strict):
 
 
 class PlateFile(Strict):
-    """Outlines that are cut through the block from its bottom to its top: given one by one, from a DXF
-    file, or both. Outlines inside others are holes, and pieces again inside those.
+    """Outlines that are cut through the block from its bottom to its top: given one by one, as the closed
+    curves of a DXF or Rhino file seen along z, or both. Outlines inside others are holes, and pieces again
+    inside those.
     """
 
     outlines: Annotated[tuple[OutlineFile, ...], Field(max_length=500)] = ()
     dxf: PlateDxfFile | None = None
+    rhino: RhinoFile | None = None
     corner_deg: Annotated[float, Field(ge=1, le=179)] = 20.0
 
     @model_validator(mode="after")
     def _some(self) -> PlateFile:
-        if not self.outlines and self.dxf is None:
-            raise ValueError("give outlines, dxf or both")
+        if not self.outlines and self.dxf is None and self.rhino is None:
+            raise ValueError("give outlines, dxf or rhino, or several of them")
         return self
 
 
@@ -153,35 +157,44 @@ def _guides(spec: PlateFile, folder: Path) -> tuple[list[Guide], list[str], list
     guides: list[Guide] = []
     names: list[str] = []
     notes: list[Issue] = []
+    drawn: list[tuple[str, FileCurve]] = []
     for index, own in enumerate(spec.outlines):
         guides.append(_guide(own, spec.corner_deg * DEG))
         names.append(f"part.plate.outlines.{index}")
     if spec.dxf is not None:
-        path = folder / spec.dxf.file
-        curves, notes = read_dxf(path, LENGTH_UNITS[spec.dxf.unit], spec.dxf.layer, "part.plate.dxf")
-        opened = [curve for curve in curves if not curve.closed]
-        if opened:
-            at = opened[0].points[0] / MM
-            gap = np.linalg.norm(opened[0].points[0] - opened[0].points[-1]) / MM
-            what = (
-                f"{path.name}: {len(opened)} of {len(curves)} curves are not closed, the first begins at "
-                f"({at[0]:.2f}, {at[1]:.2f}) mm with its ends {gap:.3g} mm apart; close them, or name a "
-                "layer "
-                "without them"
-            )
-            raise TandemError(Issue("part.outline_open", what, file=str(path), field="part.plate.dxf"))
-        height = max(float(np.ptp(curve.points[:, 2])) for curve in curves)
-        if height > 1e-5:
-            what = f"{path.name}: its curves are not flat ({height / MM:.3g} mm in z); seen along z they "
-            what += "were taken"
-            notes.append(
-                Issue("part.dxf_left_out", what, Severity.NOTE, file=str(path), field="part.plate.dxf")
-            )
-        # a drawing has no order of its own: from left to right
-        for number, curve in sorted(enumerate(curves, start=1), key=lambda c: _corner(c[1].points)):
-            guides.append(polyline(curve.points * [1.0, 1.0, 0.0], True, spec.corner_deg * DEG))
-            names.append(f"part.plate.dxf (curve {number})")
+        path, field = folder / spec.dxf.file, "part.plate.dxf"
+        found, told = read_dxf(path, LENGTH_UNITS[spec.dxf.unit], spec.dxf.layer, field)
+        notes += [*told, *_flat(path, found, field, "part.dxf_left_out")]
+        drawn = [(field, curve) for curve in found]
+    if spec.rhino is not None:
+        path, field = folder / spec.rhino.file, "part.plate.rhino"
+        found, told = rhino.curves(spec.rhino, folder, field)
+        notes += [*told, *_flat(path, found, field, "part.rhino_left_out")]
+        drawn += [(field, curve) for curve in found]
+    # a drawing has no order of its own: from left to right
+    for number, (field, curve) in sorted(enumerate(drawn, start=1), key=lambda c: _corner(c[1][1].points)):
+        guides.append(polyline(curve.points * [1.0, 1.0, 0.0], True, spec.corner_deg * DEG))
+        names.append(f"{field} (curve {number})")
     return guides, names, notes
+
+
+def _flat(path: Path, found: Sequence[FileCurve], field: str, code: str) -> list[Issue]:
+    """A note with this code where curves are not flat. Raises ``TandemError`` (``part.outline_open``)."""
+    opened = [curve for curve in found if not curve.closed]
+    if opened:
+        at = opened[0].points[0] / MM
+        gap = np.linalg.norm(opened[0].points[0] - opened[0].points[-1]) / MM
+        what = (
+            f"{path.name}: {len(opened)} of {len(found)} curves are not closed, the first begins at "
+            f"({at[0]:.2f}, {at[1]:.2f}) mm with its ends {gap:.3g} mm apart; close them, or name a layer "
+            "without them"
+        )
+        raise TandemError(Issue("part.outline_open", what, file=str(path), field=field))
+    height = max(float(np.ptp(curve.points[:, 2])) for curve in found)
+    if height <= 1e-5:
+        return []
+    what = f"{path.name}: its curves are not flat ({height / MM:.3g} mm in z); seen along z they were taken"
+    return [Issue(code, what, Severity.NOTE, file=str(path), field=field)]
 
 
 def _corner(points: FloatArray) -> tuple[float, ...]:

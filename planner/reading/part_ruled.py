@@ -1,19 +1,17 @@
-"""Ruled surfaces of a part: between two guide curves, also from DXF files, and wing panels.
+"""Ruled surfaces of a part: between two guide curves, from files too, ruled faces of Rhino, and wing panels.
 
-A wing panel is given by two airfoils with their chords, span, sweep, twist and dihedral. Curves of
-DXF files are read by ``ezdxf``, which comes with the extra ``cad``.
+A wing panel is given by two airfoils with their chords, span, sweep, twist and dihedral.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import Guide, polyline, spline, with_corners
 from planner.geometry.matching import aligned, join
@@ -22,6 +20,9 @@ from planner.geometry.rulings import resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.geometry.wing import Panel, naca, read_airfoil, wing_surface
 from planner.issues import Issue, Severity, TandemError
+from planner.reading import rhino
+from planner.reading.drawing import read_dxf
+from planner.reading.rhino import RhinoFile, RhinoRuledFile
 from planner.reading.strict_yaml import Far, FileName, Name, Strict, Unit, Vector
 
 Chord = Annotated[float, Field(ge=5, le=20_000)]
@@ -107,115 +108,6 @@ def _thickness(points: FloatArray) -> float:
     return float(np.ptp(points[:, 1]))
 
 
-CAD_INSTALL: Final = "pip install 'tandem-planner[cad]'"
-"""What to run where the reader of DXF files is missing."""
-ENTITY_KINDS: Final = ("LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "LWPOLYLINE", "POLYLINE")
-"""Kinds of DXF entities that are read as curves."""
-FLATNESS: Final = 2e-6
-"""How far [m] the points of arcs and splines may be off them."""
-_MAX_DXF_BYTES: Final = 50_000_000
-"""DXF files larger than this [bytes] are refused unread."""
-_MOST_CURVES: Final = 2000
-"""Curves of a DXF file at most."""
-_JOINED_WITHIN: Final = 1e-5
-"""Ends [m] that are this near are joined."""
-
-
-@dataclasses.dataclass(frozen=True)
-class DxfCurve:
-    """Points (N, 3) [m]; a ``closed`` curve does not repeat its first."""
-
-    points: FloatArray
-    closed: bool
-
-
-def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[list[DxfCurve], list[Issue]]:
-    """Curves of a drawing's model space, lengths in ``unit`` metres, and notes of what was left out.
-
-    Pieces whose ends meet within 0.01 mm are joined. Raises ``TandemError`` with ``problem.missing_file``,
-    ``problem.too_large``, ``part.extra_missing`` or ``part.dxf``.
-    """
-    if not is_file(path):
-        raise _refuse("problem.missing_file", path, field, f"{no_file(path)}; check the path")
-    if path.stat().st_size > _MAX_DXF_BYTES:
-        raise _refuse("problem.too_large", path, field, "more than 50 MB; export only the curves")
-    try:
-        from ezdxf import path as ezpath
-        from ezdxf.filemanagement import readfile
-    except ImportError as error:
-        raise _refuse("part.extra_missing", path, field, f"DXF files need ezdxf; {CAD_INSTALL}") from error
-    try:
-        drawing = readfile(path)
-        space = list(drawing.modelspace())
-    except Exception as error:  # damaged files raise anything
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise _refuse("part.dxf", path, field, f"cannot be read ({reason}); export it again") from error
-    layers = sorted({entity.dxf.layer for entity in space})
-    wanted = [e for e in space if layer is None or e.dxf.layer.lower() == layer.lower()]
-    curves = [e for e in wanted if e.dxftype() in ENTITY_KINDS]
-    if not curves:
-        what = f"has no curves on layer {layer}" if layer is not None else "has no curves"
-        raise _refuse("part.dxf", path, field, f"{what}; its layers are {', '.join(layers[:12]) or '(none)'}")
-    notes = []
-    others = sorted({e.dxftype() for e in wanted} - set(ENTITY_KINDS))
-    if others:
-        what = f"{path.name}: left out {', '.join(others)}; "
-        what += f"only {', '.join(ENTITY_KINDS)} are read (explode blocks)"
-        notes.append(Issue("part.dxf_left_out", what, Severity.NOTE, file=str(path), field=field))
-    pieces = [_flat(e, ezpath, unit) for e in curves]
-    pieces = [p for p in pieces if len(p) > 1]
-    if len(pieces) > _MOST_CURVES:
-        what = f"has {len(pieces)} curves, {_MOST_CURVES} are read; name a layer, or join them to polylines"
-        raise _refuse("part.dxf", path, field, what)
-    if any(not np.isfinite(p).all() for p in pieces):
-        raise _refuse("part.dxf", path, field, "has numbers that are not finite; export it again")
-    return _joined(pieces), notes
-
-
-def _flat(entity: Any, ezpath: Any, unit: float) -> FloatArray:
-    curve = ezpath.make_path(entity)
-    points = [(v.x, v.y, v.z) for v in curve.flattening(FLATNESS / unit, segments=16)]
-    return np.array(points, dtype=np.float64).reshape(-1, 3) * unit
-
-
-def _joined(pieces: list[FloatArray]) -> list[DxfCurve]:
-    """Curves made of pieces whose ends meet, in the order of the file."""
-    left = list(pieces)
-    out = []
-    while left:
-        chain = left.pop(0)
-        grown = True
-        while grown and not _shut(chain):
-            grown = False
-            for i, other in enumerate(left):
-                if _shut(other):
-                    continue
-                joined = _attach(chain, other)
-                if joined is not None:
-                    chain, grown = joined, True
-                    left.pop(i)
-                    break
-        closed = _shut(chain)
-        out.append(DxfCurve(chain[:-1] if closed else chain, closed))
-    return out
-
-
-def _shut(points: FloatArray) -> bool:
-    return len(points) > 3 and bool(np.linalg.norm(points[0] - points[-1]) <= _JOINED_WITHIN)
-
-
-def _attach(chain: FloatArray, other: FloatArray) -> FloatArray | None:
-    for own in (chain, chain[::-1]):
-        for piece in (other, other[::-1]):
-            if np.linalg.norm(own[-1] - piece[0]) <= _JOINED_WITHIN:
-                return np.concatenate([own, piece[1:]])
-    return None
-
-
-def _refuse(code: str, path: Path, field: str, what: str) -> TandemError:
-    return TandemError(Issue(code, f"{path.name}: {what}", file=str(path), field=field))
-
-
 Points = Annotated[tuple[Vector, ...], Field(min_length=2, max_length=20_000)]
 Control = Annotated[tuple[Vector, ...], Field(min_length=2, max_length=200)]
 SPLINE_CHORD = 2e-6
@@ -232,7 +124,8 @@ class DxfFile(Strict):
 
 
 class GuideFile(Strict):
-    """A guide curve: exactly one of points, control points of a spline, or a DXF file with one curve.
+    """A guide curve: exactly one of points, control points of a spline, and a DXF or Rhino file with one
+    curve.
 
     ``corners_mm``: where its corners are, as near points; without it they are where it turns by more than
     ``corner_deg``.
@@ -242,19 +135,20 @@ class GuideFile(Strict):
     bspline_mm: Control | None = None
     bezier_mm: Annotated[tuple[Vector, ...], Field(min_length=2, max_length=16)] | None = None
     dxf: DxfFile | None = None
+    rhino: RhinoFile | None = None
     corner_deg: Annotated[float, Field(ge=1, le=179)] = 20.0
     corners_mm: Annotated[tuple[Vector, ...], Field(max_length=1000)] | None = None
 
     @model_validator(mode="after")
     def _one(self) -> GuideFile:
-        given = [self.polyline_mm, self.bspline_mm, self.bezier_mm, self.dxf]
+        given = [self.polyline_mm, self.bspline_mm, self.bezier_mm, self.dxf, self.rhino]
         if sum(kind is not None for kind in given) != 1:
-            raise ValueError("give exactly one of polyline_mm, bspline_mm, bezier_mm and dxf")
+            raise ValueError("give exactly one of polyline_mm, bspline_mm, bezier_mm, dxf and rhino")
         return self
 
 
 class RuledFile(Strict):
-    """A ruled surface between two guides.
+    """A ruled surface between two guides, ``start`` and ``end``, or a ruled face of a Rhino file.
 
     ``match``: by arc length, by parameter (of splines, or points of polylines one to one), or so that it is
     twisted least; corners are kept together. A closed surface has the part inside, or around it with
@@ -263,8 +157,9 @@ class RuledFile(Strict):
     """
 
     name: Name
-    start: GuideFile
-    end: GuideFile
+    start: GuideFile | None = None
+    end: GuideFile | None = None
+    rhino: RhinoRuledFile | None = None
     closed: bool = False
     match: Literal["arc_length", "parameter", "least_twist"] = "arc_length"
     flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
@@ -272,6 +167,10 @@ class RuledFile(Strict):
 
     @model_validator(mode="after")
     def _sides(self) -> RuledFile:
+        if (self.rhino is None) == (self.start is None) or (self.start is None) != (self.end is None):
+            raise ValueError("give start and end, or rhino in their place")
+        if self.rhino is not None and "match" in self.model_fields_set:
+            raise ValueError("match is for guides; the rulings of a face are its own")
         if self.closed and self.flip:
             raise ValueError(
                 "flip is for open surfaces; a closed one has the part inside, or around it (hole)"
@@ -286,13 +185,20 @@ class RuledFile(Strict):
 def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[Issue]]:
     """The surface in the part's frame, within 0.01 mm, and notes.
 
-    Raises ``TandemError``: issues of DXF files, ``part.guide``, ``part.corners``.
+    Raises ``TandemError``: issues of DXF and Rhino files, ``part.guide``, ``part.corners``.
     """
+    if spec.rhino is not None:
+        return rhino.ruled(spec.name, spec.rhino, spec.closed, spec.flip, spec.hole, folder, f"{field}.rhino")
     guides: list[Guide] = []
     issues: list[Issue] = []
+    notes: list[Issue] = []
     for side, own in (("start", spec.start), ("end", spec.end)):
+        if own is None:
+            raise ValueError("a ruled surface needs two guides")
         try:
-            guides.append(guide(own, spec.closed, folder, f"{field}.{side}"))
+            found, told = guide(own, spec.closed, folder, f"{field}.{side}")
+            guides.append(found)
+            notes += told
         except TandemError as error:
             issues += error.issues
     if issues:
@@ -311,7 +217,6 @@ def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[
             Issue("part.corners", what, field=field, value=float(counts[1]), limit=float(counts[0]))
         )
     start, end, reverse = aligned(start, end, spec.match)
-    notes = []
     if reverse:
         what = (
             f"surface {spec.name}: its end guide runs against its start guide and was run the other way, so "
@@ -326,9 +231,10 @@ def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[
     return resample(ruled, 0.5e-5, 1.0), notes
 
 
-def guide(spec: GuideFile, closed: bool, folder: Path, field: str) -> Guide:
-    """The guide in SI units. Raises ``TandemError``: issues of DXF files, ``part.guide``."""
-    own = _raw(spec, closed, folder, field)
+def guide(spec: GuideFile, closed: bool, folder: Path, field: str) -> tuple[Guide, list[Issue]]:
+    """The guide in SI units, and notes. Raises ``TandemError``: issues of DXF and Rhino files,
+    ``part.guide``."""
+    own, notes = _raw(spec, closed, folder, field)
     if len(own.points) < (3 if closed else 2) or own.length < 1e-3:
         least = "3 points" if closed else "2 points"
         what = f"the guide has {len(own.points)} points and a length of {own.length / MM:.3g} mm; "
@@ -337,33 +243,37 @@ def guide(spec: GuideFile, closed: bool, folder: Path, field: str) -> Guide:
     if spec.corners_mm is not None:
         at = np.array(spec.corners_mm, dtype=np.float64).reshape(-1, 3) * MM
         if len(at) == 0:
-            return dataclasses.replace(
-                own, corner=np.zeros(len(own.points), dtype=np.bool_), anchor=np.zeros(0, dtype=np.bool_)
-            )
+            none = np.zeros(len(own.points), dtype=np.bool_)
+            return dataclasses.replace(own, corner=none, anchor=np.zeros(0, dtype=np.bool_)), notes
         own = with_corners(own, at)
-    return own
+    return own, notes
 
 
-def _raw(spec: GuideFile, closed: bool, folder: Path, field: str) -> Guide:
+def _raw(spec: GuideFile, closed: bool, folder: Path, field: str) -> tuple[Guide, list[Issue]]:
     angle = spec.corner_deg * DEG
     if spec.polyline_mm is not None:
-        return polyline(np.array(spec.polyline_mm) * MM, closed, angle)
+        return polyline(np.array(spec.polyline_mm) * MM, closed, angle), []
     if spec.bspline_mm is not None:
-        return spline("bspline", np.array(spec.bspline_mm) * MM, SPLINE_CHORD, closed)
+        return spline("bspline", np.array(spec.bspline_mm) * MM, SPLINE_CHORD, closed), []
     if spec.bezier_mm is not None:
-        return spline("bezier", np.array(spec.bezier_mm) * MM, SPLINE_CHORD, closed)
-    if spec.dxf is None:
+        return spline("bezier", np.array(spec.bezier_mm) * MM, SPLINE_CHORD, closed), []
+    if spec.rhino is not None:
+        found, notes = rhino.curves(spec.rhino, folder, f"{field}.rhino")
+        asked, what = spec.rhino.asked(), "name the layer, name or colour that it has alone"
+        code, place, file, height = "part.rhino", f"{field}.rhino", spec.rhino.file, None
+    elif spec.dxf is not None:
+        unit = LENGTH_UNITS[spec.dxf.unit]
+        found, notes = read_dxf(folder / spec.dxf.file, unit, spec.dxf.layer, f"{field}.dxf")[0], []
+        asked, what = f" on layer {spec.dxf.layer or '(all)'}", "name the layer that has it alone"
+        code, place, file, height = "part.dxf", f"{field}.dxf", spec.dxf.file, spec.dxf.z_mm
+    else:
         raise ValueError("a guide needs points")
-    found, _ = read_dxf(folder / spec.dxf.file, LENGTH_UNITS[spec.dxf.unit], spec.dxf.layer, f"{field}.dxf")
     if len(found) != 1 or found[0].closed != closed:
         kind = "closed" if closed else "open"
         got = f"{len(found)} curves" if len(found) != 1 else f"a curve that is not {kind}"
-        what = (
-            f"{spec.dxf.file}: holds {got} on layer {spec.dxf.layer or '(all)'}, one {kind} curve is wanted; "
-        )
-        what += "name the layer that has it alone"
-        raise TandemError(Issue("part.dxf", what, field=f"{field}.dxf"))
+        said = f"{file}: holds {got}{asked}, one {kind} curve is wanted; {what}"
+        raise TandemError(Issue(code, said, field=place))
     points = found[0].points.copy()
-    if spec.dxf.z_mm is not None:
-        points[:, 2] = spec.dxf.z_mm * MM
-    return polyline(points, closed, angle)
+    if height is not None:
+        points[:, 2] = height * MM
+    return polyline(points, closed, angle), notes

@@ -1,6 +1,6 @@
 """Free-form surfaces of a part: front and back faces, and surfaces ruled or cut into ruled strips.
 
-Faces are lofts, meshes and offsets.
+Faces are lofts, meshes, faces of Rhino files and offsets.
 """
 
 from __future__ import annotations
@@ -26,10 +26,12 @@ from planner.geometry.mesh import (
     read_mesh,
     vertex_normals,
 )
-from planner.geometry.ruled_approximation import Patch, find_rulings, of_loft, of_mesh
+from planner.geometry.ruled_approximation import Patch, find_rulings, of_mesh, of_surface
 from planner.geometry.rulings import edge_surface, resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, Severity, TandemError
+from planner.reading import rhino
+from planner.reading.rhino import RhinoFaceFile
 from planner.reading.strict_yaml import Angle, Far, FileName, Fraction, Positive, Scale, Strict, Unit, Vector
 
 _MOST_CELLS = 1_000_000
@@ -150,28 +152,36 @@ class FaceMeshFile(Strict):
 
 
 class FrontFile(Strict):
-    """The front face: exactly one of ``loft`` and ``mesh``. Its normal points away from the part."""
+    """The front face: exactly one of ``loft``, ``mesh`` and ``rhino``. Its normal points away from the
+    part."""
 
     loft: LoftFile | None = None
     mesh: FaceMeshFile | None = None
+    rhino: RhinoFaceFile | None = None
 
     @model_validator(mode="after")
     def _one(self) -> FrontFile:
-        if (self.loft is None) == (self.mesh is None):
-            raise ValueError("give either loft or mesh")
+        _only_one(self.loft, self.mesh, self.rhino)
         return self
 
 
+def _only_one(*given: object) -> None:
+    if sum(one is not None for one in given) != 1:
+        raise ValueError("give exactly one of loft, mesh and rhino")
+
+
 class BackFile(Strict):
-    """The back face: the front moved inwards by ``offset_mm``, or a ``mesh`` of its own."""
+    """The back face: the front moved inwards by ``offset_mm``, or a ``mesh`` or a face of a ``rhino`` file of
+    its own."""
 
     offset_mm: Annotated[float, Field(ge=0.5, le=10_000)] | None = None
     mesh: FaceMeshFile | None = None
+    rhino: RhinoFaceFile | None = None
 
     @model_validator(mode="after")
     def _one(self) -> BackFile:
-        if (self.offset_mm is None) == (self.mesh is None):
-            raise ValueError("give either offset_mm or mesh")
+        if sum(one is not None for one in (self.offset_mm, self.mesh, self.rhino)) != 1:
+            raise ValueError("give exactly one of offset_mm, mesh and rhino")
         return self
 
 
@@ -189,33 +199,37 @@ def build_faces(front: FrontFile, back: BackFile | None, folder: Path) -> Faces:
     """Both faces in SI units. Raises ``TandemError``: issues of mesh files, ``part.offset``,
     ``part.faces``.
     """
-    outer, normals = surface(front.loft, front.mesh, folder, "part.front")
+    outer, normals, notes = surface(front, folder, "part.front")
     check_size(outer, "part.front")
     if back is None:
-        return Faces(outer, None, None, ())
+        return Faces(outer, None, None, tuple(notes))
     if back.offset_mm is not None:
         moved = offset(outer, -back.offset_mm * MM, normals)
         inner = TriangleMesh(moved.vertices, moved.faces[:, ::-1])
-    elif back.mesh is not None:
-        inner = _file(back.mesh, folder, "part.back")
-        _check_sides(outer, inner)
     else:
-        raise ValueError("a back face needs an offset or a mesh")
+        inner, _, told = surface(back, folder, "part.back")
+        notes += told
+        _check_sides(outer, inner)
     rim = edge_surface(outer, inner, same=back.offset_mm is not None)
     if isinstance(rim, Issue):
-        return Faces(outer, inner, None, (rim,))
-    return Faces(outer, inner, rim, ())
+        return Faces(outer, inner, None, (*notes, rim))
+    return Faces(outer, inner, rim, tuple(notes))
 
 
 def surface(
-    loft: LoftFile | None, mesh: FaceMeshFile | None, folder: Path, field: str
-) -> tuple[TriangleMesh, FloatArray]:
-    """A face from a loft or a mesh file, with the unit normals (V, 3) of its vertices."""
-    if mesh is not None:
-        own = _file(mesh, folder, field)
-        return own, vertex_normals(own)
+    given: FrontFile | BackFile | StripsFile, folder: Path, field: str
+) -> tuple[TriangleMesh, FloatArray, list[Issue]]:
+    """A face from a loft, a mesh or a Rhino file, with the unit normals (V, 3) of its vertices, and notes."""
+    if given.rhino is not None:
+        found = rhino.face(given.rhino, folder, f"{field}.rhino")
+        check_file(found.mesh, field, folder / given.rhino.file)
+        return found.mesh, found.normals, list(found.notes)
+    if given.mesh is not None:
+        own = read_face(given.mesh, folder, field)
+        return own, vertex_normals(own), []
+    loft = None if isinstance(given, BackFile) else given.loft
     if loft is None:
-        raise ValueError("a face needs a loft or a mesh")
+        raise ValueError("a face needs a loft, a mesh or a Rhino file")
     region = loft.region
     nu, nv = grid_counts(loft.loft(), region.u, region.v, loft.chord_mm * MM)
     if nu * nv > _MOST_CELLS:
@@ -228,7 +242,7 @@ def surface(
     vertices, normals, faces = tessellate(loft.loft(), region.u, region.v, loft.chord_mm * MM)
     if loft.flip:
         normals, faces = -normals, faces[:, ::-1]
-    return TriangleMesh(vertices, faces), normals
+    return TriangleMesh(vertices, faces), normals, []
 
 
 def check_size(front: TriangleMesh, field: str) -> None:
@@ -247,11 +261,17 @@ def check_size(front: TriangleMesh, field: str) -> None:
         )
 
 
-def _file(spec: FaceMeshFile, folder: Path, field: str) -> TriangleMesh:
-    mesh = read_mesh(folder / spec.file, LENGTH_UNITS[spec.unit] * spec.scale)
-    issues = check_surface(mesh, field, str(folder / spec.file))
+def check_file(mesh: TriangleMesh, field: str, path: Path) -> None:
+    """Raise ``TandemError`` with what is wrong with a face of a file."""
+    issues = check_surface(mesh, field, str(path))
     if issues:
         raise TandemError(issues)
+
+
+def read_face(spec: FaceMeshFile, folder: Path, field: str) -> TriangleMesh:
+    """The face of a mesh file. Raises ``TandemError``: issues of mesh files."""
+    mesh = read_mesh(folder / spec.file, LENGTH_UNITS[spec.unit] * spec.scale)
+    check_file(mesh, field, folder / spec.file)
     return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) if spec.flip else mesh
 
 
@@ -288,7 +308,8 @@ class RuledMeshFile(FaceMeshFile):
 
 
 class StripsFile(Strict):
-    """A free-form surface, a ``loft`` or a ``mesh`` with four corners, cut into ruled strips.
+    """A free-form surface, a ``loft``, or a ``mesh`` or ``rhino`` face with four corners, cut into ruled
+    strips.
 
     ``across``: the parameter in whose direction the strips follow one another. ``count`` strips, or as few as
     keep within ``tolerance_mm``; ``take`` is the one that this problem cuts, from 1.
@@ -296,6 +317,7 @@ class StripsFile(Strict):
 
     loft: LoftFile | None = None
     mesh: FaceMeshFile | None = None
+    rhino: RhinoFaceFile | None = None
     across: Literal["u", "v"] = "u"
     count: Annotated[int, Field(ge=1, le=ruled_approximation.MOST_STRIPS)] | None = None
     tolerance_mm: Tolerance = 1.0
@@ -303,8 +325,7 @@ class StripsFile(Strict):
 
     @model_validator(mode="after")
     def _one(self) -> StripsFile:
-        if (self.loft is None) == (self.mesh is None):
-            raise ValueError("give either loft or mesh")
+        _only_one(self.loft, self.mesh, self.rhino)
         return self
 
 
@@ -313,7 +334,7 @@ def build_mesh(spec: RuledMeshFile, folder: Path) -> tuple[Ruled, list[Issue]]:
 
     Raises ``TandemError``: issues of mesh files, ``part.patch``, ``part.not_ruled``.
     """
-    mesh, _ = surface(None, spec, folder, "part.mesh")
+    mesh = read_face(spec, folder, "part.mesh")
     ruled, found = find_rulings(of_mesh(mesh, "part.mesh"), "patch")
     at = ", ".join(f"{v / MM:.1f}" for v in found.where)
     what = f"the ruled surface is up to {found.largest / MM:.3g} mm off the mesh, near ({at}) mm, and within "
@@ -341,7 +362,7 @@ def build_strips(spec: StripsFile, folder: Path) -> tuple[Ruled, list[Issue]]:
 
     Raises ``TandemError``: issues of mesh files, ``part.patch``, ``part.strips``.
     """
-    patch = surface_patch(spec.loft, spec.mesh, folder, "part.strips")
+    patch, notes = surface_patch(spec, folder, "part.strips")
     found = ruled_approximation.cut_strips(
         patch, spec.across, spec.tolerance_mm * MM, spec.count, "part.strips"
     )
@@ -364,16 +385,25 @@ def build_strips(spec: StripsFile, folder: Path) -> tuple[Ruled, list[Issue]]:
     note = Issue(
         "part.strips_found", what, Severity.NOTE, field="part.strips", value=worst, limit=limit, unit="mm"
     )
-    return resample(found.strips[spec.take - 1], 0.5e-5, 1.0), [note]
+    return resample(found.strips[spec.take - 1], 0.5e-5, 1.0), [*notes, note]
 
 
-def surface_patch(loft: LoftFile | None, mesh: FaceMeshFile | None, folder: Path, field: str) -> Patch:
-    """A loft or a mesh with four corners over the unit square.
+def surface_patch(given: FrontFile | StripsFile, folder: Path, field: str) -> tuple[Patch, list[Issue]]:
+    """A loft, or a mesh or face with four corners, over the unit square; and notes.
 
-    Raises ``TandemError``: issues of mesh files, ``part.patch``.
+    Raises ``TandemError``: issues of mesh and Rhino files, ``part.patch``.
     """
-    own, _ = surface(loft, mesh, folder, field)
+    if given.rhino is not None:
+        found = rhino.face(given.rhino, folder, f"{field}.rhino")
+        check_file(found.mesh, field, folder / given.rhino.file)
+        check_size(found.mesh, field)
+        if found.surface is None:
+            return of_mesh(found.mesh, f"{field}.rhino"), list(found.notes)
+        of_face = of_surface(found.surface, *found.surface.region, found.mesh, found.turned)
+        return of_face, list(found.notes)
+    own, _, notes = surface(given, folder, field)
     check_size(own, field)
-    if loft is None:
-        return of_mesh(own, f"{field}.mesh")
-    return of_loft(loft.loft(), loft.region.u, loft.region.v, own, loft.flip)
+    if given.loft is None:
+        return of_mesh(own, f"{field}.mesh"), notes
+    loft = given.loft
+    return of_surface(loft.loft(), loft.region.u, loft.region.v, own, loft.flip), notes

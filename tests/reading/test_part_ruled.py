@@ -17,6 +17,8 @@ from pydantic import ValidationError
 from planner.geometry.rulings import outward, outward_sides, points, tessellate
 from planner.reading.part import PartFile
 from tests.reading.part_specs import SQUARE, WING, guides, make, outline, refused
+from tests.rhino_files import LOWER, UPPER, Model, ruled_surface
+from tests.rhino_files import curve as rhino_curve
 
 
 def panel(**more: Any) -> dict[str, Any]:
@@ -229,7 +231,14 @@ def test_what_is_no_part_is_refused_when_read(spec: dict[str, Any]) -> None:
 def test_the_examples_of_the_page_on_parts_are_parts(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "parts.md").read_text("utf-8")
     examples = re.findall(r"^```yaml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-    assert len(examples) == 4
+    assert len(examples) == 5
+    model = Model()
+    for name, parent in (("wall", ""), ("front", "wall"), ("rails", "")):
+        model.layer(name, parent)
+    model.add(ruled_surface(), "front")
+    model.add(rhino_curve(LOWER), "rails", "low")
+    model.add(rhino_curve(UPPER), "rails", "high")
+    model.write(tmp_path / "wall.3dm")
     document = ezdxf.new("R2010")
     document.modelspace().add_circle((150, 60), 20, dxfattribs={"layer": "cut"})
     document.saveas(tmp_path / "pieces.dxf")

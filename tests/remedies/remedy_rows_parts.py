@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final
 
 import ezdxf
@@ -16,6 +18,8 @@ from tests.reading.part_specs import SQUARE, WING, circle, guides, outline
 from tests.refusals import HYPAR, POSES, change
 from tests.remedies.advice import Said, Word
 from tests.remedies.remedy_rows import GONE, Row, load
+from tests.rhino_files import Model
+from tests.rhino_files import curve as rhino_curve
 
 SHEET: Final = "v 0 0 0\nv 100 0 0\nv 0 100 0\nv 100 100 0\nf 1 2 3\nf 2 4 3\n"
 AIRFOIL: Final = [f"{x:.6f} {y:.6f}" for x, y in naca("2412")]
@@ -59,6 +63,17 @@ def drawing(*open_by: float, closed: bool = True) -> str:
     return out.getvalue()
 
 
+def model(hidden: bool = False) -> bytes:
+    """A Rhino file of a square on layer cut, and a hidden line beside it."""
+    made = Model()
+    made.layer("cut")
+    made.add(rhino_curve([(0, 0, 0), (80, 0, 0), (80, 80, 0), (0, 80, 0), (0, 0, 0)], 1), "cut")
+    if hidden:
+        made.add(rhino_curve([(0, 0, 0), (0, 200, 0)], 1), "cut", Visible=False)
+    with tempfile.TemporaryDirectory() as folder:
+        return made.write(Path(folder) / "plate.3dm").read_bytes()
+
+
 def ply(
     height: Callable[[Any, Any], Any], cells: int, holes: tuple[int, ...] = (), turned: bool = False
 ) -> bytes:
@@ -71,6 +86,7 @@ def ply(
 DOME: Final = ply(lambda x, y: 3.0 * x * (0.2 - x) + 3.0 * y * (0.15 - y), 12)
 FLAT: Final = ply(lambda x, y: 0.0 * x, 12)
 HOLED: Final = ply(lambda x, y: 0.0 * x, 12, (70, 70 + 144))
+PLATE_RHINO: Final = {"plate": {"rhino": {"file": "plate.3dm", "layer": "cut"}}}
 PLATE_DXF: Final = {"plate": {"dxf": {"file": "plate.dxf", "unit": "mm", "layer": "cut"}}}
 LARGE: Final = [500, 500, 300]
 PATCH: Final = {"file": "m.ply", "unit": "mm"}
@@ -129,6 +145,10 @@ ROWS: Final = [
         {"part.plate.dxf.layer": Word("its layers are (\\w+)")}, {"plate.dxf": drawing()}),
     Row("part.dxf_left_out", load, block(PLATE_DXF), "left out TEXT", {"@plate.dxf": drawing()},
         {"plate.dxf": drawing(closed=False)}),
+    Row("part.rhino", load, block(change(PLATE_RHINO, "plate.rhino.layer", "nothing")), "its layers are cut",
+        {"part.plate.rhino.layer": Word("its layers are (\\w+)")}, {"plate.3dm": model()}),
+    Row("part.rhino_left_out", load, block(PLATE_RHINO), "show what is hidden", {"@plate.3dm": model()},
+        {"plate.3dm": model(hidden=True)}),
     Row("part.not_ruled", load, block({"mesh": PATCH}, LARGE), "cut it in ruled strips (part.strips)",
         {"part": {"strips": {"mesh": PATCH, "tolerance_mm": 5}}}, {"m.ply": DOME}),
     Row("part.patch", load, block({"mesh": PATCH}, LARGE), "close its holes", {"@m.ply": FLAT},

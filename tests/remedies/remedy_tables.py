@@ -189,8 +189,9 @@ NONE: Final = {
     **dict.fromkeys(("report.exhibit", "plan.not_saveable"), OURS),
     **dict.fromkeys(("part.extra_missing", "sign.extra", "batch.install", "service.install"), INSTALL),
     **dict.fromkeys(("catalogue.missing_data", "plan.missing_file", "plan.damaged", "plan.schema"), DAMAGED),
-    **dict.fromkeys(("part.ruled_deviation", "part.strips_found", "sign.good", "gcode.skipped"), FACT),
+    **dict.fromkeys(("part.ruled_deviation", "part.strips_found", "sign.good"), FACT),
     **dict.fromkeys(("wire.chosen", "straight.slit", "motion.path_kept", "motion.solver"), FACT),
+    **dict.fromkeys(("part.rhino_unit", "part.rhino_facets", "gcode.skipped"), FACT),
     "motion.like": FACT,
     "forming.compensated": FACT,
     **dict.fromkeys(

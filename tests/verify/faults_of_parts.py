@@ -42,6 +42,12 @@ def _fewer_points(found: tuple[Any, Any]) -> tuple[Any, Any]:
     return [of(curve, points=lambda p: np.delete(p, 1, axis=0)) for curve in found[0]], found[1]
 
 
+def _shorter_face(surface: Any) -> Any:
+    """A third of it is missing; the wire goes on straight through the block."""
+    (u0, u1), v = surface.region
+    return dataclasses.replace(surface, region=((u0, u1 - 0.35 * (u1 - u0)), v))
+
+
 def _shrunk_holes(found: tuple[Any, Any]) -> tuple[Any, Any]:
     def smaller(points: Any) -> Any:
         middle = np.array([*points[:, :2].mean(axis=0), 0.0])
@@ -164,6 +170,11 @@ FAULTS: Final = (
     Fault("dxf_unit", "ruled_file", {"reading.part_ruled:read_dxf": given(1, lambda unit: 1.02 * unit)}),
     Fault("dxf_mirrored", "ruled_file", {"reading.part_ruled:read_dxf": result(_mirrored_curve)}),
     Fault("dxf_points_lost", "ruled_file", {"reading.part_ruled:read_dxf": result(_fewer_points)}),
+    # Rhino files
+    Fault("rhino_unit", "ruled_rhino", {"reading.rhino:_unit": result(lambda r: (1.02 * r[0], r[1]))}),
+    Fault("rhino_normal_turned", "ruled_rhino", {"reading.rhino:_face": result(lambda r: (r[0], not r[1]))}),
+    Fault("rhino_mirrored", "ruled_rhino", {"reading.rhino:_scaled": result(lambda p: p * [1, -1, 1, 1])}),
+    Fault("rhino_face_cut_short", "ruled_rhino", {"reading.rhino:_region": result(_shorter_face)}),
     # guides and rulings
     Fault("guides_end_lower", "ruled", {"reading.part_ruled:build_ruled": _ruled(end=_moved(z=-0.001))}),
     Fault("guides_paired_askew", "ruled", {"reading.part_ruled:build_ruled": result(_askew)}),

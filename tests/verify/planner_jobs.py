@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import rhino3dm
 import trimesh
 import yaml
 
@@ -20,6 +21,7 @@ from planner.geometry.arrays import Mesh, from_rpy, to_quaternion
 from tests import small_forming
 from tests.forming.shapes import cone
 from tests.milling import small_mill
+from tests.rhino_files import Model, curve, ruled_surface
 
 CELLS = data_dir("problems") / "cells"
 UPRIGHT = {"xyz_mm": [250, -1030, 900], "rpy_deg": [90, 0, -84.5]}
@@ -245,6 +247,20 @@ def ruled_file(folder: Path) -> Path:
         "flip": True,
     }
     return _write(folder, _straight({"ruled": [spec], "in_stock": {}}))
+
+
+def ruled_rhino(folder: Path) -> Path:
+    """A bow cuts a ruled face of a Rhino file in inches, whose normal is turned there."""
+    model = Model("Inches")
+    rails = [[(x / 25.4, y / 25.4, z / 25.4) for x, y, z in WALL["ruled"][0][side]["bspline_mm"]]
+             for side in ("start", "end")]  # fmt: skip
+    face = rhino3dm.Brep.CreateFromSurface(ruled_surface(*(curve(rail) for rail in rails), raised=2))
+    face.Flip()
+    model.add(face)
+    model.write(folder / "wall.3dm")
+    return _write(
+        folder, _straight({"ruled": [{"name": "front", "rhino": {"file": "wall.3dm"}}], "in_stock": {}})
+    )
 
 
 def ruled_mesh(folder: Path) -> Path:
@@ -500,6 +516,7 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "elastic": elastic,
     "ruled": ruled,
     "ruled_file": ruled_file,
+    "ruled_rhino": ruled_rhino,
     "ruled_mesh": ruled_mesh,
     "plate": plate,
     "wing": wing,

@@ -106,7 +106,7 @@ def read_curves(path: Path, unit: float, layer: str | None) -> list[Drawn]:
                     pieces.append(points * unit)
     except Exception as error:  # damaged files raise anything
         raise UnreadError(str(error).splitlines()[0][:120] if str(error) else type(error).__name__) from error
-    return _chained(pieces)
+    return chained(pieces)
 
 
 def _points(entity: Any, unit: float) -> FloatArray | None:
@@ -204,7 +204,7 @@ def _spline(entity: Any) -> FloatArray | None:
     return nurbs(control, weight, knots, degree, t)
 
 
-def _chained(pieces: list[FloatArray]) -> list[Drawn]:
+def chained(pieces: list[FloatArray]) -> list[Drawn]:
     """Curves of pieces whose ends meet; what is closed is left as it is."""
     out: list[Drawn] = []
     left = list(range(len(pieces)))

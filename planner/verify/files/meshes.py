@@ -6,7 +6,7 @@ Faces come from files and from lofts; they are moved inwards, and their edges ar
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -267,7 +267,7 @@ LOFT_CELLS: Final = (40, 400)
 LOFT_CHORD: Final = 1e-5
 """How far cells may be off the loft [m], where the most of them are enough."""
 _NORMAL_STEP: Final = 1e-5
-"""Step of a loft's parameters by which its normals are found."""
+"""Step by which a surface's normals are found, over its parameters' range."""
 _SAME_VERTEX: Final = 1e-9
 """Vertices so near, of the mesh's extent, are one."""
 _CORNER_ANGLE: Final = 20.0 * np.pi / 180.0
@@ -295,7 +295,13 @@ def mesh_face(said: Said) -> Face:
     `UnreadError`."""
     found = read_facets(file_of(said))
     corners = found.corners * UNITS[str(said["unit"])] * float(said.get("scale") or 1.0)
-    corners = corners[:, ::-1] if said.get("flip") else corners
+    return face_of(corners, found.row, bool(said.get("flip")))
+
+
+def face_of(corners: FloatArray, number: IntArray, flip: bool) -> Face:
+    """The face of triangles (F, 3, 3) [m] of these numbers (F,), turned over where that is wanted. Raises
+    `UnreadError`."""
+    corners = corners[:, ::-1] if flip else corners
     low = corners.reshape(-1, 3).min(axis=0)
     step = max(float((corners.reshape(-1, 3).max(axis=0) - low).max()) * _SAME_VERTEX, 1e-15)
     grid = np.rint((corners.reshape(-1, 3) - low) / step).astype(np.int64)
@@ -303,7 +309,7 @@ def mesh_face(said: Said) -> Face:
     vertices, faces = corners.reshape(-1, 3)[first], index.reshape(-1, 3).astype(np.int64)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     kept = np.linalg.norm(cross, axis=1) > step * step
-    faces, number = faces[kept], found.row[kept]
+    faces, number = faces[kept], number[kept]
     if not len(faces):
         raise UnreadError("all its faces have no area")
     return Face(vertices, _normals(vertices, faces), faces, number)
@@ -314,30 +320,50 @@ def loft_face(said: Said) -> Face:
     region = said.get("region") or {}
     u0, u1 = (float(v) for v in region.get("u") or (0.0, 1.0))
     v0, v1 = (float(v) for v in region.get("v") or (0.0, 1.0))
-    cells = _cells(said, (u0, u1), (v0, v1))
-    u, v = _grid((u0, u1), (v0, v1), cells)
-    points = loft_points(said, u, v)
-    along = loft_points(said, u + _NORMAL_STEP, v) - loft_points(said, u - _NORMAL_STEP, v)
-    across = loft_points(said, u, v + _NORMAL_STEP) - loft_points(said, u, v - _NORMAL_STEP)
+    return gridded(lambda u, v: loft_points(said, u, v), (u0, u1), (v0, v1), bool(said.get("flip")))
+
+
+Places = Callable[[FloatArray, FloatArray], FloatArray]
+"""Places (N, 3) [m] of a surface at its parameters u and v (N,)."""
+
+
+def gridded(
+    at: Places,
+    u: tuple[float, float],
+    v: tuple[float, float],
+    flip: bool,
+    kinks: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros(0)),
+) -> Face:
+    """The face of a surface between parameters on a grid of exact places with exact normals, with ``kinks``
+    along u and v on its lines; away from the part is dS/du x dS/dv, or with ``flip`` the other way."""
+    cells = _cells(at, u, v)
+    places = [np.linspace(*ends, cells + 1) for ends in (u, v)]
+    for k, (low, high) in enumerate((u, v)):
+        inner = kinks[k][(kinks[k] > low) & (kinks[k] < high)]
+        every = np.union1d(places[k], inner)
+        near = _SAME_VERTEX * (high - low)
+        places[k] = every[np.append(True, np.diff(every) > near)]
+    grid = np.meshgrid(*places, indexing="ij")
+    uu, vv = (part.ravel() for part in grid)
+    points = at(uu, vv)
+    du, dv = _NORMAL_STEP * (u[1] - u[0]), _NORMAL_STEP * (v[1] - v[0])
+    along = at(uu + du, vv) - at(uu - du, vv)
+    across = at(uu, vv + dv) - at(uu, vv - dv)
     up = np.cross(along, across)
     up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-300)
-    index = np.arange(len(u)).reshape(cells + 1, cells + 1)
+    index = np.arange(len(uu)).reshape(grid[0].shape)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    if said.get("flip"):
+    if flip:
         up, faces = -up, faces[:, ::-1]
     return Face(points, up, faces, np.arange(1, len(faces) + 1))
 
 
-def _grid(u: tuple[float, float], v: tuple[float, float], cells: int) -> tuple[FloatArray, FloatArray]:
-    grid = np.meshgrid(np.linspace(*u, cells + 1), np.linspace(*v, cells + 1), indexing="ij")
-    return grid[0].reshape(-1), grid[1].reshape(-1)
-
-
-def _cells(said: Said, u: tuple[float, float], v: tuple[float, float]) -> int:
+def _cells(surface: Places, u: tuple[float, float], v: tuple[float, float]) -> int:
     """How many cells keep within `LOFT_CHORD`: what they are off falls with the square of their size."""
     least, most = LOFT_CELLS
-    at = loft_points(said, *_grid(u, v, least)).reshape(least + 1, least + 1, 3)
+    grid = np.meshgrid(np.linspace(*u, least + 1), np.linspace(*v, least + 1), indexing="ij")
+    at = surface(grid[0].ravel(), grid[1].ravel()).reshape(least + 1, least + 1, 3)
     off = [at[1:-1:2] - 0.5 * (at[:-1:2] + at[2::2]), at[:, 1:-1:2] - 0.5 * (at[:, :-1:2] + at[:, 2::2])]
     off.append(at[1:-1:2, 1:-1:2] - 0.5 * (at[:-1:2, :-1:2] + at[2::2, 2::2]))
     far = max(float(np.linalg.norm(one, axis=2).max()) for one in off)

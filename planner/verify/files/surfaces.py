@@ -12,6 +12,7 @@ Sections (1959), 6.4 to 6.6; C. L. Ladson and C. W. Brooks, NASA TM X-3284 (1975
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -30,6 +31,7 @@ from planner.verify.files import (
     on_rulings,
     on_triangles,
     radians,
+    rhino,
     row,
 )
 from planner.verify.files.curves import (
@@ -300,11 +302,12 @@ def _name(said: Said) -> str:
 
 
 def _face(said: Said) -> tuple[Face, str]:
-    """The face of a mesh or a loft, and where it comes from."""
-    if said.get("mesh"):
-        own = said["mesh"]
-        face: Face = _read(own, lambda: mesh_face(own))
-        return face, _name(own)
+    """The face of a mesh, a Rhino file or a loft, and where it comes from."""
+    for kind, reader in (("mesh", mesh_face), ("rhino", rhino.face)):
+        if said.get(kind):
+            own = said[kind]
+            face: Face = _read(own, functools.partial(reader, own))
+            return face, _name(own)
     return loft_face(said["loft"]), FROM_NUMBERS
 
 
@@ -319,14 +322,10 @@ def _faces(front: Said, back: Said | None, edges: bool) -> list[Surface]:
     out = [_of_face("front", name, outer)]
     if not back:
         return out
-    if back.get("mesh"):
-        own = back["mesh"]
-        inner: Face = _read(own, lambda: mesh_face(own))
-        out.append(_of_face("back", _name(own), inner))
-    else:
-        inner = behind(outer, metres(back["offset_mm"]))
-        out.append(_of_face("back", name, inner))
-    found = edges_of(outer, inner, moved=not back.get("mesh")) if edges else []
+    moved = back.get("offset_mm") is not None
+    inner, other = (behind(outer, metres(back["offset_mm"])), name) if moved else _face(back)
+    out.append(_of_face("back", other, inner))
+    found = edges_of(outer, inner, moved) if edges else []
     if found:
         out.append(_of_rulings("edges", name, found))
     return out
@@ -353,8 +352,16 @@ def _wing(said: Said) -> Surface:
 def _ruled(said: Said) -> Surface:
     closed = bool(said.get("closed"))
     match = str(said.get("match") or "arc_length")
+    if said.get("rhino"):
+        own = said["rhino"]
+        one = _read(own, lambda: rhino.ruled_face(own))
+        if closed:
+            one = _outwards(one, bool(said.get("hole")))
+        elif said.get("flip"):
+            one = Ruled(one.start[::-1], one.end[::-1])
+        return _of_rulings(str(said["name"]), _name(own), [one])
     start, end = (_guide(said[side], closed) for side in ("start", "end"))
-    files = [_name(said[side]["dxf"]) for side in ("start", "end") if said[side].get("dxf")]
+    files = [_name(said[side][k]) for side in ("start", "end") for k in ("dxf", "rhino") if said[side].get(k)]
     found = joined(start, end, "arc_length" if match == "least_twist" else match)
     if not found:
         raise UnreadError(f"surface {said['name']}: its guides have other numbers of corners")
@@ -370,9 +377,9 @@ def _guide(said: Said, closed: bool) -> Curve:
     angle = radians(said.get("corner_deg", CORNER_ANGLE_DEG))
     if said.get("polyline_mm") is not None:
         curve = through(row(said["polyline_mm"]), closed, angle)
-    elif said.get("dxf") is not None:
-        own = said["dxf"]
-        found = [c for c in _drawing(own) if c.closed == closed]
+    elif said.get("dxf") is not None or said.get("rhino") is not None:
+        own = said.get("dxf") or said["rhino"]
+        found = [c for c in _drawing(own, "rhino" if said.get("rhino") else "dxf") if c.closed == closed]
         if len(found) != 1:
             kind = "closed" if closed else "open"
             raise UnreadError(f"{_name(own)} has {len(found)} {kind} curves where it was read a second time")
@@ -403,10 +410,15 @@ def _smooth(control: FloatArray, kind: str, closed: bool) -> Curve:
     return Curve(points, t, anchor, closed)
 
 
-def _drawing(said: Said) -> list[Drawn]:
-    found: list[Drawn] = _read(
-        said, lambda: read_curves(file_of(said), UNITS[str(said["unit"])], said.get("layer"))
-    )
+def _drawing(said: Said, kind: str) -> list[Drawn]:
+    """The curves of a "dxf" or "rhino" file."""
+
+    def reader() -> list[Drawn]:
+        if kind == "rhino":
+            return rhino.read_curves(said)
+        return read_curves(file_of(said), UNITS[str(said["unit"])], said.get("layer"))
+
+    found: list[Drawn] = _read(said, reader)
     return found
 
 
@@ -424,10 +436,11 @@ def _plate(said: Said, height: float) -> list[Surface]:
     or ``hole``."""
     rings: list[FloatArray] = [_outline(own) for own in said.get("outlines") or ()]
     names = [FROM_NUMBERS] * len(rings)
-    if said.get("dxf"):
-        curves = _drawing(said["dxf"])
-        rings += [curve.points[:, :2] for curve in curves]
-        names += [_name(said["dxf"])] * len(curves)
+    for kind in ("dxf", "rhino"):
+        if said.get(kind):
+            curves = _drawing(said[kind], kind)
+            rings += [curve.points[:, :2] for curve in curves]
+            names += [_name(said[kind])] * len(curves)
     count = min(SURFACE_PLACES, max(LEAST_OUTLINE_PLACES, OUTLINE_PLACES // max(len(rings), 1)))
     out = []
     for k, ring in enumerate(rings):
