@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import gc
+import itertools
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -411,6 +412,37 @@ def write_pages(folder: str | Path, processes: int = 1) -> Proof:
     for name, text in output.pages(problem, made, proof).items():
         write_whole(Path(folder) / name, text)
     return proof
+
+
+def export(folder: str | Path, output: Path, seconds: float = 0.0) -> Path:
+    """Write the cell at ``seconds`` after the plan's first target, with wanted and simulated part, ways of
+    tools and wires, for CAD programs: ``output`` is a .glb or .3dm file.
+
+    Raises ``TandemError``: ``problem.field`` for another ending or a time that the plan does not have,
+    ``part.extra_missing``, ``output.folder``, and for what is missing or damaged in the folder.
+    """
+    from planner import plans
+    from planner.report import cad_export
+    from planner.report.output import cell_model
+
+    if output.suffix.lower() not in cad_export.KINDS:
+        what = f"-o: got {output.name}, allowed are files that end in {' or '.join(cad_export.KINDS)}"
+        raise TandemError(Issue("problem.field", what, field="output"))
+    problem, made = load_result(folder), plans.load(folder)
+    at = cad_export.moment(problem, made, seconds)
+    cut = cad_export.simulated(Path(folder) / "simulated_part.obj")
+    shapes = cad_export.shapes(cell_model(problem, made, at.setup), problem, made, at, cut)
+    try:
+        if output.suffix.lower() == ".glb":
+            content = cad_export.glb(shapes)
+        else:
+            lines, targets = cad_export.lines(problem, made, at), cad_export.targets(problem, made)
+            content = cad_export.rhino(itertools.chain(shapes, lines, targets))
+        write_whole(output, content)
+    except OSError as error:
+        what = f"{output}: cannot be written ({error.strerror}); choose another place"
+        raise TandemError(Issue("output.folder", what, field="output")) from error
+    return output
 
 
 def claim_output(folder: str | Path, problem: str | Path) -> None:

@@ -191,6 +191,27 @@ def report(folders: tyro.conf.Positional[tuple[Path, ...]]) -> int:
     return code
 
 
+@app.command
+def export(
+    folder: tyro.conf.Positional[Path],
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    time: float = 0.0,
+) -> int:
+    """Write the cell, the part and the ways of a result folder for CAD programs: GLB, or 3DM for Rhino.
+
+    Args:
+        folder: a result folder of ``tandem plan``.
+        output: the file, which ends in ``.glb`` or ``.3dm``.
+        time: the moment that is shown [s], from the plan's first target.
+    """
+    try:
+        written = _pipeline().export(folder, output, time)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    out.print(f"written to {written}", highlight=False, markup=False)
+    return DONE
+
+
 def _signed(folder: Path, problem: Problem, proof: Proof, key: statement.PrivateKey) -> bool:
     """Sign a result folder, and tell it; False where it is not signed."""
     try:

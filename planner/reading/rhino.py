@@ -449,8 +449,9 @@ def _spread(spans: FloatArray) -> FloatArray:
 
 def _mesh(geometry: Any, metres: float) -> TriangleMesh:
     """A mesh with its corners that are one place made one; quads as two triangles."""
-    vertices = np.array([(p.X, p.Y, p.Z) for p in geometry.Vertices], dtype=np.float64) * metres
+    places = geometry.Vertices.ToPoint3dArray()  # in double precision where the file has it
+    vertices = np.array([(p.X, p.Y, p.Z) for p in places], dtype=np.float64) * metres
     faces = np.array([geometry.Faces[k] for k in range(len(geometry.Faces))], dtype=np.int64).reshape(-1, 4)
     split = np.concatenate([faces[:, :3], faces[:, [0, 2, 3]][faces[:, 2] != faces[:, 3]]])
-    places, index = np.unique(vertices, axis=0, return_inverse=True)
-    return TriangleMesh(places, index.reshape(-1)[split])
+    unlike, index = np.unique(vertices, axis=0, return_inverse=True)
+    return TriangleMesh(unlike, index.reshape(-1)[split])

@@ -17,7 +17,7 @@ from planner.cell.plant import CellModel
 from planner.claims.claim import FollowsRulings
 from planner.issues import Issue, TandemError, accepted, aggregate, has_errors
 from planner.plans import Plan
-from planner.problem import Problem
+from planner.problem import Problem, Setup
 from planner.report import cell_picture, exhibits, markup, motion_charts, page_sections, replay, setup_sheet
 from planner.report.cell_picture import Picture
 from planner.report.markup import Block, Section
@@ -158,7 +158,7 @@ def _background(plan: Plan | None, extra: Extra) -> list[Section]:
 
 def pictures(problem: Problem, plan: Plan) -> Iterator[tuple[str, Picture]]:
     """The pictures of the cell that the report shows, with their titles."""
-    yield from cell_picture.setup_pictures(_cell_model(problem, plan), problem, plan)
+    yield from cell_picture.setup_pictures(cell_model(problem, plan), problem, plan)
 
 
 def files(
@@ -192,7 +192,7 @@ def pages(
     ``drawn``: what :func:`pictures` gives, where that is done already.
     Where Meshcat cannot start there is no replay, and the report says so.
     """
-    model = _cell_model(problem, plan)
+    model = cell_model(problem, plan)
     out: dict[str, str] = {}
     issues: tuple[Issue, ...] = ()
     try:
@@ -206,14 +206,15 @@ def pages(
     return out
 
 
-def _cell_model(problem: Problem, plan: Plan) -> CellModel:
-    first = problem.setups[0]
-    return plant.build(first.cell, first.stock, plan.places[0], plan.bases)
+def cell_model(problem: Problem, plan: Plan, setup: Setup | None = None) -> CellModel:
+    """The cell's model as a setup finds it, the first one where none is given."""
+    own = setup or problem.setups[0]
+    return plant.build(own.cell, own.stock, plan.places[own.number - 1], plan.bases)
 
 
 def show(problem: Problem, plan: Plan) -> Viewer:
     """The replay in a browser, live. Raises ``TandemError`` (``report.replay_failed``)."""
-    return replay.show(_cell_model(problem, plan), problem, plan)
+    return replay.show(cell_model(problem, plan), problem, plan)
 
 
 def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:

@@ -95,7 +95,7 @@ def face(said: Said) -> Face:
     meshes = [one for one in _asked(model, said) if _kind(one) == "Mesh"]
     if meshes:
         own = meshes[0]
-        places = size * np.array([(p.X, p.Y, p.Z) for p in own.Vertices], dtype=np.float64)
+        places = size * np.array([(p.X, p.Y, p.Z) for p in own.Vertices.ToPoint3dArray()], dtype=np.float64)
         rows, corners = [], []
         for k in range(len(own.Faces)):
             a, b, c, d = own.Faces[k]

@@ -1,0 +1,270 @@
+"""A plan for CAD programs: the cell at a moment, the part, the ways of tools and wires, as GLB or as 3DM.
+
+Both are in the world. GLB (glTF 2.0) is in metres with y up, as that format has it; it holds what a
+picture shows. 3DM is in millimetres with z up; it has layers, ways as curves, and a point at each
+target with its time and joint angles as user text. The part and what wires cut lie in the block where
+it is at that moment.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from planner.cell.plant import CellModel
+from planner.geometry.arrays import FloatArray, IntArray, Mesh, transform
+from planner.geometry.units import DEG, MM
+from planner.issues import Issue, TandemError
+from planner.plans import OperationPlan, Plan
+from planner.problem import Problem, Setup
+from planner.report import raster, scene
+
+Rgb = tuple[float, float, float]
+KINDS: Final = (".glb", ".3dm")
+"""Endings of the files that can be written."""
+WANTED_COLOUR: Final = (0.20, 0.55, 0.70)
+"""Colour of the wanted part."""
+CUT_COLOUR: Final = (0.90, 0.45, 0.15)
+"""Colour of the part as simulated from the programs, and of what wires do."""
+WAY_COLOUR: Final = (0.10, 0.20, 0.60)
+"""Colour of the ways of tools."""
+WAY_PLACES: Final = 25
+"""Places of a joint move through which its way is drawn."""
+MOST_TARGETS: Final = 2000
+"""Targets of an arm and an operation that are points, at most; of more every second, third ... is."""
+MOST_WIRES: Final = 400
+"""Wire positions of an operation at most."""
+RHINO_VERSION: Final = 7
+"""Files are for this Rhino and newer ones."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """A mesh in the world: ``vertices`` (V, 3) [m], ``faces`` (F, 3); its ``layer``, a path, and colour."""
+
+    layer: str
+    vertices: FloatArray
+    faces: IntArray
+    color: Rgb
+
+
+@dataclasses.dataclass(frozen=True)
+class Line:
+    """A polyline (N, 3) [m] in the world on a ``layer``."""
+
+    layer: str
+    points: FloatArray
+    color: Rgb
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """A TCP (3,) [m] in the world on a ``layer``, with its user text."""
+
+    layer: str
+    point: FloatArray
+    text: Mapping[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Moment:
+    """Where everything is: the operation and its setup, joints {arm: (6,)} [rad], the block's pose (4, 4)."""
+
+    operation: OperationPlan
+    setup: Setup
+    q: Mapping[str, FloatArray]
+    block: FloatArray
+
+
+def moment(problem: Problem, plan: Plan, seconds: float) -> Moment:
+    """The moment ``seconds`` after the plan's first target. Raises ``TandemError`` (``problem.field``) where
+    the plan has none."""
+    if not plan.operations or not 0.0 <= seconds <= plan.duration:
+        what = f"--time: got {seconds:g} s, the plan goes from 0 to {plan.duration:.2f} s"
+        raise TandemError(
+            Issue("problem.field", what, field="time", value=seconds, limit=plan.duration, unit="s")
+        )
+    frame = plan.frame(seconds)
+    index = next(i for i, own in enumerate(plan.operations) if own.name == frame.operation)
+    setup = problem.setup_of(index)
+    q = {arm.name: np.asarray(frame.q.get(arm.name, arm.home)) for arm in setup.cell.arms}
+    rows = {name: value[None] for name, value in q.items()}
+    place = np.asarray(plan.places[setup.number - 1])
+    block = scene.block_pose(setup, place, plan.bases, rows)
+    return Moment(plan.operations[index], setup, q, block if block.ndim == 2 else block[0])
+
+
+def shapes(
+    model: CellModel, problem: Problem, plan: Plan, at: Moment, cut: Mapping[str, Mesh]
+) -> Iterator[Shape]:
+    """Robots, tools, fixed bodies, block, support; the wanted part, and the ``cut`` one, by name in the stock
+    frame."""
+    drawn = scene.extract(model)
+    place = np.asarray(plan.places[at.setup.number - 1])
+    rows = {name: value[None] for name, value in at.q.items()}
+    poses = scene.stand(drawn, at.setup, place, rows)
+    for piece in (*drawn.pieces, *scene.mounted(at.setup, place)):
+        pose = poses[piece.body][0] @ piece.pose
+        solid = piece.solid
+        yield Shape(
+            f"cell::{piece.body.replace('/', '::')}",
+            transform(pose, solid.vertices),
+            solid.faces,
+            piece.color[:3],
+        )
+    for name, mesh in raster.part_meshes(problem.part):
+        yield Shape(f"part::wanted::{name}", transform(at.block, mesh.vertices), mesh.faces, WANTED_COLOUR)
+    for name, mesh in cut.items():
+        yield Shape(f"part::simulated::{name}", transform(at.block, mesh.vertices), mesh.faces, CUT_COLOUR)
+
+
+def lines(problem: Problem, plan: Plan, at: Moment) -> Iterator[Line]:
+    """The way of each TCP in each operation, in and out too, and positions of what cuts along a line."""
+    track = scene.track(problem, plan, MOST_WIRES)
+    for index, own in enumerate(plan.operations):
+        setup = problem.setup_of(index)
+        for name, q in own.q.items():
+            arm = setup.cell.arm(name)
+            for word, joints in (
+                ("in", [arm.home, *own.entry.get(name, ()), q[0]]),
+                ("work", q),
+                ("out", [q[-1], *own.exit.get(name, ())]),
+            ):
+                rows = np.asarray(joints) if word == "work" else _between(np.asarray(joints))
+                way = (scene.flange_poses(arm, plan.bases, rows) @ arm.tool.tcp)[:, :3, 3]
+                yield Line(f"ways::{own.name}::{name}::{word}", way, WAY_COLOUR)
+    for sweep in track.sweeps:
+        name = f"wire::setup {sweep.setup + 1}"
+        for wire in sweep.points[:: max(1, len(sweep.points) // MOST_WIRES)]:
+            yield Line(name, transform(at.block, wire), CUT_COLOUR)
+
+
+def targets(problem: Problem, plan: Plan) -> Iterator[Target]:
+    """TCPs of all operations with name, time from the operation's first target [s] and joints [deg]."""
+    for index, own in enumerate(plan.operations):
+        setup = problem.setup_of(index)
+        for name, q in own.q.items():
+            arm = setup.cell.arm(name)
+            tcp = (scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)[:, :3, 3]
+            for k in range(0, len(q), -(-len(q) // MOST_TARGETS)):
+                text = {"target": own.targets.name(k), "time_s": f"{own.time[k] - own.time[0]:.5f}"}
+                text |= {f"j{i}_deg": f"{value:.5f}" for i, value in enumerate(q[k] / DEG, 1)}
+                yield Target(f"targets::{own.name}::{name}", tcp[k], text)
+
+
+def _between(joints: FloatArray) -> FloatArray:
+    """Joints (N, J) along straight joint moves through stations (S, J)."""
+    share = np.linspace(0.0, 1.0, WAY_PLACES)[:, None]
+    moves = [(1.0 - share) * a + share * b for a, b in itertools.pairwise(joints)]
+    return np.concatenate(moves) if moves else joints
+
+
+def simulated(path: Path) -> dict[str, Mesh]:
+    """The objects of a simulated part (`simulated_part.obj`) by name, in the stock frame; none where there is
+    no file."""
+    if not path.is_file():
+        return {}
+    points: list[list[float]] = []
+    faces: dict[str, list[list[int]]] = {}
+    name = "part"
+    for line in path.read_text("utf-8").splitlines():
+        words = line.split()
+        if words[:1] == ["o"]:
+            name = words[1]
+        elif words[:1] == ["v"]:
+            points.append([float(word) * MM for word in words[1:4]])
+        elif words[:1] == ["f"]:
+            faces.setdefault(name, []).append([int(word.partition("/")[0]) - 1 for word in words[1:4]])
+    vertices, out = np.array(points).reshape(-1, 3), {}
+    for name, rows in faces.items():
+        used, index = np.unique(np.array(rows), return_inverse=True)
+        out[name] = Mesh(vertices[used], index.reshape(-1, 3).astype(np.int64))
+    return out
+
+
+def glb(found: Iterator[Shape]) -> bytes:
+    """Shapes as a binary glTF file, a node for each layer and colour."""
+    import trimesh
+
+    turned = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # its y is up
+    by_layer: dict[tuple[str, Rgb], list[trimesh.Trimesh]] = {}
+    for shape in found:
+        mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
+        by_layer.setdefault((shape.layer, shape.color), []).append(mesh)
+    out = trimesh.Scene()
+    for number, ((layer, color), meshes) in enumerate(by_layer.items()):
+        joined = trimesh.util.concatenate(meshes)
+        paint = trimesh.visual.material.PBRMaterial(
+            baseColorFactor=[*color, 1.0], metallicFactor=0.0, doubleSided=True
+        )
+        joined.visual = trimesh.visual.TextureVisuals(material=paint)
+        name = f"{layer} {number}"  # one of the same name would take its place
+        out.add_geometry(joined, node_name=name, geom_name=name)
+    out.apply_transform(turned)
+    return bytes(out.export(file_type="glb"))
+
+
+def rhino(found: Iterator[Shape | Line | Target]) -> bytes:
+    """Shapes, lines and targets as a 3DM file of Rhino 7, in layers. Raises ``TandemError``
+    (``part.extra_missing``) without ``rhino3dm``, ``OSError`` where it does not write."""
+    try:
+        import rhino3dm
+    except ImportError as error:
+        what = "3DM files need rhino3dm: pip install 'tandem-planner[cad]'"
+        raise TandemError(Issue("part.extra_missing", what, field="output")) from error
+    model = rhino3dm.File3dm()
+    model.Settings.ModelUnitSystem = rhino3dm.UnitSystem.Millimeters
+    layers: dict[str, int] = {}
+    for one in found:
+        own = rhino3dm.ObjectAttributes()
+        color = WAY_COLOUR if isinstance(one, Target) else one.color
+        own.LayerIndex = _layer(model, layers, one.layer, color)
+        if isinstance(one, Shape):
+            model.Objects.AddMesh(_rhino_mesh(one), own)
+        elif isinstance(one, Line):
+            points = [rhino3dm.Point3d(*point) for point in (one.points / MM).tolist()]
+            model.Objects.AddPolyline(rhino3dm.Polyline(points), own)
+        else:
+            own.Name = one.text["target"]
+            for key, value in one.text.items():
+                own.SetUserString(key, value)
+            model.Objects.AddPoint(rhino3dm.Point3d(*(one.point / MM).tolist()), own)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.3dm"
+        if not model.Write(str(path), RHINO_VERSION):
+            raise OSError(0, "rhino3dm gives no reason")
+        return path.read_bytes()
+
+
+def _layer(model: Any, layers: dict[str, int], path: str, color: Rgb) -> int:
+    """The number of a layer by its path, made with those that it is in where it is new."""
+    import rhino3dm
+
+    if path not in layers:
+        parent, _, name = path.rpartition("::")
+        made = rhino3dm.Layer()
+        made.Name = name
+        made.Color = (*(round(255 * value) for value in color), 255)
+        if parent:
+            made.ParentLayerId = model.Layers[_layer(model, layers, parent, color)].Id
+        layers[path] = model.Layers.Add(made)
+    return layers[path]
+
+
+def _rhino_mesh(shape: Shape) -> Any:
+    import rhino3dm
+
+    mesh = rhino3dm.Mesh()
+    mesh.Vertices.UseDoublePrecisionVertices = True
+    for point in (shape.vertices / MM).tolist():
+        mesh.Vertices.AddPoint3d(*point)
+    for a, b, c in shape.faces.tolist():
+        mesh.Faces.AddFace(a, b, c)
+    mesh.Normals.ComputeNormals()
+    return mesh
