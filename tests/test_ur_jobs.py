@@ -126,3 +126,17 @@ def test_no_program_is_promised_and_check_tells_of_the_reach_all_the_same(tmp_pa
     (tmp_path / "targets.csv").write_text(table.replace("\n650,", "\n1650,"))
     found = {one.code for one in pipeline.check(laid(tmp_path, source), advise=False) if has_errors([one])}
     assert found == {"post.language", "motion.no_reach"}
+
+
+def test_an_arm_that_stands_by_is_no_hindrance_to_the_others(tmp_path):
+    """Its form is held against its URDF, and what works keeps off it."""
+    source = yaml.safe_load(small_problem.PROBLEM)
+    base = {"xyz_mm": [450, 1300, 0]}
+    tool = {"kind": "plain", "tcp": {"xyz_mm": [0, 0, 150]}, "mass_kg": 1.0, "cog_mm": [0, 0, 50]}
+    source["cell"]["arms"].append({"name": "right", "robot": ARM, "base": base, "tool": tool})
+    (tmp_path / "ur10e.urdf").write_text(urdf_text.ur10e(), "utf-8")
+    small_problem.write(tmp_path, yaml.safe_dump(source))
+    made = pipeline.plan(pipeline.load(tmp_path / "problem.yaml"))
+    assert made.proof.issues == ()
+    passed = {row.code for row in made.proof.rules if row.passed}
+    assert {"verify.robot_model", "verify.clearance"} <= passed
