@@ -26,9 +26,7 @@ ROUNDING: Final = 1e-12
 """A cosine of the elbow's angle that is beyond 1 by no more than this is 1."""
 
 
-def inverse_kinematics(
-    form: ParallelParameters, flange: FloatArray, branches: Sequence[int] = range(8)
-) -> FloatArray:
+def inverse_kinematics(form: ParallelParameters, flange: FloatArray, branches: Sequence[int]) -> FloatArray:
     """Joint angles (..., len(branches), 6) [rad] of flange poses (..., 4, 4) in the base, branches numbered
     as :data:`planner.motion.planning_scene.BRANCHES` are; NaN where none exists.
 
