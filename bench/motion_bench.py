@@ -29,6 +29,7 @@ from planner.motion.operation import plan_operation
 from planner.motion.placement import Search
 from planner.motion.solve import solve
 from planner.problem import Obstacle, Problem, Settings
+from tests.urdf_text import UR10E
 
 REPEATS = 5
 CORE = ("ladder", "transit", "trajopt", "timing")
@@ -51,7 +52,7 @@ def timed(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[dict[str, An
 
 def run() -> list[dict[str, Any]]:
     """All measurements of motion."""
-    return [inverse(), *jobs(), one_arm(), many_targets(), *bows(), placement()]
+    return [inverse(), inverse_three_parallel(), *jobs(), one_arm(), many_targets(), *bows(), placement()]
 
 
 def inverse() -> dict[str, Any]:
@@ -73,6 +74,15 @@ def inverse() -> dict[str, Any]:
         "ratio": ours["median_s"] / theirs["median_s"],
         "note": note,
     }
+
+
+def inverse_three_parallel() -> dict[str, Any]:
+    """All eight branches of 10,000 poses of a UR10e; EAIK is the peer of ``bench peers``."""
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (10_000, 6))
+    flange = forward(UR10E, q)
+    row, _ = timed(lambda: planning_scene.inverse_kinematics(UR10E.form, flange))
+    note = f"{10_000 / row['median_s']:,.0f} poses/s"
+    return {"name": "IK, 8 branches, 10,000 poses, UR10e", **row, "note": note}
 
 
 def jobs() -> list[dict[str, Any]]:

@@ -32,6 +32,7 @@ from planner.cell.kinematics import forward, joint_axes, link_frames
 from planner.geometry.arrays import FloatArray
 from planner.motion.planning_scene import inverse_kinematics
 from planner.motion.trajectory.timing import parameterise, solve_once
+from tests.urdf_text import UR10E
 
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 BEGIN = "<!-- written by python -m bench peers --write -->"
@@ -89,16 +90,17 @@ def rows() -> list[Row]:
 
 
 def inverse() -> Iterator[Row]:
-    """All branches of poses of an IRB 140 by closed forms."""
-    data = robot("irb140")
-    q = np.random.default_rng(0).uniform(data.lower, data.upper, (POSES, 6))
-    flange = forward(data, q)
-    for package, make, count in (
-        ("py-opw-kinematics", _opw, POSES),
-        ("EAIK", _eaik, POSES),
-        ("ssik", _ssik, FEW),
+    """All branches of poses of an IRB 140 and of a UR10e by closed forms."""
+    irb, ur = ("an IRB 140", robot("irb140")), ("a UR10e", UR10E)
+    for (arm, data), package, make, count in (
+        (irb, "py-opw-kinematics", _opw, POSES),
+        (irb, "EAIK", _eaik, POSES),
+        (irb, "ssik", _ssik, FEW),
+        (ur, "EAIK", _eaik, POSES),
     ):
-        work = f"inverse kinematics, all branches, {count:,} poses of an IRB 140"
+        q = np.random.default_rng(0).uniform(data.lower, data.upper, (POSES, 6))
+        flange = forward(data, q)
+        work = f"inverse kinematics, all branches, {count:,} poses of {arm}"
         try:
             prepare, solve, counted = make(data)
         except ImportError as error:
@@ -106,8 +108,8 @@ def inverse() -> Iterator[Row]:
             continue
         some = flange[:count]
         asked = prepare(some)
-        own, peer = medians(partial(inverse_kinematics, data.opw, some), partial(solve, asked))
-        branches = int(np.sum(~np.isnan(inverse_kinematics(data.opw, some)[..., 0])))
+        own, peer = medians(partial(inverse_kinematics, data.form, some), partial(solve, asked))
+        branches = int(np.sum(~np.isnan(inverse_kinematics(data.form, some)[..., 0])))
         note = f"solutions: {branches:,}, {counted(solve(asked)):,} by the peer"
         yield Row(work, installed(package), own, peer, note)
 

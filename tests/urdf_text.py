@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
-from planner.catalogue.robots import RobotData
+from planner.catalogue.robots import ParallelParameters, RobotData, robot
 from planner.cell.kinematics import joint_axes, link_frames
-from planner.geometry.arrays import from_parts, inverse, to_rpy
+from planner.geometry.arrays import exp_rotation, from_parts, from_rpy, inverse, to_rpy
 
-DRAWN = {"box": 'size="{} {} {}"', "cylinder": 'radius="{}" length="{}"', "sphere": 'radius="{}"'}
+DRAWN = {
+    "box": 'size="{} {} {}"',
+    "cylinder": 'radius="{}" length="{}"',
+    "capsule": 'radius="{}" length="{}"',
+    "sphere": 'radius="{}"',
+}
 
 
 def origin(pose):
@@ -63,3 +70,72 @@ def of_robot(robot: RobotData, base=None, tip=None, turns=None, bodies=None):
     limits = [[float(a), float(b)] for a, b in zip(robot.lower, robot.upper, strict=True)]
     velocity = [float(v) for v in robot.velocity]
     return arm(axes @ back[:3, :3].T, points, back @ frames[6] @ tip, limits, velocity, bodies, turns)
+
+
+UR10E_DH = (
+    (0.1807, 0.0, 0.5 * np.pi),
+    (0.0, -0.6127, 0.0),
+    (0.0, -0.57155, 0.0),
+    (0.17415, 0.0, 0.5 * np.pi),
+    (0.11985, 0.0, -0.5 * np.pi),
+    (0.11655, 0.0, 0.0),
+)
+"""d [m], a [m] and alpha [rad] of a UR10e: Universal Robots, support page "DH Parameters for calculations of
+kinematics and dynamics"."""
+UR10E_SPEED = np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0])
+"""Of the UR10e's user manual, as ROS-Industrial's ur_description (joint_limits.yaml) cites it."""
+UR10E_BODIES = {
+    0: [("cylinder", (0.095, 0.1), from_parts(np.eye(3), np.array([0.0, 0.0, 0.05])))],
+    1: [("sphere", (0.08,), np.eye(4))],
+    2: [("capsule", (0.06, 0.55), from_rpy([-0.306, 0.0, 0.0], [0.0, np.pi / 2, 0.0]))],
+    3: [("capsule", (0.045, 0.5), from_rpy([-0.286, 0.0, 0.0], [0.0, np.pi / 2, 0.0]))],
+    4: [("sphere", (0.05,), np.eye(4))],
+    5: [("sphere", (0.045,), np.eye(4))],
+    6: [("cylinder", (0.037, 0.04), from_rpy([0.0, -0.09, 0.0], [np.pi / 2, 0.0, 0.0]))],
+}
+(RISE, _, _), (_, UPPER, _), (_, FORE, _), (OUT, _, _), (DOWN, _, _), (LAST, _, _) = UR10E_DH
+UR10E_FORM = ParallelParameters(
+    OUT, RISE, -UPPER, -FORE, DOWN, LAST, np.deg2rad([180.0, -90.0, 0.0, -90.0, 0.0, 0.0]), np.ones(6)
+)
+UR10E = dataclasses.replace(
+    robot("irb140"),
+    name="ur10e",
+    family="UR",
+    form=UR10E_FORM,
+    lower=np.full(6, -2.0 * np.pi),
+    upper=np.full(6, 2.0 * np.pi),
+    velocity=UR10E_SPEED,
+    reach=1.3,
+)
+"""The arm by its table, for kinematics alone: it has no file."""
+
+
+def ur10e_flange(q):
+    """Poses (B, 4, 4) of a UR10e's flange in its base for joints q (B, 6), link by link of its table."""
+    pose = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+    for (d, a, alpha), turn in zip(UR10E_DH, q.T, strict=True):
+        about = from_parts(exp_rotation(turn[:, None] * np.array([0.0, 0.0, 1.0])), np.array([0.0, 0.0, d]))
+        pose = pose @ about @ from_rpy([a, 0.0, 0.0], [alpha, 0.0, 0.0])
+    return pose
+
+
+def ur10e(base=None, tip=None, limits=((-2.0 * np.pi, 2.0 * np.pi),) * 6):
+    """The text of a UR10e, with plain bodies by eye; ``base``, ``tip`` as of :func:`of_robot`."""
+    base, tip = (np.eye(4) if pose is None else pose for pose in (base, tip))
+    back, side = inverse(base), np.array([0.0, -1.0, 0.0])
+    axes = np.array([[0.0, 0.0, 1.0], side, side, side, [0.0, 0.0, -1.0], side])
+    points = np.array(
+        [
+            (0.0, 0.0, RISE),
+            (0.0, -0.176, RISE),
+            (UPPER, -0.039, RISE),
+            (UPPER + FORE, -0.12, RISE),
+            (UPPER + FORE, -OUT, RISE - DOWN),
+            (UPPER + FORE, -OUT, RISE - DOWN),
+        ]
+    )
+    points = points @ back[:3, :3].T + back[:3, 3]
+    flange = back @ ur10e_flange(np.zeros((1, 6)))[0] @ tip
+    bodies = {0: [(kind, size, back @ pose) for kind, size, pose in UR10E_BODIES[0]]}
+    bodies |= {i: UR10E_BODIES[i] for i in range(1, 7)}
+    return arm(axes @ back[:3, :3].T, points, flange, limits, UR10E_SPEED.tolist(), bodies)

@@ -240,6 +240,7 @@ CODES: Final[dict[str, Code]] = {
     "part.missing_surface": Code("a ruled surface is to be cut that the part does not have", given=True),
     # writing programs
     "post.tasks": Code("the controller has no task or unit for an arm, or has too few", given=True),
+    "post.language": Code("no programs are written for the controllers of an arm's family", given=True),
     "post.controller": Code("arms cannot move together by the controllers that they have", given=True),
     "post.signal": Code("a signal has no number on the controller of a KUKA arm", given=True),
     "post.turn_near_zero": Code(

@@ -7,7 +7,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 import yaml
@@ -17,22 +17,78 @@ from planner.geometry.arrays import FloatArray, Shape, inverse
 from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
 
+Family = Literal["ABB", "KUKA", "UR", "generic"]
+"""Whose controller an arm has, which is what its programs are written for."""
 DataKind = Literal["urdf", "problems"]
 
 _PACKAGE: Final = Path(__file__).resolve().parents[1]
 """Folder of the package."""
 
 
-@dataclasses.dataclass(frozen=True)
-class OpwParameters:
-    """Geometry of an ortho-parallel arm with a spherical wrist (Brandstoetter, Angerer, Hofbaur 2014).
+class ArmForm:
+    """What the closed forms of arms with six axes have in common: where each axis is, and what stands before
+    and behind. ``offsets`` (6,) [rad] and ``signs`` (6,): theta_i = signs_i * q_i - offsets_i.
 
-    Lengths [m]; ``offsets`` (6,) [rad] and ``signs`` (6,): theta_i = signs_i * q_i - offsets_i. Flange pose
-    in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) Rz(t6) T(0, 0,
-    c4). An arm from a file whose links of base and tip stand otherwise has that between ``left`` and
-    ``right`` (4, 4), None where they are the form's own.
+    An arm from a file whose links of base and tip stand otherwise than those of the form has that between
+    ``left`` and ``right`` (4, 4), None where they are the form's own. ``axes``: the axes x, y or z of their
+    links about which theta_1 to theta_6 turn. ``singular``: joints, from 0, that make postures singular.
+    ``b`` [m]: how far the wrist stands beside the plane of axis 1.
     """
 
+    axes: ClassVar[str]
+    singular: ClassVar[tuple[int, ...]]
+    b: float
+    offsets: FloatArray
+    signs: FloatArray
+    left: FloatArray | None
+    right: FloatArray | None
+
+    def inner(self, flange: FloatArray) -> FloatArray:
+        """Poses (..., 4, 4) of the form's own flange in its own base, of flange poses (..., 4, 4)."""
+        if self.left is not None:
+            flange = inverse(self.left) @ flange
+        return flange if self.right is None else flange @ inverse(self.right)
+
+    @property
+    def steps(self) -> FloatArray:
+        """Ways (7, 3) [m] from each link to the next one at theta zero, from the base to the flange."""
+        raise NotImplementedError
+
+    @property
+    def turned(self) -> FloatArray:
+        """How (3, 3) the flange stands on link 6."""
+        return np.eye(3)
+
+    @property
+    def hand(self) -> float:
+        """From the origin of link 4 or the wrist's centre, where this is one, to the flange at most [m]."""
+        raise NotImplementedError
+
+    @property
+    def stretched(self) -> float:
+        """From axis 1 to where the hand begins, at most [m], in the plane of the arm."""
+        raise NotImplementedError
+
+    @property
+    def shoulder(self) -> float:
+        """From axis 1 to the origin of link 2 [m], across the axis."""
+        raise NotImplementedError
+
+    @property
+    def _beyond(self) -> float:
+        return 0.0 if self.right is None else float(np.linalg.norm(self.right[:3, 3]))
+
+
+@dataclasses.dataclass(frozen=True)
+class OpwParameters(ArmForm):
+    """Geometry of an ortho-parallel arm with a spherical wrist (Brandstoetter, Angerer, Hofbaur 2014).
+
+    Lengths [m]. Flange pose in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4)
+    Ry(t5) Rz(t6) T(0, 0, c4).
+    """
+
+    axes: ClassVar[str] = "zyyzyz"
+    singular: ClassVar[tuple[int, ...]] = (1, 2, 4)
     a1: float
     a2: float
     b: float
@@ -45,17 +101,86 @@ class OpwParameters:
     left: FloatArray | None = None
     right: FloatArray | None = None
 
-    def inner(self, flange: FloatArray) -> FloatArray:
-        """Poses (..., 4, 4) of the form's own flange in its own base, of flange poses (..., 4, 4)."""
-        if self.left is not None:
-            flange = inverse(self.left) @ flange
-        return flange if self.right is None else flange @ inverse(self.right)
+    @property
+    def steps(self) -> FloatArray:
+        """As :attr:`ArmForm.steps`; the wrist's three axes meet."""
+        return np.array(
+            [
+                (0.0, 0.0, 0.0),
+                (self.a1, self.b, self.c1),
+                (0.0, 0.0, self.c2),
+                (self.a2, 0.0, self.c3),
+                (0.0, 0.0, 0.0),
+                (0.0, 0.0, 0.0),
+                (0.0, 0.0, self.c4),
+            ]
+        )
 
     @property
     def hand(self) -> float:
         """From the wrist's centre to the flange at most [m]."""
-        beyond = 0.0 if self.right is None else float(np.linalg.norm(self.right[:3, 3]))
-        return abs(self.c4) + beyond
+        return abs(self.c4) + self._beyond
+
+    @property
+    def stretched(self) -> float:
+        """From axis 1 to the wrist's centre, at most [m], in the plane of the arm."""
+        return float(abs(self.a1) + self.c2 + np.hypot(self.a2, self.c3))
+
+    @property
+    def shoulder(self) -> float:
+        """From axis 1 to the origin of link 2 [m]."""
+        return float(np.hypot(self.a1, self.b))
+
+
+@dataclasses.dataclass(frozen=True)
+class ParallelParameters(ArmForm):
+    """Geometry of an arm whose axes 2, 3 and 4 are parallel, as those of UR: 1 meets 2, 5 meets 4 and 6, and
+    each of 1-2, 4-5 and 5-6 is square.
+
+    Lengths [m], ``b`` >= 0. Flange pose in the base: Rz(t1) T(0, 0, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(0, 0, c3)
+    Ry(t4) T(0, b, c4) Rz(t5) Ry(t6) T(0, c5, 0) Rx(-90 deg). Of a maker's Denavit-Hartenberg table c1 is d1,
+    c2 and c3 are the sizes of a2 and a3, b, c4 and c5 are d4, d5 and d6.
+    """
+
+    axes: ClassVar[str] = "zyyyzy"
+    singular: ClassVar[tuple[int, ...]] = (1, 2, 3, 4)
+    b: float
+    c1: float
+    c2: float
+    c3: float
+    c4: float
+    c5: float
+    offsets: FloatArray
+    signs: FloatArray
+    left: FloatArray | None = None
+    right: FloatArray | None = None
+
+    @property
+    def steps(self) -> FloatArray:
+        """As :attr:`ArmForm.steps`; axes 5 and 6 meet."""
+        up = (0.0, self.c1, self.c2, self.c3, self.c4, 0.0, 0.0)
+        across = (0.0, 0.0, 0.0, 0.0, self.b, 0.0, self.c5)
+        return np.stack([np.zeros(7), across, up], axis=1)
+
+    @property
+    def turned(self) -> FloatArray:
+        """Rx(-90 deg): z of the flange is along axis 6, out of the arm."""
+        return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+    @property
+    def hand(self) -> float:
+        """From axis 4 in the plane of the arm to the flange at most [m]."""
+        return float(np.hypot(self.b, self.c4)) + abs(self.c5) + self._beyond
+
+    @property
+    def stretched(self) -> float:
+        """From axis 1 to axis 4, at most [m]."""
+        return self.c2 + self.c3
+
+    @property
+    def shoulder(self) -> float:
+        """0: axes 1 and 2 meet."""
+        return 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,9 +234,9 @@ class RobotData:
 
     name: str
     title: str
-    family: Literal["ABB", "KUKA"]
+    family: Family
     controller: str
-    opw: OpwParameters
+    form: ArmForm
     lower: FloatArray
     upper: FloatArray
     velocity: FloatArray
@@ -124,6 +249,14 @@ class RobotData:
     assumed: tuple[str, ...]
     stiffness: JointStiffness | None = None
     file: RobotFile | None = None
+
+    @property
+    def opw(self) -> OpwParameters:
+        """The form of an arm with a spherical wrist, whose solutions ABB and KUKA name; other arms have none:
+        raises ``TypeError``."""
+        if not isinstance(self.form, OpwParameters):
+            raise TypeError(f"{self.name} has no spherical wrist")
+        return self.form
 
     def to_controller(self, q: FloatArray) -> FloatArray:
         """The controller's joint values (..., 6) [rad] of serial angles (..., 6)."""
@@ -232,7 +365,7 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
         title=entry["title"],
         family=entry["family"],
         controller=entry["controller"],
-        opw=OpwParameters(
+        form=OpwParameters(
             a1=length["a1"],
             a2=length["a2"],
             b=length["b"],

@@ -219,7 +219,7 @@ def solid_levers(model: CellModel) -> FloatArray:
         frames = model.bases[arm] @ link_frames(model.robots[arm], model.cell.arm(arm).home)
         origin, axes = frames[:6, :3, 3], joint_axes(model.robots[arm], frames)
         links = lengths(np.diff(origin, axis=0))
-        links[0] = np.hypot(model.robots[arm].opw.a1, model.robots[arm].opw.b)  # height is along the axis
+        links[0] = model.robots[arm].form.shoulder  # height is along the axis
         for k, solid in enumerate(model.bounds.given):
             count = model.joints_of(arm, solid.body)
             if count:

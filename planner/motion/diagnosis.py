@@ -83,7 +83,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
     pose = scene.tcp(targets, grid.values[index], np.full(grid.samples, index))[arm]
     q = chain.inverse(pose, [branch])[:, 0]
     q = q[~np.isnan(q[:, 0])]
-    limit = np.stack(chain.limit_margins(q, chain.turns)).max(axis=0)
+    limit = chain.best_limit_margin(q)
     best = int(np.argmax(np.minimum(limit, chain.singularity_margin(q))))
     if limit[best] < scene.settings.joint_margin:
         room = np.minimum(q[best] - chain.robot.lower, chain.robot.upper - q[best])

@@ -15,10 +15,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from planner.catalogue.robots import ParallelParameters
 from planner.cell import clearance, support
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, IndexArray, exp_rotation, from_parts, log_rotation
 from planner.geometry.units import DEG
+from planner.motion import three_parallel
 from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.subsampling import Few, few_of, shifts
 from planner.problem import Cell, Settings, Stock
@@ -463,7 +465,7 @@ def margins_at(
         pose = poses[arm][..., rows, :, :]
         pose = np.broadcast_to(pose, (*np.broadcast_shapes(pose.shape, (*stock.shape[:-2], 1, 1)),))
         q = chain.inverse(pose)
-        limit = np.max(chain.limit_margins(q, chain.turns), axis=0) - settings.joint_margin
+        limit = chain.best_limit_margin(q) - settings.joint_margin
         single = chain.singularity_margin(q) - settings.singularity_margin
         value = np.minimum(np.minimum(limit, single), ENOUGH_MARGIN_RAD)
         beyond = -1.0 - reach_gap(chain, pose)[..., None]
@@ -474,8 +476,11 @@ def margins_at(
 
 def reach_gap(chain: Chain, pose: FloatArray) -> FloatArray:
     """How far (...,) [m] the wrist's centre of TCP poses (..., 4, 4) lies outside what the arm reaches."""
+    form = chain.robot.form
+    flange = form.inner(np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp))
+    if isinstance(form, ParallelParameters):
+        return three_parallel.reach_gap(form, flange)
     p = chain.robot.opw
-    flange = p.inner(np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp))
     centre = flange[..., :3, 3] - p.c4 * flange[..., :3, 2]
     radial = np.hypot(centre[..., 0], centre[..., 1]) - p.a1
     distance = np.hypot(radial, centre[..., 2] - p.c1)

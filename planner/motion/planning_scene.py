@@ -1,11 +1,8 @@
 """The planning scene of an operation: kinematics of its arms, the stock, and what may not be touched.
 
 **Kinematics of one arm** (`Chain`) as planning sees it: closed-form inverse, turns, limit margins,
-rates. The inverse is that of ortho-parallel arms with spherical wrists, batched over poses.
-Formulas: Brandstoetter, Angerer, Hofbaur, "An analytical solution of the inverse kinematics problem
-of industrial serial manipulators with an ortho-parallel basis and a spherical wrist", 2014. One
-branch of a thousand poses costs about half a millisecond, so that an optimiser may call it in every
-step.
+rates. The inverse is that of the arm's form: :mod:`planner.motion.spherical_wrist` or
+:mod:`planner.motion.three_parallel`.
 
 **Scene**: where things stand for one operation, the arms that take part, the stock, and the cell's
 collision model.
@@ -21,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import OpwParameters, RobotData
+from planner.catalogue.robots import ArmForm, OpwParameters, ParallelParameters, RobotData
 from planner.cell import clearance
 from planner.cell.clearance import Against, LeastClearance, Pairs
 from planner.cell.clearance import edge as edge_clearance
@@ -29,6 +26,7 @@ from planner.cell.kinematics import forward, jacobian
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, interpolate, inverse, transform
 from planner.geometry.arrays import inverse as rigid_inverse
+from planner.motion import spherical_wrist, three_parallel
 from planner.problem import Arm, Cell, Settings
 from planner.targets import Targets
 from planner.tooling import FormingTool, working_solid
@@ -38,75 +36,19 @@ BRANCHES: Final = 8
 
 
 def inverse_kinematics(
-    opw: OpwParameters, flange: FloatArray, branches: Sequence[int] = range(BRANCHES)
+    form: ArmForm, flange: FloatArray, branches: Sequence[int] = range(BRANCHES)
 ) -> FloatArray:
     """Joint angles (..., len(branches), 6) [rad] of flange poses (..., 4, 4) in the base; NaN where none
     exists.
 
     Angles are not wrapped into limits. The branch number of a solution is continuous in the pose while the
-    arm does not pass a singularity.
+    arm does not pass a singularity. Raises ``TypeError`` for a form that is not known.
     """
-    flange = opw.inner(flange)
-    r = flange[..., :3, :3]
-    centre = flange[..., :3, 3] - opw.c4 * r[..., :, 2]
-    cx, cy, up = centre[..., 0], centre[..., 1], centre[..., 2] - opw.c1
-    with np.errstate(invalid="ignore"):
-        radial = np.sqrt(cx * cx + cy * cy - opw.b * opw.b)
-    turn, skew = np.arctan2(cy, cx), np.arctan2(opw.b, radial)
-    arms = {pair: _first_three(opw, turn, skew, radial, up, *pair) for pair in {_pair(b) for b in branches}}
-    wrists = {pair: _wrist(r, *angles) for pair, angles in arms.items()}
-    out = np.empty((len(branches), 6, *flange.shape[:-2]))  # one block per joint: what follows works by joint
-    for slot, branch in enumerate(branches):
-        pair = _pair(branch)
-        theta4, theta5, theta6 = wrists[pair]
-        flip = branch >= 4
-        columns = (*arms[pair], theta4 + np.pi * flip, -theta5 if flip else theta5, theta6 - np.pi * flip)
-        for j, column in enumerate(columns):
-            np.multiply(column + opw.offsets[j], opw.signs[j], out=out[slot, j])
-    return np.moveaxis(out, (0, 1), (-2, -1))
-
-
-def _pair(branch: int) -> tuple[int, int]:
-    return (branch % 4) // 2, branch % 2
-
-
-def _first_three(
-    opw: OpwParameters,
-    turn: FloatArray,
-    skew: FloatArray,
-    radial: FloatArray,
-    up: FloatArray,
-    shoulder: int,
-    elbow: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Theta 1 to 3 for one choice of shoulder and elbow; the back shoulder is the front one mirrored."""
-    forearm = np.hypot(opw.a2, opw.c3)
-    out = radial - opw.a1 if shoulder == 0 else -(radial + opw.a1)
-    theta1 = turn - skew if shoulder == 0 else turn + skew - np.pi
-    square = out * out + up * up
-    sign = -1.0 if elbow == 0 else 1.0
-    with np.errstate(invalid="ignore", divide="ignore"):
-        lift = np.arccos((square + opw.c2**2 - forearm**2) / (2.0 * np.sqrt(square) * opw.c2))
-        bend = np.arccos((square - opw.c2**2 - forearm**2) / (2.0 * opw.c2 * forearm))
-    theta2 = np.arctan2(out, up) + sign * lift
-    theta3 = -sign * bend - np.arctan2(opw.a2, opw.c3)
-    return theta1 + 0.0 * bend, theta2, theta3  # a branch exists as a whole or not at all
-
-
-def _wrist(
-    r: FloatArray, theta1: FloatArray, theta2: FloatArray, theta3: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Theta 4 to 6 with theta 5 >= 0, from the rotation that the first three leave over."""
-    c1, s1 = np.cos(theta1), np.sin(theta1)
-    c, s = np.cos(theta2 + theta3), np.sin(theta2 + theta3)
-    front = c1[..., None] * r[..., 0, :] + s1[..., None] * r[..., 1, :]
-    side = c1[..., None] * r[..., 1, :] - s1[..., None] * r[..., 0, :]
-    along = s[..., None] * front + c[..., None] * r[..., 2, :]
-    across = c * front[..., 2] - s * r[..., 2, 2]
-    theta4 = np.arctan2(side[..., 2], across)
-    theta5 = np.arctan2(np.hypot(side[..., 2], across), along[..., 2])
-    theta6 = np.arctan2(along[..., 1], -along[..., 0])
-    return theta4, theta5, theta6
+    if isinstance(form, ParallelParameters):
+        return three_parallel.inverse_kinematics(form, flange, branches)
+    if not isinstance(form, OpwParameters):
+        raise TypeError(f"no inverse kinematics of {type(form).__name__}")
+    return spherical_wrist.inverse_kinematics(form, flange, branches)
 
 
 FULL_TURN = 2.0 * np.pi
@@ -139,7 +81,7 @@ class Chain:
         NaN where a pose is out of reach. Joints that may turn more than once have more states: :attr:`turns`.
         """
         flange = rigid_inverse(self.base) @ pose @ rigid_inverse(self.tcp)
-        return wrap(inverse_kinematics(self.robot.opw, flange, branches), self.middle)
+        return wrap(inverse_kinematics(self.robot.form, flange, branches), self.middle)
 
     @property
     def middle(self) -> FloatArray:
@@ -150,10 +92,13 @@ class Chain:
     def turns(self) -> FloatArray:
         """Whole turns (T, 6) [rad] that can be added to angles of :meth:`inverse` and may stay within the
         limits."""
-        span = 0.5 * (self.robot.upper - self.robot.lower)
-        most = np.floor((span + np.pi - 1e-9) / FULL_TURN).astype(int)
-        choices = itertools.product(*(range(-m, m + 1) for m in most))
+        choices = itertools.product(*(range(-m, m + 1) for m in self._most_turns))
         return FULL_TURN * np.array(sorted(choices, key=lambda c: (sum(map(abs, c)), c)), dtype=np.float64)
+
+    @property
+    def _most_turns(self) -> tuple[int, ...]:
+        span = 0.5 * (self.robot.upper - self.robot.lower)
+        return tuple(int(m) for m in np.floor((span + np.pi - 1e-9) / FULL_TURN))
 
     @property
     def many_turns(self) -> BoolArray:
@@ -172,15 +117,7 @@ class Chain:
     def limit_margins(self, q: FloatArray, turns: FloatArray) -> list[FloatArray]:
         """Limit margins (...,) of principal angles q (..., 6) with each of the turns (T, 6) added; -inf where
         NaN."""
-        low, high = self.robot.lower, self.robot.upper
-        fixed: FloatArray | None = None
-        for j in np.flatnonzero(~self.many_turns):
-            part = np.minimum(q[..., j] - low[j], high[j] - q[..., j])
-            fixed = part if fixed is None else np.minimum(fixed, part)
-        if self.robot.coupling is not None:
-            axis3 = q[..., 1] + q[..., 2]
-            rod = np.minimum(axis3 - self.robot.coupling.axis3_lower, self.robot.coupling.axis3_upper - axis3)
-            fixed = rod if fixed is None else np.minimum(fixed, rod)
+        fixed = self._single_turn_margin(q)
         parts: dict[tuple[int, float], FloatArray] = {}
         out = []
         for turn in turns:
@@ -188,11 +125,37 @@ class Chain:
             for j in np.flatnonzero(self.many_turns):
                 key = (int(j), float(turn[j]))
                 if key not in parts:
-                    angle = q[..., j] + turn[j]
-                    parts[key] = np.minimum(angle - low[j], high[j] - angle)
+                    parts[key] = self._joint_margin(q, int(j), turn[j])
                 margin = parts[key] if margin is None else np.minimum(margin, parts[key])
             out.append(_plain_margin(np.asarray(margin)))
         return out
+
+    def best_limit_margin(self, q: FloatArray) -> FloatArray:
+        """The greatest of the limit margins (...,) of principal angles q (..., 6) over all of :attr:`turns`;
+        -inf where NaN. Each joint has the turn that suits it."""
+        margin = self._single_turn_margin(q)
+        for j, most in enumerate(self._most_turns):
+            if self.many_turns[j]:
+                turned = [self._joint_margin(q, j, FULL_TURN * k) for k in range(-most, most + 1)]
+                best = np.max(turned, axis=0)
+                margin = best if margin is None else np.minimum(margin, best)
+        return _plain_margin(np.asarray(margin))
+
+    def _single_turn_margin(self, q: FloatArray) -> FloatArray | None:
+        """Limit margin (...,) of joints with one turn and of the rod; None where there are none."""
+        fixed: FloatArray | None = None
+        for j in np.flatnonzero(~self.many_turns):
+            part = self._joint_margin(q, int(j), 0.0)
+            fixed = part if fixed is None else np.minimum(fixed, part)
+        if self.robot.coupling is not None:
+            axis3 = q[..., 1] + q[..., 2]
+            rod = np.minimum(axis3 - self.robot.coupling.axis3_lower, self.robot.coupling.axis3_upper - axis3)
+            fixed = rod if fixed is None else np.minimum(fixed, rod)
+        return fixed
+
+    def _joint_margin(self, q: FloatArray, joint: int, turn: float) -> FloatArray:
+        angle = q[..., joint] + turn
+        return np.asarray(np.minimum(angle - self.robot.lower[joint], self.robot.upper[joint] - angle))
 
     def singularity_margin(self, q: FloatArray) -> FloatArray:
         """Least angle (...,) [rad] from a singularity of wrist, elbow or shoulder; -inf where q is NaN."""
@@ -201,10 +164,14 @@ class Chain:
 
     def singularities(self, q: FloatArray) -> FloatArray:
         """Angles (..., 3) [rad]: axis 5 from lining up axes 4 and 6, the elbow from stretched or folded, and
-        the angle under which the stretched arm would see the distance of the wrist's centre from axis 1."""
+        the angle under which the stretched arm would see the distance of the wrist's centre from axis 1; of
+        an arm with three parallel axes, that of where axes 5 and 6 meet."""
         return np.stack(self._singularities(q), axis=-1)
 
     def _singularities(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        p = self.robot.form
+        if isinstance(p, ParallelParameters):
+            return three_parallel.singularities(p, q)
         p = self.robot.opw
         theta2, theta3, theta5 = (p.signs[j] * q[..., j] - p.offsets[j] for j in (1, 2, 4))
         wrist = np.abs(wrap(2.0 * theta5, np.zeros(()))) / 2.0

@@ -240,9 +240,7 @@ class _Trial:
         setup, scene = problem.setup_of(self._operation), self._scene(problem)
         here = setup.stock.place if setup.stock.place is not None else np.eye(4)
         chains = [scene.chains[arm] for arm in self._job.arms]
-        reach = max(
-            c.robot.opw.a1 + c.robot.opw.c2 + np.hypot(c.robot.opw.a2, c.robot.opw.c3) for c in chains
-        )
+        reach = max(c.robot.form.stretched for c in chains)
         feet = np.array([c.base[:2, 3] for c in chains])
         low, high = feet.min(axis=0) - reach, feet.max(axis=0) + reach
         step = FAR_STEP_M * max(1.0, float(np.ceil((high - low).max() / FAR_STEP_M / FAR_STEPS)))

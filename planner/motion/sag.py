@@ -146,7 +146,7 @@ def room(problem: Problem) -> tuple[float, float]:
         for claim in sags(problem, setup):
             arm = setup.cell.arm(claim.arm)
             data = arm.data
-            hand = data.opw.hand + float(np.linalg.norm(arm.tool.tcp[:3, 3]) + np.linalg.norm(claim.cog))
+            hand = data.form.hand + float(np.linalg.norm(arm.tool.tcp[:3, 3]) + np.linalg.norm(claim.cog))
             force = claim.mass * GRAVITY + largest(claim)
             # a rod passes what it bears on to axis 2 as well
             rods = 1.0 if data.coupling is None else 2.0

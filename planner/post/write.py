@@ -78,6 +78,26 @@ def used(problem: Problem, made: Sequence[Targets]) -> list[Arm]:
     return [arm for arm in problem.cell.arms if arm.name in names]
 
 
+LANGUAGES: Final = {"ABB": "RAPID", "KUKA": "KRL"}
+"""Languages of programs by the families of controllers that read them."""
+
+
+def _unspoken(arms: Sequence[Arm]) -> list[Issue]:
+    """Arms for whose controllers no programs are written (``post.language``)."""
+    hint = f"plan with an arm of {' or '.join(LANGUAGES)}; check tells of its reach all the same"
+    return [
+        Issue(
+            "post.language",
+            f"arm {arm.name} ({arm.robot}) is of the family {arm.data.family}, whose language is not written "
+            f"yet; allowed are {', '.join(f'{family} ({word})' for family, word in LANGUAGES.items())}",
+            arm=arm.name,
+            hint=hint,
+        )
+        for arm in arms
+        if arm.data.family not in LANGUAGES
+    ]
+
+
 def speaks_krl(arm: Arm) -> bool:
     """Whether an arm's controller is KUKA's."""
     return arm.data.family == "KUKA"
@@ -85,8 +105,11 @@ def speaks_krl(arm: Arm) -> bool:
 
 def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
     """Why the controllers of this cell cannot do this job, however it is planned: KUKA arms on a controller
-    for both (``post.controller``), signals that KRL has no number for (``post.signal``)."""
+    for both (``post.controller``), signals that KRL has no number for (``post.signal``), families without a
+    language (``post.language``)."""
     arms = used(problem, made)
+    if unspoken := _unspoken(arms):
+        return tuple(unspoken)
     together = len(arms) > 1
     if together and any(map(speaks_krl, arms)) and problem.cell.controller.sync != "handshake":
         names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)

@@ -1,8 +1,9 @@
 """From a chain of joints to an arm in closed form: lengths, offsets and signs, found from its axes.
 
-The form is that of Brandstoetter, Angerer, Hofbaur (2014), an ortho-parallel basis and a spherical
-wrist. What is found is held against the chain itself on 1,000 postures, and arms that are not of
-the form are told by class. All is worked out from axes, never read from names or other files.
+The forms are that of Brandstoetter, Angerer, Hofbaur (2014), an ortho-parallel basis and a
+spherical wrist, and that of three parallel axes as UR's. What is found is held against the chain
+itself on 1,000 postures, and arms of neither form are told by class. All is worked out from axes,
+never read from names or other files.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import OpwParameters
+from planner.catalogue.robots import ArmForm, OpwParameters, ParallelParameters
 from planner.cell.kinematics import flange_poses
-from planner.geometry.arrays import FloatArray, inverse, log_rotation
+from planner.geometry.arrays import FloatArray, from_parts, from_rpy, inverse, log_rotation
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.reading.urdf import SNAP_STEP, UrdfChain, limit_faults
@@ -38,29 +39,29 @@ _SEED: Final = 19
 
 
 @dataclasses.dataclass(frozen=True)
-class OpwFit:
-    """Parameters of a chain, how far they lead beside its tip at most, [m] and [rad], and how far the chain
+class ArmFit:
+    """The form of a chain, how far it leads beside its tip at most, [m] and [rad], and how far the chain
     is beside the file as written, whose angles were snapped, [m] and [rad]."""
 
-    opw: OpwParameters
+    form: ArmForm
     off: tuple[float, float]
     snapped: tuple[float, float]
 
 
-def fit(chain: UrdfChain) -> OpwFit:
+def fit(chain: UrdfChain) -> ArmFit:
     """The closed form of a chain. Raises :class:`TandemError`: ``robot.not_opw`` with the arm's class,
     ``robot.limits``, ``robot.deviation`` where the form leads elsewhere by more than allowed."""
     issues = [issue for issue in (_class_fault(chain),) if issue is not None] + limit_faults(chain)
     if issues:
         raise TandemError(issues)
-    opw = _parameters(chain)
+    form = _three_parallel(chain) if _parallel(chain.axis[2], chain.axis[3]) else _parameters(chain)
     rng = np.random.default_rng(_SEED)
     q = rng.uniform(chain.lower, chain.upper, size=(POSTURES, 6))
     tip = chain.tip(q)
-    off = _apart(flange_poses(opw, q), tip)
+    off = _apart(flange_poses(form, q), tip)
     if not (off[0] <= MOST_OFF and off[1] <= MOST_TURNED):
         message = (
-            "the arm is nearly one with a spherical wrist: in closed form its tip is up to "
+            f"the arm is nearly one with {_KINDS[type(form)]}: in closed form its tip is up to "
             f"{off[0] / MM:.3g} mm and {off[1]:.3g} rad beside that of the URDF on {POSTURES} postures; "
             f"allowed are {MOST_OFF / MM:g} mm and {MOST_TURNED:g} rad"
         )
@@ -76,7 +77,7 @@ def fit(chain: UrdfChain) -> OpwFit:
                 hint=hint,
             )
         )
-    return OpwFit(opw, off, _apart(chain.tip(q, written=True), tip))
+    return ArmFit(form, off, _apart(chain.tip(q, written=True), tip))
 
 
 def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
@@ -84,6 +85,12 @@ def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
     way = np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1)
     turn = np.linalg.norm(log_rotation(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3]), axis=1)
     return float(way.max()), float(turn.max())
+
+
+_KINDS: Final = {
+    OpwParameters: "a spherical wrist",
+    ParallelParameters: "three parallel axes, as those of UR",
+}
 
 
 # ---- classes -----------------------------------------------------------------------------------------
@@ -99,13 +106,14 @@ def _class_fault(chain: UrdfChain) -> Issue | None:
     return Issue(
         "robot.not_opw",
         f"the arm from {chain.links[0]!r} on is {what}; allowed are six revolute joints: axis 1 square to "
-        "axis 2, 2 parallel to 3, and 4, 5, 6 square to each other and through one point",
+        "axis 2, 2 parallel to 3, and 4, 5, 6 square to each other and through one point, or 2, 3, 4 "
+        "parallel, 1 through 2, and 5 square to 4 and 6 and through both",
         field="urdf",
         hint=hint,
     )
 
 
-_OTHER: Final = "take an arm with a spherical wrist; this class is not planned for yet"
+_OTHER: Final = "take an arm with a spherical wrist or one as UR's; this class is not planned for yet"
 
 
 def _class_of(w: FloatArray, p: FloatArray) -> tuple[str, str] | None:
@@ -128,13 +136,24 @@ def _class_of(w: FloatArray, p: FloatArray) -> tuple[str, str] | None:
     if not _parallel(w[1], w[2]):
         return "an arm with six axes of which 2 and 3 are not parallel", _OTHER
     if _parallel(w[2], w[3]):
-        return "an arm with three parallel axes (2, 3 and 4), as those of UR", _OTHER
+        what = _not_as_ur(w, p)
+        return None if what is None else (f"an arm with three parallel axes (2, 3 and 4), {what}", _OTHER)
     if not _meet(w, p, (3, 4, 5)):
         return "an arm with an offset wrist: axes 4, 5 and 6 do not meet in one point", _OTHER
     for a, b in ((0, 1), (2, 3), (3, 4), (4, 5)):
         if abs(float(w[a] @ w[b])) > AXES_SQUARE:
             angle = np.arccos(abs(float(w[a] @ w[b]))) / DEG
             return f"an arm whose axes {a + 1} and {b + 1} are at {angle:.4g} degrees", _OTHER
+    return None
+
+
+def _not_as_ur(w: FloatArray, p: FloatArray) -> str | None:
+    """What an arm with three parallel axes has otherwise than those of UR; None where it is as these."""
+    for a, b in ((0, 1), (3, 4), (4, 5)):
+        if abs(float(w[a] @ w[b])) > AXES_SQUARE:
+            return f"whose axes {a + 1} and {b + 1} are not square"
+        if not _meet(w, p, (a, b)):
+            return f"whose axes {a + 1} and {b + 1} do not meet"
     return None
 
 
@@ -169,15 +188,9 @@ def _parameters(chain: UrdfChain) -> OpwParameters:
     1, from the URDF's base to axis 2, y along axis 2, and x to where the arm faces."""
     w, p, tip = chain.axis, chain.zero[1:7, :3, 3], chain.zero[7]
     centre = _nearest(p[3], w[3], p[4], w[4])
-    rise = p[1] @ w[0] if abs(float(p[1] @ w[0])) > AXES_MEET else w[0][2]
-    up = w[0] if rise >= 0.0 else -w[0]
-    side = w[1] - (w[1] @ up) * up
-    side /= np.linalg.norm(side)
-    foot = p[0] - (p[0] @ up) * up
+    foot, side, up = _base_axes(w, p[0], p[1])
     side = side if _faces(np.cross(side, up), p[1] - foot, centre - foot) else -side
-    left = np.eye(4)
-    left[:3, :3], left[:3, 3] = np.stack([np.cross(side, up), side, up], axis=1), foot
-    left = _clean(left)
+    left = _base(foot, side, up)
     frame = inverse(left)
     axes = w @ frame[:3, :3].T
     shoulder, elbow, wrist = (frame[:3, :3] @ x + frame[:3, 3] for x in (p[1], p[2], centre))
@@ -221,6 +234,68 @@ def _parameters(chain: UrdfChain) -> OpwParameters:
     right = _clean(inverse(flange_poses(opw, np.zeros(6))) @ tip)
     same = np.abs(right - np.eye(4)).max() < MOST_OFF
     return opw if same else dataclasses.replace(opw, right=right)
+
+
+def _three_parallel(chain: UrdfChain) -> ParallelParameters:
+    """Lengths, offsets and signs from axes w and points p at zero; the form's base at zero has z along axis
+    1, from the URDF's base to axis 2, and y along axis 2, to the side on which axes 5 and 6 meet."""
+    w, p, tip = chain.axis, chain.zero[1:7, :3, 3], chain.zero[7]
+    shoulder = _nearest(p[0], w[0], p[1], w[1])
+    wrist, meeting = _nearest(p[3], w[3], p[4], w[4]), _nearest(p[4], w[4], p[5], w[5])
+    foot, side, up = _base_axes(w, p[0], shoulder)
+    aside = (meeting - shoulder) @ side
+    left = _base(foot, side if (aside if abs(aside) > AXES_MEET else side[1]) >= 0.0 else -side, up)
+    frame = inverse(left)
+    axes = w @ frame[:3, :3].T
+    shoulder, elbow, wrist, meeting = (
+        frame[:3, :3] @ x + frame[:3, 3] for x in (shoulder, p[2], wrist, meeting)
+    )
+    upper, fore, hand = elbow - shoulder, wrist - elbow, meeting - wrist
+    along = hand @ axes[4]
+    sign5 = -1.0 if along < 0.0 else 1.0
+    theta2 = np.arctan2(upper[0], upper[2])
+    theta3 = np.arctan2(fore[0], fore[2]) - theta2
+    tilt = np.arctan2(sign5 * axes[4, 0], sign5 * axes[4, 2])
+    tilted = from_rpy([0.0, 0.0, 0.0], [0.0, tilt, 0.0])[:3, :3]
+    flange = frame @ tip
+    reach = (flange[:3, 3] - meeting) @ axes[5]
+    sign6 = 1.0 if (reach if abs(reach) > 1e-6 else flange[:3, 2] @ axes[5]) >= 0.0 else -1.0
+    out = tilted.T @ (sign6 * axes[5])
+    theta5 = np.arctan2(-out[0], out[1])
+    seen = (tilted @ from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, theta5])[:3, :3]).T @ flange[:3, :3]
+    theta6 = np.arctan2(-seen[2, 0], seen[0, 0]) if seen[1, 2] > 1.0 - AXES_SQUARE else 0.0
+    theta = np.array([0.0, theta2, theta3, tilt - theta2 - theta3, theta5, theta6])
+    form = ParallelParameters(
+        b=_metres(meeting[1]),
+        c1=_metres(shoulder[2]),
+        c2=_metres(np.hypot(upper[0], upper[2])),
+        c3=_metres(np.hypot(fore[0], fore[2])),
+        c4=_metres(abs(along)),
+        c5=_metres(sign6 * reach),
+        offsets=_degrees(-np.arctan2(np.sin(theta), np.cos(theta))),
+        signs=np.array([np.sign(w[0] @ left[:3, 2]), *np.sign(axes[1:4, 1]), sign5, sign6]),
+        left=None if np.abs(left - np.eye(4)).max() < _LENGTH else left,
+    )
+    right = _clean(inverse(flange_poses(form, np.zeros(6))) @ tip)
+    same = np.abs(right - np.eye(4)).max() < MOST_OFF
+    return form if same else dataclasses.replace(form, right=right)
+
+
+def _base_axes(
+    w: FloatArray, first: FloatArray, second: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The foot of axis 1, the way along axis 2 and the way up axis 1 (3,), by the axes ``w`` and points on
+    the ``first`` and ``second`` of them."""
+    rise = second @ w[0] if abs(float(second @ w[0])) > AXES_MEET else w[0][2]
+    up = w[0] if rise >= 0.0 else -w[0]
+    side = w[1] - (w[1] @ up) * up
+    side /= np.linalg.norm(side)
+    return first - (first @ up) * up, side, up
+
+
+def _base(foot: FloatArray, side: FloatArray, up: FloatArray) -> FloatArray:
+    """The form's base (4, 4)."""
+    return _clean(from_parts(np.stack([np.cross(side, up), side, up], axis=1), foot))
 
 
 def _faces(ahead: FloatArray, shoulder: FloatArray, wrist: FloatArray) -> bool:

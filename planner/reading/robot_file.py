@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 from scipy.spatial import ConvexHull, QhullError
 
-from planner.catalogue.robots import OpwParameters, RobotData, RobotFile, RodCoupling
+from planner.catalogue.robots import ArmForm, Family, OpwParameters, RobotData, RobotFile, RodCoupling
 from planner.files import is_file
 from planner.geometry.arrays import FloatArray, Shape, read_only
 from planner.geometry.mesh import read_mesh
@@ -25,15 +25,17 @@ from planner.reading.strict_yaml import Angle, FileName, Name, Strict
 from planner.reading.urdf import MAX_URDF_BYTES, UrdfChain, UrdfShape, read_chain
 
 if TYPE_CHECKING:
-    from planner.reading.opw import OpwFit
+    from planner.reading.opw import ArmFit
 
 FULL_SPEED_AFTER: Final = 0.4
 """Time [s] from rest to full speed of every axis where none is stated: that of the largest arms built in."""
-FAMILIES: Final[Mapping[str, tuple[Literal["ABB", "KUKA"], str]]] = {
+FAMILIES: Final[Mapping[str, tuple[Family, str]]] = {
     "abb": ("ABB", "IRC5"),
     "kuka": ("KUKA", "KRC4"),
+    "ur": ("UR", "e-Series"),
+    "generic": ("generic", "not stated"),
 }
-"""Families whose language is written, with the controller where none is stated."""
+"""Families of controllers, with the controller where none is stated."""
 
 
 class LinkMeshFile(Strict):
@@ -53,8 +55,13 @@ class OwnRobotFile(Strict):
     tip: Annotated[str | None, Field(description="link that tools are on; none: `tool0`, else `flange`")] = (
         None
     )
-    family: Annotated[Literal["abb", "kuka"], Field(description="of its controller: RAPID or KRL")]
-    controller: Annotated[str | None, Field(max_length=50, description="none: IRC5 or KRC4")] = None
+    family: Annotated[
+        Literal["abb", "kuka", "ur", "generic"],
+        Field(description="of its controller: RAPID or KRL; no programs for the others yet"),
+    ]
+    controller: Annotated[
+        str | None, Field(max_length=50, description="none: IRC5, KRC4, e-Series, not stated")
+    ] = None
     payload_kg: Annotated[float, Field(ge=0.1, le=5000)]
     full_speed_after_s: Annotated[
         float | None, Field(ge=0.01, le=5, description="of every axis from rest; none: 0.4, assumed")
@@ -93,27 +100,27 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     text = _text(path)
     chain = read_chain(text, spec.base, spec.tip)
     found = fit(chain)
-    issues = [*_key_faults(spec, chain)]
+    issues = [*_key_faults(spec, chain, found.form)]
     shapes = _shapes(spec, chain, path, issues)
     if issues:
         raise TandemError(issues)
     coupling = None if spec.coupled_deg is None else RodCoupling(*(v * DEG for v in spec.coupled_deg))
     rise = spec.full_speed_after_s or FULL_SPEED_AFTER
     family, controller = FAMILIES[spec.family]
-    home = _home(found.opw, chain) if spec.home_deg is None else np.array(spec.home_deg) * DEG
-    opw = found.opw
+    form = found.form
+    home = _home(form, chain) if spec.home_deg is None else np.array(spec.home_deg) * DEG
     data = RobotData(
         name=spec.name,
         title=spec.title or spec.name,
         family=family,
         controller=spec.controller or controller,
-        opw=opw,
+        form=form,
         lower=chain.lower,
         upper=chain.upper,
         velocity=chain.velocity,
         acceleration=chain.velocity / rise,
         payload=spec.payload_kg,
-        reach=float(np.hypot(abs(opw.a1) + opw.c2 + np.hypot(opw.a2, opw.c3), opw.b)),
+        reach=float(np.hypot(form.stretched, form.b)),
         coupling=coupling,
         home=home,
         sources=tuple(f"{key}: {source}" for key, source in sorted(spec.sources.items())),
@@ -143,7 +150,13 @@ def _text(path: Path) -> str:
         raise TandemError(Issue("robot.urdf", what, field="urdf", hint="save it as UTF-8")) from None
 
 
-def _key_faults(spec: OwnRobotFile, chain: UrdfChain) -> Iterator[Issue]:
+def _key_faults(spec: OwnRobotFile, chain: UrdfChain, form: ArmForm) -> Iterator[Issue]:
+    if spec.family in ("abb", "kuka") and not isinstance(form, OpwParameters):
+        what = (
+            f"family: got {spec.family}, whose programs name postures of arms with a spherical wrist; this "
+        )
+        what += "arm has none; write ur or generic"
+        yield Issue("problem.field", what, field="family")
     beside = [name for name in chain.beside if name not in spec.left_out]
     if beside:
         names = ", ".join(repr(name) for name in beside)
@@ -161,7 +174,7 @@ def _key_faults(spec: OwnRobotFile, chain: UrdfChain) -> Iterator[Issue]:
         yield Issue("problem.field", f"sources: {key!r} is no key of a robot; correct it", field="sources")
 
 
-def _assumed(spec: OwnRobotFile, chain: UrdfChain, found: OpwFit) -> Iterator[str]:
+def _assumed(spec: OwnRobotFile, chain: UrdfChain, found: ArmFit) -> Iterator[str]:
     if spec.full_speed_after_s is None:
         yield f"acceleration: assumed, every axis reaches its full speed in {FULL_SPEED_AFTER:g} s from rest"
     for key in _STATED:
@@ -181,11 +194,13 @@ def _assumed(spec: OwnRobotFile, chain: UrdfChain, found: OpwFit) -> Iterator[st
     yield from chain.notes
 
 
-def _home(opw: OpwParameters, chain: UrdfChain) -> FloatArray:
-    """Serial joints (6,) [rad]: upper arm upright, forearm level, all others at zero; in the limits."""
+def _home(form: ArmForm, chain: UrdfChain) -> FloatArray:
+    """Serial joints (6,) [rad]: upper arm upright, forearm level, all others at zero; of an arm with three
+    parallel axes the flange downwards; in the limits."""
     q = np.zeros(6)
-    for axis, theta in ((1, 0.0), (2, 0.5 * np.pi)):
-        angle = opw.signs[axis] * (theta + opw.offsets[axis])
+    hand = () if isinstance(form, OpwParameters) else ((3, 0.0), (4, -0.5 * np.pi))
+    for axis, theta in ((1, 0.0), (2, 0.5 * np.pi), *hand):
+        angle = form.signs[axis] * (theta + form.offsets[axis])
         q[axis] = np.arctan2(np.sin(angle), np.cos(angle)) + 0.0
     return np.clip(q, chain.lower, chain.upper)
 

@@ -50,8 +50,8 @@ class ArmMotion:
     @property
     def wrist_angle(self) -> FloatArray:
         """Angle (T,) [rad] of axis 5 from the posture where axes 4 and 6 are in line."""
-        opw = self.robot.opw
-        theta = opw.signs[4] * self.q[:, 4] - opw.offsets[4]
+        form = self.robot.form
+        theta = form.signs[4] * self.q[:, 4] - form.offsets[4]
         return np.asarray(np.abs(np.arctan2(np.sin(theta), np.abs(np.cos(theta)))))
 
 

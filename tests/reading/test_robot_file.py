@@ -13,13 +13,14 @@ import yaml
 
 from planner import pipeline
 from planner.catalogue import robots
+from planner.cell.kinematics import forward
 from planner.geometry.arrays import from_rpy, inverse, to_rpy
 from planner.issues import TandemError
 from planner.reading import problem as problem_file
 from planner.report import setup_sheet
 from planner.tooling import wire_holder
 from planner.verify.replay import arm_model
-from tests import small_problem
+from tests import small_problem, urdf_text
 from tests.refusals import POSES, change
 
 FOOT = from_rpy([0.1, 0.05, -0.3], [0.0, 0.0, np.pi / 2])
@@ -135,7 +136,8 @@ ROD = f'<link name="rod"/><joint name="piston" type="prismatic">{PARENT}</joint>
         ({"coupled_deg": [400, 500]}, TEXT, "problem.field", "their sum is within -320 to 160 deg"),
         ({"home_deg": [0, 0, 200, 0, 0, 0]}, TEXT, "problem.field", "home_deg"),
         ({"sources": {"paylod_kg": "a"}}, TEXT, "problem.field", "'paylod_kg' is no key"),
-        ({"family": "ur"}, TEXT, "problem.field", "'abb' or 'kuka'"),
+        ({"family": "fanuc"}, TEXT, "problem.field", "'abb', 'kuka', 'ur' or 'generic'"),
+        ({"family": "kuka"}, urdf_text.ur10e(), "problem.field", "write ur or generic"),
         ({"tip": "hand"}, TEXT, "robot.chain", "no link 'hand'"),
         ({"urdf": "none.urdf"}, TEXT, "problem.missing_file", "none.urdf"),
         ({}, TEXT.replace("</robot>", f"{ROD}</robot>"), "robot.chain", "'piston'"),
@@ -164,6 +166,17 @@ def test_what_a_urdf_does_not_say_is_shown_as_assumed(tmp_path):
     assert "coupling: assumed, none" in robot.assumed
 
 
+def test_an_arm_of_ur_is_read_with_its_home(tmp_path):
+    small_problem.write(tmp_path)
+    robot = loaded(tmp_path, data(tmp_path, urdf_text.ur10e(), family="ur")).cell.arms[0].data
+    assert (robot.family, robot.controller) == ("UR", "e-Series")
+    assert isinstance(robot.form, robots.ParallelParameters)
+    pose = forward(robot, robot.home)
+    assert np.abs(pose[:3, 2] - [0.0, 0.0, -1.0]).max() < 1e-12
+    longest = sum(abs(a) for _, a, _ in urdf_text.UR10E_DH)
+    assert robot.reach == pytest.approx(np.hypot(longest, urdf_text.OUT))
+
+
 def test_a_proof_sees_a_urdf_that_was_changed_behind_the_plan(both):
     _, problem, _ = both
     changed = turned_text().replace('rgba="0.93', 'rgba="0.92')
@@ -172,7 +185,7 @@ def test_a_proof_sees_a_urdf_that_was_changed_behind_the_plan(both):
     stated = problem.source["cell"]["arms"][0]["robot"]
     assert arm_model.stated_otherwise(stated, robot) == []
     assert arm_model.stated_otherwise(stated, other)
-    wrong = dataclasses.replace(robot, opw=dataclasses.replace(robot.opw, c2=robot.opw.c2 + 1e-4))
+    wrong = dataclasses.replace(robot, form=dataclasses.replace(robot.opw, c2=robot.opw.c2 + 1e-4))
     assert arm_model.differences(arm_model.machine_of(robot)) == []
     assert "c2 is" in arm_model.differences(arm_model.machine_of(wrong))[0]
 

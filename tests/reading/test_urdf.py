@@ -44,7 +44,7 @@ def test_robots_of_the_catalogue_are_found_again_from_their_files(name):
     known = robots.robot(name)
     chain, found = made(robots.urdf_path(name).read_text("utf-8"))
     for field in dataclasses.fields(known.opw):
-        have, want = getattr(found.opw, field.name), getattr(known.opw, field.name)
+        have, want = getattr(found.form, field.name), getattr(known.opw, field.name)
         assert have is want or apart(have, want) < 1e-12, field.name
     assert apart(chain.lower, known.lower) < 1e-8 and apart(chain.velocity, known.velocity) < 1e-8
 
@@ -61,7 +61,7 @@ def test_base_and_tip_may_be_turned_and_links_have_any_frames(name):
     assert max(found.off) < 1e-12
     assert apart(chain.tip(q), np.linalg.inv(base) @ flange_poses(known.opw, q) @ tip) < 1e-12
     for key in ("a1", "a2", "b", "c2", "c3"):
-        assert abs(getattr(found.opw, key) - getattr(known.opw, key)) < 1e-12, key
+        assert abs(getattr(found.form, key) - getattr(known.opw, key)) < 1e-12, key
 
 
 lengths = st.floats(0.05, 1.0)
@@ -81,12 +81,56 @@ def test_any_arm_of_the_form_is_found_and_its_start_posture_too(sizes, offsets, 
     opw = robots.OpwParameters(
         **dict(zip(keys, sizes, strict=True)), offsets=np.array([0.0, *offsets]), signs=np.array(signs)
     )
-    chain, found = made(urdf_text.of_robot(dataclasses.replace(IRB, opw=opw)))
+    chain, found = made(urdf_text.of_robot(dataclasses.replace(IRB, form=opw)))
     assert found.off[0] < 1e-9 and found.off[1] < 1e-9
     q = np.random.default_rng(1).uniform(chain.lower, chain.upper, size=(100, 6))
-    solutions = inverse_kinematics(found.opw, chain.tip(q))
+    solutions = inverse_kinematics(found.form, chain.tip(q))
     off = np.abs(np.angle(np.exp(1j * (solutions - q[:, None]))))
     assert np.nanmin(off.max(axis=-1), axis=1).max() < 1e-5
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.tuples(st.floats(0.01, 0.3), lengths, lengths, lengths, st.floats(0.01, 0.3), lengths),
+    st.tuples(*[turn] * 6),
+    st.tuples(*[sign] * 6),
+    st.booleans(),
+)
+def test_any_arm_with_three_parallel_axes_is_found_and_its_start_posture_too(sizes, offsets, signs, turned):
+    form = robots.ParallelParameters(*sizes, offsets=np.array(offsets), signs=np.array(signs))
+    ends = (from_rpy([0.1, -0.2, 0.3], [0.4, np.pi, 0.0]), from_rpy([0.01, 0.02, -0.05], [0.0, 1.2, 0.3]))
+    chain, found = made(urdf_text.of_robot(dataclasses.replace(IRB, form=form), *(ends if turned else ())))
+    assert isinstance(found.form, robots.ParallelParameters)
+    assert max(found.off) < 1e-9
+    got = [getattr(found.form, key) for key in ("b", "c2", "c3", "c4")]
+    np.testing.assert_allclose(got, [sizes[0], *sizes[2:5]], atol=1e-9)
+    q = np.random.default_rng(1).uniform(chain.lower, chain.upper, size=(100, 6))
+    solutions = inverse_kinematics(found.form, chain.tip(q))
+    off = np.abs(np.angle(np.exp(1j * (solutions - q[:, None]))))
+    assert np.nanmin(off.max(axis=-1), axis=1).max() < 1e-5
+
+
+def test_a_ur10e_is_found_by_its_makers_lengths_wherever_base_and_tip_stand():
+    """URDFs of ROS-Industrial have the base turned by 180 degrees against the controller's."""
+    base, tip = from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, np.pi]), from_rpy([0.0, 0.0, 0.1], [0.0, np.pi / 2, 0.0])
+    q = np.random.default_rng(2).uniform(-np.pi, np.pi, (200, 6))
+    for ends in ((), (base, tip)):
+        chain, found = made(urdf_text.ur10e(*ends))
+        assert max(found.off) < 1e-12
+        for key in ("b", "c1", "c2", "c3", "c4"):
+            assert abs(getattr(found.form, key) - getattr(urdf_text.UR10E_FORM, key)) < 1e-12, key
+        wanted = urdf_text.ur10e_flange(q)
+        wanted = np.linalg.inv(base) @ wanted @ tip if ends else wanted
+        assert apart(chain.tip(q), wanted) < 1e-12
+        assert apart(flange_poses(found.form, q), wanted) < 1e-12
+
+
+def test_noise_of_three_parallel_axes_is_refused_with_the_deviation():
+    points = np.array(PARALLEL[1])
+    points[4:, 0] += 1e-4
+    text = urdf_text.arm(np.array(PARALLEL[0]), points, pose(1.2, 0.3, 0.05, -AHEAD))
+    (issue,) = refused(text)
+    assert issue.code == "robot.deviation" and "three parallel axes" in issue.message
 
 
 def test_angles_as_files_write_them_count_as_what_is_meant():
@@ -105,7 +149,7 @@ def pose(x, y, z, axis):
     return from_parts(exp_rotation(0.5 * np.pi * np.asarray(axis)), np.array([x, y, z]))
 
 
-UR = (
+PARALLEL = (
     [UP, SIDE, SIDE, SIDE, -UP, SIDE],
     [(0, 0, 0.16), (0, 0.2, 0.16), (0.6, 0.1, 0.16), (1.2, 0.1, 0.16), (1.2, 0.1, 0.05), (1.2, 0.2, 0.05)],
 )
@@ -119,7 +163,11 @@ PANDA = (
     [(0, 0, 0.3), (0, 0, 0.3), (0, 0, 0.6), (0.08, 0, 0.6), (0, 0, 1), (0, 0, 1), (0.09, 0, 1)],
 )
 CLASSES = {
-    "three parallel": UR,
+    "(2, 3 and 4), whose axes 5 and 6 do not meet": (PARALLEL[0], [*PARALLEL[1][:5], (1.25, 0.2, 0.05)]),
+    "(2, 3 and 4), whose axes 1 and 2 do not meet": (PARALLEL[0], [(-0.1, 0, 0.16), *PARALLEL[1][1:]]),
+    "(2, 3 and 4), whose axes 4 and 5 are not square": (
+        [*PARALLEL[0][:4], (UP + SIDE) / 2**0.5, AHEAD], [*PARALLEL[1][:4], *[(1.2, 0.1, 0.16)] * 2],
+    ),
     "offset wrist": OFFSET,
     "seven axes, its shoulder and its wrist": SEVEN,
     "with seven axes;": PANDA,

@@ -19,6 +19,9 @@ ELSEWHERE: Final = {
     "robot.deviation": (
         "reading/test_urdf", "test_figures_with_noise_are_refused_with_the_deviation",
     ),
+    "post.language": (
+        "test_ur_jobs", "test_no_program_is_promised_and_check_tells_of_the_reach_all_the_same",
+    ),
     "forming.force": ("test_acceptance", "test_an_error_says_how_it_is_accepted_and_following_that_works"),
     "kerf.unsettled": (
         "hotwire/straight/test_offset_heat",

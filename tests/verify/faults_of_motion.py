@@ -134,7 +134,7 @@ KINEMATICS: Final = (
             "cell.kinematics:link_frames": given(
                 0,
                 lambda robot: dataclasses.replace(
-                    robot, opw=dataclasses.replace(robot.opw, c3=robot.opw.c3 + 0.001)
+                    robot, form=dataclasses.replace(robot.opw, c3=robot.opw.c3 + 0.001)
                 ),
             ),
         },
@@ -142,14 +142,14 @@ KINEMATICS: Final = (
     Fault(
         "catalogue_opw_off",
         "posed",
-        {"catalogue.robots:robot": fields(opw=lambda opw: dataclasses.replace(opw, c2=opw.c2 + 0.001))},
+        {"catalogue.robots:robot": fields(form=lambda form: dataclasses.replace(form, c2=form.c2 + 0.001))},
     ),
     Fault(
         "catalogue_offset_off",
         "ruled",
         {
             "catalogue.robots:robot": fields(
-                opw=lambda opw: dataclasses.replace(opw, offsets=opw.offsets + np.deg2rad(0.1))
+                form=lambda form: dataclasses.replace(form, offsets=form.offsets + np.deg2rad(0.1))
             )
         },
     ),

@@ -84,11 +84,11 @@ def test_no_import_goes_round_the_table(name: str) -> None:
 
 
 def test_the_planners_dimensions_are_only_compared() -> None:
-    """``RobotData.opw`` is what the planner solves with."""
+    """``RobotData.form`` is what the planner solves with."""
     users = set()
     for path in VERIFY.rglob("*.py"):
         nodes = ast.walk(ast.parse(path.read_text("utf-8")))
-        if any(isinstance(node, ast.Attribute) and node.attr == "opw" for node in nodes):
+        if any(isinstance(node, ast.Attribute) and node.attr in ("form", "opw") for node in nodes):
             users.add(path.name)
     assert users == {"arm_model.py"}
 

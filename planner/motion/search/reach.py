@@ -208,7 +208,7 @@ def rungs_of(scene: Scene, chain: Chain, branch: int, q: FloatArray) -> Rungs:
     """Margins, turns and penalties of principal angles q (N, S, 6) of one branch."""
     hard, bend = scene.settings.joint_margin, scene.settings.singularity_margin
     single = chain.singularity_margin(q)
-    turns, bends = chain.turns, single >= bend
+    turns, bends = _worth_trying(chain.turns, q), single >= bend
     margins = chain.limit_margins(q, turns)
     fits = [(margin >= hard) & bends for margin in margins]
     used = [k for k, fit in enumerate(fits) if k == 0 or bool(fit.any())]
@@ -217,6 +217,23 @@ def rungs_of(scene: Scene, chain: Chain, branch: int, q: FloatArray) -> Rungs:
     turns = turns[used]
     cost = _hinge(limit, hard, SOFT_LIMIT_RAD) + _hinge(single, bend, SOFT_SINGULARITY_RAD)[..., None]
     return Rungs(chain.name, branch, q, turns, ok, np.where(ok, cost * PENALTY / len(q), np.inf))
+
+
+MOST_TURNS: Final = 27
+"""Choices of whole turns of an arm's joints of which all are kept: three joints with three turns each."""
+
+
+def _worth_trying(turns: FloatArray, q: FloatArray) -> FloatArray:
+    """Of ``turns`` (T, 6), where they are many, those of joints that pass the seam of their principal angles
+    q (N, S, 6) in some step: another joint keeps its turn on any path, and none leaves it more room than no
+    turn. Of those at most :data:`MOST_TURNS`, the fewest turns first."""
+    if len(turns) <= MOST_TURNS:
+        return turns
+    gone = np.isnan(q)
+    low, high = np.where(gone, np.inf, q).min(axis=1), np.where(gone, -np.inf, q).max(axis=1)
+    far = np.maximum(high[1:] - low[:-1], high[:-1] - low[1:])
+    passes = (far > np.pi).any(axis=0)
+    return turns[~turns[:, ~passes].any(axis=1)][:MOST_TURNS]
 
 
 def _hinge(margin: FloatArray, hard: float, soft: float) -> FloatArray:

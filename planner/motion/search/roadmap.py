@@ -132,7 +132,7 @@ class _Attempt:
         for arm, pose in poses.items():
             chain = self.scene.chains[arm]
             q[arm] = chain.inverse(pose, [branch[arm]])[:, 0]
-            ok &= np.max(chain.limit_margins(q[arm], chain.turns), axis=0) >= self.scene.settings.joint_margin
+            ok &= chain.best_limit_margin(q[arm]) >= self.scene.settings.joint_margin
             ok &= chain.singularity_margin(q[arm]) >= self.scene.settings.singularity_margin
         good = np.flatnonzero(ok)
         self.checks += len(good)
@@ -345,7 +345,7 @@ class _Graph:
         for arm, pose in poses.items():
             chain = self.scene.chains[arm]
             q[arm] = chain.inverse(pose, [self.branch[arm]])[:, 0]
-            best = np.max(chain.limit_margins(q[arm], chain.turns), axis=0)
+            best = chain.best_limit_margin(q[arm])
             ok &= best >= self.scene.settings.joint_margin
             ok &= chain.singularity_margin(q[arm]) >= self.scene.settings.singularity_margin
         good = np.flatnonzero(ok)

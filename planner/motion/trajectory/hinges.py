@@ -101,7 +101,7 @@ def _singularities(chain: Chain, q: FloatArray, slopes: bool) -> tuple[FloatArra
     gradient = np.zeros((len(q), 3, 6))
     if slopes:
         step = 1e-6
-        for j in (1, 2, 4):
+        for j in chain.robot.form.singular:
             shift = np.zeros(6)
             shift[j] = step
             gradient[:, :, j] = (chain.singularities(q + shift) - chain.singularities(q - shift)) / (
@@ -331,7 +331,7 @@ def _hand(model: CellModel, arm: str) -> float:
     """Greatest distance [m] of the hand, with what it holds, from the wrist's centre."""
     tool = model.cell.arm(arm).tool
     out = float(np.linalg.norm(tool.tcp[:3, 3])) + HAND_REACH_M
-    return model.robots[arm].opw.hand + max(out, _outermost(model, arm))
+    return model.robots[arm].form.hand + max(out, _outermost(model, arm))
 
 
 def _outermost(model: CellModel, arm: str) -> float:

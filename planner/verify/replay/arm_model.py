@@ -18,9 +18,10 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from planner.catalogue.robots import RobotData, urdf_path
+from planner.catalogue.robots import OpwParameters, ParallelParameters, RobotData, urdf_path
 from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue, TandemError
+from planner.verify.replay import parallel_arm
 
 BASE_LINK: Final = "base_link"
 """The link that the chain goes from, the robot's foot."""
@@ -427,12 +428,21 @@ _LINK_LENGTHS: Final = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Machine:
-    """One robot: ``data`` for its limits, speeds, coupling and home alone; ``chain`` and ``shape`` from its
-    URDF."""
+    """One robot: ``data`` for its limits, speeds, coupling and home alone; ``chain`` and ``spherical`` from
+    its URDF, the latter None where it is planned as an arm with three parallel axes."""
 
     data: RobotData
     chain: Chain
-    shape: ArmShape
+    spherical: ArmShape | None
+
+    @property
+    def shape(self) -> ArmShape:
+        """Its shape, which what reads programs asks for. Raises ``TandemError`` (``verify.robot_model``) for
+        an arm without a spherical wrist, of which no programs are read."""
+        if self.spherical is None:
+            message = f"the robot {self.data.name} has no spherical wrist: its programs are not read"
+            raise TandemError(Issue(ROBOT_MODEL, message, hint="plan with an arm of ABB or KUKA"))
+        return self.spherical
 
     def flange(self, q: FloatArray) -> FloatArray:
         """Flange poses (..., 4, 4) in the base at serial joint angles ``q`` (..., 6) [rad]."""
@@ -444,11 +454,12 @@ def machine_of(data: RobotData) -> Machine:
     (``verify.robot_model``) for a file that cannot be read or is of no arm with a spherical wrist, and as
     :func:`planner.catalogue.robots.urdf_path`."""
     path = urdf_path(data.name) if data.file is None else None
+    wrist = not isinstance(data.form, ParallelParameters)
     try:
         if path is not None:
-            chain, shape = _read(path.read_text(encoding="utf-8"), BASE_LINK, TIP_LINK, False)
+            chain, shape = _read(path.read_text(encoding="utf-8"), BASE_LINK, TIP_LINK, False, wrist)
         elif data.file is not None:
-            chain, shape = _read(data.file.text, data.file.base, data.file.tip, True)
+            chain, shape = _read(data.file.text, data.file.base, data.file.tip, True, wrist)
     except (OSError, ValueError) as error:
         message = f"the robot {data.name}: its URDF {error}"
         file = None if path is None else str(path)
@@ -457,9 +468,9 @@ def machine_of(data: RobotData) -> Machine:
 
 
 @functools.lru_cache(maxsize=32)
-def _read(text: str, base: str, tip: str, own: bool) -> tuple[Chain, ArmShape]:
+def _read(text: str, base: str, tip: str, own: bool, wrist: bool) -> tuple[Chain, ArmShape | None]:
     chain = read_chain(text, base, tip, own)
-    return chain, shape_of(chain, own)
+    return chain, shape_of(chain, own) if wrist else None
 
 
 def hint_of(data: RobotData) -> str:
@@ -488,8 +499,26 @@ def stated_otherwise(stated: Mapping[str, Any], data: RobotData) -> list[str]:
 
 def differences(machine: Machine) -> list[str]:
     """Where the catalogue's dimensions and limits, which programs are planned with, are not the URDF's."""
-    shape, chain, data = machine.shape, machine.chain, machine.data
-    planned = data.opw
+    chain, data = machine.chain, machine.data
+    if isinstance(data.form, ParallelParameters):
+        out = list(parallel_arm.differences(data.form, chain.zero, chain.axis, MODEL_AGREEMENT))
+    else:
+        out = list(_of_spherical(machine.shape, data.opw))
+    for word, here, there in (
+        ("lower limit", chain.lower, data.lower),
+        ("upper limit", chain.upper, data.upper),
+        ("speed", chain.velocity, data.velocity),
+    ):
+        for i in np.flatnonzero(np.abs(here - there) > MODEL_AGREEMENT):
+            one, other = np.rad2deg([here[i], there[i]])
+            out.append(
+                f"the {word} of axis {i + 1} is {one:.6f} deg in the URDF, {other:.6f} in the catalogue"
+            )
+    return out
+
+
+def _of_spherical(shape: ArmShape, planned: OpwParameters) -> list[str]:
+    """Where lengths, offsets, base, tip and signs are not the URDF's."""
     out = []
     for key in _LINK_LENGTHS:
         here, there = getattr(shape, key), getattr(planned, key)
@@ -507,14 +536,4 @@ def differences(machine: Machine) -> list[str]:
             out.append(f"the {word} stands elsewhere by the axes of the URDF, or turned, by {off:.3g}")
     turned = np.flatnonzero(shape.signs != planned.signs)
     out += [f"axis {i + 1} turns the other way in the URDF than in the catalogue" for i in turned]
-    for word, here, there in (
-        ("lower limit", chain.lower, data.lower),
-        ("upper limit", chain.upper, data.upper),
-        ("speed", chain.velocity, data.velocity),
-    ):
-        for i in np.flatnonzero(np.abs(here - there) > MODEL_AGREEMENT):
-            one, other = np.rad2deg([here[i], there[i]])
-            out.append(
-                f"the {word} of axis {i + 1} is {one:.6f} deg in the URDF, {other:.6f} in the catalogue"
-            )
     return out

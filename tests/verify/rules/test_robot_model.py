@@ -204,7 +204,7 @@ def test_the_planners_chain_is_held_against_drake(small, monkeypatch):
     context, model = small
     robot = model.robots["left"]
     wrong = dataclasses.replace(robot.opw, signs=robot.opw.signs * np.array([1, 1, -1, 1, 1, 1]))
-    other = dataclasses.replace(model, robots=model.robots | {"left": dataclasses.replace(robot, opw=wrong)})
+    other = dataclasses.replace(model, robots=model.robots | {"left": dataclasses.replace(robot, form=wrong)})
     found = kinematics(context, other).issues
     assert {issue.bodies[0] for issue in found} == {
         f"left/{n}" for n in ("link_3", "link_4", "link_5", "link_6", "tool")

@@ -1,0 +1,142 @@
+"""Jobs of a UR10e from its URDF: poses, a wing cut with a straight hot wire, curves milled into a panel.
+Paths are held against the maker's table. No program of theirs is written yet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import yaml
+
+from planner import pipeline, processes
+from planner.catalogue.robots import data_dir
+from planner.geometry.arrays import exp_rotation, to_quaternion
+from planner.issues import TandemError, has_errors
+from planner.motion import solve
+from planner.motion.planning_scene import FULL_TURN, Scene
+from tests import small_problem, urdf_text
+from tests.refusals import change
+
+ARM = {"urdf": "ur10e.urdf", "name": "ur10e", "family": "ur", "payload_kg": 12.5}
+PROBLEMS = data_dir("problems")
+
+
+def laid(folder, source):
+    (folder / "ur10e.urdf").write_text(urdf_text.ur10e(), "utf-8")
+    arm = source["cell"]["arms"][0]
+    arm["robot"] = ARM
+    arm.pop("home_deg", None)
+    (folder / "problem.yaml").write_text(yaml.safe_dump(source), "utf-8")
+    return pipeline.load(folder / "problem.yaml")
+
+
+def bundled(name, cell):
+    source = yaml.safe_load((PROBLEMS / name / "problem.yaml").read_text("utf-8"))
+    source["cell"] = yaml.safe_load((PROBLEMS / "cells" / cell).read_text("utf-8"))
+    source["cell"].pop("controller")
+    return source
+
+
+def wing():
+    source = bundled("wing", "irb4600_bow.yaml")
+    source["cell"]["arms"][0]["base"] = {"xyz_mm": [0, 0, 600]}
+    return source
+
+
+def panel():
+    source = bundled("engrave", "kr60_engrave.yaml")
+    source["stock"]["place"]["xyz_mm"] = [800, 0, 300]
+    source["stock"]["support"][0] = {
+        "kind": "box", "size_mm": [260, 180, 280], "pose": {"xyz_mm": [0, 0, -140]},
+    }  # fmt: skip
+    del source["operations"][0]["cuts"][0]
+    return source
+
+
+def poses(turns=0.0, count=41):
+    """A row of poses with the tool down, which turns about its axis on the way, and may not spin freely."""
+    rows = [small_problem.COLUMNS]
+    down = np.diag([1.0, -1.0, -1.0])
+    for share in np.linspace(-0.5, 0.5, count):
+        w, x, y, z = to_quaternion(down @ exp_rotation(np.array([0.0, 0.0, turns * share * FULL_TURN])))
+        rows.append(f"650,{200 * share:.9g},300,{w:.17g},{x:.17g},{y:.17g},{z:.17g},20")
+    source = yaml.safe_load(small_problem.PROBLEM)
+    source["stock"]["place"] = {"xyz_mm": [650, 0, 0]}
+    source["cell"]["arms"][0]["tool"] = {
+        "kind": "plain", "tcp": {"xyz_mm": [0, 0, 150]}, "mass_kg": 1.0, "cog_mm": [0, 0, 50],
+    }  # fmt: skip
+    return source, "\n".join(rows) + "\n"
+
+
+def planned(problem):
+    """The one operation of a plan, its TCP poses as targets and in the world by the maker's table."""
+    plan = solve.solve(problem, [job.targets() for job in processes.jobs(problem)])
+    (own,) = plan.operations
+    (arm,) = own.q
+    scene = Scene.of(problem.cell, (arm,), plan.places[0], problem.settings)
+    wanted = scene.tcp(own.targets, own.values, np.arange(own.targets.count))[arm]
+    one = problem.cell.arm(arm)
+    return own, wanted, one.base @ urdf_text.ur10e_flange(own.q[arm]) @ one.tool.tcp
+
+
+def holds(problem):
+    own, wanted, got = planned(problem)
+    (q,) = own.q.values()
+    assert np.abs(got - wanted).max() < 1e-9
+    assert np.abs(q).max() < FULL_TURN
+    assert (np.diff(own.time) > 0.0).all()
+    assert (np.abs(np.diff(q, axis=0)) <= 1.001 * np.diff(own.time)[:, None] * urdf_text.UR10E_SPEED).all()
+    return own, q
+
+
+@pytest.mark.parametrize("source", [wing, panel])
+def test_a_wing_and_a_panel_are_planned(tmp_path, source):
+    own, _ = holds(laid(tmp_path, source()))
+    assert own.targets.count > 100
+    assert own.metrics["clearance_mm"] >= 8.0
+
+
+def test_a_tool_that_turns_one_and_a_half_times_winds_axis_6_from_end_to_end(tmp_path):
+    """720 degrees are there, and no other turn of axis 6 than the one that begins at -270 leads through."""
+    source, table = poses(1.5)
+    small_problem.write(tmp_path, table=table)
+    _, q = holds(laid(tmp_path, source))
+    own_turn = q[:, 5] - q[:, 0]  # axis 1 turns the hand by what it goes aside
+    assert np.ptp(own_turn) == pytest.approx(1.5 * FULL_TURN, abs=0.01)
+    source, table = poses(2.2)
+    (tmp_path / "targets.csv").write_text(table)
+    with pytest.raises(TandemError) as caught:
+        planned(laid(tmp_path, source))
+    assert {issue.code for issue in caught.value.issues} <= {"motion.no_path", "motion.joint_limit"}
+
+
+def test_no_program_is_promised_and_check_tells_of_the_reach_all_the_same(tmp_path):
+    source, table = poses()
+    small_problem.write(tmp_path, table=table)
+    problem = laid(tmp_path, source)
+    with pytest.raises(TandemError) as caught:
+        pipeline.plan(problem)
+    (issue,) = caught.value.issues
+    assert (issue.code, issue.arm) == ("post.language", "left")
+    assert "family UR" in issue.message and "ABB (RAPID)" in issue.message
+    assert [one.code for one in pipeline.check(problem) if has_errors([one])] == ["post.language"]
+    (tmp_path / "problem.yaml").write_text(
+        yaml.safe_dump(change(source, "cell.arms.0.robot", "irb1200_7_70")), "utf-8"
+    )
+    assert not has_errors(pipeline.check(pipeline.load(tmp_path / "problem.yaml")))
+    (tmp_path / "targets.csv").write_text(table.replace("\n650,", "\n1650,"))
+    found = {one.code for one in pipeline.check(laid(tmp_path, source), advise=False) if has_errors([one])}
+    assert found == {"post.language", "motion.no_reach"}
+
+
+def test_an_arm_that_stands_by_is_no_hindrance_to_the_others(tmp_path):
+    """Its form is held against its URDF, and what works keeps off it."""
+    source = yaml.safe_load(small_problem.PROBLEM)
+    base = {"xyz_mm": [450, 1300, 0]}
+    tool = {"kind": "plain", "tcp": {"xyz_mm": [0, 0, 150]}, "mass_kg": 1.0, "cog_mm": [0, 0, 50]}
+    source["cell"]["arms"].append({"name": "right", "robot": ARM, "base": base, "tool": tool})
+    (tmp_path / "ur10e.urdf").write_text(urdf_text.ur10e(), "utf-8")
+    small_problem.write(tmp_path, yaml.safe_dump(source))
+    made = pipeline.plan(pipeline.load(tmp_path / "problem.yaml"))
+    assert made.proof.issues == ()
+    passed = {row.code for row in made.proof.rules if row.passed}
+    assert {"verify.robot_model", "verify.clearance"} <= passed
