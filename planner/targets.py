@@ -9,14 +9,22 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, Generic, Literal, TypeVar
 
 import numpy as np
 
 from planner.claims.claim import Claim
 from planner.claims.vocabulary import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, axis_ends, exp_twist, log_pose
+from planner.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IndexArray,
+    axis_ends,
+    exp_twist,
+    from_parts,
+    log_pose,
+)
 from planner.geometry.corner_rounding import CORNER_DEVIATION_MM, TURNING_LEVER_MM
 from planner.geometry.units import MM
 from planner.issues import Issue
@@ -253,7 +261,34 @@ class Targets:
         rows = np.arange(self.count) if index is None else index
         return {arm: self._pose(arm, values, rows) for arm in self.arms}
 
-    def _pose(self, arm: str, values: FloatArray, rows: IndexArray) -> FloatArray:
+    def poses_beside(
+        self, values: FloatArray, step: float
+    ) -> Iterator[tuple[dict[str, FloatArray], dict[str, FloatArray]]]:
+        """For each freedom what :meth:`poses` gives of values (N, F) with that one larger by ``step``, then
+        smaller."""
+        rows = np.arange(self.count)
+        known = {
+            arm: {
+                j: _screw(freedom.axis[arm], values[:, j])
+                for j, freedom in enumerate(self.freedoms)
+                if isinstance(freedom, ScrewFreedom) and arm in freedom.axis
+            }
+            for arm in self.arms
+        }
+        for j in range(len(self.freedoms)):
+            shift = np.zeros(len(self.freedoms))
+            shift[j] = step
+            others = {arm: {k: pose for k, pose in known[arm].items() if k != j} for arm in self.arms}
+            ahead, behind = (
+                {arm: self._pose(arm, moved, rows, others[arm]) for arm in self.arms}
+                for moved in (values + shift, values - shift)
+            )
+            yield ahead, behind
+
+    def _pose(
+        self, arm: str, values: FloatArray, rows: IndexArray, known: Mapping[int, FloatArray] | None = None
+    ) -> FloatArray:
+        """TCP poses of an arm; ``known``: what some screws come to, by their freedoms."""
         pose = self.pose[arm][rows]
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, TableFreedom) and arm in freedom.pose:
@@ -262,8 +297,15 @@ class Targets:
                 pose = middle[rows] @ exp_twist(np.einsum("...k,...kc->...c", weights, twists[rows]))
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, ScrewFreedom) and arm in freedom.axis:
-                pose = pose @ exp_twist(values[..., j, None] * freedom.axis[arm])
+                moved = None if known is None else known.get(j)
+                pose = pose @ (_screw(freedom.axis[arm], values[..., j]) if moved is None else moved)
         return pose
+
+
+def _screw(axis: FloatArray, value: FloatArray) -> FloatArray:
+    """Poses (..., 4, 4) of a screw ``axis`` (6,), angular part first, at values (...,)."""
+    twist = value[..., None] * axis
+    return exp_twist(twist) if axis[:3].any() else from_parts(np.eye(3), twist[..., 3:])
 
 
 _Operation = TypeVar("_Operation")

@@ -70,6 +70,19 @@ def test_many_samples_of_some_targets_go_through_one_call() -> None:
         np.testing.assert_allclose(some[row], targets.poses(full)["left"][index[row]], atol=1e-14)
 
 
+def test_poses_beside_are_those_of_one_freedom_larger_and_smaller() -> None:
+    targets = make()
+    values = 0.1 * np.random.default_rng(4).normal(size=(targets.count, len(targets.freedoms)))
+    sides = list(targets.poses_beside(values, 1e-3))
+    assert len(sides) == len(targets.freedoms)
+    for j, poses in enumerate(sides):
+        for found, step in zip(poses, (1e-3, -1e-3), strict=True):
+            moved = values.copy()
+            moved[:, j] += step
+            for arm, pose in targets.poses(moved).items():
+                assert np.array_equal(found[arm], pose)
+
+
 def test_lagrange_weights_reproduce_polynomials_and_sum_to_one() -> None:
     nodes = np.array([-1.0, -0.2, 0.5, 1.0])
     at = np.linspace(-1, 1, 9)

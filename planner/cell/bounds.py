@@ -79,26 +79,22 @@ class Bounds:
         return dataclasses.replace(self, pairs=self.pairs[keep[0]], box_pairs=self.box_pairs[keep[1]])
 
     def least(
-        self, poses: Mapping[str, FloatArray], limit: float, settled: float = -np.inf, both: bool = True
+        self, poses: Mapping[str, FloatArray], limit: float, both: bool = True
     ) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds (B,) [m] of the least distance, for body poses (B | 1, 4, 4).
 
         Where bodies overlap the bounds only have the true sign, and no meaning as depths. Distances above
-        ``limit`` are not worked out: both bounds are then infinite or above it. Where the upper bound is
-        below ``settled`` the lower one is not worked out, and -inf. Unless ``both`` are asked for, upper
-        bounds are infinite.
+        ``limit`` are not worked out: both bounds are then infinite or above it. Unless ``both`` are asked
+        for, upper bounds are infinite.
         """
         placed = self._placed(poses)
         lower, upper = np.full(placed.rows, np.inf), np.full(placed.rows, np.inf)
         boxes = self._near_boxes(placed, limit)
         if both:
             np.minimum.at(upper, boxes.row, self._at_most(boxes))
-        row, a, b = self._near(placed.centre, limit, upper > settled)
+        row, a, b = self._near(placed.centre, limit, np.ones(placed.rows, dtype=np.bool_))
         if both:
             np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1])
-        lower[upper <= settled] = -np.inf
-        live = upper[row] > settled
-        row, a, b = row[live], a[live], b[live]
         np.minimum.at(lower, row, self._apart(placed, limit, row, a, b))
         self._below(lower, boxes, limit)
         return lower, upper

@@ -140,9 +140,6 @@ __all__ = ["LeastClearance", "Pairs", "at_least", "edge", "free", "gradients", "
 
 Pairs = frozenset[frozenset[str]]
 
-FEW_CONFIGURATIONS: Final = 16
-"""Below so many configurations measuring at once is faster than bounds first."""
-
 NUDGE_ANGLE: Final = 1e-6
 """Most that a joint is moved [rad] where Drake's solver cannot tell about a configuration."""
 NUDGE_TRIALS: Final = 8
@@ -151,8 +148,7 @@ NUDGE_TRIALS: Final = 8
 CONFIGURATIONS_AT_ONCE: Final = 1024
 """Configurations whose bounds are worked out at once, to bound memory."""
 BOUND_ERROR: Final = 1e-4
-"""Bounds settle a distance only where they differ from the padding by more than this [m], above the
-solvers' errors."""
+"""Bounds are widened by this [m], above the solvers' errors."""
 
 
 def free(
@@ -164,13 +160,8 @@ def free(
     A configuration that is not finite is not free.
     """
     rows = model.stack(q)
-    finite = np.asarray(np.isfinite(rows).all(axis=1))
-    good = finite.copy()
-    if len(rows) >= FEW_CONFIGURATIONS:
-        lower, upper = _bounds(model, rows, padding, ignore, padding - BOUND_ERROR)
-        good &= upper > padding
-        finite = good & (lower <= padding)
-    bounds, asked = model.bounds.among(ignore), np.flatnonzero(finite)
+    good = np.asarray(np.isfinite(rows).all(axis=1))
+    bounds, asked = model.bounds.among(ignore), np.flatnonzero(good)
     for start in range(0, len(asked), CONFIGURATIONS_AT_ONCE):
         some = asked[start : start + CONFIGURATIONS_AT_ONCE]
         good[some] = bounds.apart(model.poses(_by_arm(model, rows[some])), padding)
@@ -239,8 +230,13 @@ def at_least(
     model: CellModel, q: Mapping[str, FloatArray], reach: float, ignore: Pairs = frozenset()
 ) -> FloatArray:
     """Cheap lower bounds (B,) [m] of the least distance between bodies, ``reach`` where it is more."""
-    lower, _ = _bounds(model, model.stack(q), reach, ignore, both=False)
-    return np.asarray(np.minimum(lower, reach))
+    bounds, rows = model.bounds.among(ignore), model.stack(q)
+    lower = np.empty(len(rows))
+    for start in range(0, len(rows), CONFIGURATIONS_AT_ONCE):
+        part = slice(start, start + CONFIGURATIONS_AT_ONCE)
+        poses = model.poses(_by_arm(model, rows[part]))
+        lower[part], _ = bounds.least(poses, reach + 2.0 * BOUND_ERROR, both=False)
+    return np.asarray(np.minimum(lower - BOUND_ERROR, reach))
 
 
 def _nearest(
@@ -258,25 +254,6 @@ def _nearest(
             first, second = sorted((bounds.given[one].body, bounds.given[other].body))
             pairs.append((first, second) if one >= 0 else ("", ""))
     return distance, pairs, deep
-
-
-def _bounds(
-    model: CellModel,
-    rows: FloatArray,
-    limit: float,
-    ignore: Pairs,
-    settled: float = -np.inf,
-    both: bool = True,
-) -> tuple[FloatArray, FloatArray]:
-    """Bounds (B,) of the least distances, widened by :data:`BOUND_ERROR`; those above ``limit``
-    may be infinite, and the upper ones are unless ``both`` are asked for."""
-    bounds = model.bounds.among(ignore)
-    lower, upper = np.empty(len(rows)), np.empty(len(rows))
-    for start in range(0, len(rows), CONFIGURATIONS_AT_ONCE):
-        part = slice(start, start + CONFIGURATIONS_AT_ONCE)
-        poses = model.poses(_by_arm(model, rows[part]))
-        lower[part], upper[part] = bounds.least(poses, limit + 2.0 * BOUND_ERROR, settled, both)
-    return lower - BOUND_ERROR, upper + BOUND_ERROR
 
 
 def least(

@@ -10,7 +10,7 @@ is sorted out afterwards on the best ones.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -18,10 +18,10 @@ import numpy as np
 from planner.catalogue.robots import ParallelParameters
 from planner.cell import clearance, support
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import FloatArray, IndexArray, exp_rotation, from_parts, log_rotation
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, exp_rotation, from_parts, log_rotation
 from planner.geometry.units import DEG
 from planner.motion import three_parallel
-from planner.motion.planning_scene import Chain, Scene
+from planner.motion.planning_scene import BRANCHES, Chain, Scene
 from planner.motion.search.subsampling import Few, few_of, shifts
 from planner.problem import Cell, Settings, Stock
 from planner.targets import Targets
@@ -82,6 +82,10 @@ SAME_POSE: Final = 1e-6
 
 LEAST_APART_M: Final = 0.08
 """Places that are tried one after the other differ by at least this much [m, or rad of yaw times 0.3 m]."""
+
+
+SURELY_OUT_M: Final = 1e-6
+"""Poses farther out of reach than this [m] have no joints, whatever rounding does."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -237,7 +241,7 @@ class Search:
             first += len(points)
         places.sort(key=lambda item: item[0])
         ordered = [place for _, place in places]
-        trace = Trace(np.array([self._stock_pose(v)[:3, 3] for v in every]), all_scores)
+        trace = Trace(self._stock_poses(every)[:, :3, 3], all_scores)
         if models:
             looked, ordered = ordered[: 2 * MOST_CHECKED_PLACES], []
             shares: list[tuple[float, Place]] = []
@@ -331,16 +335,22 @@ class Search:
         return np.array(stock + lean + [0.2, 0.2, 0.3] * len(self._movable))
 
     def _stock_pose(self, point: FloatArray) -> FloatArray:
+        return np.asarray(self._stock_poses(point[None])[0])
+
+    def _stock_poses(self, points: FloatArray) -> FloatArray:
+        """Poses (K, 4, 4) of the stock at points (K, P)."""
         if self._stock.place is not None:
-            return self._stock.place
-        turn = exp_rotation(np.array([0.0, 0.0, point[3]]))
-        turn = turn @ (exp_rotation(point[4:7]) if self._leans else self._stock.attitude)
-        place = from_parts(turn, point[:3])
+            return np.repeat(self._stock.place[None], len(points), axis=0)
+        about = np.zeros((len(points), 3))
+        about[:, 2] = points[:, 3]
+        turn = exp_rotation(about)
+        turn = turn @ (exp_rotation(points[:, 4:7]) if self._leans else self._stock.attitude)
+        places = from_parts(turn, points[:, :3])
         if len(self._levels):
-            place[2, 3] = self._levels[int(np.argmin(np.abs(self._levels - point[2])))]
+            places[:, 2, 3] = self._levels[np.abs(self._levels - points[:, 2:3]).argmin(axis=1)]
         if self._drops:
-            place[2, 3] -= support.air(self._ground, self._stock, place[None])[0]
-        return place
+            places[:, 2, 3] -= support.air(self._ground, self._stock, places)
+        return places
 
     def _bases(self, point: FloatArray) -> dict[str, FloatArray]:
         """Bases of the movable arms: moved in the world, turned about their own vertical."""
@@ -379,7 +389,7 @@ class Search:
         for first in range(0, len(asked), 64):
             rows = asked[first : first + 64]
             part = points[rows]
-            stock = np.array([self._stock_pose(p) for p in part])[:, None]
+            stock = self._stock_poses(part)[:, None]
             moved = [self._bases(p) for p in part]
             bases = {a.name: np.array([m[a.name] for m in moved])[:, None] for a in self._movable}
             scores = [margin(f, stock, bases, self._settings) for f in few]
@@ -440,7 +450,9 @@ def margin(
     """Least margin (K,) [rad] over all targets for K places (K, 1, 4, 4) of stock and bases, with the best
     branches."""
     scene = Scene.of(few.cell, few.targets.arms, stock, settings, None, bases)
-    margins, _ = margins_at(scene, few, stock, settings)
+    margins = {}
+    for arm, pose, back in _poses_at(scene, few, stock):
+        margins[arm] = _margins(scene.chains[arm], pose, settings)[0][:, back]
     return np.asarray(_combined(margins, few.index).max(axis=1))
 
 
@@ -455,38 +467,62 @@ def margins_at(
 
     Out of reach the margin is -1 less the distance [m] by which the wrist's centre is out of reach.
     """
+    out, joints = {}, {}
+    for arm, pose, back in _poses_at(scene, few, stock):
+        value, near, q = _margins(scene.chains[arm], pose, settings)
+        every = np.full((*value.shape, 6), np.nan)
+        every[near] = q
+        out[arm], joints[arm] = value[:, back], every[:, back]
+    return out, joints
+
+
+def _poses_at(scene: Scene, few: Few, stock: FloatArray) -> Iterator[tuple[str, FloatArray, IndexArray]]:
+    """Each arm with the different poses (K, D, 4, 4) of its TCP, and which of them each state (M,) has."""
     placed = dataclasses.replace(scene, stock=stock)
     poses = placed.world(few.targets, few.poses)
     every = np.arange(len(few.index))
-    out, joints = {}, {}
     for arm in few.targets.arms:
-        chain = scene.chains[arm]
         rows, back = few.distinct_poses.get(arm, (every, every))
         pose = poses[arm][..., rows, :, :]
-        pose = np.broadcast_to(pose, (*np.broadcast_shapes(pose.shape, (*stock.shape[:-2], 1, 1)),))
-        q = chain.inverse(pose)
-        limit = chain.best_limit_margin(q) - settings.joint_margin
-        single = chain.singularity_margin(q) - settings.singularity_margin
-        value = np.minimum(np.minimum(limit, single), ENOUGH_MARGIN_RAD)
-        beyond = -1.0 - reach_gap(chain, pose)[..., None]
-        out[arm] = np.where(np.isfinite(value), value, beyond)[:, back]
-        joints[arm] = q[:, back]
-    return out, joints
+        shape = (*np.broadcast_shapes(pose.shape, (*stock.shape[:-2], 1, 1)),)
+        yield arm, np.broadcast_to(pose, shape), back
+
+
+def _margins(chain: Chain, pose: FloatArray, settings: Settings) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Margins (K, D, 8) of an arm at poses (K, D, 4, 4), which of these are not surely out of reach (K, D),
+    and the joints (P, 8, 6) at those, which alone are worked out."""
+    gap, far = _gap(chain, pose)
+    near = ~far
+    value = np.repeat((-1.0 - gap)[..., None], BRANCHES, axis=-1)
+    base = np.broadcast_to(chain.base, pose.shape)[near] if chain.base.ndim > 2 else chain.base
+    q = dataclasses.replace(chain, base=base).inverse(pose[near])
+    limit = chain.best_limit_margin(q) - settings.joint_margin
+    single = chain.singularity_margin(q) - settings.singularity_margin
+    least = np.minimum(np.minimum(limit, single), ENOUGH_MARGIN_RAD)
+    value[near] = np.where(np.isfinite(least), least, value[near])
+    return value, near, q
 
 
 def reach_gap(chain: Chain, pose: FloatArray) -> FloatArray:
     """How far (...,) [m] the wrist's centre of TCP poses (..., 4, 4) lies outside what the arm reaches."""
+    return _gap(chain, pose)[0]
+
+
+def _gap(chain: Chain, pose: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """What :func:`reach_gap` gives, and where (...,) poses are surely too far away for every branch."""
     form = chain.robot.form
     flange = form.inner(np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp))
     if isinstance(form, ParallelParameters):
-        return three_parallel.reach_gap(form, flange)
+        gap = three_parallel.reach_gap(form, flange)
+        return gap, np.zeros(gap.shape, dtype=np.bool_)
     p = chain.robot.opw
     centre = flange[..., :3, 3] - p.c4 * flange[..., :3, 2]
-    radial = np.hypot(centre[..., 0], centre[..., 1]) - p.a1
-    distance = np.hypot(radial, centre[..., 2] - p.c1)
+    out, up = np.hypot(centre[..., 0], centre[..., 1]), centre[..., 2] - p.c1
+    distance = np.hypot(out - p.a1, up)
     forearm = np.hypot(p.a2, p.c3)
     gap = np.maximum(distance - (p.c2 + forearm), abs(p.c2 - forearm) - distance)
-    return np.asarray(np.maximum(gap, 0.0))
+    least = np.hypot(np.maximum(out - abs(p.a1) - abs(p.b), 0.0), up)  # from the shoulder's nearer side
+    return np.asarray(np.maximum(gap, 0.0)), np.asarray(least > p.c2 + forearm + SURELY_OUT_M)
 
 
 def best_branches(margins: Mapping[str, FloatArray], index: IndexArray) -> IndexArray:

@@ -8,12 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from planner.catalogue.robots import robot, robot_names
 from planner.geometry.arrays import exp_twist, from_parts
 from planner.issues import TandemError
 from planner.motion import diagnosis, operation, placement
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search
-from planner.motion.planning_scene import Scene
+from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.ladder_search import Found, search
 from planner.motion.search.reach import sample
 from planner.motion.solve import _require_home, check, setup_groups, solve
@@ -60,6 +61,21 @@ def test_a_place_is_found_from_infeasible_starts(seed: int, targets: Targets) ->
     assert len(trace.score) == len(trace.positions)
     there = Scene.of(cell, targets.arms, places[0].stock, Settings())
     assert isinstance(search(there, targets, sample(targets)), Found)
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_a_place_is_judged_without_joints_of_what_is_surely_out_of_reach(name: str) -> None:
+    data = robot(name)
+    chain = Chain(name, data, np.eye(4), from_parts(np.eye(3), np.array([0.0, 0.02, 0.2])), np.zeros(6))
+    rng = np.random.default_rng(1)
+    pose = exp_twist(rng.normal(size=(20, 100, 6)) * 2.0)
+    pose[..., :3, 3] = rng.uniform(-1.3, 1.3, (20, 100, 3)) * data.reach
+    value, near, q = placement._margins(chain, pose, Settings())
+    every = chain.inverse(pose)
+    assert 0.1 < near.mean() < 0.9
+    np.testing.assert_allclose(q, every[near], atol=1e-12)
+    assert np.isnan(every[~near]).all()
+    assert (value[np.isnan(every).any(axis=-1)] <= -1.0).all()
 
 
 def test_auto_place_gives_a_whole_plan_and_its_trace(targets: Targets) -> None:

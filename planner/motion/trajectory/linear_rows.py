@@ -15,6 +15,8 @@ from planner.motion.trajectory.trajopt import Blocks
 
 ACTIVE_SHARE: Final = 0.5
 """Differences above this share of what is allowed are constraints."""
+NEVER: Final = 1e3
+"""A bound so many times as far away as a step can reach is left out."""
 DAMPING: Final = 1e-7
 """Weight of the step itself, for freedoms that change nothing."""
 
@@ -83,14 +85,19 @@ class Linear:
 
     def stacked(self, unit: FloatArray) -> tuple[csc_matrix, FloatArray, FloatArray]:
         """The matrix for freedoms in units of ``unit`` (F,), then the levels, and both bounds, each row
-        divided by its largest entry; rows of zeros are left out."""
+        divided by its largest entry; rows of zeros are left out. Unknowns are within 1 of zero, so that a
+        bound :data:`NEVER` times as far as these reach is none: a solver that works from inside of all bounds
+        would begin as far away, and would not get near enough."""
         row, column, weight = (np.concatenate(part) for part in zip(*self._parts, strict=True))
         free = self.targets * self.freedoms
         weight = weight * np.where(column < free, unit[column % self.freedoms], 1.0)
         lower, upper = (np.concatenate(part) for part in zip(*self._bounds, strict=True))
         size = np.zeros(self.count)
         np.maximum.at(size, row, np.abs(weight))
-        kept = np.flatnonzero(size > 1e-9 * float(size.max(initial=0.0)))
+        reach = NEVER * np.bincount(row, np.abs(weight), self.count)
+        lower, upper = np.where(lower < -reach, -np.inf, lower), np.where(upper > reach, np.inf, upper)
+        bound = np.isfinite(lower) | np.isfinite(upper)
+        kept = np.flatnonzero((size > 1e-9 * float(size.max(initial=0.0))) & bound)
         size = np.where(size > 0.0, size, 1.0)
         shape = (self.count, free + self.levels)
         matrix = csc_matrix((weight / size[row], (row, column)), shape=shape)

@@ -300,7 +300,8 @@ class _Search:
             flat = np.concatenate([flat, own])
         if rows.count:
             matrix, lower, upper = rows.stacked(self.trust)
-            program.AddLinearConstraint(matrix, lower, upper, flat)
+            if len(lower):
+                program.AddLinearConstraint(matrix, lower, upper, flat)
         return program, unknowns
 
     def _add_distances(self, rows: Linear, rates: FloatArray) -> None:

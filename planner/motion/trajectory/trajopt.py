@@ -202,11 +202,8 @@ class PathProblem:
     def _twists(self, values: FloatArray) -> dict[str, FloatArray]:
         """Body twists {arm: (N, F, 6)} of the TCPs by each freedom, by central differences."""
         twists: dict[str, list[FloatArray]] = {arm: [] for arm in self.targets.arms}
-        for j in range(values.shape[1]):
-            shift = np.zeros(values.shape[1])
-            shift[j] = DIFFERENCE_STEP
-            ahead = self.scene.tcp(self.targets, values + shift)
-            behind = self.scene.tcp(self.targets, values - shift)
+        for sides in self.targets.poses_beside(values, DIFFERENCE_STEP):
+            ahead, behind = (self.scene.world(self.targets, poses) for poses in sides)
             for arm in self.targets.arms:
                 twists[arm].append(log_pose(inverse(behind[arm]) @ ahead[arm]) / (2.0 * DIFFERENCE_STEP))
         return {arm: np.stack(each, axis=1) for arm, each in twists.items()}

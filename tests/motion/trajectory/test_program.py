@@ -19,6 +19,7 @@ from planner.motion.search.path_search import find_path
 from planner.motion.trajectory import differences, program
 from planner.motion.trajectory.hinges import Avoid
 from planner.motion.trajectory.joint_path import dense
+from planner.motion.trajectory.linear_rows import Linear
 from planner.motion.trajectory.trajopt import Improved, PathProblem, improve
 from planner.plans import OperationPlan
 from planner.problem import Obstacle, Settings
@@ -184,6 +185,18 @@ def test_constraints_tell_distances_and_differences_of_small_steps() -> None:
             np.abs(band.of(joints) - band.of(own.joints) - band.of(change)).max()
             <= 1e-3 * np.abs(band.of(change)).max() + 1e-6
         )
+
+
+def test_bounds_that_no_step_comes_near_are_none() -> None:
+    """Of joints that freedoms hardly move: a solver that starts as far inside as they are does not end."""
+    rows = Linear((3, 1))
+    slopes = np.array([[1.0, 1e-7], [0.0, 0.0]]).reshape(2, 2, 1, 1)
+    rows.add_pairs(slopes, np.array([[-0.2], [-0.2]]), np.array([[3e2], [0.0]]))
+    rows.add_pairs(1e-7 * np.ones((2, 2, 1, 1)), np.full((2, 1), -1.0), np.full((2, 1), 1.0))
+    matrix, lower, upper = rows.stacked(np.array([0.5]))
+    np.testing.assert_allclose(matrix.toarray(), [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    np.testing.assert_allclose(lower, [-0.4, -np.inf])
+    np.testing.assert_allclose(upper, [6e2, 0.0])
 
 
 def test_differences_of_a_polynomial_are_its_derivatives() -> None:
