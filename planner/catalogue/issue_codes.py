@@ -639,6 +639,7 @@ CODES: Final[dict[str, Code]] = {
     "service.not_found": Code("the service has nothing at that address, or not by that method"),
     "service.token": Code("a request to the service has no token, or one that is unknown or revoked"),
     "service.foreign": Code("a job belongs to another token, or a request comes from another site"),
+    "service.link": Code("a link to a file of a job is over, or is not one that the service signed"),
     "service.unknown_job": Code("a job that the service does not have"),
     "service.unknown_file": Code("a file that a job does not have"),
     "service.not_uploaded": Code("a problem names a file that was not uploaded with it"),
