@@ -652,6 +652,8 @@ CODES: Final[dict[str, Code]] = {
     "service.check_stopped": Code("reading or checking a problem took too much time or memory"),
     "service.gave_up": Code("the service stopped several times while it worked on a job"),
     "service.answer": Code("an address does not answer as this service does"),
+    "service.timeout": Code("the service did not answer, or a job did not end, in the time that was given"),
+    "service.version": Code("the service is too new for a client, or too old for what it was asked"),
     # internal
     "internal.error": Code("Tandem itself failed; nothing was written"),
 }

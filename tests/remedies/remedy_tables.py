@@ -183,7 +183,7 @@ NONE: Final = {
             "batch.cluster", "batch.versions", "batch.in_use", "service.database", "service.start",
             "service.token", "service.foreign", "service.link", "service.too_many", "service.stopping",
             "service.storage", "service.check_stopped", "service.gave_up", "service.answer",
-            "report.replay_failed",
+            "service.timeout", "service.version", "report.replay_failed",
         ),
         STATE,
     ),
