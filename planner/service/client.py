@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from planner import pipeline, plans, spec
 from planner.catalogue.issue_codes import CODES
-from planner.files import RESULT, write_folder
+from planner.files import PAGES, RESULT, write_folder
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
@@ -45,10 +45,11 @@ class Served(Outcome):
     files: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
     job: str = ""
 
-    def save(self, folder: str | Path, progress: Progress | None = None) -> None:
-        """Write the result folder as the service made it."""
+    def save(self, folder: str | Path, progress: Progress | None = None, pages: bool = True) -> None:
+        """Write the result folder as the service made it; ``pages`` as of an outcome."""
         del progress
-        write_folder(Path(folder), self.files, RESULT)
+        files = {name: content for name, content in self.files.items() if pages or name not in PAGES}
+        write_folder(Path(folder), files, RESULT)
 
 
 class Client(tandem_client.Client):

@@ -26,7 +26,7 @@ import numpy as np
 
 from planner import processes
 from planner.batch.job import PROBLEM
-from planner.files import base_name
+from planner.files import FILE_KEYS, base_name
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -101,7 +101,7 @@ class Uploaded:
         if isinstance(data, dict):
             return {
                 key: self._laid(value, document, (*place, key))
-                if key == "file" and isinstance(value, str)
+                if key in FILE_KEYS and isinstance(value, str)
                 else self._changed(value, document, (*place, key))
                 for key, value in data.items()
             }

@@ -7,6 +7,7 @@ import ast
 import http.server
 import json
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -97,6 +98,22 @@ def test_a_round_trip_by_another_python(served: tuple[Process, str], version: st
     assert out["cancelled"] == "cancelled"
     assert out["jobs"] >= 2
     assert out["wrong_token"] == ["service.token"]
+
+
+def test_the_problem_of_its_page_is_one(served: tuple[Process, str], tmp_path: Path) -> None:
+    """As far as it is sent; the round trip plans a smaller one."""
+    process, token = served
+    (code,) = re.findall(r"^```python\n(.*?)^```", (FOLDER / "README.md").read_text("utf-8"), re.M | re.S)
+    code = code.replace("https://plans.example.org", process.url).replace("tandem_...", token)
+    sent, _, rest = code.partition("job = client.submit(problem)")
+    assert rest
+    shutil.copy(ROOT / "problems" / "cells" / "two_irb140_facing.yaml", tmp_path / "cell.yaml")
+    shutil.copy(FILE, tmp_path)
+    whole = f"import sys; sys.path.insert(0, '.')\n{sent}"
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", whole], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
 ANY_SYSTEM = {

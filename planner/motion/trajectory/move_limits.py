@@ -435,8 +435,11 @@ class _Line:
         allowed = float(self.allowed[first + 1 : last + 1].min())
         off = []
         for pose in self.poses.values():
-            there = interpolate(pose[first], pose[last], share)
-            off.append(there[:, :3, 3] - pose[inner, :3, 3])
+            start, end = pose[first], pose[last]
+            off.append(start[:3, 3] + share[:, None] * (end[:3, 3] - start[:3, 3]) - pose[inner, :3, 3])
+            if np.any(lengths(off[-1]) > allowed):
+                return False
+            there = interpolate(start, end, share)
             turn = log_rotation(np.swapaxes(there[:, :3, :3], -1, -2) @ pose[inner, :3, :3])
             if np.any(lengths(off[-1]) + MM * corner_rounding.TURNING_LEVER_MM * lengths(turn) > allowed):
                 return False
