@@ -90,7 +90,7 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     from planner.reading.opw import fit  # with kinematics, which problems without such arms are read without
 
     path = folder / spec.urdf
-    text = _text(path)
+    text = read_urdf(path)
     chain = read_chain(text, spec.base, spec.tip)
     found = fit(chain)
     issues = [*_key_faults(spec, chain)]
@@ -128,7 +128,9 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     return data
 
 
-def _text(path: Path) -> str:
+def read_urdf(path: Path) -> str:
+    """The text of a file. Raises :class:`TandemError`: ``problem.missing_file``, ``problem.too_large``, or
+    ``robot.urdf`` for what is not UTF-8."""
     if not is_file(path):
         what = f"urdf: no file {path}; check the path"
         raise TandemError(Issue("problem.missing_file", what, field="urdf"))
@@ -173,7 +175,7 @@ def _assumed(spec: OwnRobotFile, chain: UrdfChain, found: OpwFit) -> Iterator[st
         yield "coupling: assumed, none"
     if spec.home_deg is None:
         yield "home: assumed, the upper arm upright and the forearm level"
-    if max(found.snapped) > 0.0:
+    if max(found.snapped) > 1e-9:
         off = f"{found.snapped[0] / MM:.2g} mm, {found.snapped[1]:.2g} rad at the tip"
         yield f"angles of the URDF: taken as multiples of 15 deg where they are nearly that, at most {off}"
     for name in chain.beside:
@@ -207,7 +209,10 @@ def _shapes(
             out[one.link].append(_hull(one, file))
     if lost:
         what = f"{len(lost)} meshes of the URDF are not there: {', '.join(sorted(set(lost))[:7])}"
-        hint = "lay them beside the URDF as its package has them, or say under meshes where each of them lies"
+        hint = (
+            "lay them beside the URDF as its package has them, or say under meshes where each of them lies: "
+        )
+        hint += "tandem robots add URDF --meshes FOLDER writes that"
         issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
     bare = [link for link in chain.links if not out[link]]
     if bare and not lost:
@@ -262,7 +267,7 @@ def with_meshes(robot: Mapping[str, Any]) -> dict[str, Any]:
     except ValidationError:
         return dict(robot)
     path = Path(spec.urdf)
-    chain = read_chain(_text(path), spec.base, spec.tip)
+    chain = read_chain(read_urdf(path), spec.base, spec.tip)
     named = dict.fromkeys(one.file for one in chain.shapes if one.kind == "mesh")
     files = [(name, mesh_file(name, spec, path)) for name in named]
     meshes = [{"name": name, "file": str(file)} for name, file in files if file is not None]
