@@ -106,7 +106,7 @@ def run_add(request: Add) -> None:
     name = request.name or _name(text)
     path = request.output or Path(f"{name}.yaml")
     if name in robot_names():
-        what = f"name: {name!r} is a robot that is built in; give --name another one"
+        what = f"{name!r} is a robot that is built in; give --name another one"
         raise TandemError(Issue("problem.duplicate_name", what, field="name"))
     chain = read_chain(text, request.base, request.tip)
     lines = _stated(request, name, chain, path.parent)
@@ -151,13 +151,18 @@ def _stated(request: Add, name: str, chain: UrdfChain, folder: Path) -> dict[str
 
 
 def _meshes(chain: UrdfChain, folder: Path, urdf: Path) -> list[dict[str, str]]:
-    """Where meshes of the URDF lie in a folder, each by as much of its path as is there, else by its name."""
-    there = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    """Where meshes of the URDF lie in a folder, each by as much of its path as is there, else by its name;
+    for one that is not read (DAE) what was converted, of the same name but for its ending."""
+    from planner.geometry.mesh import MESH_SUFFIXES
+
+    there = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in MESH_SUFFIXES]
     out = []
     for name in dict.fromkeys(one.file for one in chain.shapes if one.kind == "mesh"):
-        steps = name.partition("://")[2].split("/") if "://" in name else name.split("/")
+        wanted = Path(name.partition("://")[2] or name)
+        exact = wanted.suffix.lower() in MESH_SUFFIXES
+        steps = wanted.parts if exact else wanted.with_suffix("").parts
         for count in range(len(steps), 0, -1):
-            found = [path for path in there if list(path.parts[-count:]) == steps[-count:]]
+            found = [p for p in there if (p if exact else p.with_suffix("")).parts[-count:] == steps[-count:]]
             if len(found) == 1:
                 beside = os.path.relpath(found[0].resolve(), urdf.resolve().parent)
                 out.append({"name": name, "file": Path(beside).as_posix()})

@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 from planner.catalogue.robots import OpwParameters, RobotData, RobotFile, RodCoupling
 from planner.files import is_file
 from planner.geometry.arrays import FloatArray, Shape, read_only
-from planner.geometry.mesh import read_mesh
+from planner.geometry.mesh import MESH_SUFFIXES, read_mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.reading.strict_yaml import Angle, FileName, Name, Strict
@@ -132,11 +132,11 @@ def read_urdf(path: Path) -> str:
     """The text of a file. Raises :class:`TandemError`: ``problem.missing_file``, ``problem.too_large``, or
     ``robot.urdf`` for what is not UTF-8."""
     if not is_file(path):
-        what = f"urdf: no file {path}; check the path"
+        what = f"no file {path}; check the path"
         raise TandemError(Issue("problem.missing_file", what, field="urdf"))
     size = path.stat().st_size
     if size > MAX_URDF_BYTES:
-        what = f"urdf: {size / 1e6:.0f} MB, up to {MAX_URDF_BYTES / 1e6:.0f} MB are read"
+        what = f"{size / 1e6:.0f} MB, up to {MAX_URDF_BYTES / 1e6:.0f} MB are read"
         raise TandemError(Issue("problem.too_large", what, field="urdf", hint="give the URDF of one arm"))
     try:
         return path.read_text(encoding="utf-8")
@@ -197,7 +197,7 @@ def _shapes(
 ) -> tuple[tuple[Shape, ...], ...]:
     """What is held apart, of the base and of each link."""
     out: dict[str, list[Shape]] = {link: [] for link in chain.links}
-    lost = []
+    lost, unread = [], []
     for one in chain.shapes:
         if one.kind != "mesh":
             out[one.link].append(Shape(one.kind, one.size, one.pose))  # type: ignore[arg-type]
@@ -205,6 +205,8 @@ def _shapes(
         file = mesh_file(one.file, spec, path)
         if file is None:
             lost.append(one.file)
+        elif file.suffix.lower() not in MESH_SUFFIXES:
+            unread.append(one.file)
         else:
             out[one.link].append(_hull(one, file))
     if lost:
@@ -214,8 +216,15 @@ def _shapes(
         )
         hint += "tandem robots add URDF --meshes FOLDER writes that"
         issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
+    if unread:
+        what = (
+            f"{len(unread)} meshes of the URDF are no OBJ, STL or PLY: {', '.join(sorted(set(unread))[:7])}"
+        )
+        hint = "convert them, in metres, and say under meshes which file stands for each, as "
+        hint += "tandem robots add URDF --meshes FOLDER writes it"
+        issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
     bare = [link for link in chain.links if not out[link]]
-    if bare and not lost:
+    if bare and not lost and not unread:
         what = f"the links {', '.join(bare)} have no <collision> geometry, so nothing would keep off them"
         hint = "give each one a <collision>: a box, cylinder, sphere or mesh"
         issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))

@@ -95,6 +95,25 @@ def test_meshes_that_lie_elsewhere_are_looked_for(urdf: Path, tmp_path: Path) ->
     assert mesh["file"] == "../a/our_support/meshes/hand.stl"
 
 
+def test_meshes_that_are_not_read_are_told_and_what_they_became_is_taken(urdf: Path, tmp_path: Path) -> None:
+    urdf.write_text(BARE.replace("MESH", MESH.replace(".stl", ".dae")), "utf-8")
+    folder = urdf.parent / "our_support" / "meshes"
+    folder.mkdir(parents=True)
+    (folder / "hand.dae").write_text("<COLLADA/>", "utf-8")
+    (told,) = refused(urdf=urdf, output=tmp_path / "arm.yaml")
+    assert "robot.bodies" in told
+    assert "meshes/hand.dae" in told
+    trimesh.creation.box((0.06, 0.06, 0.02)).export(tmp_path / "hand.stl")
+    run_add(Add(urdf, "abb", 6.0, tmp_path / "arm.yaml", meshes=tmp_path))
+    lines = yaml.safe_load((tmp_path / "arm.yaml").read_text("utf-8"))["robot"]
+    assert [one["file"] for one in lines["meshes"]] == ["../hand.stl"]
+    small_problem.write(tmp_path)
+    path = tmp_path / "problem.yaml"
+    path.write_text(yaml.safe_dump(change(POSES, "cell.arms.0.robot", lines)), "utf-8")
+    (hull,) = pipeline.load(path).cell.arms[0].data.file.shapes[6]
+    assert hull.kind == "mesh"
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
