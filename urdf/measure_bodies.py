@@ -8,19 +8,16 @@ themselves are not part of Tandem.
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from pathlib import Path
 
 import numpy as np
 
-from planner.catalogue import robots
 from planner.cell.kinematics import link_frames
 from planner.geometry.arrays import FloatArray, inverse, transform
 from planner.geometry.mesh import read_mesh
 from planner.geometry.units import MM
-from planner.reading.opw import fit
-from planner.reading.robot_file import OwnRobotFile, mesh_file, read_urdf
+from planner.reading.robot_file import OwnRobotFile, mesh_file, read_urdf, robot_of
 from planner.reading.urdf import read_chain
 
 MOST = 4
@@ -110,9 +107,9 @@ def _middle(points: FloatArray) -> FloatArray:
 def links(path: Path) -> list[FloatArray]:
     """Triangles (F, 3, 3) [mm] of the base and of links 1 to 6 of a URDF's arm, in their upright frames."""
     chain = read_chain(read_urdf(path), "base_link", "tool0")
-    arm = dataclasses.replace(robots.robot("irb140"), opw=fit(chain).opw)
-    upright = np.concatenate([np.eye(4)[None], link_frames(arm, np.zeros(6))[:6]])
-    spec = OwnRobotFile(urdf=path.name, name="arm", family="abb", payload_kg=1.0)
+    spec = OwnRobotFile(urdf=path.name, name="arm", family="abb", payload_kg=1.0, left_out=chain.beside)
+    frames = link_frames(robot_of(spec, path.parent), np.zeros(6))
+    upright = np.concatenate([np.eye(4)[None], frames[:6]])
     out: list[list[FloatArray]] = [[] for _ in LINKS]
     for one in chain.shapes:
         file = mesh_file(one.file, spec, path)

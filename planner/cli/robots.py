@@ -8,7 +8,7 @@ import json
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -19,7 +19,6 @@ from planner.issues import Issue, TandemError
 
 if TYPE_CHECKING:
     from planner.catalogue.robots import RobotData
-    from planner.reading.opw import OpwFit
     from planner.reading.urdf import UrdfChain
 
 out = Console(highlight=False, soft_wrap=True)
@@ -37,8 +36,8 @@ class Add:
 
     urdf: tyro.conf.Positional[Path]
     """the URDF; of a xacro: xacro FILE.xacro > FILE.urdf"""
-    family: Literal["abb", "kuka"]
-    """of its controller: programs are RAPID or KRL"""
+    family: str
+    """of its controller: abb for RAPID, kuka for KRL"""
     payload_kg: float
     """what the arm may carry, by the data sheet"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -116,7 +115,7 @@ def run_add(request: Add) -> None:
         raise TandemError(issues)
     # by its place, for the folder that is written to may not be there yet
     robot = robot_of(spec.model_copy(update={"urdf": str(request.urdf.resolve())}), path.parent)
-    _print(robot, chain, fit(chain))
+    _print(robot, chain, fit(chain).off)
     picture = path.with_suffix(".svg")
     try:
         write_whole(picture, arm_picture.drawing(robot))
@@ -188,7 +187,7 @@ def _written(lines: dict[str, Any], robot: RobotData, request: Add) -> str:
     return "\n".join([*head, *told, "robot:", *body, *left, ""])
 
 
-def _print(robot: RobotData, chain: UrdfChain, found: OpwFit) -> None:
+def _print(robot: RobotData, chain: UrdfChain, off: tuple[float, float]) -> None:
     table = Table("axis", "joint", "from deg", "to deg", "deg/s", "bodies")
     shapes = robot.file.shapes if robot.file is not None else ()
     for i, joint in enumerate(chain.joints):
@@ -196,14 +195,10 @@ def _print(robot: RobotData, chain: UrdfChain, found: OpwFit) -> None:
         bodies = ", ".join(sorted("hull" if one.kind == "mesh" else one.kind for one in shapes[i + 1]))
         table.add_row(str(i + 1), joint, low, high, speed, bodies)
     out.print(table)
-    opw = robot.opw
-    lengths = ", ".join(
-        f"{key} {getattr(opw, key) / MM:.7g}" for key in ("a1", "a2", "b", "c1", "c2", "c3", "c4")
-    )
+    figures = [(field.name, getattr(robot.opw, field.name)) for field in dataclasses.fields(robot.opw)]
+    lengths = ", ".join(f"{key} {v / MM:.7g}" for key, v in figures if isinstance(v, float))
     out.print(f"six axes in closed form: {lengths} mm; the wrist reaches {robot.reach / MM:.0f} mm")
-    out.print(
-        f"at most {found.off[0] / MM:.2g} mm and {found.off[1]:.2g} rad beside the URDF on 1000 postures"
-    )
+    out.print(f"at most {off[0] / MM:.2g} mm and {off[1]:.2g} rad beside the URDF on 1000 postures")
     out.print("without a source, or assumed:")
     for line in robot.assumed:
         out.print(f"- {line}", markup=False)

@@ -10,7 +10,6 @@ import numpy as np
 
 from planner.catalogue.robots import RobotData
 from planner.cell.bodies import body_poses
-from planner.cell.kinematics import joint_axes, link_frames
 from planner.geometry.arrays import FloatArray, Shape
 from planner.report import markup, raster
 from planner.report.raster import Solid, Thing
@@ -41,9 +40,10 @@ def drawing(robot: RobotData) -> str:
         for i, (name, shapes) in enumerate(zip(names, robot.file.shapes, strict=True))
         for shape in shapes
     ]
-    frames = link_frames(robot, robot.home)
-    axes, points, tip = joint_axes(robot, frames), frames[:6, :3, 3].copy(), frames[6]
-    points[3] -= 0.5 * robot.opw.c3 * frames[3, :3, 2]  # along the forearm, off axis 6
+    frames = np.concatenate([poses[f"arm/{name}"] for name in names[1:]])
+    zero = robot.file.zero[1:7, :3, :3]
+    axes = np.einsum("iab,icb,ic->ia", frames[:, :3, :3], zero, robot.file.axis)  # turned with the links
+    points, tip = _apart(frames[:, :3, 3], axes), poses["arm/tool"][0]
     half = 0.14 * robot.reach
     ends = np.stack([points - half * axes, points + half * axes], axis=1)
     triads = np.stack([np.eye(4), tip])
@@ -69,6 +69,19 @@ def drawing(robot: RobotData) -> str:
     for i, (start, end) in enumerate(at(ends)):
         out += [_arrow(start, end, _AXIS, 2.6), _word(end, str(i + 1), _AXIS)]
     return "\n".join([*out, "</svg>"]) + "\n"
+
+
+def _apart(points: FloatArray, axes: FloatArray) -> FloatArray:
+    """The points (N, 3) on the axes (N, 3); where a later axis is in one line with one, as 6 with 4 at home,
+    the earlier one's is moved half the way back to the axis before it."""
+    out = points.copy()
+    for i in range(1, len(points)):
+        for j in range(i + 1, len(points)):
+            off = np.linalg.norm(np.cross(points[j] - points[i], axes[i]))
+            if off < 1e-3 and np.linalg.norm(np.cross(axes[i], axes[j])) < 1e-3:
+                back = (points[i - 1] - points[j]) @ axes[i]
+                out[i] = points[j] + 0.5 * back * axes[i]
+    return out
 
 
 def _solid(shape: Shape) -> Solid:

@@ -120,6 +120,7 @@ def test_meshes_that_are_not_read_are_told_and_what_they_became_is_taken(urdf: P
         ({"name": "irb140"}, "is a robot that is built in; give --name another one"),
         ({"name": "2 arms"}, "a letter of A to Z first"),
         ({"payload_kg": 0.0}, "payload_kg"),
+        ({"family": "irc5"}, "family: Input should be 'abb'"),
         ({"base": "foot"}, "the URDF has no link 'foot', it has base_link"),
         ({"tip": "base_link"}, "robot."),
         ({"home_deg": (0.0, 0.0, 200.0, 0.0, 0.0, 0.0)}, "beyond the limits"),
