@@ -12,11 +12,13 @@ from planner.cell.kinematics import link_frames
 from planner.issues import TandemError
 
 ALL = robots.robot_names()
+README = Path(__file__).parents[2] / "README.md"
 
 
 def test_there_are_more_than_forty_robots_each_with_sources() -> None:
     assert len(ALL) >= 40
     assert len({robots.robot(name).title for name in ALL}) == len(ALL)
+    assert f"{len(ALL)} arms of ABB and KUKA" in README.read_text("utf-8")
     for name in ALL:
         robot = robots.robot(name)
         assert robot.name == name
