@@ -107,6 +107,7 @@ def run_add(request: Add) -> None:
     if name in robot_names():
         what = f"{name!r} is a robot that is built in; give --name another one"
         raise TandemError(Issue("problem.duplicate_name", what, field="name"))
+    _require_own(path)
     chain = read_chain(text, request.base, request.tip)
     lines = _stated(request, name, chain, path.parent)
     document = strict_yaml.Document(path, lines, None, b"", file=False)
@@ -124,6 +125,16 @@ def run_add(request: Add) -> None:
         what = f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})"
         raise TandemError(Issue("output.folder", what, hint="choose a place of your own")) from error
     out.print(f"written to {path}, for an arm of a cell in {path.parent.resolve()}; drawn in {picture}")
+
+
+def _require_own(path: Path) -> None:
+    """See that a file is new, or lines of an arm, which may be written anew: somebody's cell may not."""
+    if path.suffix not in (".yaml", ".yml"):
+        what = f"{path}: the lines are YAML; give a name that ends with .yaml"
+        raise TandemError(Issue("output.folder", what, field="output"))
+    if path.exists() and not (path.is_file() and "\nrobot:\n" in path.read_text("utf-8", "replace")):
+        what = f"{path} is there, and is no file of tandem robots add; choose another name"
+        raise TandemError(Issue("output.folder", what, field="output"))
 
 
 def _name(text: str) -> str:

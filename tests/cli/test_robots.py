@@ -137,6 +137,18 @@ def test_wrong_options_are_told_and_nothing_is_written(
     assert not path.with_suffix(".svg").exists()
 
 
+@pytest.mark.parametrize("name", ["cell.yaml", "arm.svg", "arm", "."])
+def test_it_writes_over_nothing_but_its_own(urdf: Path, tmp_path: Path, name: str) -> None:
+    cell = tmp_path / "cell.yaml"
+    cell.write_text("arms: []\n", "utf-8")
+    (told,) = refused(urdf=urdf, output=tmp_path / name)
+    assert "output.folder" in told
+    assert {path.name for path in tmp_path.iterdir()} == {"cell.yaml", "files"}
+    assert cell.read_text("utf-8") == "arms: []\n"
+    for _ in range(2):
+        run_add(Add(urdf, "abb", 6.0, tmp_path / "own.yaml"))
+
+
 def test_an_arm_of_another_class_ends_with_bad_input(urdf: Path, tmp_path: Path) -> None:
     """Its wrist is moved off one point."""
     turned = re.sub(r'(name="joint_5".*?xyz=")([^"]*)', r"\g<1>0.1 0.2 0.05", TEXT, count=1, flags=re.DOTALL)
