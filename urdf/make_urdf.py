@@ -2,18 +2,22 @@
 
 Kinematics come from the catalogue. All link frames are parallel to the base at the controller's zero pose;
 joint i turns link_i about its own axis, with the controller's sign; joint_3 is the serial angle. tool0 is
-ABB's tool0 and KUKA's $FLANGE. The bodies are our own: plain solids, sized by eye from pictures and from
-the data sheets' outer dimensions, not from the makers' meshes. Collision solids contain the visible ones up
-to a few millimetres at bolts and edges.
+ABB's tool0 and KUKA's $FLANGE. The bodies are our own, plain solids. Those of BUILDS are sized by eye from
+pictures and from the data sheets' outer dimensions, not from the makers' meshes; their collision solids
+contain the visible ones up to a few millimetres at bolts and edges. Those of bodies.yaml hold the makers'
+collision meshes (measure_bodies.py), and are seen as they are.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
 from planner.catalogue import robots
 from planner.cell.kinematics import link_frames
@@ -113,6 +117,48 @@ def bodies(robot: robots.RobotData, build: Build) -> Bodies:
         [Solid("cylinder", disc, (0, 0, c4 - thick / 2))],
     )
     return out
+
+
+@functools.cache
+def _measured() -> dict[str, Any]:
+    return dict(yaml.safe_load(Path(__file__).with_name("bodies.yaml").read_text(encoding="utf-8")))
+
+
+def measured(robot: robots.RobotData) -> Bodies:
+    """The same solids by link, visible and for collision, as bodies.yaml has them.
+
+    An arm ``as`` another one has its bodies, stretched from the shoulder up to its elbow, and from the wrist
+    back along its forearm.
+    """
+    rows, stretch = _measured()[robot.name], {}
+    if "as" in rows:
+        other = robots.robot(rows["as"]).opw
+        stretch = {"link_2": (1.0, robot.opw.c2 / other.c2), "link_4": (-1.0, robot.opw.c3 / other.c3)}
+        rows = _measured()[rows["as"]]
+    out: Bodies = {}
+    for i, (link, solids) in enumerate(rows.items()):
+        shown = [_stretched(_solid(row, i), *stretch.get(link, (1.0, 1.0))) for row in solids]
+        out[link] = (shown, shown)
+    return out
+
+
+def _solid(row: list[Any], i: int) -> Solid:
+    kind, size, xyz = row
+    shape, _, axis = kind.partition("_")
+    return Solid(shape, tuple(size), tuple(xyz), axis or "z", ("dark", "paint", "metal")[(i > 0) + (i == 6)])
+
+
+def _stretched(solid: Solid, side: float, share: float) -> Solid:
+    """The solid with all of it that lies on one side of z = 0 stretched along z."""
+    along = solid.axis == "z"
+    if share == 1.0 or (solid.kind == "cylinder" and not along):
+        high = solid.xyz[2]
+        moved = high * share if side * high > 0.0 else high
+        return dataclasses.replace(solid, xyz=(*solid.xyz[:2], moved))
+    half = 0.5 * solid.size[-1]
+    ends = [z * share if side * z > 0.0 else z for z in (solid.xyz[2] - half, solid.xyz[2] + half)]
+    size = (*solid.size[:-1], ends[1] - ends[0])
+    return dataclasses.replace(solid, size=size, xyz=(*solid.xyz[:2], 0.5 * (ends[0] + ends[1])))
 
 
 def _base(build: Build) -> tuple[list[Solid], list[Solid]]:
@@ -242,7 +288,7 @@ def urdf(name: str) -> str:
     """The text of the robot's URDF."""
     robot = robots.robot(name)
     frames = link_frames(robot, np.zeros(6))
-    shapes = bodies(robot, BUILDS[name])
+    shapes = bodies(robot, BUILDS[name]) if name in BUILDS else measured(robot)
     origin = np.vstack([np.zeros(3), frames[:6, :3, 3]])
     upright = np.concatenate([np.eye(3)[None], frames[:6, :3, :3]])
     links = ["base_link", *(f"link_{i}" for i in range(1, 7))]

@@ -658,6 +658,7 @@ CODES: Final[dict[str, Code]] = {
     "service.not_found": Code("the service has nothing at that address, or not by that method"),
     "service.token": Code("a request to the service has no token, or one that is unknown or revoked"),
     "service.foreign": Code("a job belongs to another token, or a request comes from another site"),
+    "service.link": Code("a link to a file of a job is over, or is not one that the service signed"),
     "service.unknown_job": Code("a job that the service does not have"),
     "service.unknown_file": Code("a file that a job does not have"),
     "service.not_uploaded": Code("a problem names a file that was not uploaded with it"),
@@ -670,6 +671,8 @@ CODES: Final[dict[str, Code]] = {
     "service.check_stopped": Code("reading or checking a problem took too much time or memory"),
     "service.gave_up": Code("the service stopped several times while it worked on a job"),
     "service.answer": Code("an address does not answer as this service does"),
+    "service.timeout": Code("the service did not answer, or a job did not end, in the time that was given"),
+    "service.version": Code("the service is too new for a client, or too old for what it was asked"),
     # internal
     "internal.error": Code("Tandem itself failed; nothing was written"),
 }

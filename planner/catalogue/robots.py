@@ -349,7 +349,8 @@ def _table() -> dict[str, RobotData]:
     path = data_dir("urdf") / "robots.yaml"
     if not path.is_file():
         raise _missing(path)
-    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, where PyYAML has it
+    data = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)
     return {name: _read(name, entry) for name, entry in data.items()}
 
 

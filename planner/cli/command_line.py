@@ -32,6 +32,7 @@ from planner.cli import loop as loop_commands
 from planner.cli import preparation as align_commands
 from planner.cli import preparation as feature_commands
 from planner.cli import preparation as kerf_commands
+from planner.cli import robots as robot_commands
 from planner.cli import service as service_commands
 from planner.cli import statement
 from planner.cli.batch import Difference, differences
@@ -258,22 +259,26 @@ def _differences(found: tuple[Difference, ...], folder: Path, file: Path) -> Non
 
 
 @app.command
-def robots() -> int:
-    """List the robots of the catalogue."""
-    from planner.catalogue.robots import robot, robot_names
+def robots(name: tyro.conf.Positional[str | None] = None) -> int:
+    """List the robots that are built in, or tell of one of them where its figures come from.
 
-    table = Table("name", "robot", "reach mm", "payload kg", "controller", "assumed")
-    for name in robot_names():
-        data = robot(name)
-        table.add_row(
-            name,
-            data.title,
-            f"{data.reach * 1000:.0f}",
-            f"{data.payload:g}",
-            data.controller,
-            "; ".join(data.assumed),
-        )
-    out.print(table)
+    Args:
+        name: the robot that is told of.
+    """
+    try:
+        robot_commands.show(name)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command(name="robots-add")
+def robots_add(request: tyro.conf.OmitArgPrefixes[robot_commands.Add]) -> int:
+    """Check the URDF of an arm of your own and write it down for a cell: `tandem robots add` is the same."""
+    try:
+        robot_commands.run_add(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
     return DONE
 
 
@@ -483,9 +488,10 @@ def main() -> None:
 
 
 def _one_word(given: Sequence[str]) -> Sequence[str]:
-    """Arguments with ``element report`` and ``element mark`` as the one command that each is."""
-    if given[:1] == ["element"] and given[1:2] in (["report"], ["mark"]):
-        return [f"element-{given[1]}", *given[2:]]
+    """Arguments with ``element report``, ``element mark`` and ``robots add`` as the one command that each
+    is."""
+    if tuple(given[:2]) in (("element", "report"), ("element", "mark"), ("robots", "add")):
+        return [f"{given[0]}-{given[1]}", *given[2:]]
     return given
 
 

@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 from planner.catalogue.robots import ArmForm, Family, OpwParameters, RobotData, RobotFile, RodCoupling
 from planner.files import is_file
 from planner.geometry.arrays import FloatArray, Shape, read_only
-from planner.geometry.mesh import read_mesh
+from planner.geometry.mesh import MESH_SUFFIXES, read_mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.reading.strict_yaml import Angle, FileName, Name, Strict
@@ -97,7 +97,7 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     from planner.reading.opw import fit  # with kinematics, which problems without such arms are read without
 
     path = folder / spec.urdf
-    text = _text(path)
+    text = read_urdf(path)
     chain = read_chain(text, spec.base, spec.tip)
     found = fit(chain)
     issues = [*_key_faults(spec, chain, found.form)]
@@ -135,13 +135,15 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     return data
 
 
-def _text(path: Path) -> str:
+def read_urdf(path: Path) -> str:
+    """The text of a file. Raises :class:`TandemError`: ``problem.missing_file``, ``problem.too_large``, or
+    ``robot.urdf`` for what is not UTF-8."""
     if not is_file(path):
-        what = f"urdf: no file {path}; check the path"
+        what = f"no file {path}; check the path"
         raise TandemError(Issue("problem.missing_file", what, field="urdf"))
     size = path.stat().st_size
     if size > MAX_URDF_BYTES:
-        what = f"urdf: {size / 1e6:.0f} MB, up to {MAX_URDF_BYTES / 1e6:.0f} MB are read"
+        what = f"{size / 1e6:.0f} MB, up to {MAX_URDF_BYTES / 1e6:.0f} MB are read"
         raise TandemError(Issue("problem.too_large", what, field="urdf", hint="give the URDF of one arm"))
     try:
         return path.read_text(encoding="utf-8")
@@ -186,7 +188,7 @@ def _assumed(spec: OwnRobotFile, chain: UrdfChain, found: ArmFit) -> Iterator[st
         yield "coupling: assumed, none"
     if spec.home_deg is None:
         yield "home: assumed, the upper arm upright and the forearm level"
-    if max(found.snapped) > 0.0:
+    if max(found.snapped) > 1e-9:
         off = f"{found.snapped[0] / MM:.2g} mm, {found.snapped[1]:.2g} rad at the tip"
         yield f"angles of the URDF: taken as multiples of 15 deg where they are nearly that, at most {off}"
     for name in chain.beside:
@@ -210,7 +212,7 @@ def _shapes(
 ) -> tuple[tuple[Shape, ...], ...]:
     """What is held apart, of the base and of each link."""
     out: dict[str, list[Shape]] = {link: [] for link in chain.links}
-    lost = []
+    lost, unread = [], []
     for one in chain.shapes:
         if one.kind != "mesh":
             out[one.link].append(Shape(one.kind, one.size, one.pose))  # type: ignore[arg-type]
@@ -218,14 +220,26 @@ def _shapes(
         file = mesh_file(one.file, spec, path)
         if file is None:
             lost.append(one.file)
+        elif file.suffix.lower() not in MESH_SUFFIXES:
+            unread.append(one.file)
         else:
             out[one.link].append(_hull(one, file))
     if lost:
         what = f"{len(lost)} meshes of the URDF are not there: {', '.join(sorted(set(lost))[:7])}"
-        hint = "lay them beside the URDF as its package has them, or say under meshes where each of them lies"
+        hint = (
+            "lay them beside the URDF as its package has them, or say under meshes where each of them lies: "
+        )
+        hint += "tandem robots add URDF --meshes FOLDER writes that"
+        issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
+    if unread:
+        what = (
+            f"{len(unread)} meshes of the URDF are no OBJ, STL or PLY: {', '.join(sorted(set(unread))[:7])}"
+        )
+        hint = "convert them, in metres, and say under meshes which file stands for each, as "
+        hint += "tandem robots add URDF --meshes FOLDER writes it"
         issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
     bare = [link for link in chain.links if not out[link]]
-    if bare and not lost:
+    if bare and not lost and not unread:
         what = f"the links {', '.join(bare)} have no <collision> geometry, so nothing would keep off them"
         hint = "give each one a <collision>: a box, cylinder, sphere or mesh"
         issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
@@ -277,7 +291,7 @@ def with_meshes(robot: Mapping[str, Any]) -> dict[str, Any]:
     except ValidationError:
         return dict(robot)
     path = Path(spec.urdf)
-    chain = read_chain(_text(path), spec.base, spec.tip)
+    chain = read_chain(read_urdf(path), spec.base, spec.tip)
     named = dict.fromkeys(one.file for one in chain.shapes if one.kind == "mesh")
     files = [(name, mesh_file(name, spec, path)) for name in named]
     meshes = [{"name": name, "file": str(file)} for name, file in files if file is not None]

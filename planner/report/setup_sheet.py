@@ -55,9 +55,8 @@ def tool_table(setup: Setup, plan: Plan) -> Block:
         frames.append((f"{arm.name}: base in the world", *pose_cells(base)))
     heads = ("arm", "robot", "controller", "tool", "mass [kg]", "centre of gravity on the flange [mm]")
     tables = [markup.table(heads, rows), markup.table(("frame", *_POSE_COLUMNS), frames)]
-    doubts = [(arm.name, line) for arm in setup.cell.arms if arm.given for line in arm.given.assumed]
-    if doubts:
-        tables.append(markup.table(("arm", "robot of a file: not confirmed"), doubts))
+    doubts = [(arm.name, line) for arm in setup.cell.arms for line in arm.data.assumed]
+    tables.append(markup.table(("arm", "of the robot: assumed or not confirmed"), doubts))
     return markup.Group(tuple(tables))
 
 

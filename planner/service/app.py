@@ -460,10 +460,19 @@ def serve(options: Options, certificate: Path | None = None, key: Path | None = 
         ssl_certfile=certificate,
         ssl_keyfile=key,
     )
+    logging.getLogger("uvicorn.access").addFilter(without_query)
     # Uvicorn raises the signal that ended it again when all is stopped; to be asked to end is no failure, so
     # nothing more is to be done then
     signal.signal(signal.SIGTERM, lambda number, frame: None)
     _Server(config, service).run()
+
+
+def without_query(record: logging.LogRecord) -> bool:
+    """Take what follows a ? out of the address that a record of a request tells: a link's signature opens a
+    file for whoever reads the log."""
+    if isinstance(record.args, tuple):
+        record.args = tuple(one.split("?")[0] if isinstance(one, str) else one for one in record.args)
+    return True
 
 
 class _Server(uvicorn.Server):

@@ -109,6 +109,14 @@ FILES: Final = Table(
 )
 """A job's problem (``problem/...``) and its results, by the names of a result folder."""
 
+SECRETS: Final = Table(
+    "tandem_secrets",
+    METADATA,
+    Column("name", String(32), primary_key=True),
+    Column("value", String(64), nullable=False),
+)
+"""What all hosts of a store sign with, by what it is for."""
+
 EVENTS: Final = Table(
     "tandem_events",
     METADATA,
@@ -228,6 +236,10 @@ def _cannot_open(url: str, error: Exception) -> Issue:
     return Issue("service.database", f"database {shown}: {what}", field="database")
 
 
+API: Final = 2
+"""Number of the interface under ``/v1``: one more when something is added. 2: links."""
+OLDEST_API: Final = 1
+"""Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
     "queued",
     "running",
@@ -304,6 +316,13 @@ class FileList(Sent):
     files: list[FileOut]
 
 
+class LinkOut(Sent):
+    """A link to a file of a job, which asks for no token until it ends."""
+
+    path: str = Field(description="what follows the service's address")
+    expires: dt.datetime
+
+
 class CheckOut(Sent):
     """What is known of a problem without planning it. ``summary``: arms, operations, and the boxes of stock
     and part [mm] in the stock's frame."""
@@ -321,6 +340,8 @@ class Health(Sent):
 
     status: Literal["ok", "degraded"]
     version: str
+    api: int = Field(description="number of this interface; it grows when something is added")
+    api_oldest: int = Field(description="the oldest number that clients may be made for")
     workers: int
     queued: int
     running: int

@@ -8,6 +8,7 @@ Figures of the service are in Prometheus's text format (version 0.0.4).
 
 from __future__ import annotations
 
+import datetime as dt
 import io
 import re
 import resource
@@ -17,6 +18,7 @@ import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Final, get_args
+from urllib.parse import quote, urlencode
 
 from fastapi import APIRouter, Cookie, Depends, Header, Query, Request, Response, Security
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
@@ -27,6 +29,8 @@ from planner.catalogue.issue_codes import CODES
 from planner.issues import Issue, has_errors
 from planner.service.jobs import Stream
 from planner.service.models import (
+    API,
+    OLDEST_API,
     OPEN,
     Catalogue,
     CheckOut,
@@ -36,11 +40,21 @@ from planner.service.models import (
     JobList,
     JobOut,
     Kind,
+    LinkOut,
     Refusal,
     State,
     Storage,
 )
-from planner.service.security import LOCAL, SESSION_S, RefusedError, unauthorised, unknown_job
+from planner.service.security import (
+    LINK_S,
+    LOCAL,
+    LONGEST_LINK_S,
+    SESSION_S,
+    RefusedError,
+    bad_link,
+    unauthorised,
+    unknown_job,
+)
 from planner.service.service import Service
 from planner.service.storage import Blob, documented, take_upload
 
@@ -107,6 +121,30 @@ def own_job(job: str, owner: Caller, here: Here) -> JobOut:
 
 
 OwnJob = Annotated[JobOut, Depends(own_job)]
+
+
+def job_to_read(
+    request: Request,
+    job: str,
+    name: str,
+    here: Here,
+    bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)] = None,
+    cookie: Annotated[str | None, Security(_COOKIE)] = None,
+    expires: Annotated[int | None, Query(ge=0, lt=2**53, description="end of a link")] = None,
+    signature: Annotated[str | None, Query(max_length=200, description="signature of a link")] = None,
+) -> JobOut:
+    """The job, for who reads its file ``name``: the caller if it is his, anybody with a link to that file.
+
+    A link is judged as one, whoever sends it. Raises :class:`RefusedError`, 401, 403 or 404.
+    """
+    if signature is None:
+        return own_job(job, caller(request, bearer, cookie), here)
+    here.links.check(job, name, expires, signature)
+    owner, found = here.jobs.get(job)
+    open_to_all = owner == LOCAL and not here.options.tokens_required
+    if not open_to_all and not here.auth.in_force(owner):
+        raise bad_link("the token of its job is no longer in force; ask for a new one")
+    return found
 
 
 STARTED: Final = time.time()
@@ -179,6 +217,8 @@ def health(here: Here, response: Response) -> Health:
     return Health(
         status="ok" if healthy else "degraded",
         version=planner.__version__,
+        api=API,
+        api_oldest=OLDEST_API,
         workers=here.options.workers,
         queued=counts.get("queued", 0),
         running=counts.get("running", 0),
@@ -416,17 +456,18 @@ def files(found: OwnJob, here: Here) -> FileList:
     responses={200: {"content": {"application/octet-stream": {"schema": {"type": "string"}}}}},
 )
 def file(
-    found: OwnJob,
+    found: Annotated[JobOut, Depends(job_to_read)],
     name: str,
+    request: Request,
     here: Here,
     download: Annotated[bool, Query(description="for saving, not for showing")] = False,
 ) -> FileResponse:
-    """The file of that name in the list of files."""
-    blob = here.jobs.files(found.id).get(name)
-    if blob is None:
-        what = f"job {found.id} has no file {name[:200]!r}; list its files"
-        raise RefusedError(404, Issue("service.unknown_file", what, field="name"))
+    """The file of that name in the list of files. With ``expires`` and ``signature`` of a link it asks for
+    no token."""
+    blob = known_file(here, found.id, name)
     headers = {"ETag": f'"{blob.sha}"', "Cache-Control": "private, max-age=3600"}
+    if "signature" in request.query_params:  # nothing of a link is kept or told to others
+        headers |= {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}
     if name.endswith(".html"):
         headers["Content-Security-Policy"] = SANDBOX
     return FileResponse(
@@ -435,6 +476,22 @@ def file(
         filename=PurePosixPath(name).name if download else None,
         headers=headers,
     )
+
+
+@job_router.post("/jobs/{job}/links", summary="Link to a file of a job")
+def link(
+    found: OwnJob,
+    here: Here,
+    name: Annotated[str, Query(max_length=255, description="a name of the list of files")],
+    seconds: Annotated[int, Query(ge=1, le=LONGEST_LINK_S, description="how long it is good for")] = LINK_S,
+) -> LinkOut:
+    """An address that reads this file without a token, for a browser, until it ends or the token is
+    revoked."""
+    known_file(here, found.id, name)
+    expires = int(time.time()) + seconds
+    asked = urlencode({"expires": expires, "signature": here.links.sign(found.id, name, expires)})
+    path = f"/v1/jobs/{found.id}/files/{quote(name)}?{asked}"
+    return LinkOut(path=path, expires=dt.datetime.fromtimestamp(expires, dt.UTC))
 
 
 @job_router.get(
@@ -459,6 +516,15 @@ def programs(found: OwnJob, here: Here) -> Response:
             archive.writestr(info, here.files.read(blob.sha))
     headers = {"Content-Disposition": f'attachment; filename="{found.name}.zip"'}
     return Response(packed.getvalue(), media_type="application/zip", headers=headers)
+
+
+def known_file(here: Service, job: str, name: str) -> Blob:
+    """The file of a job; raises :class:`RefusedError`, 404."""
+    blob = here.jobs.files(job).get(name)
+    if blob is None:
+        what = f"job {job} has no file {name[:200]!r}; list its files"
+        raise RefusedError(404, Issue("service.unknown_file", what, field="name"))
+    return blob
 
 
 def file_out(name: str, blob: Blob) -> FileOut:

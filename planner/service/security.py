@@ -1,6 +1,7 @@
 """Who asks, what one user may ask, and what stands before every request.
 
-Of a token only the hash is kept; browsers that showed one get a cookie. Before every request stand
+Of a token only the hash is kept; browsers that showed one get a cookie, and a link to one file may be
+signed for a time. Before every request stand
 the size of its body, where it comes from, and what browsers may do with the answer. The service says
 no by an HTTP status and issues that say why.
 """
@@ -25,7 +26,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from planner.issues import Issue, TandemError
-from planner.service.models import SESSIONS, TOKENS, Database
+from planner.service.models import SECRETS, SESSIONS, TOKENS, Database
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,6 +164,12 @@ class Auth:
             raise unauthorised("the token is unknown or was revoked; ask for a new one")
         return found[1]
 
+    def in_force(self, owner: str) -> bool:
+        """Whether the owner's token is known and was not revoked."""
+        query = select(TOKENS.c.id).where(TOKENS.c.id == owner, TOKENS.c.revoked.is_(None))
+        with self._database.read() as db:
+            return db.execute(query).first() is not None
+
     def open_session(self, owner: str) -> str:
         """A cookie for a browser whose user showed the owner's token."""
         cookie = secrets.token_urlsafe(32)
@@ -188,6 +195,54 @@ class Auth:
         """End a session."""
         with self._database.write() as db:
             db.execute(delete(SESSIONS).where(SESSIONS.c.hash == _hash(cookie)))
+
+
+LINK_S: Final = 3600
+"""Time [s] after which a link ends, where nothing is said."""
+LONGEST_LINK_S: Final = 86400
+"""Time [s] after which any link ends."""
+
+
+class Links:
+    """Links to files of jobs, signed with a secret that all hosts of one database share (HMAC, RFC 2104).
+
+    What is signed is the job, the file's name and the end, so a link reads that file until then and does
+    nothing else."""
+
+    def __init__(self, database: Database) -> None:
+        self._secret = bytes.fromhex(_shared_secret(database, "links"))
+
+    def sign(self, job: str, name: str, expires: int) -> str:
+        """The signature for a file of a job until ``expires`` [s since 1970]."""
+        signed = json.dumps(["tandem link", job, name, expires]).encode()
+        return hmac.new(self._secret, signed, hashlib.sha256).hexdigest()
+
+    def check(self, job: str, name: str, expires: int | None, signature: str) -> None:
+        """Whether the signature is that of this file of this job, and is not over. Raises
+        :class:`RefusedError`, 403."""
+        wanted = "" if expires is None else self.sign(job, name, expires)
+        given = signature.encode("utf-8", "surrogatepass")
+        if expires is None or not hmac.compare_digest(wanted.encode(), given):
+            raise bad_link("it is not one that this service signed; copy it whole, or ask for a new one")
+        if expires <= time.time():
+            raise bad_link("it is over; ask for a new one")
+
+
+def bad_link(why: str) -> RefusedError:
+    """403."""
+    return RefusedError(403, Issue("service.link", f"the link: {why}", field="signature"))
+
+
+def _shared_secret(database: Database, name: str) -> str:
+    """The secret of that name, 256 random bits in hex, made by the host that asks first."""
+    query = select(SECRETS.c.value).where(SECRETS.c.name == name)
+    with database.write() as db:
+        database.one_at_a_time(db, f"secret {name}")
+        known = db.execute(query).scalar()
+        if known is None:
+            known = secrets.token_hex(32)
+            db.execute(insert(SECRETS).values(name=name, value=known))
+        return str(known)
 
 
 def unauthorised(why: str) -> RefusedError:

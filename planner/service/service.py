@@ -28,7 +28,7 @@ from planner.issues import Issue, TandemError
 from planner.service.jobs import Hub, Jobs, NewJob
 from planner.service.models import Database, JobOut, default_url
 from planner.service.runner import Runner, Team, Work
-from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
+from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, Links, RefusedError
 from planner.service.storage import Blob, Files, Storage, Upload
 from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
 
@@ -79,6 +79,7 @@ class Service:
             message = f"host {options.host}: whoever can reach it needs a token, and there is none yet"
             hint = f"make one: tandem token add NAME --data {options.data}"
             raise TandemError(Issue("service.start", message, field="host", hint=hint))
+        self.links = Links(self.database)
         self.files = Files(options.data / "files")
         self.host = f"{socket.gethostname()}{PID_MARK}{os.getpid()}-{secrets.token_hex(4)}"
         self.scratch = _work_folder(options.data / "work", options.database is None, self.host)

@@ -8,25 +8,18 @@ import numpy as np
 import pytest
 
 from planner.catalogue import robots
+from planner.cell.kinematics import link_frames
 from planner.issues import TandemError
 
-TEN = {
-    "irb140",
-    "irb120",
-    "irb1200_7_70",
-    "irb4400_60",
-    "irb4600_40",
-    "irb6640_185",
-    "irb6700_200",
-    "kr60_ha",
-    "kr10_r1100",
-    "kr210_r2700",
-}
+ALL = robots.robot_names()
+README = Path(__file__).parents[2] / "README.md"
 
 
-def test_the_ten_robots_are_there_with_sources() -> None:
-    assert set(robots.robot_names()) == TEN
-    for name in TEN:
+def test_there_are_more_than_forty_robots_each_with_sources() -> None:
+    assert len(ALL) >= 40
+    assert len({robots.robot(name).title for name in ALL}) == len(ALL)
+    assert f"{len(ALL)} arms of ABB and KUKA" in README.read_text("utf-8")
+    for name in ALL:
         robot = robots.robot(name)
         assert robot.name == name
         assert robot.sources
@@ -34,15 +27,63 @@ def test_the_ten_robots_are_there_with_sources() -> None:
         assert np.all(robot.lower < robot.upper)
         assert np.all(robot.velocity > 0.0)
         assert np.all(robot.acceleration / robot.velocity >= 1.0 / 0.4 - 1e-9)
-        assert 0.5 < robot.reach < 3.0
-        assert 3.0 <= robot.payload <= 210.0
+        assert 0.5 < robot.reach < 4.0
+        assert 3.0 <= robot.payload <= 235.0
 
 
-@pytest.mark.parametrize("name", sorted(TEN))
+ORIGINS = {
+    # <origin xyz> of joints 1 to 6 and of the flange, in m, all joints at zero, as others wrote them down:
+    # ros-industrial/abb_experimental@20b9cf8 abb_irb1600_support/urdf/irb1600_8_145_macro.xacro
+    "irb1600_8_145": "0 0 0, 0.15 0 0.4865, 0 0 0.7, 0.3 0 0, 0.3 0 0, 0.065 0 0, 0 0 0",
+    # ... abb_irb6650s_support/urdf/irb6650s_90_390_macro.xacro
+    "irb6650s_90": "0 0 0.63, 0.6 0 0, 0 0 1.28, 0 0 0.2, 2.042 0 0, 0.2 0 0, 0 0 0",
+    # ... abb_irb7600_support/urdf/irb7600_150_350_macro.xacro
+    "irb7600_150": "0 0 0, 0.41 0 0.78, 0 0 1.075, 0 0 0.165, 2.012 0 0, 0.25 0 0, 0 0 0",
+    # ros-industrial/kuka_experimental@e78bbd1 kuka_kr3_support/urdf/kr3r540_macro.xacro
+    "kr3_r540": "0 0 0.345, 0.02 0 0, 0.26 0 0, 0 0 0.02, 0.26 0 0, 0.075 0 0, 0 0 0",
+    # ... kuka_kr16_support/urdf/kr16_2_macro.xacro
+    "kr16_2": "0 0 0.675, 0.26 0 0, 0.68 0 0, 0.67 0 -0.035, 0 0 0, 0 0 0, 0.158 0 0",
+    # ... kuka_kr150_support/urdf/kr150r3100_2_macro.xacro
+    "kr150_r3100": "0 0 0.645, 0.33 0 0, 1.35 0 0, 1.42 0 0.115, 0 0 0, 0.215 0 0, 0 0 0",
+}
+
+
+@pytest.mark.parametrize("name", ORIGINS)
+def test_lengths_are_those_of_ros_industrial(name: str) -> None:
+    """Where shoulder, elbow, wrist and flange stand with all joints at zero."""
+    steps = np.array([[float(v) for v in xyz.split()] for xyz in ORIGINS[name].split(",")])
+    points = np.cumsum(steps, axis=0)
+    frames = link_frames(robots.robot(name), np.zeros(6))
+    np.testing.assert_allclose(frames[[1, 2, 4, 6], :3, 3], points[[1, 2, 4, 6]], atol=1e-12)
+
+
+PRESETS = {
+    # x of axes 2, 5, 6 and z of axes 2, 3, 5 in mm, all joints at zero: GetAxisPlanes of
+    # RobotComponents@2a71d0c RobotComponents.ABB/Definitions/Presets
+    "irb1200_5_90": (0, 451, 533, 399.1, 847.1, 889.1),
+    "irb2600_12_185": (150, 945, 1030, 445, 1345, 1460),
+    "irb4600_20": (175, 1405.5, 1490.5, 495, 1590, 1765),
+    "irb4600_60": (175, 1135, 1270, 495, 1395, 1570),
+    "irb6640_235": (320, 1462.5, 1662.5, 780, 1855, 2055),
+    "irb6700_150": (320, 1912.5, 2112.5, 780, 2060, 2260),
+    "irb6700_175": (320, 1912.5, 2112.5, 780, 1915, 2115),
+    "irb7600_150": (410, 2422, 2672, 780, 1855, 2020),
+}
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_lengths_are_those_of_robot_components(name: str) -> None:
+    x2, x5, x6, z2, z3, z5 = PRESETS[name]
+    frames = link_frames(robots.robot(name), np.zeros(6))
+    points = [(x2, 0, z2), (x2, 0, z3), (x5, 0, z5), (x6, 0, z5)]
+    np.testing.assert_allclose(1e3 * frames[[1, 2, 4, 6], :3, 3], points, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ALL)
 def test_reach_is_the_wrist_radius_of_the_data_sheet(name: str) -> None:
     """Makers state the largest radius of the wrist centre: a1 + c2 + hypot(a2, c3), rounded to 5 mm or so.
 
-    The IRB 4400's stated 1.96 m holds at its limit of -60 deg between the arms.
+    The stated 1.96 m of the IRB 4400 holds at its limit of -60 deg between the arms.
     """
     robot = robots.robot(name)
     p = robot.opw
@@ -111,7 +152,7 @@ def test_values_cannot_be_changed_by_accident() -> None:
         robots.robot("irb140").lower[0] = 0.0
 
 
-@pytest.mark.parametrize("name", sorted(TEN))
+@pytest.mark.parametrize("name", ALL)
 def test_every_robot_has_a_home_with_its_upper_arm_upright_and_its_forearm_level(name: str) -> None:
     """What a cell without ``home_deg`` gets: the zero pose of an ABB arm, of whatever maker the arm is."""
     robot = robots.robot(name)

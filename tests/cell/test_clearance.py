@@ -12,6 +12,7 @@ from planner.cell import clearance, plant
 from planner.geometry.arrays import Shape, from_rpy
 from planner.problem import Obstacle
 from tests.cell.cells import BLOCK, UP, alone, facing, random_joints
+from tests.robot_sample import SAMPLE
 
 RADIUS = 0.03
 
@@ -150,7 +151,7 @@ def test_a_mesh_obstacle_counts_as_its_convex_hull() -> None:
         assert not clearance.free(model, {"arm": np.zeros((count, 6))}, 0.051).any()
 
 
-@pytest.mark.parametrize("name", robots.robot_names())
+@pytest.mark.parametrize("name", SAMPLE)
 def test_bounds_hold_for_every_robot(name: str) -> None:
     """Lower <= Drake's least distance <= upper where bodies are apart, and the sign where they overlap."""
     robot = robots.robot(name)

@@ -15,14 +15,14 @@ from planner.catalogue.robots import JointStiffness
 from planner.cell.compliance import PointLoad, from_drives, given_way, tcp_compliance
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import from_rpy
+from tests.robot_sample import SAMPLE
 
-ROBOTS = robots.robot_names()
 STIFF = JointStiffness(np.array([2.1e6, 2.6e6, 1.3e6, 3.1e5, 2.9e5, 1.9e5]), "made up for this test")
 TCP = from_rpy([0.12, -0.05, 0.31], [0.3, -0.7, 1.1])
 BASE = from_rpy([0.4, -1.2, 0.6], [0.2, 0.1, 2.0])
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", SAMPLE)
 def test_it_is_drakes_jacobian_with_springs_between(name: str) -> None:
     robot = robots.robot(name)
     q = np.random.default_rng(11).uniform(robot.lower, robot.upper, (20, 6))

@@ -8,6 +8,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+import trimesh
 
 from planner.catalogue import robots
 from planner.cell import clearance, plant
@@ -18,18 +19,18 @@ from tests.cell.cells import BLOCK, alone
 FAR = from_rpy((50.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-def _script() -> ModuleType:
-    path = robots.data_dir("urdf") / "make_urdf.py"
-    spec = importlib.util.spec_from_file_location("make_urdf", path)
+def _script(name: str) -> ModuleType:
+    path = robots.data_dir("urdf") / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["make_urdf"] = module
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
 
 
-MAKE = _script()
+MAKE, MEASURE = _script("make_urdf"), _script("measure_bodies")
 
 
 @pytest.mark.parametrize("name", robots.robot_names())
@@ -56,7 +57,7 @@ def _surface(solid: Solid, rng: np.random.Generator) -> np.ndarray:
     return transform(solid.shape.pose, local)
 
 
-@pytest.mark.parametrize("name", robots.robot_names())
+@pytest.mark.parametrize("name", MAKE.BUILDS)
 def test_what_is_seen_lies_within_the_collision_solids(name: str) -> None:
     """Covers and edges may stick out by a little: 15 mm."""
     robot, build = robots.robot(name), MAKE.BUILDS[name]
@@ -69,6 +70,43 @@ def test_what_is_seen_lies_within_the_collision_solids(name: str) -> None:
             assert np.min(each, axis=0).max() < 0.015, (link, item.shape)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_measured_solids_hold_the_mesh(seed: int) -> None:
+    """An upper arm of a round motor and a beam, turned to another side each time."""
+    rng = np.random.default_rng(seed)
+    size = rng.uniform(40.0, 90.0, 3)
+    motor = trimesh.creation.cylinder(radius=size[0], height=3.0 * size[1])
+    beam = trimesh.creation.box((0.5 * size[1], 8.0 * size[2], 0.6 * size[0]))
+    beam.apply_translation((0.9 * size[1], 4.0 * size[2], 0.0))
+    whole = trimesh.util.concatenate([motor, beam])
+    whole.vertices = np.roll(whole.vertices, seed, axis=1)
+    found = MEASURE.solids(whole.triangles)
+    points = trimesh.sample.sample_surface(whole, 3000, seed=seed)[0]
+    made = [_solid(MAKE._solid([kind, extent, centre], 1)) for kind, extent, centre in found]
+    each = [signed_distance(s, transform(inverse(s.shape.pose), 1e-3 * points)) for s in made]
+    assert np.min(each, axis=0).max() < 1e-9
+    box = np.prod(np.ptp(whole.vertices, axis=0))
+    volumes = [np.prod(size) if kind == "box" else np.pi * size[0] ** 2 * size[1] for kind, size, _ in found]
+    assert sum(volumes) < 0.6 * box
+
+
+def test_stretched_bodies_reach_as_far_as_the_arm() -> None:
+    """An arm with the bodies of another one: the same round the joints, as much longer as its links are."""
+    short, long = (MAKE.measured(robots.robot(name)) for name in ("irb6700_235", "irb6700_205"))
+
+    def ends(bodies: dict, link: str) -> tuple[float, float]:
+        rows = [
+            (s.xyz[2], 0.0 if s.kind == "cylinder" and s.axis != "z" else s.size[-1]) for s in bodies[link][1]
+        ]
+        return min(z - 0.5 * h for z, h in rows), max(z + 0.5 * h for z, h in rows)
+
+    assert long["link_3"] == short["link_3"]
+    (low, high), (same, higher) = ends(short, "link_2"), ends(long, "link_2")
+    assert low == same < 0.0
+    assert higher == pytest.approx(high * 1.28 / 1.135)
+    assert ends(long, "link_4") == pytest.approx(ends(short, "link_4"))  # forearms of one length
+
+
 @pytest.mark.parametrize("name", robots.robot_names())
 def test_a_robot_is_clear_of_itself_at_home_and_in_most_postures(name: str) -> None:
     robot = robots.robot(name)
@@ -79,7 +117,7 @@ def test_a_robot_is_clear_of_itself_at_home_and_in_most_postures(name: str) -> N
     assert share > 0.6
 
 
-@pytest.mark.parametrize("name", robots.robot_names())
+@pytest.mark.parametrize("name", MAKE.BUILDS)
 def test_a_robot_folded_into_its_foot_is_seen(name: str) -> None:
     """The 300 mm ball tool inside the base's pedestal."""
     robot = robots.robot(name)

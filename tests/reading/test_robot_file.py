@@ -191,9 +191,11 @@ def test_a_proof_sees_a_urdf_that_was_changed_behind_the_plan(both):
 
 
 def test_the_setup_sheet_shows_what_is_assumed(both):
-    _, problem, (_, own) = both
+    _, problem, (catalogue, own) = both
     told = repr(setup_sheet.tool_table(problem.setups[0], own.plan))
     assert "coupling: assumed, none" in told
+    told = repr(setup_sheet.tool_table(catalogue.problem.setups[0], catalogue.plan))
+    assert "bodies: sized by eye" in told
 
 
 @pytest.mark.parametrize(

@@ -201,8 +201,9 @@ NONE: Final = {
         (
             "batch.crashed", "batch.timeout", "batch.memory", "batch.cancelled", "batch.worker",
             "batch.cluster", "batch.versions", "batch.in_use", "service.database", "service.start",
-            "service.token", "service.foreign", "service.too_many", "service.stopping", "service.storage",
-            "service.check_stopped", "service.gave_up", "service.answer", "report.replay_failed",
+            "service.token", "service.foreign", "service.link", "service.too_many", "service.stopping",
+            "service.storage", "service.check_stopped", "service.gave_up", "service.answer",
+            "service.timeout", "service.version", "report.replay_failed",
         ),
         STATE,
     ),

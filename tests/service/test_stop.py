@@ -3,6 +3,7 @@ its job waits for the next start."""
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from pathlib import Path
@@ -57,7 +58,7 @@ def test_sigterm_ends_all_and_keeps_the_jobs(tmp_path: Path) -> None:
             told.extend(issue.code for issue in error.issues)
 
     def stream() -> None:
-        for _ in client._stream(job, 0):
+        for _ in client._stream(job, 0, math.inf):
             streamed.set()
         told.append("stream")
 

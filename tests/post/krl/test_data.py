@@ -10,11 +10,10 @@ import py_opw_kinematics as opw
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from planner.catalogue.robots import robot, robot_names
+from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward, link_frames
 from planner.post.krl.data import near_zero, status, turn
-
-KUKA = [name for name in robot_names() if robot(name).family == "KUKA"]
+from tests.robot_sample import KUKAS
 
 
 def branches(arm, poses):
@@ -38,14 +37,14 @@ def branches(arm, poses):
 # S and T of points in programs of real cells, found in public repositories: their A3 has no turn
 # bit, so it is positive, as in every usual posture of these arms; A5 has one or not
 @pytest.mark.parametrize(("s", "t"), [(2, 2), (2, 10), (2, 34), (2, 35), (6, 26), (6, 27)])
-@pytest.mark.parametrize("name", KUKA)
+@pytest.mark.parametrize("name", KUKAS)
 def test_taught_points_have_the_status_that_their_turn_bits_go_with(name, s, t):
     signs = np.array([-1.0 if t >> i & 1 else 1.0 for i in range(6)])
     q = np.deg2rad(signs * [20.0, 80.0, 85.0, 30.0, 50.0, 40.0])
     assert (status(robot(name), q), turn(robot(name), q)) == (s, t)
 
 
-@pytest.mark.parametrize("name", KUKA)
+@pytest.mark.parametrize("name", KUKAS)
 def test_status_agrees_with_the_places_of_the_links(name):
     arm = robot(name)
     q = np.random.default_rng(5).uniform(arm.lower, arm.upper, (4000, 6))
@@ -61,7 +60,7 @@ def test_status_agrees_with_the_places_of_the_links(name):
     assert np.array_equal(status(arm, q)[clear], expected[clear])
 
 
-@pytest.mark.parametrize("name", KUKA)
+@pytest.mark.parametrize("name", KUKAS)
 def test_status_and_turn_select_exactly_one_solution_with_all_full_turns(name):
     arm = robot(name)
     q = np.random.default_rng(11).uniform(arm.lower, arm.upper, (300, 6))

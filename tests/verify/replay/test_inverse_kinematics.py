@@ -1,10 +1,9 @@
-"""Status and Turn: on random joints of each KUKA arm they select those joints and no others."""
+"""Status and Turn: on random joints of KUKA arms they select those joints and no others."""
 
 import numpy as np
 import pytest
 
 from planner.catalogue import robots
-from planner.catalogue.robots import robot, robot_names
 from planner.cell.kinematics import forward, link_frames
 from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import (
@@ -14,8 +13,7 @@ from planner.verify.replay.inverse_kinematics import (
     status_of,
     straight_elbow,
 )
-
-ARMS = [name for name in robot_names() if robot(name).family == "KUKA"]
+from tests.robot_sample import KUKAS
 
 
 def turn_of(q):
@@ -28,7 +26,7 @@ def samples(machine, count, seed):
     return q[singularity_distance(machine, q) > np.deg2rad(1.0)]
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", KUKAS)
 def test_they_select_the_joints_that_they_were_made_from(name):
     machine = arm_model.machine_of(robots.robot(name))
     for q in samples(machine, 300, 7):
@@ -38,7 +36,7 @@ def test_they_select_the_joints_that_they_were_made_from(name):
         assert found.near_zero == tuple(np.flatnonzero(np.abs(q) < NEAR_ZERO_ANGLE) + 1)
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", KUKAS)
 def test_bits_are_what_the_manual_draws(name):
     """Bit 0 by the wrist's centre in the frame of axis 1, bit 1 by the side of the straight arm on which it
     is bent, both from the links' frames, and bit 2 by the sign of axis 5."""
@@ -58,7 +56,7 @@ def test_bits_are_what_the_manual_draws(name):
     assert np.linalg.norm(np.cross(arm[1] - arm[0], arm[2] - arm[1])) < 1e-12
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", KUKAS)
 def test_other_bits_select_no_joints_or_others(name):
     machine = arm_model.machine_of(robots.robot(name))
     for q in samples(machine, 40, 9):

@@ -17,10 +17,11 @@ from planner.verify.context import Context
 from planner.verify.replay import arm_model, inverse_kinematics, moves
 from planner.verify.replay.motion import Poses, Runs, differences
 from planner.verify.wire.cut_surface import Sweep, closest, cut_face
+from tests.robot_sample import SAMPLE
 from tests.verify import held_job, small_job
 
 
-@pytest.mark.parametrize("name", robots.robot_names())
+@pytest.mark.parametrize("name", SAMPLE)
 def test_inverse_kinematics_undoes_forward_on_every_branch(name):
     machine = arm_model.machine_of(robots.robot(name))
     q = np.random.default_rng(3).uniform(machine.data.lower, machine.data.upper, (1000, 6))

@@ -10,7 +10,7 @@ import pytest
 
 from planner import pipeline, processes
 from planner.catalogue import robots
-from planner.catalogue.robots import JointStiffness, robot, robot_names
+from planner.catalogue.robots import JointStiffness, robot
 from planner.cell.compliance import PointLoad, given_way
 from planner.cell.kinematics import forward
 from planner.claims.claim import ArmSags
@@ -19,6 +19,7 @@ from planner.geometry.units import GRAVITY
 from planner.verify import prove
 from planner.verify.replay.arm_model import machine_of
 from planner.verify.replay.bending import Bent
+from tests.robot_sample import SAMPLE
 from tests.verify.planner_jobs import JOBS
 
 BASE = from_rpy([0.4, -1.2, 0.6], [0.2, 3.0, 2.0])
@@ -35,7 +36,7 @@ def proven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any, Any]:
     return problem, processes.claims(problem), outcome.programs
 
 
-@pytest.mark.parametrize("name", robot_names())
+@pytest.mark.parametrize("name", SAMPLE)
 @pytest.mark.parametrize("frame", ["stock", "tool", "feed"])
 def test_the_proof_bends_an_arm_as_the_planner_unbends_it(name: str, frame: Any) -> None:
     """Of drives that the planner takes the sag off, the proof has the arm where it is wanted, upside down

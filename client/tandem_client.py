@@ -1,0 +1,530 @@
+"""Plan on a Tandem service from any Python since 3.9, on any system, with nothing but Python's own library.
+
+>>> import tandem_client
+>>> client = tandem_client.Client("https://plans.example.org", token)
+>>> job = client.submit(problem)
+>>> if client.wait(job)["state"] == "verified":
+...     programs, page = client.programs(job), client.replay_url(job)
+
+A problem is a dict with the keys of a problem file, the path of such a file, or its text as bytes. Values of
+a dict may be numpy arrays. A ``pathlib.Path`` in it goes along as a file, and so does a mesh:
+``{"file": (vertices, faces), "unit": "mm"}``. Other files that the problem names are given by name.
+
+This file belongs to two distributions, ``tandem-client`` and ``tandem-planner``, whose ``planner.Client`` is
+built on it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import http.client
+import io
+import json
+import math
+import re
+import secrets
+import socket
+import ssl
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Callable, Iterator, Mapping
+from os import PathLike, fspath
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    Mesh = tuple[Any, Any]
+    """Vertices (N, 3) in the unit that the problem states; faces: rows of three or more indices from 0."""
+    Content = bytes | PathLike[str] | Mesh
+    """What a file holds, the path of what it holds, or a mesh, which goes as OBJ."""
+
+__version__ = "0.1.0"
+__all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
+
+API: Final = 2
+"""Number of the service's interface that this client was made for."""
+LINKS_API: Final = 2
+"""The interface from which on there are links."""
+PLANNED: Final = ("verified", "unproven")
+"""States of jobs that have a plan."""
+OPEN: Final = ("queued", "running")
+"""States of jobs that have not ended."""
+WAIT_S: Final = 60.0
+"""A stream that says nothing for so long is opened anew."""
+RETRY_S: Final = 1.0
+"""Pause [s] before a stream that broke off is opened again."""
+HEALTH_BYTES: Final = 100_000
+"""A service's word on itself is shorter."""
+Progress = Callable[[str, float], None]
+"""Is told the stage, and how much of it is done."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Issue:
+    """One finding. Programs compare ``code``; ``message`` and ``hint`` are for people; ``field`` is the
+    problem's, by its path. ``data`` has all that was said of it."""
+
+    code: str
+    message: str
+    severity: str = "error"
+    field: str | None = None
+    file: str | None = None
+    line: int | None = None
+    hint: str | None = None
+    data: Mapping[str, Any] = dataclasses.field(default_factory=dict, repr=False, compare=False)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Issue:
+        """An issue as the service sends it; keys that this client does not know stay in ``data``."""
+        known = {field.name: data[field.name] for field in dataclasses.fields(Issue) if field.name in data}
+        return Issue(**{**known, "data": dict(data)})
+
+    def __str__(self) -> str:
+        where = [self.file or "", f"line {self.line}" if self.line else "", self.field or ""]
+        place = ", ".join(one for one in where if one)
+        hint = f"; {self.hint}" if self.hint else ""
+        return f"{self.severity} [{self.code}] {place + ': ' if place else ''}{self.message}{hint}"
+
+
+class TandemError(Exception):
+    """What cannot go on; ``issues`` say why."""
+
+    def __init__(self, issues: tuple[Issue, ...]) -> None:
+        self.issues = issues
+        super().__init__("\n".join(str(issue) for issue in issues))
+
+
+class _FaultError(Exception):
+    """What is wrong with a problem before it is sent."""
+
+    def __init__(self, code: str, message: str, field: str) -> None:
+        self.data = {"code": code, "message": f"{field}: {message}", "field": field}
+        super().__init__(message)
+
+
+class Client:
+    """A service at ``url``; ``token`` where it asks for one. ``timeout_s``: how long an answer may take.
+    ``context``: for TLS, where its certificate is not one that this machine trusts anyway.
+
+    All methods raise ``TandemError`` with the issues of a refusal, ``service.answer`` where the service
+    cannot be reached, ``service.timeout`` where that takes too long, ``service.version`` where client and
+    service are too far apart.
+    """
+
+    _error: Any = TandemError
+    """What is raised: made of a tuple of issues, which it has as ``issues``."""
+
+    def __init__(
+        self,
+        url: str,
+        token: str | None = None,
+        timeout_s: float = 300.0,
+        context: ssl.SSLContext | None = None,
+    ) -> None:
+        if urllib.parse.urlsplit(url).scheme not in ("http", "https"):
+            raise self._answer(url, "is no http or https URL; give one such as http://127.0.0.1:8000")
+        self._url, self._timeout_s = url.rstrip("/"), timeout_s
+        self._token = (token or "").strip()
+        if not (self._token.isascii() and self._token.isprintable()):
+            what = "the token has characters that no token has; copy it again"
+            raise self._refused({"code": "service.token", "message": what, "field": "token"})
+        self._opener = urllib.request.build_opener(_NoRedirect, urllib.request.HTTPSHandler(context=context))
+        self._api = 0  # of the service; 0 until it was asked
+
+    def service(self) -> dict[str, Any]:
+        """What the service says of itself: ``status``, ``version``, ``api``, jobs that wait and run. It asks
+        for no token."""
+        try:
+            with self._open("/v1/health", None, {}, "GET", self._timeout_s) as answer:
+                text = answer.read(HEALTH_BYTES)
+        except urllib.error.HTTPError as error:
+            if error.code != 503:  # one that does not plan at the moment says so by 503
+                raise self._refusal(error) from error
+            with error:
+                text = error.read(HEALTH_BYTES)
+        except (OSError, ValueError, http.client.HTTPException) as error:
+            raise self._away(error) from error
+        said = self._read_json(text)
+        if "version" not in said:
+            raise self._answer(self._url, "does not answer as Tandem does; see the address")
+        return said
+
+    def check(
+        self, problem: Any, reach: bool = True, files: Mapping[str, Content] | None = None
+    ) -> tuple[Any, ...]:
+        """Validate a problem without planning: the issues found; with ``reach`` its targets are made too."""
+        found = self._upload(f"/v1/check?reach={str(reach).lower()}", problem, files)
+        return tuple(self._issue(issue) for issue in found["issues"])
+
+    def submit(
+        self,
+        problem: Any,
+        timeout_s: float | None = None,
+        memory_mb: float | None = None,
+        files: Mapping[str, Content] | None = None,
+    ) -> str:
+        """Send a problem to be planned, within ``timeout_s`` and ``memory_mb``; the id of its job.
+
+        Keep the id: any client with the same token asks by it, whenever.
+        """
+        asked = {"timeout_s": timeout_s, "memory_mb": memory_mb}
+        query = urllib.parse.urlencode({name: value for name, value in asked.items() if value is not None})
+        return str(self._upload(f"/v1/jobs?{query}", problem, files)["id"])
+
+    def job(self, job: str) -> dict[str, Any]:
+        """State, stage and ``fraction`` of it, issues and figures of a job, at once."""
+        return self._json(_of(job))
+
+    def jobs(self) -> Iterator[dict[str, Any]]:
+        """All jobs of the token, the newest first."""
+        query = "?limit=200"
+        while True:
+            page = self._json(f"/v1/jobs{query}")
+            yield from page["jobs"]
+            if page.get("next") is None:
+                return
+            query = f"?limit=200&cursor={page['next']}"
+
+    def cancel(self, job: str) -> None:
+        """Cancel a job."""
+        self._json(_of(job, "/cancel"), method="POST")
+
+    def delete(self, job: str) -> None:
+        """Delete a job and its files."""
+        self._request(_of(job), method="DELETE")
+
+    def events(self, job: str, timeout_s: float | None = None) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Kind and data of a job's events until it has ended, over lost connections and restarts; with
+        ``timeout_s`` for so long at most."""
+        until = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        after, ended = 0, False
+        while not ended:
+            try:
+                for number, kind, data in self._stream(job, after, until):
+                    after, ended = max(after, number), kind == "end"
+                    if not ended:
+                        yield kind, data
+            except (OSError, ValueError, http.client.HTTPException):  # the line broke off
+                pass
+            if not ended:
+                time.sleep(min(RETRY_S, _left(until)))
+                if time.monotonic() >= until:
+                    what = f"job {job}: not ended within {timeout_s} s; it goes on, wait again or cancel it"
+                    raise self._refused({"code": "service.timeout", "message": what, "field": "timeout_s"})
+                ended = self._settled(job, until)
+
+    def wait(
+        self, job: str, progress: Progress | None = None, timeout_s: float | None = None
+    ) -> dict[str, Any]:
+        """The job when it has ended; with ``timeout_s`` no longer than that."""
+        for kind, data in self.events(job, timeout_s):
+            if kind == "progress" and progress is not None:
+                progress(str(data["stage"]), float(data["fraction"]))
+        return self.job(job)
+
+    def file(self, job: str, name: str) -> bytes:
+        """A file of a job, by its name in the list of files."""
+        return self._request(_of(job, f"/files/{urllib.parse.quote(name)}"))
+
+    def files(self, job: str) -> dict[str, bytes]:
+        """All files of a job by name: its problem and its results."""
+        return {one["name"]: self.file(job, one["name"]) for one in self._json(_of(job, "/files"))["files"]}
+
+    def programs(self, job: str) -> dict[str, str]:
+        """The programs of a job by name; raises ``TandemError`` where there are none."""
+        import zipfile  # costs a tenth of what all the rest does
+
+        with zipfile.ZipFile(io.BytesIO(self._request(_of(job, "/programs.zip")))) as archive:
+            return {name: archive.read(name).decode("utf-8") for name in archive.namelist()}
+
+    def report_url(self, job: str, seconds: int = 3600) -> str:
+        """The address of a job's report, which a browser opens without a token for so long."""
+        return self.link(job, "report.html", seconds)
+
+    def replay_url(self, job: str, seconds: int = 3600) -> str:
+        """The address of a job's replay, which a browser opens without a token for so long."""
+        return self.link(job, "replay.html", seconds)
+
+    def link(self, job: str, name: str, seconds: int = 3600) -> str:
+        """The address of a file of a job, which whoever has it may read for so long."""
+        self._want(LINKS_API, "links")
+        asked = urllib.parse.urlencode({"name": name, "seconds": seconds})
+        return f"{self._url}{self._json(_of(job, f'/links?{asked}'), method='POST')['path']}"
+
+    def _issue(self, data: Mapping[str, Any]) -> Any:
+        """An issue as it was sent."""
+        return Issue.from_dict(data)
+
+    def _bundle(self, problem: Any, files: Mapping[str, Content]) -> tuple[bytes, dict[str, bytes]]:
+        """Text and files of a problem."""
+        try:
+            return _bundle(problem, files)
+        except _FaultError as fault:
+            raise self._refused(fault.data) from fault
+
+    def _refused(self, *found: Mapping[str, Any]) -> Exception:
+        error: Exception = self._error(tuple(self._issue(one) for one in found))
+        return error
+
+    def _answer(self, url: str, what: str, code: str = "service.answer") -> Exception:
+        return self._refused({"code": code, "message": f"{url} {what}", "field": "url"})
+
+    def _away(self, error: Exception) -> Exception:
+        reason = getattr(error, "reason", error)
+        if isinstance(reason, socket.timeout):
+            what = f"gave no answer within {self._timeout_s:g} s; see how busy it is, or give timeout_s more"
+            return self._answer(self._url, what, "service.timeout")
+        return self._answer(self._url, f"does not answer ({reason}); see that it runs")
+
+    def _refusal(self, error: urllib.error.HTTPError) -> Exception:
+        """The issues of a refusal."""
+        with error:
+            if 300 <= error.code < 400:  # a token goes to the address that it was given for, and no other
+                there = str(error.headers.get("Location"))[:200]
+                return self._answer(
+                    self._url, f"sends requests on to {there}; give that address if it is yours"
+                )
+            try:
+                return self._refused(*json.loads(error.read())["issues"])
+            except (ValueError, KeyError, TypeError, OSError, http.client.HTTPException):
+                return self._answer(self._url, f"answers with status {error.code}; is it a Tandem?")
+
+    def _want(self, api: int, what: str = "") -> None:
+        """See that the service has this interface, and serves this client."""
+        if self._api >= api:
+            return
+        said = self.service()
+        has, oldest, version = said.get("api", 1), said.get("api_oldest", 1), said["version"]
+        if oldest > API:
+            message = (
+                f"has version {version}, for clients of interface {oldest} or newer; this one, "
+                f"{__version__}, has {API}: pip install --upgrade tandem-client"
+            )
+            raise self._answer(self._url, message, "service.version")
+        if has < api:
+            message = (
+                f"has version {version} with interface {has}; {what} came with {api}: update the service"
+            )
+            raise self._answer(self._url, message, "service.version")
+        self._api = has
+
+    def _settled(self, job: str, until: float) -> bool:
+        try:
+            found = self._request(_of(job), timeout_s=min(self._timeout_s, _left(until)))
+            return self._read_json(found)["state"] not in OPEN
+        except self._error as error:
+            if all(issue.code in ("service.answer", "service.timeout") for issue in error.issues):
+                return False  # it is away, perhaps for a restart
+            raise
+
+    def _stream(self, job: str, after: int, until: float) -> Iterator[tuple[int, str, dict[str, Any]]]:
+        self._want(1)
+        quiet = min(WAIT_S, _left(until))
+        try:
+            with self._open(_of(job, f"/events?after={after}"), None, {}, "GET", quiet) as stream:
+                fields: dict[str, str] = {}
+                for line in stream:
+                    name, _, value = line.decode().rstrip("\n").partition(": ")
+                    if name:
+                        fields[name] = value
+                    elif "event" in fields:
+                        yield int(fields["id"]), fields["event"], json.loads(fields["data"])
+                        fields = {}
+                    if time.monotonic() >= until:
+                        return
+        except urllib.error.HTTPError as error:
+            raise self._refusal(error) from error
+
+    def _upload(self, path: str, problem: Any, files: Mapping[str, Content] | None) -> dict[str, Any]:
+        body, kind = _multipart(*self._bundle(problem, files or {}))
+        return self._read_json(self._request(path, body, {"Content-Type": kind}, "POST"))
+
+    def _json(self, path: str, method: str = "GET") -> dict[str, Any]:
+        return self._read_json(self._request(path, method=method))
+
+    def _read_json(self, text: bytes) -> dict[str, Any]:
+        try:
+            found = json.loads(text)
+        except ValueError as error:
+            raise self._answer(self._url, "does not answer in JSON; is it a Tandem?") from error
+        if not isinstance(found, dict):
+            raise self._answer(self._url, "does not answer as Tandem does; is it one?")
+        return found
+
+    def _request(
+        self,
+        path: str,
+        body: bytes | None = None,
+        headers: Mapping[str, str] | None = None,
+        method: str = "GET",
+        timeout_s: float | None = None,
+    ) -> bytes:
+        self._want(1)
+        try:
+            with self._open(path, body, headers or {}, method, timeout_s or self._timeout_s) as answer:
+                return answer.read()
+        except urllib.error.HTTPError as error:
+            raise self._refusal(error) from error
+        except (OSError, ValueError, http.client.HTTPException) as error:
+            raise self._away(error) from error
+
+    def _open(
+        self, path: str, body: bytes | None, headers: Mapping[str, str], method: str, timeout_s: float
+    ) -> IO[bytes]:
+        own = {"User-Agent": f"tandem-client/{__version__}"}
+        if self._token:
+            own["Authorization"] = f"Bearer {self._token}"
+        request = urllib.request.Request(self._url + path, body, {**headers, **own}, method=method)
+        found: IO[bytes] = self._opener.open(request, timeout=timeout_s)
+        return found
+
+
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """Follows no redirects: the token would go along."""
+
+    def redirect_request(self, *asked: Any) -> None:
+        """Nothing."""
+
+
+def _left(until: float) -> float:
+    """Time [s] until then, more than none: a connection takes 0 for never waiting."""
+    return max(until - time.monotonic(), 0.01)
+
+
+def _of(job: str, what: str = "") -> str:
+    """The path of a job."""
+    return f"/v1/jobs/{urllib.parse.quote(job, safe='')}{what}"
+
+
+def _multipart(problem: bytes, files: Mapping[str, bytes]) -> tuple[bytes, str]:
+    """The body with a problem and its files by name, and its content type (RFC 7578)."""
+    boundary = secrets.token_hex(16)
+    parts = [("problem", "problem.yaml", problem), *(("files", name, files[name]) for name in files)]
+    body = bytearray()
+    for field, name, content in parts:
+        quoted = name.replace("\\", "\\\\").replace('"', "%22").replace("\r", "%0D").replace("\n", "%0A")
+        body += f"--{boundary}\r\n".encode()
+        body += f'Content-Disposition: form-data; name="{field}"; filename="{quoted}"\r\n'.encode()
+        body += b"Content-Type: application/octet-stream\r\n\r\n"
+        body += content + b"\r\n"
+    body += f"--{boundary}--\r\n".encode()
+    return bytes(body), f"multipart/form-data; boundary={boundary}"
+
+
+_UNPRINTABLE: Final = re.compile("[\x7f-\x9f\u2028\u2029\ufeff]")
+"""Characters that JSON has as they are and YAML does not."""
+
+
+def _bundle(problem: Any, files: Mapping[str, Content]) -> tuple[bytes, dict[str, bytes]]:
+    """Text and files of a problem; raises :class:`_FaultError`."""
+    sent = {name: _content(one, f"files.{name}") for name, one in files.items()}
+    if isinstance(problem, bytes):
+        return problem, sent
+    if isinstance(problem, (str, PathLike)):
+        return _read(problem, "problem"), sent
+    if not isinstance(problem, Mapping):
+        what = (
+            f"got a {type(problem).__name__}; give a dict, the path of a problem file, or its text as bytes"
+        )
+        raise _FaultError("problem.field", what, "problem")
+    try:
+        text = json.dumps(_plain(problem, "", sent), ensure_ascii=False)
+        escaped = _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+        return escaped.encode("utf-8"), sent
+    except RecursionError as error:
+        raise _FaultError(
+            "problem.field", "holds itself, or too much inside one another", "problem"
+        ) from error
+    except UnicodeEncodeError as error:
+        raise _FaultError("problem.field", "has half a character; correct the text", "problem") from error
+
+
+def _plain(value: Any, field: str, sent: dict[str, bytes]) -> Any:
+    """A value as JSON has it; paths and meshes in it become names of files, which are added to ``sent``."""
+    if isinstance(value, Mapping):
+        out = {}
+        for key, one in value.items():
+            place = f"{field}.{key}" if field else str(key)
+            if key == "file" and isinstance(one, (tuple, list)):
+                if not isinstance(value.get("unit"), str):
+                    raise _FaultError(
+                        "mesh.unit", "a mesh needs its unit beside it: unit: mm, or m, cm, in", place
+                    )
+                out[key] = _carry(_obj(one, place), "mesh.obj", sent)
+            else:
+                out[str(key)] = _plain(one, place, sent)
+        return out
+    if isinstance(value, PathLike):
+        return _carry(_read(value, field), Path(fspath(value)).name, sent)
+    if hasattr(value, "tolist"):  # of numpy
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(one, f"{field}.{number}", sent) for number, one in enumerate(value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        raise _FaultError("problem.not_finite", f"got {value}; give a finite number", field)
+    if value is None or isinstance(value, (str, bool, int, float)):
+        return value
+    what = f"got a {type(value).__name__}; give numbers, texts, lists, dicts, paths and numpy arrays"
+    raise _FaultError("problem.field", what, field)
+
+
+def _carry(content: bytes, name: str, sent: dict[str, bytes]) -> str:
+    """Add a file under a name of its own; that name."""
+    number = len(sent) + 1
+    while f"{number}-{name}" in sent:
+        number += 1
+    sent[f"{number}-{name}"] = content
+    return f"{number}-{name}"
+
+
+def _content(one: Any, field: str) -> bytes:
+    if isinstance(one, (bytes, bytearray)):
+        return bytes(one)
+    if isinstance(one, PathLike):
+        return _read(one, field)
+    if isinstance(one, (tuple, list)):
+        return _obj(one, field)
+    what = f"got a {type(one).__name__}; give bytes, a pathlib.Path, or a mesh as (vertices, faces)"
+    raise _FaultError("problem.field", what, field)
+
+
+def _read(path: str | PathLike[str], field: str) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise _FaultError(
+            "problem.missing_file", f"{fspath(path)}: {reason}; check the path", field
+        ) from error
+
+
+def _obj(mesh: Any, field: str) -> bytes:
+    """A mesh of vertices (N, 3) and faces, rows of three or more indices from 0, as OBJ with every digit."""
+    try:
+        vertices, faces = (one.tolist() if hasattr(one, "tolist") else one for one in mesh)
+        points = [(float(x), float(y), float(z)) for x, y, z in vertices]
+        corners = [[_index(one) for one in face] for face in faces]
+    except (TypeError, ValueError) as error:
+        what = f"is no mesh ({error}); give (vertices, faces), rows of x, y, z and rows of indices from 0"
+        raise _FaultError("problem.field", what, field) from error
+    if not all(math.isfinite(x + y + z) for x, y, z in points):
+        raise _FaultError("problem.not_finite", "the mesh has vertices that are not finite", field)
+    for number, face in enumerate(corners):
+        if len(face) < 3 or not all(0 <= one < len(points) for one in face):
+            what = (
+                f"face {number} of the mesh is {face}; give three or more indices from 0 to {len(points) - 1}"
+            )
+            raise _FaultError("problem.field", what, field)
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points]
+    lines += ["f " + " ".join(str(one + 1) for one in face) for face in corners]
+    return "\n".join([*lines, ""]).encode("ascii")
+
+
+def _index(value: Any) -> int:
+    """A whole number, as numpy's or another host's integers are too."""
+    found = int(value)
+    if found != value:
+        raise ValueError(f"{value} is no index")
+    return found

@@ -1,0 +1,107 @@
+"""An arm with its axes as SVG: what is held apart of it, in its home posture, and where its joints turn."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+
+from planner.catalogue.robots import RobotData
+from planner.cell.bodies import body_poses
+from planner.geometry.arrays import FloatArray, Shape
+from planner.report import markup, raster
+from planner.report.raster import Solid, Thing
+
+_PAINT: Final = ((0.62, 0.66, 0.72), (0.80, 0.83, 0.87))
+"""Red, green, blue in 0..1 of links, in turns."""
+_TOWARD: Final = np.array([-0.62, 0.86, -0.34])
+"""The direction of the view, in the base."""
+_WIDTH, _HEIGHT = 900, 760
+_MAKE: Final[Mapping[str, Callable[..., Solid]]] = {
+    "box": raster.box,
+    "cylinder": raster.cylinder,
+    "capsule": raster.capsule,
+    "sphere": raster.sphere,
+}
+_AXIS, _FRAME = "#7d3c98", ("#c0392b", "#2e8b57", "#2e5fb8")
+
+
+def drawing(robot: RobotData) -> str:
+    """The SVG of an arm from a file at home: every axis by its number, its arrow along the positive turn;
+    the frames of base and tip. ``ValueError`` for an arm of the catalogue, whose bodies Drake reads."""
+    if robot.file is None:
+        raise ValueError(f"{robot.name} is not from a file")
+    poses = body_poses("arm", robot, np.eye(4), robot.home[None])
+    names = ("base_link", *(f"link_{i}" for i in range(1, 7)))
+    things = [
+        Thing(_solid(shape).moved(poses[f"arm/{name}"][0] @ shape.pose), _PAINT[i % 2], closed=False)
+        for i, (name, shapes) in enumerate(zip(names, robot.file.shapes, strict=True))
+        for shape in shapes
+    ]
+    frames = np.concatenate([poses[f"arm/{name}"] for name in names[1:]])
+    zero = robot.file.zero[1:7, :3, :3]
+    axes = np.einsum("iab,icb,ic->ia", frames[:, :3, :3], zero, robot.file.axis)  # turned with the links
+    points, tip = _apart(frames[:, :3, 3], axes), poses["arm/tool"][0]
+    half = 0.14 * robot.reach
+    ends = np.stack([points - half * axes, points + half * axes], axis=1)
+    triads = np.stack([np.eye(4), tip])
+    arrows = triads[:, None, :3, 3] + 0.8 * half * np.swapaxes(triads[:, :3, :3], 1, 2)
+    shown = np.concatenate([*(thing.solid.vertices for thing in things), *ends, *arrows])
+    camera = raster.frame(shown, _TOWARD, 2 * _WIDTH, 2 * _HEIGHT, 0.88)
+    image = raster.rendered(camera, things)
+    address = markup.png(image.color, np.isfinite(image.depth).astype(np.float64))
+
+    def at(place: FloatArray) -> FloatArray:
+        return np.asarray(0.5 * camera.project(place)[..., :2])
+
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
+        f'font-family="sans-serif" font-size="15"><title>{html.escape(robot.title)}</title>',
+        f'<rect width="{_WIDTH}" height="{_HEIGHT}" fill="#fff"/>',
+        f'<image href="{address}" width="{_WIDTH}" height="{_HEIGHT}"/>',
+        f'<text x="16" y="28" font-size="18">{html.escape(robot.title)}, at home</text>',
+    ]
+    for origin, heads, word in zip(at(triads[:, :3, 3]), at(arrows), ("base", "tip"), strict=True):
+        out += [_arrow(origin, head, paint, 2.0) for head, paint in zip(heads, _FRAME, strict=True)]
+        out.append(_word(origin, word, "#1b2330"))
+    for i, (start, end) in enumerate(at(ends)):
+        out += [_arrow(start, end, _AXIS, 2.6), _word(end, str(i + 1), _AXIS)]
+    return "\n".join([*out, "</svg>"]) + "\n"
+
+
+def _apart(points: FloatArray, axes: FloatArray) -> FloatArray:
+    """The points (N, 3) on the axes (N, 3); where a later axis is in one line with one, as 6 with 4 at home,
+    the earlier one's is moved half the way back to the axis before it."""
+    out = points.copy()
+    for i in range(1, len(points)):
+        for j in range(i + 1, len(points)):
+            off = np.linalg.norm(np.cross(points[j] - points[i], axes[i]))
+            if off < 1e-3 and np.linalg.norm(np.cross(axes[i], axes[j])) < 1e-3:
+                back = (points[i - 1] - points[j]) @ axes[i]
+                out[i] = points[j] + 0.5 * back * axes[i]
+    return out
+
+
+def _solid(shape: Shape) -> Solid:
+    if shape.vertices is not None and shape.faces is not None:
+        return raster.mesh(shape.vertices, shape.faces)
+    return _MAKE[shape.kind](*shape.size)
+
+
+def _arrow(start: FloatArray, end: FloatArray, paint: str, width: float) -> str:
+    way = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+    across = np.array([-way[1], way[0]])
+    wings = [end - 11.0 * way + 4.5 * across, end, end - 11.0 * way - 4.5 * across]
+    head = " ".join(f"{x:.1f},{y:.1f}" for x, y in wings)
+    return (
+        f'<path d="M{start[0]:.1f},{start[1]:.1f} L{end[0]:.1f},{end[1]:.1f}" stroke="{paint}" '
+        f'stroke-width="{width}"/><polygon points="{head}" fill="{paint}"/>'
+    )
+
+
+def _word(place: FloatArray, text: str, paint: str) -> str:
+    halo = 'stroke="#fff" stroke-width="4" paint-order="stroke"'
+    x, y = place + 8.0
+    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{paint}" {halo}>{html.escape(text)}</text>'

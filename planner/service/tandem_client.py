@@ -1,0 +1,1 @@
+../../client/tandem_client.py

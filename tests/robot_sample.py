@@ -1,0 +1,13 @@
+"""Robots of the catalogue for tests of code, which need none of each: small and large ones of both makers,
+with a parallel rod, and with the wrist above, below and in line with the elbow. What holds of figures is
+tested of all."""
+
+from __future__ import annotations
+
+from planner.catalogue.robots import robot
+
+SAMPLE = (
+    *("irb140", "irb120", "irb1200_7_70", "irb4400_60", "irb4600_40", "irb6640_185", "irb6700_200"),
+    *("kr60_ha", "kr10_r1100", "kr210_r2700"),
+)
+KUKAS = tuple(name for name in SAMPLE if robot(name).family == "KUKA")

@@ -1,0 +1,411 @@
+"""The client in one file: a round trip by other Pythons against a real service, and what it says when
+something is wrong."""
+
+from __future__ import annotations
+
+import ast
+import http.server
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import planner
+from planner.issues import Issue
+from planner.service import tandem_client
+from planner.service.models import API, Database, default_url
+from planner.service.security import Auth
+from tests import small_problem
+from tests.service.support import ROOT, Process
+
+FOLDER = ROOT / "client"
+FILE = FOLDER / "tandem_client.py"
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Process, str]]:
+    data = tmp_path_factory.mktemp("desk") / "data"
+    data.mkdir()
+    database = Database(default_url(data))
+    token = Auth(database).make("ann")
+    database.close()
+    process = Process(data, "--require-token").wait()
+    yield process, token
+    process.stop()
+    assert "Traceback" not in process.log.read_text()
+
+
+def interpreter(version: str) -> str | None:
+    """A Python of that version: in PATH, or of pyenv or uv, whose shims may stand for none."""
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
+    uv = Path.home() / ".local" / "share" / "uv" / "python"
+    found = [shutil.which(f"python{version}")]
+    found += map(str, sorted(pyenv.glob(f"versions/{version}.*/bin/python{version}")))
+    found += map(str, sorted(uv.glob(f"*-{version}.*/bin/python{version}")))
+    asked = "import sys; print('%d.%d' % sys.version_info[:2])"
+    for one in filter(None, found):
+        done = subprocess.run([one, "-I", "-c", asked], capture_output=True, text=True, check=False)
+        if done.returncode == 0 and done.stdout.strip() == version:
+            return one
+    return None
+
+
+@pytest.mark.parametrize("version", ["3.9", "3.13"])
+def test_a_round_trip_by_another_python(served: tuple[Process, str], version: str) -> None:
+    """Without site-packages, so with nothing but the standard library, and with no warning."""
+    python = interpreter(version)
+    if python is None:
+        pytest.skip(f"there is no Python {version}: no python{version} in PATH, of pyenv or of uv")
+    process, token = served
+    name = f"small_{version.replace('.', '_')}"
+    script = Path(__file__).with_name("round_trip.py")
+    command = [python, "-I", "-S", "-W", "error", str(script), str(FOLDER), process.url, token, name]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+    assert done.returncode == 0, done.stderr
+    out = json.loads(done.stdout)
+    assert ".".join(map(str, out["python"])) == version
+    assert out.get("import_mb", 0) < 30
+    assert out["api"] == API == tandem_client.API
+    assert out["found"] == []
+    assert out["state"] == "verified"
+    assert "motion" in out["heard"]
+    assert "MODULE" in "".join(out["programs"].values())
+    assert out["report"].lower() == out["replay"].lower() == "<!doctype html>"
+    assert f"name: {name}" in out["sent"]
+    assert out["named"] == [["problem.field", "name"]]
+    assert out["panel"] == []
+    wrong, infinite, no_unit, no_faces = out["refusals"]
+    assert sorted(one[::2] for one in wrong) == [
+        ["problem.field", "colour"],
+        ["problem.field", "stock.size_mm.0"],
+    ]
+    assert [one[::2] for one in infinite] == [["problem.not_finite", "stock.size_mm.0"]]
+    assert [one[::2] for one in no_unit] == [["mesh.unit", "part.front.mesh.file"]]
+    assert [one[::2] for one in no_faces] == [["problem.field", "part.front.mesh.file"]]
+    assert all(one[1] for refusal in out["refusals"] for one in refusal)
+    assert out["cancelled"] == "cancelled"
+    assert out["jobs"] >= 2
+    assert out["wrong_token"] == ["service.token"]
+
+
+def test_the_problem_of_its_page_is_one(served: tuple[Process, str], tmp_path: Path) -> None:
+    """As far as it is sent; the round trip plans a smaller one."""
+    process, token = served
+    (code,) = re.findall(r"^```python\n(.*?)^```", (FOLDER / "README.md").read_text("utf-8"), re.M | re.S)
+    code = code.replace("https://plans.example.org", process.url).replace("tandem_...", token)
+    sent, _, rest = code.partition("job = client.submit(problem)")
+    assert rest
+    shutil.copy(ROOT / "problems" / "cells" / "two_irb140_facing.yaml", tmp_path / "cell.yaml")
+    shutil.copy(FILE, tmp_path)
+    whole = f"import sys; sys.path.insert(0, '.')\n{sent}"
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", whole], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+
+
+ANY_SYSTEM = {
+    *(
+        "__future__",
+        "collections.abc",
+        "dataclasses",
+        "http.client",
+        "io",
+        "json",
+        "math",
+        "os",
+        "pathlib",
+        "re",
+    ),
+    *(
+        "secrets",
+        "socket",
+        "ssl",
+        "time",
+        "typing",
+        "urllib.error",
+        "urllib.parse",
+        "urllib.request",
+        "zipfile",
+    ),
+}
+"""Modules that Windows and macOS have too."""
+
+
+def test_it_is_written_for_python_3_9_and_any_system() -> None:
+    tree = ast.parse(FILE.read_text("utf-8"), feature_version=(3, 9))
+    imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    imported |= {one.name for node in ast.walk(tree) if isinstance(node, ast.Import) for one in node.names}
+    assert imported <= ANY_SYSTEM
+    assert FILE.read_bytes().isascii()
+    from_os = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module == "os"]
+    assert {one.name for node in from_os for one in node.names} == {"PathLike", "fspath"}
+
+
+def test_there_is_one_file_for_two_distributions(tmp_path: Path) -> None:
+    """The wheels are built by the very builder that both pyproject.toml name, and the one of the planner's
+    source package, too."""
+    wheels = pytest.importorskip("hatchling.builders.wheel", reason="hatchling is not installed")
+    sources = pytest.importorskip("hatchling.builders.sdist", reason="hatchling is not installed")
+    assert planner.Client.__mro__[1] is tandem_client.Client
+    assert Path(tandem_client.__file__).resolve() == FILE
+    for root, inside in ((FOLDER, "tandem_client.py"), (ROOT, "planner/service/tandem_client.py")):
+        (made,) = sources.SdistBuilder(str(root)).build(directory=str(tmp_path), versions=["standard"])
+        unpacked = tmp_path / Path(made).name.removesuffix(".tar.gz")
+        shutil.unpack_archive(made, tmp_path)
+        for source in (root, unpacked):
+            (made,) = wheels.WheelBuilder(str(source)).build(directory=str(tmp_path), versions=["standard"])
+            with zipfile.ZipFile(made) as wheel:
+                assert wheel.read(inside) == FILE.read_bytes()
+                modules = [name for name in wheel.namelist() if name.endswith(".py")]
+                metadata = next(name for name in wheel.namelist() if name.endswith("METADATA"))
+                about = wheel.read(metadata).decode()
+            assert len(modules) == 1 or root == ROOT
+            assert "Requires-Dist" not in about or root == ROOT
+            assert "Requires-Python: >=3.9" in about or root == ROOT
+
+
+def test_values_of_numpy_and_paths_go_along(served: tuple[Process, str], tmp_path: Path) -> None:
+    process, token = served
+    table = tmp_path / "targets.csv"
+    table.write_text("\n".join([small_problem.COLUMNS, *small_problem.ROWS]))
+    problem = {
+        "tandem": np.int64(1),
+        "name": "numpy",
+        "cell": {
+            "arms": [
+                {
+                    "name": "left",
+                    "robot": "irb140",
+                    "tool": {"kind": "wire_holder", "mounting": "along", "side": "start"},
+                    "home_deg": np.array([0, 0, 0, 0, 45, 1e-7]),
+                }
+            ]
+        },
+        "stock": {"size_mm": np.full(3, 100.0), "place": {"xyz_mm": (450, 0, np.float64(0))}},
+        "operations": [
+            {"name": "poses", "process": "targets", "arms": ["left"], "file": table, "frame": "world"}
+        ],
+    }
+    client = tandem_client.Client(process.url, token)
+    assert client.check(problem) == ()
+    written = small_problem.write(tmp_path)
+    assert client.check(written, files={"targets.csv": table}) == ()
+    assert client.check(written.read_bytes(), files={"targets.csv": table.read_bytes()}) == ()
+    (issue,) = refusal(lambda: client.check(written))
+    assert issue.code == "service.not_uploaded"
+    both = planner.Client(process.url, token)
+    assert both.check(problem) == both.check(planner.load(written)) == ()
+
+
+@pytest.mark.parametrize(
+    ("problem", "files", "code"),
+    [
+        (5, {}, "problem.field"),
+        ({"a": {1, 2}}, {}, "problem.field"),
+        ({"a": "\ud800"}, {}, "problem.field"),
+        ({"a": [1.0, float("inf")]}, {}, "problem.not_finite"),
+        ({"a": Path("no such file")}, {}, "problem.missing_file"),
+        ("no such file", {}, "problem.missing_file"),
+        ({"file": ([[0, 0, 0]] * 3, [[0, 1, 2]])}, {}, "mesh.unit"),
+        ({"file": ([[0, 0]] * 3, [[0, 1, 2]]), "unit": "mm"}, {}, "problem.field"),
+        ({"file": ([[0, 0, 0]] * 3, [[0, 1]]), "unit": "mm"}, {}, "problem.field"),
+        ({"file": ([[0, 0, 0]] * 3, [[-1, 1, 2]]), "unit": "mm"}, {}, "problem.field"),
+        ({"file": ([[0, 0, 0]] * 3, [[0.5, 1, 2]]), "unit": "mm"}, {}, "problem.field"),
+        ({"file": ([[0, 0, float("nan")]] * 3, [[0, 1, 2]]), "unit": "mm"}, {}, "problem.not_finite"),
+        ({"file": ("abc",), "unit": "mm"}, {}, "problem.field"),
+        ({}, {"a.obj": "text"}, "problem.field"),
+        ({}, {"a.obj": Path("no such file")}, "problem.missing_file"),
+    ],
+)
+def test_what_cannot_be_sent_is_told_before_it_is_sent(problem: Any, files: Any, code: str) -> None:
+    for kind, error in (
+        (tandem_client.Client, tandem_client.TandemError),
+        (planner.Client, planner.TandemError),
+    ):
+        with pytest.raises(error) as caught:
+            kind("http://127.0.0.1:1").submit(problem, files=files)
+        assert [issue.code for issue in caught.value.issues] == [code]
+        assert caught.value.issues[0].field
+
+
+def test_a_problem_that_holds_itself_is_told() -> None:
+    problem: dict[str, Any] = {}
+    problem["a"] = problem
+    (issue,) = refusal(lambda: tandem_client.Client("http://127.0.0.1:1").submit(problem))
+    assert issue.code == "problem.field"
+
+
+def test_a_mesh_keeps_every_digit() -> None:
+    vertices = np.array([[0.1, 1e-17, -3.0], [1 / 3, 0, 0], [0, 2e10, 0], [1, 1, 1]])
+    faces = np.array([[0, 1, 2, 3]], dtype=np.uint32)
+    text, files = tandem_client._bundle({"file": (vertices, faces), "unit": "m"}, {"1-mesh.obj": b""})
+    assert json.loads(text) == {"file": "2-mesh.obj", "unit": "m"}
+    lines = files["2-mesh.obj"].decode().splitlines()
+    assert [[float(x) for x in line.split()[1:]] for line in lines[:4]] == vertices.tolist()
+    assert lines[4:] == ["f 1 2 3 4"]
+
+
+def refusal(asked: Any) -> Any:
+    with pytest.raises(tandem_client.TandemError) as caught:
+        asked()
+    return caught.value.issues
+
+
+class Odd(http.server.BaseHTTPRequestHandler):
+    """A service that says what ``health`` says, and ``answers`` the rest; it notes what it was asked."""
+
+    health: bytes = b'{"status": "ok", "version": "9.0", "api": 2, "api_oldest": 1}'
+    answers: tuple[int, dict[str, str], bytes] = (200, {}, b"{}")
+    pause_s = 0.0
+    asked: list[tuple[str, str | None]]
+
+    def do_GET(self) -> None:
+        self.asked.append((self.path, self.headers.get("Authorization")))
+        status, headers, body = (200, {}, self.health) if self.path == "/v1/health" else self.answers
+        if self.path != "/v1/health":
+            time.sleep(self.pause_s)
+        self.send_response(status)
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    do_POST = do_GET  # noqa: N815
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+        pass
+
+
+@pytest.fixture
+def odd() -> Iterator[tuple[type[Odd], str]]:
+    kind = type("Some", (Odd,), {"asked": []})
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield kind, f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+def test_a_client_that_is_too_old_is_told(odd: tuple[type[Odd], str]) -> None:
+    kind, url = odd
+    kind.health = b'{"status": "ok", "version": "9.0", "api": 7, "api_oldest": 5}'
+    (issue,) = refusal(lambda: tandem_client.Client(url, "t").job("a"))
+    assert issue.code == "service.version"
+    assert "pip install --upgrade tandem-client" in issue.message
+    assert [path for path, _ in kind.asked] == ["/v1/health"], "nothing was asked of it"
+    kind.health = b'{"status": "ok", "version": "9.0", "api": 7, "api_oldest": 2}'
+    assert tandem_client.Client(url).job("a") == {}
+
+
+def test_a_service_that_is_too_old_is_told_where_it_matters(odd: tuple[type[Odd], str]) -> None:
+    kind, url = odd
+    kind.health = b'{"status": "ok", "version": "0.1.0", "workers": 1, "queued": 0, "running": 0}'
+    kind.answers = (200, {}, b'{"path": "/x"}')
+    client = tandem_client.Client(url)
+    client.job("a")
+    (issue,) = refusal(lambda: client.report_url("a"))
+    assert issue.code == "service.version"
+    assert "update the service" in issue.message
+    kind.health = Odd.health  # it was updated
+    assert client.report_url("a") == f"{url}/x"
+
+
+def test_what_a_newer_service_says_besides_is_passed_over(odd: tuple[type[Odd], str]) -> None:
+    kind, url = odd
+    said = {"code": "service.new", "message": "new", "severity": "error", "colour": "red", "field": "a"}
+    kind.answers = (422, {}, json.dumps({"issues": [said]}).encode())
+    (issue,) = refusal(lambda: tandem_client.Client(url).job("a"))
+    assert (issue.code, issue.message, issue.field, issue.data["colour"]) == (
+        "service.new",
+        "new",
+        "a",
+        "red",
+    )
+    with pytest.raises(planner.TandemError) as caught:
+        planner.Client(url).job("a")
+    assert caught.value.issues == (Issue("service.answer", "[service.new] new", field="a"),)
+
+
+def test_a_token_goes_to_no_other_address(odd: tuple[type[Odd], str]) -> None:
+    kind, url = odd
+    kind.answers = (307, {"Location": "http://127.0.0.1:1/elsewhere"}, b"")
+    for ask in (
+        lambda: tandem_client.Client(url, "t").job("a"),
+        lambda: tandem_client.Client(url, "t").cancel("a"),
+    ):
+        (issue,) = refusal(ask)
+        assert issue.code == "service.answer"
+        assert "http://127.0.0.1:1/elsewhere" in issue.message
+    assert {token for _, token in kind.asked} == {"Bearer t"}
+
+
+def test_a_token_is_sent_as_it_was_made(odd: tuple[type[Odd], str]) -> None:
+    kind, url = odd
+    tandem_client.Client(url, " tandem_x\n").job("a/../b")
+    assert kind.asked[-1] == ("/v1/jobs/a%2F..%2Fb", "Bearer tandem_x")
+    for wrong in ("a\nb", "\u2013"):
+        (issue,) = refusal(lambda wrong=wrong: tandem_client.Client(url, wrong))
+        assert (issue.code, issue.field) == ("service.token", "token")
+
+
+def test_time_that_runs_out_is_told(odd: tuple[type[Odd], str]) -> None:
+    kind, url = odd
+    kind.pause_s = 2.0
+    (issue,) = refusal(lambda: tandem_client.Client(url, timeout_s=0.2).job("a"))
+    assert issue.code == "service.timeout"
+    began = time.monotonic()
+    (issue,) = refusal(lambda: tandem_client.Client(url).wait("a", timeout_s=0.3))
+    assert issue.code == "service.timeout"
+    assert "goes on" in issue.message
+    assert time.monotonic() - began < 1.9, "a service that hangs does not hold whoever waits"
+
+
+@pytest.mark.parametrize("body", [b"", b"[]", b"<html>", b"\xff", b'{"status": "up"}'])
+def test_what_is_no_tandem_is_told(odd: tuple[type[Odd], str], body: bytes) -> None:
+    kind, url = odd
+    kind.health = body
+    (issue,) = refusal(lambda: tandem_client.Client(url).job("a"))
+    assert issue.code == "service.answer"
+
+
+def test_a_service_that_is_away_is_told() -> None:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{one.getsockname()[1]}"
+        for ask in ("service", "job", "wait", "report_url"):
+            (issue,) = refusal(
+                lambda ask=ask: getattr(tandem_client.Client(url), ask)(*[] if ask == "service" else "a")
+            )
+            assert (issue.code, issue.field) == ("service.answer", "url")
+            assert url in str(issue)
+
+
+def test_an_issue_reads_as_in_the_planner() -> None:
+    for issue in (
+        Issue("problem.field", "x", field="a", file="b", line=3, hint="c"),
+        Issue("problem.field", "x"),
+    ):
+        assert str(tandem_client.Issue.from_dict(issue.to_dict())) == str(issue)
+
+
+def test_it_runs_without_the_planner() -> None:
+    """Imported alone it brings nothing of this package."""
+    code = "import sys; sys.path.insert(0, sys.argv[1]); import tandem_client; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", code, str(FOLDER)], capture_output=True, text=True, check=True
+    )
+    assert not {"planner", "numpy", "fcntl", "zipfile"} & set(done.stdout.split())
