@@ -226,7 +226,7 @@ class JobFile(Strict):
     ``grippers`` lie ready beside those of its cell."""
 
     when: WhenFile = WhenFile()
-    problem: FileName
+    problem: Annotated[FileName | dict[str, Any], Field(description="a file, or what it would hold")]
     grippers: RackFile = ()
 
 
@@ -498,27 +498,28 @@ def _cells(own: ElementSurface) -> tuple[int, int]:
 
 
 def _template(job: JobFile, folder: Path, field: str) -> Template:
-    path = folder / job.problem
-    document = strict_yaml.read(path)
-    brought = [key for key in ("part", "sheet") if key in document.data]
-    stock = document.data.get("stock") or {}
+    if isinstance(job.problem, str):
+        name, file = job.problem, str(folder / job.problem)
+        given = strict_yaml.read(folder / job.problem).data
+    else:
+        name, given, file = field, job.problem, None
+    brought = [key for key in ("part", "sheet") if key in given]
+    stock = given.get("stock") or {}
     if isinstance(stock, dict) and "size_mm" in stock:
         brought.append("stock.size_mm")
     if brought:
-        what = f"{job.problem} has {', '.join(brought)}, which each panel brings itself"
+        what = f"{name} has {', '.join(brought)}, which each panel brings itself"
         raise TandemError(
-            Issue("element.jobs", what, file=str(path), field=field, hint="take that out of the template")
+            Issue("element.jobs", what, file=file, field=field, hint="take that out of the template")
         )
-    missing = [key for key in ("cell", "operations") if key not in document.data]
-    if missing or not isinstance(stock, dict) or not isinstance(document.data.get("operations"), list):
-        what = (
-            f"{job.problem} is no template: it must have a cell, a list of operations, and a mapping as stock"
-        )
+    missing = [key for key in ("cell", "operations") if key not in given]
+    if missing or not isinstance(stock, dict) or not isinstance(given.get("operations"), list):
+        what = f"{name} is no template: it must have a cell, a list of operations, and a mapping as stock"
         raise TandemError(
-            Issue("element.jobs", what, file=str(path), field=field, hint="write the rest of a problem file")
+            Issue("element.jobs", what, file=file, field=field, hint="write the rest of a problem file")
         )
-    data = resolved(document.data, path.parent)
+    data = resolved(given, folder if file is None else Path(file).parent)
     rack = [one.model_dump(mode="json", exclude_none=True) for one in job.grippers]
     if rack and isinstance(data["cell"], dict):
         data["cell"] = {**data["cell"], "grippers": [*(data["cell"].get("grippers") or []), *rack]}
-    return Template(job.when, job.problem, data)
+    return Template(job.when, name, data)

@@ -36,7 +36,7 @@ from planner.catalogue.robots import data_dir
 from planner.files import is_file
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
-from planner.service import routes
+from planner.service import element_routes, routes
 from planner.service.routes import REFUSALS, REQUESTS, Caller, Here
 from planner.service.runner import Team
 from planner.service.security import LOOPBACK, Guard, RefusedError, issue_json
@@ -333,6 +333,7 @@ def create_app(service: Service) -> FastAPI:
     )
     app.state.service = service
     app.include_router(routes.job_router)
+    app.include_router(element_routes.router)
     app.include_router(routes.about_router)
     app.include_router(page_router)
     app.add_exception_handler(RefusedError, _refused)
