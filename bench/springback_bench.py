@@ -58,12 +58,11 @@ def run() -> list[dict[str, Any]]:
     spent = time.process_time() - begin
     whole = forecast.forecast(laid, control, curves)[0]
     path = laid[0][1].contact
-    radius = made.heads[made.former(laid[0][0])].radius
     deep = np.flatnonzero(path.point[:, 2] < -1.0 * MM)
     rows = np.random.default_rng(2026).choice(deep, PLACES, replace=False)
     off = []
     for row in rows:
-        force = float(forces(made, radius, path.angle[row : row + 1])[0])
+        force = float(forces(made, laid[0][0], path.point[row : row + 1], path.angle[row : row + 1])[0])
         alone = float(solved(made, Point(0, path.point[row], force)).at(force))
         off.append((abs(float(whole.at(path.point[row : row + 1], np.array([force]))[0]) - alone), alone))
     worst = max(gap / alone for gap, alone in off)
@@ -138,7 +137,7 @@ def _released(problem: Any, path: Path) -> tuple[Any, Any]:
             if one.name in [claim.segment.name for claim in shape.claims]
         )
         contact, way = laid.contact, ways[one.name]
-        force = forces(made, made.heads[made.former(one)].radius, contact.angle)
+        force = forces(made, one, contact.point, contact.angle)
         for row in random.choice(np.flatnonzero(contact.loop > contact.loop[0]), RELEASED, replace=False):
             formed = elastic.Formed(shapes, feature, number, abs(float(contact.point[row, 2]) - one.start))
             place = contact.point[row, :2]

@@ -17,7 +17,18 @@ from planner.catalogue.issue_codes import CODES
 from planner.forming import operation as forming
 from planner.hotwire import operation
 from planner.milling import operation as milling_operation
-from planner.reading import cell, controller, loads, part_ruled, part_surfaces, poses, problem, sheet, stock
+from planner.reading import (
+    cell,
+    controller,
+    loads,
+    part_ruled,
+    part_surfaces,
+    poses,
+    problem,
+    robot_file,
+    sheet,
+    stock,
+)
 from planner.reading import part as part_file
 from planner.verify import prove
 
@@ -64,6 +75,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`adsif` of `forming`", "", forming.Adsif),
     ("`die` of `forming`", "", forming.Die),
     ("`springback` of `forming`", "", forming.Springback),
+    ("`force_by` of `forming`", "", forming.ForceBy),
     ("`level` of `forming`", "", forming.Level),
     ("Process `milling`", "milling", milling_operation.Milling),
     ("`cuts` of `milling`: a flank", "", milling_operation.FlankCut),
@@ -75,6 +87,8 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`free` of `targets`, each", "", poses.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell.CellFile),
     ("`cell.arms`, each", "", cell.ArmFile),
+    ("`robot` of an arm, one of your own", "", robot_file.OwnRobotFile),
+    ("`meshes` of `robot`, each", "", robot_file.LinkMeshFile),
     ("`stiffness` of an arm", "", cell.StiffnessFile),
     ("`compensate_sag` of an arm", "", cell.SagFile),
     ("Tool `wire_holder`", "", cell.WireHolderFile),

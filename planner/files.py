@@ -41,6 +41,13 @@ RESULT = (
 """What a result folder holds; anything else in the folder is left alone."""
 
 
+PAGES = ("report.html", "replay.html")
+"""What of a result folder people look at, and can be made of the rest."""
+
+FILE_KEYS: Final = ("file", "urdf")
+"""Keys of problem files whose text is the name of a file."""
+
+
 def is_file(path: Path) -> bool:
     """Whether ``path`` is a file; False also for names that no file can have and folders that are closed."""
     try:

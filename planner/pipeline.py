@@ -84,14 +84,17 @@ class Outcome:
         """Codes of errors that the problem accepts and that are there: they stand beside the verdict."""
         return accepted(self.plan.issues)
 
-    def save(self, folder: str | Path, progress: Progress | None = None) -> None:
-        """Write the result folder: programs only if verified, plan, report, replay, simulated part."""
+    def save(self, folder: str | Path, progress: Progress | None = None, pages: bool = True) -> None:
+        """Write the result folder: programs only if verified, plan, report, replay, simulated part. Without
+        ``pages`` neither report nor replay, which :func:`write_pages` makes of the folder."""
         from planner import plans
         from planner.report import output
 
         tell = progress or _silent
         tell("report", 0.0)
-        files: dict[str, str | bytes] = dict(output.files(self.problem, self.plan, self.proof, self.pictures))
+        files: dict[str, str | bytes] = dict(output.proof_files(self.plan, self.proof))
+        if pages:
+            files |= output.pages(self.problem, self.plan, self.proof, self.pictures)
         files |= plans.dump(self.plan)
         files |= {f"problem/{name}": text for name, text in problem_file.bundle(self.problem).items()}
         files |= {f"programs/{name}": text for name, text in self.programs.items()}
@@ -394,6 +397,20 @@ def _text(path: Path) -> str:
 def load_result(folder: str | Path) -> Problem:
     """The problem that a result folder was made for, from the copy that it carries."""
     return load(Path(folder) / "problem" / "problem.yaml")
+
+
+def write_pages(folder: str | Path, processes: int = 1) -> Proof:
+    """Write report and replay into a result folder, of its problem, its plan and the proof of its programs,
+    which is made anew and given back; ``processes`` as for :func:`plan`. Raises ``TandemError`` for what is
+    missing or damaged there."""
+    from planner import plans
+    from planner.report import output
+
+    problem, made = load_result(folder), plans.load(folder)
+    proof = verify(problem, read_programs(folder), processes)
+    for name, text in output.pages(problem, made, proof).items():
+        write_whole(Path(folder) / name, text)
+    return proof
 
 
 def claim_output(folder: str | Path, problem: str | Path) -> None:

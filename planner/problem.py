@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 
 from planner.catalogue.materials import Foam, SheetMetal
-from planner.catalogue.robots import JointStiffness
+from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.claims.claim import ForceFrame
 from planner.claims.vocabulary import Handshake
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape
@@ -55,7 +55,8 @@ class Arm:
 
     ``base_auto``: the base may be moved by the placement search. ``stiffness``: of its joints, as its file
     states them, else as the catalogue has them, None for neither; ``sag``: how what that makes is
-    compensated, None where it is not.
+    compensated, None where it is not. ``given``: the robot's data where a file of the user's own has it,
+    which ``robot`` then names, None for one of the catalogue.
     """
 
     name: str
@@ -66,6 +67,12 @@ class Arm:
     base_auto: bool = False
     stiffness: JointStiffness | None = None
     sag: SagCompensation | None = None
+    given: RobotData | None = None
+
+    @property
+    def data(self) -> RobotData:
+        """The robot's data; raises as :func:`planner.catalogue.robots.robot`."""
+        return robot(self.robot) if self.given is None else self.given
 
 
 @dataclasses.dataclass(frozen=True)

@@ -42,6 +42,7 @@ from planner.reading import (
     part,
     part_ruled,
     part_surfaces,
+    robot_file,
     sheet,
     stock,
     strict_yaml,
@@ -184,6 +185,12 @@ class Sag(Section, model=cell.SagFile): ...
 
 
 class Force(Section, model=loads.ForceFile): ...
+
+
+class LinkMesh(Section, model=robot_file.LinkMeshFile): ...
+
+
+class OwnRobot(Section, model=robot_file.OwnRobotFile): ...
 
 
 class Arm(Section, model=cell.ArmFile): ...
@@ -349,6 +356,9 @@ class Die(Section, model=forming.Die): ...
 
 
 class Springback(Section, model=forming.Springback): ...
+
+
+class ForceBy(Section, model=forming.ForceBy): ...
 
 
 class Level(Section, model=forming.Level): ...

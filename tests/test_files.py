@@ -13,8 +13,9 @@ from planner.forming.paths import adsif_response
 from planner.forming.springback import clamp_calibration
 from planner.geometry import mesh, wing
 from planner.issues import TandemError
-from planner.loops import forces_file, loop_plan, machine, plant
+from planner.loops import loop_plan, machine, plant
 from planner.loops.loop_plan import LoopPlan
+from planner.reading import forces_file
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_litter(
@@ -60,7 +61,7 @@ def test_an_interrupted_folder_keeps_what_was_there(tmp_path: Path, monkeypatch:
 
 READERS: dict[str, Callable[[Path], object]] = {
     "curves": loop_plan.read_plan,
-    "forces": lambda path: forces_file.read_forces(path, LoopPlan("f1", "", 1, 0.005, 0.18, ())),
+    "forces": lambda path: forces_file.read_forces(path, [LoopPlan("f1", "", 1, 0.005, 0.18, ()).asked]),
     "plant": plant.read_plant,
     "machine": machine.read_machine,
     "plate test": lambda path: clamp_calibration.read_readings(path, 1e-5),

@@ -18,7 +18,6 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from planner.catalogue.robots import robot
 from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray, to_rpy
 from planner.geometry.units import DEG, MM
@@ -172,7 +171,7 @@ def require_reach(cell: Cell, order: tuple[int, int], points: ProbedPoints, file
     issues = []
     for k, where in zip(order, (points.first, points.second), strict=True):
         arm = cell.arms[k]
-        data = robot(arm.robot)
+        data = arm.data
         most = (
             data.reach + float(np.linalg.norm(arm.tool.tcp[:3, 3])) + 1.0
         )  # the base lies below the shoulder

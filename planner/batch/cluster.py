@@ -156,6 +156,7 @@ class Cluster:
             "timeout_s": job.timeout_s,
             "memory_mb": job.memory_mb if job.memory_mb is not None else self._memory_mb,
             "origins": dict(job.origins),
+            "reports": job.reports,
             "module": self._module,
         }
         arguments = (token, self._topic, dict(job.files), more, self._versions)
@@ -291,7 +292,8 @@ def plan_here(
     own = all_versions()
     if own != dict(versions):
         return {"versions": own, "worker": get_worker().address}
-    job = Job(more["name"], files, more["timeout_s"], more["memory_mb"], more["origins"])
+    limits = more["timeout_s"], more["memory_mb"]
+    job = Job(more["name"], files, *limits, more["origins"], more["reports"])
     with tempfile.TemporaryDirectory(prefix="tandem-") as folder:
         result = Path(folder) / "result"
         done = _finished(token, topic, job, result, more["module"])

@@ -44,6 +44,7 @@ REPORT: Final = ("element.html", "report.csv", "joints.csv")
 FROM_PANELS: Final = "../problem/"
 """The way from ``panels/`` to the files that the job was given."""
 AnyElement = TypeVar("AnyElement", bound=element_file.Element)
+AnyTemplate = TypeVar("AnyTemplate", bound=element_file.Template)
 Made = tuple[dict[str, str], tuple[Issue, ...], str]
 
 
@@ -89,8 +90,11 @@ def _written(element: AnyElement, folder: Path | None) -> AnyElement:
     def carried(path: Path) -> str:
         return FROM_PANELS + path.relative_to(folder).as_posix()
 
-    templates = (dataclasses.replace(t, data=each_file(t.data, carried)) for t in element.templates)
-    return dataclasses.replace(element, templates=tuple(templates))
+    def named(template: AnyTemplate) -> AnyTemplate:
+        return dataclasses.replace(template, data=each_file(template.data, carried))
+
+    saw = None if element.saw is None else named(element.saw)
+    return dataclasses.replace(element, templates=tuple(map(named, element.templates)), saw=saw)
 
 
 def _elastic(element: ElasticElement, folder: Path | None) -> Made:

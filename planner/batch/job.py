@@ -24,6 +24,8 @@ State = Literal[
 ]
 STATES: tuple[State, ...] = get_args(State)
 """How a job may end; ``done``: an element is divided, or the report on it written."""
+Reports = Literal["all", "failed"]
+"""Which jobs get report and replay: all, or those that are not verified."""
 PROBLEM = "problem.yaml"
 """The problem file among a job's files."""
 ELEMENT = "element.yaml"
@@ -45,7 +47,7 @@ class Job:
     :func:`planner.reading.problem.bundle` makes it. A job is stopped after ``timeout_s`` [s] of planning, and
     when its worker holds more than ``memory_mb`` [MB]; None is no limit. ``origins``: what people call a
     file, by its name in ``files``; issues name files so, and by their names in ``files`` where nothing is
-    given.
+    given. ``reports``: whether it gets a report and a replay where it is verified.
 
     Raises ``ValueError`` for names that are not safe and where the problem file is missing.
     """
@@ -55,6 +57,7 @@ class Job:
     timeout_s: float | None = None
     memory_mb: float | None = None
     origins: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    reports: Reports = "all"
 
     def __post_init__(self) -> None:
         if not safe_name(self.name):
@@ -235,7 +238,7 @@ class Place:
         try:
             hidden = self._hidden or self.prepare({})[1].parent
             result = hidden / "result"
-            if not is_file(result / "report.html") and done.state != "done":
+            if done.state not in ("verified", "done") and not is_file(result / "report.html"):
                 from planner.batch.run import write_failure
 
                 write_failure(result, done.issues)

@@ -39,13 +39,14 @@ from planner.batch.job import (
     Job,
     Place,
     Record,
+    Reports,
     State,
     all_versions,
     safe_names,
 )
 from planner.batch.workers import Workers
 from planner.catalogue.robots import bundled
-from planner.files import RESULT, STAGING, claim_folder, is_file, write_folder
+from planner.files import FILE_KEYS, RESULT, STAGING, claim_folder, is_file, write_folder
 from planner.issues import Issue, TandemError, given_wrong
 from planner.pipeline import Outcome
 from planner.plans import ARRAYS_FILE, DATA_FILE, Plan
@@ -154,6 +155,7 @@ def bundled_job(
     timeout_s: float | None = None,
     memory_mb: float | None = None,
     like: Path | None = None,
+    reports: Reports = "all",
 ) -> Job:
     """The problem as a job; its issues name files as the problem file does. ``like``: the result folder that
     it is planned like, whose plan and problem go with it, so that equal jobs have equal results."""
@@ -167,14 +169,14 @@ def bundled_job(
             for path in kept
             if path.is_file()
         }
-    return Job(name, files, timeout_s, memory_mb, origins)
+    return Job(name, files, timeout_s, memory_mb, origins, reports)
 
 
 def _pairs(carried: Any, source: Any) -> Iterator[tuple[str, str]]:
     """Names of files in the bundle and in the problem, where both have a value of the key ``file``."""
     if isinstance(carried, dict):
         for key, value in carried.items():
-            if key == "file" and isinstance(value, str):
+            if key in FILE_KEYS and isinstance(value, str):
                 yield value, str(Path(source[key]))
             else:
                 yield from _pairs(value, source[key])
@@ -218,12 +220,13 @@ class Row:
 class Settings:
     """How a batch runs: limits of each job, and whether what was finished before is kept (``resume``).
     ``like``: the folder of an earlier batch, like whose results of the same names problems are planned that
-    are planned like no other item."""
+    are planned like no other item. ``reports``: which jobs get report and replay."""
 
     timeout_s: float | None = None
     memory_mb: float | None = None
     resume: bool = False
     like: Path | None = None
+    reports: Reports = "all"
 
 
 OnEvent = Callable[[Event], None]
@@ -364,7 +367,9 @@ def _begin(
             return Row(item, Place.claim(folder, Record(path)).publish(done))
         except TandemError as foreign:
             return Row(item, dataclasses.replace(done, issues=(*done.issues, *foreign.issues)))
-    job = bundled_job(item.name, problem, settings.timeout_s, settings.memory_mb, like)
+    job = bundled_job(
+        item.name, problem, settings.timeout_s, settings.memory_mb, like, reports=settings.reports
+    )
     identity = job.identity(versions)
     if settings.resume:
         kept = _finished(path, folder, identity, settings)
@@ -381,9 +386,12 @@ def _begin(
 def _finished(path: Path, folder: Path, identity: str, settings: Settings) -> Done | None:
     """What a record says of a job, if that was the same job and trying it again has no point."""
     read = Record.read(path)
-    if read is None or read[1].get("identity") != identity or not (folder / "report.html").is_file():
+    if read is None or read[1].get("identity") != identity:
         return None
     done, more = read
+    needed = DATA_FILE if settings.reports == "failed" and done.state == "verified" else "report.html"
+    if not (folder / needed).is_file():
+        return None
     if done.state in ("crashed", "cancelled"):
         return None
     for state, key, now in (
@@ -445,11 +453,13 @@ def solve(
     origins: Mapping[str, str],
     on_progress: pipeline.Progress,
     on_issues: OnIssues,
+    reports: Reports = "all",
 ) -> Done:
     """Plan the bundle in ``source``, or divide or report on the element there, and write its result folder to
     ``result``, which is there for every state but ``crashed``.
 
-    ``origins`` as in :class:`planner.batch.job.Job`; ``on_issues`` gets issues as they are known.
+    ``origins`` and ``reports`` as in :class:`planner.batch.job.Job`; ``on_issues`` gets issues as they are
+    known.
     """
     start = time.perf_counter()
     called = Names(source, origins)
@@ -468,7 +478,8 @@ def solve(
         before = pipeline.former(like) if is_file(like / DATA_FILE) else None
         outcome = called.outcome(pipeline.plan(problem, on_progress, like=before))
         on_issues(outcome.issues)
-        outcome.save(result, on_progress)
+        state: State = "verified" if pipeline.exit_code(outcome) == 0 else "unproven"
+        outcome.save(result, on_progress, pages=reports == "all" or state != "verified")
     except TandemError as error:
         issues = called.issues(error.issues)
         on_issues(issues)
@@ -479,7 +490,6 @@ def solve(
         last = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(last.filename).name}, line {last.lineno}"
         return done("crashed", [Issue("internal.error", called.text(what), hint=where)], {})
-    state: State = "verified" if pipeline.exit_code(outcome) == 0 else "unproven"
     return done(state, outcome.issues, figures(outcome.plan, outcome.proof.rules))
 
 

@@ -26,13 +26,13 @@ from typing import TYPE_CHECKING, Any, Final, Self, TextIO, TypeVar
 from planner.geometry.memory import give_back
 
 if TYPE_CHECKING:
-    from planner.batch.job import Done
+    from planner.batch.job import Done, Reports
     from planner.issues import Issue
     from planner.verify.context import Begin
 
     OnProgress = Callable[[str, float], None]
     OnIssues = Callable[[Sequence[Issue]], None]
-    Solve = Callable[[str, Path, Path, Mapping[str, str], OnProgress, OnIssues], Done]
+    Solve = Callable[[str, Path, Path, Mapping[str, str], OnProgress, OnIssues, Reports], Done]
 
 Result = TypeVar("Result")
 
@@ -71,7 +71,7 @@ def _work(order: dict[str, Any], answers: TextIO, solve: Solve) -> None:
             _answer(answers, "found", [issue.to_dict() for issue in issues])
 
     source, result = Path(order["source"]), Path(order["result"])
-    done = solve(order["name"], source, result, order["origins"], on_progress, on_issues)
+    done = solve(order["name"], source, result, order["origins"], on_progress, on_issues, order["reports"])
     _answer(answers, "done", done.to_dict())
 
 
@@ -97,9 +97,10 @@ def _planning() -> Solve:
         origins: Mapping[str, str],
         on_progress: OnProgress,
         on_issues: OnIssues,
+        reports: Reports,
     ) -> Done:
         models.next_job()
-        return solve(name, source, result, origins, on_progress, on_issues)
+        return solve(name, source, result, origins, on_progress, on_issues, reports)
 
     logging.getLogger("drake").setLevel(logging.WARNING)
     return with_kept_models

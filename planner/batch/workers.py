@@ -321,6 +321,7 @@ class Workers:
                 "source": str(source),
                 "result": str(result),
                 "origins": dict(order.job.origins),
+                "reports": order.job.reports,
             }
         )
 

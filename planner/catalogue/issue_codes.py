@@ -38,6 +38,16 @@ CODES: Final[dict[str, Code]] = {
     "problem.duplicate_name": Code("two things of the same kind have the same name", given=True),
     "problem.too_large": Code("a file is larger than what is read", given=True),
     "problem.unknown_robot": Code("a robot that the catalogue does not have", given=True),
+    # robots from files
+    "robot.urdf": Code("the file of a robot is no URDF that can be read", given=True),
+    "robot.chain": Code(
+        "the chain of a URDF from base to tip has joints that follow others or slide, or is none",
+        given=True,
+    ),
+    "robot.limits": Code("a joint of a URDF has no range or no speed", given=True),
+    "robot.bodies": Code("bodies of a robot for collision are not there or bound nothing", given=True),
+    "robot.not_opw": Code("an arm of another class than those that are planned for", given=True),
+    "robot.deviation": Code("the closed form of an arm leads beside the URDF's own kinematics", given=True),
     "problem.unknown_arm": Code("an operation names an arm that the cell does not have", given=True),
     "problem.unknown_process": Code("an operation names a process that there is not", given=True),
     "problem.process_package": Code(
@@ -70,6 +80,7 @@ CODES: Final[dict[str, Code]] = {
     "element.shape": Code(
         "panels of an element cross themselves, fold over behind, lean too far or are too small"
     ),
+    "element.count": Code("a shell of quads has more or fewer panels than asked, as its rows come out"),
     "element.concave": Code("planar panels of an element have inner corners"),
     "element.assembly": Code("panels of an element have no straight way in that is free, in any order tried"),
     "element.block": Code("no block holds a panel at some place of an element"),

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from planner.files import is_file
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Shape, inverse
 from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
 
@@ -29,7 +29,8 @@ class OpwParameters:
 
     Lengths [m]; ``offsets`` (6,) [rad] and ``signs`` (6,): theta_i = signs_i * q_i - offsets_i. Flange pose
     in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) Rz(t6) T(0, 0,
-    c4).
+    c4). An arm from a file whose links of base and tip stand otherwise has that between ``left`` and
+    ``right`` (4, 4), None where they are the form's own.
     """
 
     a1: float
@@ -41,6 +42,20 @@ class OpwParameters:
     c4: float
     offsets: FloatArray
     signs: FloatArray
+    left: FloatArray | None = None
+    right: FloatArray | None = None
+
+    def inner(self, flange: FloatArray) -> FloatArray:
+        """Poses (..., 4, 4) of the form's own flange in its own base, of flange poses (..., 4, 4)."""
+        if self.left is not None:
+            flange = inverse(self.left) @ flange
+        return flange if self.right is None else flange @ inverse(self.right)
+
+    @property
+    def hand(self) -> float:
+        """From the wrist's centre to the flange at most [m]."""
+        beyond = 0.0 if self.right is None else float(np.linalg.norm(self.right[:3, 3]))
+        return abs(self.c4) + beyond
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,12 +81,30 @@ class JointStiffness:
 
 
 @dataclasses.dataclass(frozen=True)
+class RobotFile:
+    """What a robot of the user's own has of its URDF: its ``text``, and the links ``base`` and ``tip`` in it.
+
+    ``zero`` (8, 4, 4): frames of the base, of the links that the joints turn and of the tip, in the base with
+    all joints at zero; ``axis`` (6, 3): unit vectors of the axes in the base, through the origins of the
+    links. ``shapes``: what is held apart, of the base and of links 1 to 6, in their frames.
+    """
+
+    text: str
+    base: str
+    tip: str
+    zero: FloatArray
+    axis: FloatArray
+    shapes: tuple[tuple[Shape, ...], ...]
+
+
+@dataclasses.dataclass(frozen=True)
 class RobotData:
     """One robot. Joint angles are serial angles (6,) [rad]; velocity [rad/s], acceleration [rad/s^2].
 
     ``home`` (6,) [rad] is the posture of cells that state none. ``sources`` say where figures come from,
     ``assumed`` which ones do not come from a source, and on what ground they were set. ``stiffness`` is None
     where nobody has published any that is certain: then nothing is claimed of how far the arm gives way.
+    ``file`` is None for robots of the catalogue, whose URDF is :func:`urdf_path`.
     """
 
     name: str
@@ -90,6 +123,7 @@ class RobotData:
     sources: tuple[str, ...]
     assumed: tuple[str, ...]
     stiffness: JointStiffness | None = None
+    file: RobotFile | None = None
 
     def to_controller(self, q: FloatArray) -> FloatArray:
         """The controller's joint values (..., 6) [rad] of serial angles (..., 6)."""
@@ -189,6 +223,7 @@ def _table() -> dict[str, RobotData]:
 def _read(name: str, entry: dict[str, Any]) -> RobotData:
     limits = np.array(entry["limits_deg"], dtype=np.float64) * DEG
     velocity = np.array(entry["velocity_deg_s"], dtype=np.float64) * DEG
+    length = {key: float(value) for key, value in entry["opw_m"].items()}
     rise = float(entry["full_speed_after_s"])
     coupled = entry.get("coupled_deg")
     acceleration = f"acceleration: assumed, every axis reaches its full speed in {rise:g} s from rest"
@@ -198,7 +233,13 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
         family=entry["family"],
         controller=entry["controller"],
         opw=OpwParameters(
-            **{key: float(value) for key, value in entry["opw_m"].items()},
+            a1=length["a1"],
+            a2=length["a2"],
+            b=length["b"],
+            c1=length["c1"],
+            c2=length["c2"],
+            c3=length["c3"],
+            c4=length["c4"],
             offsets=_frozen(np.array(entry["offset_deg"], dtype=np.float64) * DEG),
             signs=_frozen(np.array(entry["sign"], dtype=np.float64)),
         ),

@@ -33,7 +33,7 @@ from scipy.spatial import ConvexHull
 
 from planner.catalogue.robots import RobotData
 from planner.cell.kinematics import link_frames
-from planner.geometry.arrays import FloatArray, Shape, from_parts
+from planner.geometry.arrays import FloatArray, Shape, from_parts, inverse
 from planner.problem import Cell, Stock
 from planner.tooling import working_solid
 
@@ -164,8 +164,12 @@ def _triangle_distance(p: FloatArray, triangle: FloatArray) -> FloatArray:
 
 
 def own_shapes(cell: Cell, stock: Stock) -> dict[str, tuple[Shape, ...]]:
-    """Shapes by body, in the body's frame, of everything but the robots' links."""
+    """Shapes by body, in the body's frame, of everything but links of robots of the catalogue."""
     out = {f"{arm.name}/tool": arm.tool.shapes for arm in cell.arms}
+    for arm in cell.arms:
+        if arm.given is not None and arm.given.file is not None:
+            named = zip(LINK_CHAIN, arm.given.file.shapes, strict=False)
+            out.update({f"{arm.name}/{link}": shapes for link, shapes in named})
     solids = {arm.name: working_solid(arm.tool) for arm in cell.arms}
     out.update({f"{name}/edge": (solid,) for name, solid in solids.items() if solid is not None})
     lower, upper = stock.lower, stock.upper
@@ -184,8 +188,8 @@ def collect(
     names: Mapping[int, str],
     own: Mapping[str, tuple[Shape, ...]],
 ) -> tuple[Solid, ...]:
-    """All collision solids: those of the links as Drake read them from the URDFs, the others as they were
-    given."""
+    """All collision solids: those of the catalogue's links as Drake read them from the URDFs, the others as
+    they were given."""
     out = []
     for index, name in names.items():
         if name in own:
@@ -213,8 +217,8 @@ def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> d
     """World poses (B, 4, 4) of the links and the tool of one arm at serial angles q (B, 6); the base's is
     (1, 4, 4).
 
-    A link's frame is parallel to the base at the controller's zero pose, as in the URDF; the tool's is the
-    flange.
+    A link's frame is that of the URDF: one of the catalogue is parallel to the base at the controller's zero
+    pose; the tool's is the flange.
     """
     links = link_frames(robot, np.concatenate([q, np.zeros((1, 6))]))
     upright = np.swapaxes(links[-1, :6, :3, :3], -1, -2)
@@ -222,6 +226,8 @@ def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> d
     turn[:, 3, 3] = 1.0
     turn[:6, :3, :3] = upright
     turn[6] = np.eye(4)
+    if robot.file is not None:
+        turn[:6] = inverse(links[-1, :6]) @ robot.file.zero[1:7]
     frames = base @ links[:-1] @ turn
     out = {f"{arm}/link_{i + 1}": frames[:, i] for i in range(6)}
     out[f"{arm}/tool"] = frames[:, 6]

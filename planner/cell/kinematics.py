@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import RobotData
+from planner.catalogue.robots import OpwParameters, RobotData
 from planner.geometry.arrays import FloatArray
 
 
@@ -15,22 +15,31 @@ def link_frames(robot: RobotData, q: FloatArray) -> FloatArray:
     [rad].
 
     The frame of link i lies on axis i and turns with it; all are parallel to the base in the posture where
-    every OPW angle theta is zero (arm and forearm upright). The flange is ABB's tool0 and KUKA's $FLANGE.
+    every OPW angle theta is zero (arm and forearm upright). The flange is ABB's tool0 and KUKA's $FLANGE; of
+    an arm from a file, base and flange are the links that it names so.
     """
-    p = robot.opw
+    return _frames(robot.opw, q)
+
+
+def flange_poses(opw: OpwParameters, q: FloatArray) -> FloatArray:
+    """Flange poses (..., 4, 4) in the base frame for serial joint angles q (..., 6) [rad]."""
+    return _frames(opw, q)[..., 6, :, :]
+
+
+def _frames(p: OpwParameters, q: FloatArray) -> FloatArray:
     theta = p.signs * np.asarray(q, dtype=np.float64) - p.offsets
     frames = np.empty((*theta.shape[:-1], 7, 4, 4))
     turns = _turns(theta)
     turns[..., 1, :3, 3], turns[..., 2, 2, 3] = (p.a1, p.b, p.c1), p.c2
     turns[..., 3, 0, 3], turns[..., 3, 2, 3] = p.a2, p.c3
-    pose = turns[..., 0, :, :]
+    pose = turns[..., 0, :, :] if p.left is None else p.left @ turns[..., 0, :, :]
     frames[..., 0, :, :] = pose
     for i in range(1, 6):
         pose = pose @ turns[..., i, :, :]
         frames[..., i, :, :] = pose
     flange = np.eye(4)
     flange[2, 3] = p.c4
-    frames[..., 6, :, :] = pose @ flange
+    frames[..., 6, :, :] = pose @ (flange if p.right is None else flange @ p.right)
     return frames
 
 

@@ -25,15 +25,17 @@ from pydrake.multibody.tree import (
     BodyIndex,
     FixedOffsetFrame,
     JacobianWrtVariable,
+    RevoluteJoint,
     RigidBody,
     SpatialInertia,
 )
 from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
 from planner.catalogue import robots as catalogue
-from planner.catalogue.robots import RobotData
+from planner.catalogue.robots import RobotData, RobotFile
 from planner.cell import support
 from planner.cell.bodies import (
+    LINK_CHAIN,
     FilteredPair,
     Solid,
     body_poses,
@@ -44,9 +46,9 @@ from planner.cell.bodies import (
 )
 from planner.cell.bounds import Bounds, prepare
 from planner.cell.kinematics import forward
-from planner.geometry.arrays import FloatArray, Shape
+from planner.geometry.arrays import FloatArray, Shape, inverse
 from planner.issues import Issue, TandemError
-from planner.problem import Cell, Stock
+from planner.problem import Arm, Cell, Stock
 from planner.tooling import working_solid
 
 Model = TypeVar("Model")
@@ -140,10 +142,12 @@ def _feed(state: Any, value: object) -> None:
 
 
 STOCK_COLOUR = np.array([0.93, 0.95, 0.90, 0.55])
-"""Colours of stock, support, obstacles, tools and edges: red, green, blue and opacity, each from 0 to 1."""
+"""Colours of stock, support, obstacles, tools, robots from files and edges: red, green, blue and opacity,
+each from 0 to 1."""
 SUPPORT_COLOUR = np.array([0.45, 0.47, 0.50, 1.0])
 OBSTACLE_COLOUR = np.array([0.60, 0.62, 0.66, 1.0])
 TOOL_COLOUR = np.array([0.20, 0.30, 0.42, 1.0])
+ROBOT_COLOUR = np.array([0.90, 0.45, 0.10, 1.0])
 EDGE_COLOUR = np.array([0.85, 0.30, 0.10, 1.0])
 
 
@@ -369,7 +373,7 @@ def _new(
     if stock.held_by is not None and stock.support:
         raise ValueError("a held stock has no support")
     placed = {arm.name: np.asarray((bases or {}).get(arm.name, arm.base)) for arm in cell.arms}
-    robots = {arm.name: catalogue.robot(arm.robot) for arm in cell.arms}
+    robots = {arm.name: arm.data for arm in cell.arms}
     builder = RobotDiagramBuilder(time_step=0.0)
     plant = builder.plant()
     mounts: dict[str, FixedOffsetFrame] = {}
@@ -377,12 +381,11 @@ def _new(
     instances = []
     flanges: dict[str, tuple[Any, Any]] = {}
     for arm in cell.arms:
-        parser = Parser(plant=plant, scene_graph=builder.scene_graph(), model_name_prefix=arm.name)
-        path = catalogue.urdf_path(arm.robot)
-        try:
-            (instance,) = parser.AddModels(str(path))
-        except RuntimeError as error:
-            raise catalogue.damaged(path, str(error)) from None
+        file = robots[arm.name].file
+        if file is None:
+            instance = _parsed(plant, builder.scene_graph(), arm)
+        else:
+            instance = _jointed(plant, arm.name, robots[arm.name], file)
         instances.append(instance)
         mounts[arm.name] = _mount(plant, f"{arm.name}/mount", placed[arm.name])
         plant.WeldFrames(mounts[arm.name], plant.GetFrameByName("base_link", instance))
@@ -415,6 +418,35 @@ def _new(
     bounds = prepare(solids, filtered, stock.held_by)
     shared = _Shared(plant, checker.model(), checker, mounts, names, filtered, solids, bounds)
     return CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), placed, robots, shared)
+
+
+def _parsed(plant: MultibodyPlant, scene_graph: Any, arm: Arm) -> Any:
+    """The model of a robot of the catalogue, by Drake's reader of its URDF."""
+    path = catalogue.urdf_path(arm.robot)
+    try:
+        parser = Parser(plant=plant, scene_graph=scene_graph, model_name_prefix=arm.name)
+        (instance,) = parser.AddModels(str(path))
+    except RuntimeError as error:
+        raise catalogue.damaged(path, str(error)) from None
+    return instance
+
+
+def _jointed(plant: MultibodyPlant, name: str, robot: RobotData, file: RobotFile) -> Any:
+    """The model of a robot of the user's own: frames of its URDF, links named as those of the catalogue, the
+    shapes that are held apart."""
+    instance = plant.AddModelInstance(name)
+    bodies = [plant.AddRigidBody(link, instance, SpatialInertia.Zero()) for link in LINK_CHAIN[:7]]
+    steps = inverse(file.zero[:-1]) @ file.zero[1:]
+    for i in range(6):
+        before = bodies[i].body_frame()
+        hinge = plant.AddFrame(FixedOffsetFrame(f"hinge_{i + 1}", before, rigid(steps[i]), instance))
+        axis = file.zero[i + 1, :3, :3].T @ file.axis[i]
+        low, high = float(robot.lower[i]), float(robot.upper[i])
+        plant.AddJoint(RevoluteJoint(f"joint_{i + 1}", hinge, bodies[i + 1].body_frame(), axis, low, high))
+    plant.AddFrame(FixedOffsetFrame("tool0", bodies[6].body_frame(), rigid(steps[6]), instance))
+    for body, shapes in zip(bodies, file.shapes, strict=True):
+        _add_shapes(plant, body, shapes, ROBOT_COLOUR)
+    return instance
 
 
 @contextlib.contextmanager

@@ -14,14 +14,14 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from planner.files import is_file
+from planner.files import FILE_KEYS, is_file
 from planner.issues import Issue, TandemError, accepted
 
 if TYPE_CHECKING:
@@ -63,6 +63,8 @@ class Batch:
     like: str | None = None
     """neighbour: plan each panel of an element like one beside it; or the folder of an earlier batch: plan
     each problem like its result there"""
+    reports: Literal["all", "failed"] = "all"
+    """failed: only what is not verified gets report and replay; tandem report makes those of the others"""
 
 
 def usable_cores() -> int:
@@ -84,7 +86,8 @@ def run_batch(request: Batch) -> int:
         items = collect(request.problems, request.output)
         count = min(request.workers or usable_cores(), len(items))
         items, former = _like(request, items)
-        settings = batch.Settings(request.timeout, request.memory, request.resume, former)
+        limits = request.timeout, request.memory
+        settings = batch.Settings(*limits, request.resume, former, request.reports)
         known = {item.name: item for item in items}
         with _planners(request, count) as planners, _progress(items) as shown:
 
@@ -369,7 +372,7 @@ def _compare(field: str, a: Any, b: Any) -> Iterator[Difference]:
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys([*a, *b]):
             name = f"{field}.{key}" if field else str(key)
-            if key == "file":
+            if key in FILE_KEYS:
                 yield from _files(name, a.get(key, _ABSENT), b.get(key, _ABSENT))
             else:
                 yield from _compare(name, a.get(key, _ABSENT), b.get(key, _ABSENT))

@@ -170,6 +170,27 @@ def verify(
     return DONE if proof.ok and not has_errors(signature) else NOT_PROVEN
 
 
+@app.command
+def report(folders: tyro.conf.Positional[tuple[Path, ...]]) -> int:
+    """Write report and replay into result folders, with the proof of their programs made anew.
+
+    Args:
+        folders: result folders, such as those that ``tandem batch --reports failed`` left without.
+    """
+    pipeline = _pipeline()
+    code = DONE
+    for folder in folders:
+        try:
+            proof = pipeline.write_pages(folder, _processes())
+        except TandemError as error:
+            code = max(code, _refused(error, BAD_INPUT))
+            continue
+        verdict = "proven" if proof.ok else "NOT proven"
+        out.print(f"{folder}: {verdict}; see {folder / 'report.html'}", highlight=False, markup=False)
+        code = code if proof.ok else NOT_PROVEN
+    return code
+
+
 def _signed(folder: Path, problem: Problem, proof: Proof, key: statement.PrivateKey) -> bool:
     """Sign a result folder, and tell it; False where it is not signed."""
     try:

@@ -20,14 +20,15 @@ out = Console(highlight=False, soft_wrap=True)
 class ElementRequest:
     """Divide a building element into panels and write a problem for each, with a table and a drawing.
 
-    What is written is planned by `tandem batch OUT/panels -o RUN`.
+    What is written is planned by `tandem batch OUT/panels -o RUN`, where cut_blocks is stated with
+    OUT/blocks.
     """
 
     file: tyro.conf.Positional[Path]
     """the element file"""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
     """folder for panels/, panels.csv, panels.svg, element.html, element.obj, labels.svg, element.json, and
-    where raw blocks are stated blocks.csv, blocks.svg and stock.csv"""
+    where raw blocks are stated blocks.csv, blocks.svg, stock.csv and, with cut_blocks, blocks/"""
 
 
 def run_element(request: ElementRequest) -> tuple[Issue, ...]:
@@ -71,9 +72,11 @@ def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
     for name, text in report_files(found, request.element).items():
         write_whole(request.element / name, text)
     proven = sum(panel.proven for panel in found.panels)
-    hours = ", ".join(f"{arm} {s / run_page.HOUR:.2f} h" for arm, s in found.arm_seconds().items())
+    hours = ", ".join(f"{arm} {s / run_page.HOUR:.2f} h" for arm, s in found.all_seconds().items())
+    blocks_cut = f", {sum(one.proven for one in found.saw)} of {len(found.saw)} jobs of raw blocks"
     out.print(
-        f"{found.data['name']}: {proven} of {len(found.panels)} panels proven; robots: {hours or 'none'}; "
+        f"{found.data['name']}: {proven} of {len(found.panels)} panels{blocks_cut if found.saw else ''} "
+        f"proven; robots: {hours or 'none'}; "
         f"{len(found.measured)} of {len(found.joints)} joints measured, "
         f"{sum(joint.over for joint in found.joints)} over the limit; see {request.element / 'element.html'}",
         markup=False,

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from planner.forming.springback.compensation import Way
     from planner.forming.springback.control_points import ControlPoints
     from planner.forming.springback.curves import Curve, PassSpringback, Point
+    from planner.geometry.arrays import FloatArray
     from planner.loops.machine import Found, MachineFile
     from planner.problem import Problem
 
@@ -41,7 +42,7 @@ SUFFIXES = (".csv", ".html")
 LEAST_TRIANGLES = 300
 """Triangles of an elastic sheet that say anything at all."""
 LEAST_WRITTEN = 3000
-"""Triangles with which control points are near enough to those of the proof."""
+"""Triangles of the sheets of a springback file at least, and of those that a finer one is held against."""
 FINER = 2.25
 """Triangles of the finer sheet, over those of the other: edges are two thirds as long."""
 SETTLED = 0.015
@@ -56,8 +57,8 @@ MOST_ROWS = 24
 class Springback:
     """Foretell how far a formed part comes back when the tools let go: by places, forces and levels.
 
-    The sheet as formed at each place is an elastic shell with large displacements. Forces are the operation's
-    force_n, or a formula for one tool.
+    The sheet as formed at each place is an elastic shell with large displacements. Forces are those that the
+    operation states (force_n or force_by, less support_force_n), or of a formula for one tool.
     """
 
     problem: tyro.conf.Positional[Path]
@@ -68,7 +69,7 @@ class Springback:
     """control points of a pass at most; at least three levels get some"""
     triangles: int | None = None
     """of the elastic sheet at most: 4000, with --write as many as a finer sheet agrees with; 1500 take a
-    third of the time and may be 6 percent off"""
+    quarter of the time and are some 2 percent off"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """what to write: .csv (control points with their curves) or .html (map, curves, clusters)"""
     write: Path | None = None
@@ -189,13 +190,12 @@ def _settled(work: Work, control: Sequence[tuple[ControlPoints, list[Point]]]) -
     """Triangles with which some points of each pass, from its first level to its last, come back as with more
     of them."""
     from planner.forming.springback import forecast
-    from planner.forming.springback.curves import TRIANGLES
 
     asked = forecast.some_points(control)
-    triangles, found = TRIANGLES, _solved(work, asked, TRIANGLES)
+    triangles, found = LEAST_WRITTEN, _solved(work, asked, LEAST_WRITTEN, forecast.ESTIMATE_SHARES)
     while triangles < MOST_TRIANGLES:
         finer = min(int(FINER * triangles), MOST_TRIANGLES)
-        better = _solved(work, asked, finer)
+        better = _solved(work, asked, finer, forecast.ESTIMATE_SHARES)
         off = forecast.apart(asked, found, better)
         if off <= SETTLED:
             break
@@ -207,25 +207,34 @@ def _settled(work: Work, control: Sequence[tuple[ControlPoints, list[Point]]]) -
     return triangles
 
 
-def _solved(work: Work, points: Sequence[Point], triangles: int) -> list[Curve]:
-    """The curves of all points, on all cores: each process works out every so manieth."""
+def _solved(
+    work: Work, points: Sequence[Point], triangles: int, shares: FloatArray | None = None
+) -> list[Curve]:
+    """The curves of all points, on all cores: each process works out every so manieth. At ``shares`` of the
+    expected forces, or at those of a whole curve."""
     from planner.batch.worker import Second
+    from planner.forming.springback.curves import LOAD_SHARES
     from planner.forming.springback.forecast import curves
 
+    loads = LOAD_SHARES if shares is None else shares
     count = max(1, min(usable_cores(), len(points)))
     with contextlib.ExitStack() as stack:
         begins: list[Callable[..., Iterator[Curve]]] = [
             stack.enter_context(Second()).begin for _ in range(count - 1)
         ]
-        others = [begin(curves, work, points[k + 1 :: count], triangles) for k, begin in enumerate(begins)]
-        shares = [list(curves(work, points[::count], triangles)), *(list(other) for other in others)]
+        others = [
+            begin(curves, work, points[k + 1 :: count], triangles, loads) for k, begin in enumerate(begins)
+        ]
+        parts = [list(curves(work, points[::count], triangles, loads)), *(list(other) for other in others)]
     found: list[Curve | None] = [None] * len(points)
-    for k, share in enumerate(shares):
-        found[k::count] = share
+    for k, part in enumerate(parts):
+        found[k::count] = part
     return [curve for curve in found if curve is not None]
 
 
 def _print(work: Work, found: Sequence[PassSpringback], seconds: float) -> None:
+    from planner.forming.springback.forecast import forces_told
+
     count = sum(len(one.curves) for one in found)
     table = Table("pass", "z mm", "points", "wall deg", "force N", "springback mm")
     rows = [row for one in found for row in _levels(one)]
@@ -241,8 +250,8 @@ def _print(work: Work, found: Sequence[PassSpringback], seconds: float) -> None:
         if border == float("inf")
         else (f"gives way by a spring of {border * MM**2:g} N/mm for each mm")
     )
-    force = "force_n of the operation" if work.operation.force_n is not None else "formula for one tool"
-    out.print(f"{count} control points in {seconds:.1f} s; forces: {force}; assumed: the sheet's edge {kind}")
+    force = "; ".join(forces_told(work))
+    out.print(f"{count} control points in {seconds:.1f} s; {force}; assumed: the sheet's edge {kind}")
 
 
 def _levels(one: PassSpringback) -> Iterator[tuple[str, ...]]:

@@ -25,11 +25,11 @@ from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
-    from planner.loops.forces_file import Measured
     from planner.loops.job_border import JobBorder
     from planner.loops.loop_plan import LoopPlan
     from planner.loops.next_loop import Law, Offsets
     from planner.loops.simulate import Run
+    from planner.reading.forces_file import Measured
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -86,7 +86,8 @@ class NextLoop:
     kappa: float | None = None
     """springback of the sheet over that of the model; else from the lifts in the file, else 1"""
     before_mm: float | None = None
-    """the offset at which the level before ends; this one goes on from there within the slope"""
+    """the offset at which the level before ends, with what a springback file adds; this one goes on from
+    there within the slope"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """offsets along the level's path, .csv or .json; .html: lifts over the curves, the map of stability"""
     problem: Path | None = None
@@ -98,8 +99,8 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     import numpy as np
 
     from planner.loops import next_loop
-    from planner.loops.forces_file import Measured, read_forces
     from planner.loops.job_border import job_border, require_settling
+    from planner.reading.forces_file import Measured, read_forces
 
     _require_suffix(request.output, (".csv", ".json", ".html"))
     plan, law = _plan(request.folder, request.law), _law(request.law)
@@ -108,37 +109,37 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     if request.before_mm is not None and not 0.0 <= request.before_mm <= request.law.most_mm:
         what = f"0 to {request.law.most_mm:g}, as most_mm has it"
         raise TandemError(_out_of_range("before_mm", request.before_mm, what))
-    measured = Measured((), ()) if request.forces is None else read_forces(request.forces, plan)
+    measured = Measured((), ()) if request.forces is None else read_forces(request.forces, [plan.asked])[0]
     number = len(measured.force)
     if number >= len(plan.levels):
         what = f"got forces of all {number} levels of {plan.name}: there is no next one"
         raise TandemError(Issue("forming.loop_forces", what, field="level", hint="leave out the last level"))
     if number == 0 and request.before_mm:
         raise TandemError(_out_of_range("before_mm", request.before_mm, "0 for level 0: none is before it"))
+    alone = request.problem is not None and request.output is None  # a level without the file
+    file, already = ("", None) if alone else _deeper(request.folder, plan, number)
     begin = time.perf_counter()
     kappa = _kappa(plan, measured) if request.kappa is None else request.kappa
     found = job_border(plan, law, kappa, request.law.model_error)
     require_settling(found, law)
     before = None if request.before_mm is None else np.asarray(request.before_mm * MM)
-    told = next_loop.offsets(plan, law, number, measured.force, kappa, before)
+    told = next_loop.offsets(plan, law, number, measured.force, kappa, before, already)
     seconds = time.perf_counter() - begin
     _print_offsets(plan, number, told, kappa, found, seconds)
     issues = _cut(plan, law, number, told)
-    deeper = _deeper(request.folder) if request.problem is None or request.output is not None else None
-    if deeper is not None:
-        what = (
-            f"{request.folder} is planned with the springback file {deeper}: its tools go deeper "
-            "already, and these offsets are from the path without that"
+    if already is not None:
+        out.print(
+            f"the plan goes {already.min() / MM:.3f} to {already.max() / MM:.3f} mm deeper on this level "
+            f"by {file}: offsets are what is wanted less that",
+            markup=False,
         )
-        hint = "take the file's shifts off the offsets, or plan without springback: in the operation"
-        issues.append(Issue("forming.loop_curves", what, Severity.WARNING, field="springback", hint=hint))
     if request.output is not None:
         kind = request.output.suffix.lower()
         made = {".csv": _csv, ".json": _json}.get(kind)
         if made is None:
             text = _map_page(plan, law, found, measured, kappa)
         else:
-            text = made(plan, number, told, kappa)
+            text = made(plan, number, told, kappa, already)
         write_output(request.output, text)
     if request.problem is not None:
         from planner import pipeline
@@ -168,12 +169,34 @@ def _plan(folder: Path, options: LawOptions) -> LoopPlan:
     return plan
 
 
-def _deeper(folder: Path) -> str | None:
-    """The springback file that a plan's tools go deeper by, if there is one."""
-    from planner import pipeline
+def _deeper(folder: Path, plan: LoopPlan, number: int) -> tuple[str, FloatArray | None]:
+    """The springback file of a plan, and by how much (K,) [m] its tools go deeper by that at the places of a
+    level; none where there is none. Raises `TandemError`: forming.loop_curves where the path of the curves is
+    another, what files are refused for."""
+    from planner import pipeline, processes
+    from planner.forming.job import FormingJob
+    from planner.forming.process_plan import lay_all
+    from planner.forming.springback.levels import shifts
 
-    stated = [getattr(one, "springback", None) for one in pipeline.load_result(folder).operations]
-    return next((one.file.name for one in stated if one is not None), None)
+    whole = pipeline.load_result(folder)
+    if all(getattr(one, "springback", None) is None for one in whole.operations):
+        return "", None
+    for job in processes.jobs(whole):
+        given = job.compensated() if isinstance(job, FormingJob) else None
+        if given is None or not isinstance(job, FormingJob):
+            continue
+        ways = {way.name: way for way in given.ways}
+        for one, path in lay_all(job.planned):
+            if one.name != plan.name or one.name not in ways:
+                continue
+            levels = shifts(one, path, ways[one.name])
+            if [len(row) for row in levels] == [len(level.path) for level in plan.levels]:
+                return given.file, levels[number]
+    what = (
+        f"{folder} goes deeper by a springback file, whose loops in {plan.name} are not those of the curves"
+    )
+    hint = f"write curves again: tandem springback {folder}/problem/problem.yaml --curves FILE"
+    raise TandemError(Issue("forming.loop_curves", what, field="springback", hint=hint))
 
 
 def _law(options: LawOptions) -> Law:
@@ -264,18 +287,23 @@ def _print_offsets(
     )
 
 
-def _csv(plan: LoopPlan, number: int, told: Offsets, kappa: float) -> str:
+def _csv(plan: LoopPlan, number: int, told: Offsets, kappa: float, already: FloatArray | None = None) -> str:
     del kappa
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["level", "place", "x_mm", "y_mm", "z_mm", "offset_mm"])
+    deeper = [] if already is None else ["file_mm"]
+    table.writerow(["level", "place", "x_mm", "y_mm", "z_mm", "offset_mm", *deeper])
     for k, (point, offset) in enumerate(zip(plan.levels[number].path, told.offset, strict=True)):
-        table.writerow([number, k, *(f"{value:.3f}" for value in point / MM), f"{offset / MM:.4f}"])
+        by_file = [] if already is None else [f"{already[k] / MM:.4f}"]
+        table.writerow([number, k, *(f"{value:.3f}" for value in point / MM), f"{offset / MM:.4f}", *by_file])
     return text.getvalue()
 
 
-def _json(plan: LoopPlan, number: int, told: Offsets, kappa: float) -> str:
+def _json(plan: LoopPlan, number: int, told: Offsets, kappa: float, already: FloatArray | None = None) -> str:
     level = plan.levels[number]
+    by_file = (
+        [{}] * len(level.path) if already is None else [{"file_mm": round(float(s) / MM, 4)} for s in already]
+    )
     data = {
         "tandem_offsets": 1,
         "digest": plan.digest,
@@ -288,8 +316,12 @@ def _json(plan: LoopPlan, number: int, told: Offsets, kappa: float) -> str:
             for k, (n, s) in enumerate(zip(told.force, told.springback, strict=True))
         ],
         "places": [
-            {"xyz_mm": [round(float(v), 3) for v in point / MM], "offset_mm": round(float(value) / MM, 4)}
-            for point, value in zip(level.path, told.offset, strict=True)
+            {
+                "xyz_mm": [round(float(v), 3) for v in point / MM],
+                "offset_mm": round(float(value) / MM, 4),
+                **deeper,
+            }
+            for point, value, deeper in zip(level.path, told.offset, by_file, strict=True)
         ],
     }
     return json.dumps(data, indent=1) + "\n"

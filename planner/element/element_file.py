@@ -7,11 +7,12 @@ cell.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from planner.catalogue.materials import foam
 from planner.element import stock_list
@@ -20,16 +21,18 @@ from planner.element.panel_faces import CutWire
 from planner.element.stock_list import LeftOver
 from planner.element.surface import ElementSurface, axes, stand
 from planner.geometry.arrays import FloatArray
+from planner.geometry.cut_tree import Bow
 from planner.geometry.face_offset import Rim
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.planar_panels import LEAST_COUNT, MOST_COUNT
+from planner.geometry.planar_panels import LEAST_COUNT, MOST_COUNT, Shape
 from planner.geometry.ruled_approximation import Patch
 from planner.geometry.ruled_wall import RuledWall, ruled_wall
 from planner.geometry.units import MM
 from planner.hotwire import wire as hot_wires
+from planner.hotwire.operation import Straight
 from planner.issues import Issue, TandemError
 from planner.reading import strict_yaml
-from planner.reading.cell import RackFile
+from planner.reading.cell import BowFile, RackFile
 from planner.reading.materials import WireFile, WiresFile, wires_at_hand
 from planner.reading.part_ruled import RuledFile, build_ruled
 from planner.reading.part_surfaces import FrontFile, check_size, surface, surface_patch
@@ -121,9 +124,16 @@ class ElasticFile(Strict):
 
 
 class HexagonsFile(Strict):
-    """Thick planar panels, most of six sides, that a straight wire cuts out of held blocks."""
+    """Thick planar panels that a straight wire cuts out of held blocks."""
 
     count: Annotated[int, Field(ge=LEAST_COUNT, le=MOST_COUNT, description="of panels")]
+    shape: Annotated[
+        Shape,
+        Field(
+            description="most panels have six sides, or four, in rows along conjugate directions: then the "
+            "count is the nearest that such rows make"
+        ),
+    ] = "hexagon"
     least_edge_mm: Annotated[float, Field(ge=1, le=1000, description="of either face")] = 50.0
     least_width_mm: Annotated[float, Field(ge=0, le=2000, description="of either face, across")] = 100.0
     off_surface_mm: Annotated[float, Field(gt=0, le=1000, description="of fronts to the surface")] = 30.0
@@ -221,12 +231,15 @@ class WhenFile(Strict):
         return all(r is None or r[0] <= own[name] < r[1] for name, r in ranges.items())
 
 
+Rest = Annotated[FileName | dict[str, Any], Field(description="a file, or what it would hold")]
+
+
 class JobFile(Strict):
     """A template: the rest of a problem file for the panels that ``when`` names; without it, for all.
     ``grippers`` lie ready beside those of its cell."""
 
     when: WhenFile = WhenFile()
-    problem: Annotated[FileName | dict[str, Any], Field(description="a file, or what it would hold")]
+    problem: Rest
     grippers: RackFile = ()
 
 
@@ -252,6 +265,16 @@ class RawBlocksFile(Strict):
     keep_mm: Annotated[float, Field(ge=10, le=5000, description="least side of what is kept")] = 200.0
     bow: SawBowFile | None = None
     stock: Annotated[FileName | None, Field(description="list of what is left over")] = None
+
+
+class CutBlocksFile(Strict):
+    """How raw blocks are cut apart: a template, the rest of a problem file with a straight wire whose block,
+    stand and cuts come with each piece."""
+
+    problem: Rest
+    stand_mm: Annotated[
+        float, Field(ge=50, le=2000, description="height of what pieces lie or stand on, at most")
+    ] = 700.0
 
 
 class ElementFile(Strict):
@@ -285,6 +308,7 @@ class ElementFile(Strict):
     ] = None
     raw_blocks: RawBlocksFile | None = None
     groups: Annotated[GroupsFile | None, Field(description="of hexagons")] = None
+    cut_blocks: Annotated[CutBlocksFile | None, Field(description="problems of raw blocks")] = None
     jobs: Annotated[tuple[JobFile, ...], Field(min_length=1, max_length=50)]
 
     @model_validator(mode="after")
@@ -294,6 +318,8 @@ class ElementFile(Strict):
             raise ValueError("wires: elastic panels are cut by bent wires; give one")
         if kind != "hexagons" and self.groups is not None:
             raise ValueError(f"groups: {kind} are numbered by where they are; take that out")
+        if self.cut_blocks is not None and self.raw_blocks is None:
+            raise ValueError("cut_blocks: cuts of blocks follow from raw_blocks; give both")
         wall = kind in ("boxes", "puzzle")
         if wall != (self.surface.ruled is not None):
             raise ValueError(
@@ -338,12 +364,21 @@ class Template:
 
 
 @dataclasses.dataclass(frozen=True)
+class SawTemplate(Template):
+    """A template for raw blocks, with the bow that it mounts."""
+
+    bow: Bow
+
+
+@dataclasses.dataclass(frozen=True)
 class Element:
-    """An element file of any kind, with its templates; ``stock``: what is left over of earlier elements."""
+    """An element file of any kind, with its templates; ``stock``: what is left over of earlier elements;
+    ``saw``: the template for raw blocks."""
 
     file: ElementFile
     templates: tuple[Template, ...]
     stock: tuple[LeftOver, ...]
+    saw: SawTemplate | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -428,28 +463,34 @@ def read(path: Path) -> ElasticElement | HexagonElement | WallElement | StripsEl
             templates.append(_template(job, folder, f"jobs.{number}"))
         except TandemError as error:
             issues += error.issues
+    saw: SawTemplate | None = None
+    if spec.cut_blocks is not None and raw is not None:
+        try:
+            saw = _saw(spec.cut_blocks, raw.kerf_mm, folder)
+        except TandemError as error:
+            issues += error.issues
     if issues:
         raise TandemError(issues)
     walls = spec.panels.boxes or spec.panels.puzzle
     if walls is not None and spec.surface.ruled is not None:
-        return WallElement(spec, tuple(templates), stock, walls, _wall(spec.surface.ruled, folder))
+        return WallElement(spec, tuple(templates), stock, saw, walls, _wall(spec.surface.ruled, folder))
     strips = spec.panels.strips
     if strips is not None:
         patch = surface_patch(spec.surface.loft, spec.surface.mesh, folder, "surface")
-        return StripsElement(spec, tuple(templates), stock, strips, patch)
+        return StripsElement(spec, tuple(templates), stock, saw, strips, patch)
     mesh, _ = surface(spec.surface.loft, spec.surface.mesh, folder, "surface")
     check_size(mesh, "surface")
     plane = spec.surface.plane
     stated = (None, None) if plane is None else (np.array(plane.normal), np.array(plane.along))
     elastic, hexagons = spec.panels.elastic, spec.panels.hexagons
     if hexagons is not None:
-        return HexagonElement(spec, tuple(templates), stock, hexagons, mesh, axes(mesh, *stated))
+        return HexagonElement(spec, tuple(templates), stock, saw, hexagons, mesh, axes(mesh, *stated))
     if elastic is None:
         raise ValueError("panels of no kind")
     own = stand(mesh, spec.thickness_mm * MM, *stated)
     cells = elastic.cells or _cells(own)
     return ElasticElement(
-        spec, tuple(templates), stock, elastic, own, cells, _rules(spec, elastic, wires), wires
+        spec, tuple(templates), stock, saw, elastic, own, cells, _rules(spec, elastic, wires), wires
     )
 
 
@@ -498,17 +539,65 @@ def _cells(own: ElementSurface) -> tuple[int, int]:
 
 
 def _template(job: JobFile, folder: Path, field: str) -> Template:
-    if isinstance(job.problem, str):
-        name, file = job.problem, str(folder / job.problem)
-        given = strict_yaml.read(folder / job.problem).data
-    else:
-        name, given, file = field, job.problem, None
-    brought = [key for key in ("part", "sheet") if key in given]
+    name, _, data = _rest(job.problem, folder, field, ("size_mm",), "panel")
+    rack = [one.model_dump(mode="json", exclude_none=True) for one in job.grippers]
+    if rack and isinstance(data["cell"], dict):
+        data["cell"] = {**data["cell"], "grippers": [*(data["cell"].get("grippers") or []), *rack]}
+    return Template(job.when, name, data)
+
+
+def _saw(cut: CutBlocksFile, kerf_mm: float, folder: Path) -> SawTemplate:
+    """The template for raw blocks, whose one operation has the ``kerf_mm`` that blocks are nested with as its
+    slot; where it states its power, at most that."""
+    stock = ("size_mm", "place", "roll_pitch_deg", "support", "oversize_mm", "held_by", "grip", "gripper")
+    name, file, data = _rest(cut.problem, folder, "cut_blocks", stock, "piece of a block")
+    operations = data["operations"]
+    one = operations[0] if len(operations) == 1 and isinstance(operations[0], dict) else {}
+    brought = ("cuts", "kerf_mm", "kerf_range_mm")
+    hint = "take all else out; state its power_w, or nothing of its slot"
+    wrong = f"must have one operation with the process straight_wire, without {', '.join(brought)}"
+    if one.get("process") == "straight_wire" and not any(key in one for key in brought):
+        bow = _mounted(one, data["cell"])
+        if bow is not None:
+            least = min(Straight.model_fields["kerf_range_mm"].default[0], 0.5 * kerf_mm)
+            slot = {"kerf_range_mm": [least, kerf_mm]} if "power_w" in one else {"kerf_mm": kerf_mm}
+            return SawTemplate(WhenFile(), name, {**data, "operations": [{**one, **slot}]}, bow)
+        wrong, hint = "mounts no bow on the first of its arms", "give that arm a tool of the kind bow"
+    raise TandemError(Issue("element.jobs", f"{name} {wrong}", file=file, field="cut_blocks", hint=hint))
+
+
+def _mounted(operation: Mapping[str, Any], cell: object) -> Bow | None:
+    """The bow that the first arm of an operation carries; None where that has none."""
+    arms, setup = operation.get("arms"), operation.get("setup")
+    name = arms[0] if isinstance(arms, list) and arms else None
+    listed = cell.get("arms") if isinstance(cell, dict) else None
+    of_arms = [arm for arm in listed or () if isinstance(arm, dict) and arm.get("name") == name]
+    changed = setup.get("tools") if isinstance(setup, dict) else None
+    tool = (changed if isinstance(changed, dict) else {}).get(
+        name, of_arms[0].get("tool") if of_arms else None
+    )
+    try:
+        bow = BowFile.model_validate(tool, strict=False)
+    except ValidationError:
+        return None
+    return Bow(bow.span_mm * MM, bow.throat_mm * MM)
+
+
+def _rest(
+    problem: str | Mapping[str, Any], folder: Path, field: str, of_stock: tuple[str, ...], who: str
+) -> tuple[str, str | None, dict[str, Any]]:
+    """The rest of a problem file, without the part and what of its stock ``who`` brings itself: what it is
+    called, its file, if it is one, and the data."""
+    name, file, given = field, None, problem
+    if isinstance(problem, str):
+        name, file = problem, str(folder / problem)
+        folder, given = (folder / problem).parent, strict_yaml.read(folder / problem).data
     stock = given.get("stock") or {}
-    if isinstance(stock, dict) and "size_mm" in stock:
-        brought.append("stock.size_mm")
+    brought = [key for key in ("part", "sheet") if key in given]
+    if isinstance(stock, dict):
+        brought += [f"stock.{key}" for key in of_stock if key in stock]
     if brought:
-        what = f"{name} has {', '.join(brought)}, which each panel brings itself"
+        what = f"{name} has {', '.join(brought)}, which each {who} brings itself"
         raise TandemError(
             Issue("element.jobs", what, file=file, field=field, hint="take that out of the template")
         )
@@ -518,8 +607,4 @@ def _template(job: JobFile, folder: Path, field: str) -> Template:
         raise TandemError(
             Issue("element.jobs", what, file=file, field=field, hint="write the rest of a problem file")
         )
-    data = resolved(given, folder if file is None else Path(file).parent)
-    rack = [one.model_dump(mode="json", exclude_none=True) for one in job.grippers]
-    if rack and isinstance(data["cell"], dict):
-        data["cell"] = {**data["cell"], "grippers": [*(data["cell"].get("grippers") or []), *rack]}
-    return Template(job.when, name, data)
+    return name, file, resolved(given, folder)

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.element.assembly_page import assembly_section
 from planner.element.run_page import bars, cut_section, hours, joints_section, run_tiles
-from planner.element.run_report import MINUTE, ElementRun, PanelRun
+from planner.element.run_report import MINUTE, ElementRun, PanelRun, SawRun
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.report.markup import (
@@ -83,7 +83,7 @@ def element_page(found: ElementRun, blocks: str | None = None) -> str:
         sections.append(Section("cut", "What is cut, against what is wanted", cut_section(found)))
         sections.append(Section("joints", "Joints", joints_section(found)))
     sections.append(Section("sizes", "Sizes", _sizes(found)))
-    sections.append(Section("blocks", "Raw blocks", _blocks(data, blocks)))
+    sections.append(Section("blocks", "Raw blocks", _blocks(found, blocks)))
     sections.append(Section("panels", "List of panels", (Wide(_list(found)),)))
     about = f"Element in {count} panels, " + (
         "as its programs cut it." if found.planned else "as it is divided, before anything is planned."
@@ -142,20 +142,24 @@ def _tiles(found: ElementRun) -> Iterator[Tile]:
     if not found.planned:
         yield from (
             Tile(f"hours to cut, {arm}, estimate", fixed(minutes / 60.0, 1), "h")
-            for arm, minutes in _estimate(found).items()
+            for arm, minutes in _estimate([*_panels(found), *(one.job for one in found.saw)]).items()
         )
 
 
-def _estimate(found: ElementRun) -> dict[str, float]:
-    """Minutes that each arm cuts, over all panels."""
+def _panels(found: ElementRun) -> list[Mapping[str, Any]]:
+    return [panel.panel for panel in found.panels]
+
+
+def _estimate(jobs: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Minutes that each arm cuts, over panels or jobs of raw blocks."""
     out: dict[str, float] = {}
-    for panel in found.panels:
-        for arm, minutes in panel.panel.get("cut_min", {}).items():
+    for job in jobs:
+        for arm, minutes in job.get("cut_min", {}).items():
             out[arm] = out.get(arm, 0.0) + float(minutes)
     return out
 
 
-def _state(panel: PanelRun) -> str:
+def _state(panel: PanelRun | SawRun) -> str:
     if panel.proven:
         return "proven"
     return "open" if panel.state == "not planned" else "refused"
@@ -320,7 +324,7 @@ def _told(run: ElementRun) -> tuple[Block, ...]:
 
 def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
     data = found.data
-    own = [panel.panel for panel in found.panels]
+    own = _panels(found)
     volume = sum(float(one.get("volume_l") or 0.0) for one in own)
     weights = [float(one["weight_kg"]) for one in own if one.get("weight_kg")]
     yield "panels", f"{len(own)}, {1e-3 * volume:.2f} m³"
@@ -358,9 +362,12 @@ def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
             wires[str(one["wire"])] = wires.get(str(one["wire"]), 0) + 1
     for wire, count in wires.items():
         yield f"wire {wire}", f"for {count} panels"
-    for arm, minutes in _estimate(found).items():
+    for arm, minutes in _estimate(own).items():
         each = minutes / len(own)
         yield f"to cut, arm {arm}", f"about {minutes / 60.0:.1f} h, {each:.1f} min a panel: an estimate"
+    for arm, minutes in _estimate([one.job for one in found.saw]).items():
+        words = f"about {minutes / 60.0:.1f} h in {len(found.saw)} jobs: an estimate"
+        yield f"to cut raw blocks, arm {arm}", words
 
 
 def _sizes(found: ElementRun) -> tuple[Grid, ...]:
@@ -388,8 +395,8 @@ def _sizes(found: ElementRun) -> tuple[Grid, ...]:
     return (Grid(tuple(figures), "three"),)
 
 
-def _blocks(data: Mapping[str, Any], drawing: str | None) -> tuple[Block, ...]:
-    nest = data.get("blocks")
+def _blocks(found: ElementRun, drawing: str | None) -> tuple[Block, ...]:
+    nest = found.data.get("blocks")
     if not nest:
         return (Paragraph("The element states no raw blocks (raw_blocks), so none are nested."),)
     rows = [
@@ -414,10 +421,43 @@ def _blocks(data: Mapping[str, Any], drawing: str | None) -> tuple[Block, ...]:
         "boxes %",
     )
     shown: list[Block] = [Wide(table(heads, rows))]
+    if found.saw:
+        shown.append(Folded(_saw_words(found), Wide(_saw_list(found))))
     if drawing is not None:
         address = "data:image/svg+xml;base64," + base64.b64encode(drawing.encode()).decode()
         shown.append(Folded("How each block is cut", Photo(address, "cut drawings of all blocks")))
     return tuple(shown)
+
+
+def _saw_words(found: ElementRun) -> str:
+    count = len(found.saw)
+    if not found.planned:
+        return f"{count} jobs that cut them"
+    return f"{count} jobs that cut them, {sum(one.proven for one in found.saw)} of these proven"
+
+
+def _saw_list(found: ElementRun) -> Table:
+    """The jobs of raw blocks: what each cuts, and what became of it."""
+    arms = tuple(found.saw_seconds())
+    heads = ["job", "block", "what it cuts"]
+    heads += ["state", *(f"{arm} min" for arm in arms), "why not"] if found.planned else ["to cut min"]
+    rows = []
+    for one in found.saw:
+        row: list[Phrase] = [one.name, one.block, str(one.job["said"])]
+        if found.planned:
+            row += _became(one, arms)
+        else:
+            row.append(round(max(one.job["cut_min"].values(), default=0.0), 1) or None)
+        rows.append(tuple(row))
+    return table(tuple(heads), rows)
+
+
+def _became(job: PanelRun | SawRun, arms: Sequence[str]) -> list[Phrase]:
+    """State, minutes of each arm, and why it is not proven."""
+    kind = {"proven": "ok", "refused": "bad", "open": "off"}[_state(job)]
+    minutes = [round(job.seconds[a] / MINUTE, 2) if a in job.seconds else None for a in arms]
+    why = "" if job.proven else Soft(f"{job.code} {job.message}".strip())
+    return [Tag(kind, "proven" if job.proven else job.state), *minutes, why]
 
 
 def _size(sides: Sequence[float]) -> str:
@@ -452,10 +492,7 @@ def _list(found: ElementRun) -> Table:
         if wired:
             row.append(f"{own['wire']}, along {own['wire_along']}")
         if found.planned:
-            kind = {"proven": "ok", "refused": "bad", "open": "off"}[_state(panel)]
-            minutes = [round(panel.seconds[a] / MINUTE, 2) if a in panel.seconds else None for a in arms]
-            why = "" if panel.proven else Soft(f"{panel.code} {panel.message}".strip())
-            row += [Tag(kind, "proven" if panel.proven else panel.state), *minutes, why]
+            row += _became(panel, arms)
         else:
             row.append(round(max(own.get("cut_min", {}).values(), default=0.0), 1) or None)
         rows.append(tuple(row))

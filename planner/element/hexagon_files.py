@@ -40,9 +40,9 @@ RING_DIGITS: Final = 6
 def folder(
     element: HexagonElement, panels: tuple[HexagonPanel, ...]
 ) -> tuple[dict[str, str], tuple[Issue, ...]]:
-    """All files by their names, and what is to be said: ``element.concave`` for panels with inner corners,
-    ``element.assembly`` for panels without a way in, ``element.cut`` for cuts of raw blocks that no bow
-    reaches.
+    """All files by their names, and what is to be said: ``element.count`` for a count not as asked,
+    ``element.concave`` for panels with inner corners, ``element.assembly`` for panels without a way in,
+    ``element.cut`` for cuts of raw blocks that no bow reaches.
 
     Raises ``TandemError``: ``element.jobs``, ``element.raw_block``.
     """
@@ -62,7 +62,9 @@ def folder(
     files["panels.svg"] = drawing(element, panels)
     files["element.obj"] = up.obj()
     data = _data(element, panels, rows, templates, up)
-    return finished(element, files, data, own, (*_concave(panels), *up.issues(CLEAR)))
+    return finished(
+        element, files, data, own, (*_count(element, panels), *_concave(element, panels), *up.issues(CLEAR))
+    )
 
 
 def assembly(panels: tuple[HexagonPanel, ...]) -> Assembly:
@@ -227,15 +229,27 @@ def _outlines(element: HexagonElement, panels: tuple[HexagonPanel, ...]) -> list
     return [ring - low for ring in rings]
 
 
-def _concave(panels: tuple[HexagonPanel, ...]) -> tuple[Issue, ...]:
+def _count(element: HexagonElement, panels: tuple[HexagonPanel, ...]) -> tuple[Issue, ...]:
+    got, asked = len(panels), element.wanted.count
+    if got == asked:
+        return ()
+    least = element.wanted.least_width_mm
+    what = f"{got} panels are as near to the {asked} asked as rows of quads over {least:g} mm wide come"
+    hint = "nothing needs to be done; a smaller least_width_mm leaves more choice"
+    field = "panels.hexagons.count"
+    return (Issue("element.count", what, Severity.NOTE, field=field, value=got, limit=asked, hint=hint),)
+
+
+def _concave(element: HexagonElement, panels: tuple[HexagonPanel, ...]) -> tuple[Issue, ...]:
     found = [panel.name for panel in panels if panel.concave]
     if not found:
         return ()
-    what = (
-        f"{len(found)} of {len(panels)} panels are concave, as planar ones come out where a surface bends "
-        f"both ways or nearly in one: {', '.join(found)}"
-    )
+    quads = element.wanted.shape == "quad"
+    why = "" if quads else ", as planar ones come out where a surface bends both ways or nearly in one"
+    what = f"{len(found)} of {len(panels)} panels are concave{why}: {', '.join(found)}"
     hint = "a wire leaves their inner corners round: check these panels before foam is cut"
+    if not quads:
+        hint += ", or try shape: quad"
     return (Issue("element.concave", what, Severity.WARNING, field="panels.hexagons", hint=hint),)
 
 

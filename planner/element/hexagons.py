@@ -1,4 +1,5 @@
-"""The kind ``hexagons``: a shell of thick planar panels, each cut by a straight wire out of a held block.
+"""The kind ``hexagons``: a shell of thick planar panels with six sides or four, each cut by a straight wire
+out of a held block.
 
 The panels are those of `geometry/planar_panels.py`, with their fronts on the surface. Here they get ids and
 blocks, and what cannot be made is refused, with a change that was tried and helps.
@@ -119,10 +120,19 @@ def _shell(element: HexagonElement) -> PanelShell:
     ground = None if wanted.ground_mm is None else wanted.ground_mm * MM
     try:
         made = planar_shell(
-            element.surface, wanted.count, -thickness, wanted.least_edge_mm * MM, wanted.rim, ground
+            element.surface,
+            wanted.count,
+            -thickness,
+            wanted.least_edge_mm * MM,
+            wanted.rim,
+            ground,
+            wanted.shape,
+            wanted.least_width_mm * MM,
         )
     except PatternError as error:
         hint = "give another count, or a surface that is wider there"
+        if wanted.shape == "quad":
+            hint += ", or shape: hexagon"
         raise TandemError(
             Issue("element.surface", str(error), field="panels.hexagons.count", hint=hint)
         ) from error
@@ -375,7 +385,8 @@ def _advice(element: HexagonElement, issues: Sequence[Issue], check: PanelCheck)
     if element.wanted.count > TRIED_TO:
         return ""
     tried = []
-    for changes, thickness in _changes(element, issues):
+    bent = bool((check.bend < 0.0).any())
+    for changes, thickness in _changes(element, issues, bent):
         said = [f"{name}: {v if isinstance(v, str) else f'{v:g}'}" for name, v in changes.items()]
         if thickness is not None:
             said.append(f"thickness_mm: {thickness:g}")
@@ -385,14 +396,15 @@ def _advice(element: HexagonElement, issues: Sequence[Issue], check: PanelCheck)
         if _serves(dataclasses.replace(element, file=file, wanted=wanted)):
             return f"{', '.join(said)} was tried: all panels can be made then"
         tried.append(", ".join(said))
-    bent = " where it bends both ways" if (check.bend < 0.0).any() else ""
-    return f"tried in vain: {'; '.join(tried)}; smooth or divide the surface{bent}" if tried else ""
+    where = " where it bends both ways" if bent else ""
+    return f"tried in vain: {'; '.join(tried)}; smooth or divide the surface{where}" if tried else ""
 
 
 def _changes(
-    element: HexagonElement, issues: Sequence[Issue]
+    element: HexagonElement, issues: Sequence[Issue], bent: bool
 ) -> Iterator[tuple[dict[str, Any], float | None]]:
-    """Changes to try, the least first: fields of ``hexagons``, thickness [mm]."""
+    """Changes to try, the least first: fields of ``hexagons``, thickness [mm]; ``bent``: panels lie where the
+    surface bends both ways."""
     wanted, thick = element.wanted, element.file.thickness_mm
     if any(issue.code == "element.block" for issue in issues):
         most = max(block.size_mm[2] for block in element.file.blocks)
@@ -402,6 +414,8 @@ def _changes(
             for share in (1.25, 1.6, 2.0, 3.0):
                 yield {"count": min(round(share * wanted.count), MOST_COUNT)}, None
         return
+    if bent:
+        yield {"shape": "quad" if wanted.shape == "hexagon" else "hexagon"}, None
     if wanted.rim == "upright":
         yield {"rim": "square"}, None
     limits = {

@@ -108,14 +108,22 @@ def problem(
 ) -> dict[str, Any]:
     """A panel's problem as a file has it: the template with the panel's block, and its ``shape`` as a part
     has it in the block's frame."""
-    data = copy.deepcopy(template.data)
     spec = element.file
-    block = spec.blocks[panel.block]
-    stock = {"size_mm": list(block_mm(panel)), **(data.pop("stock", None) or {})}
-    if block.foam is not None:
-        stock.setdefault("foam", block.foam)
+    stock: dict[str, Any] = {"size_mm": list(block_mm(panel))}
+    return filled(template, f"{spec.name}_{name}", stock, spec.blocks[panel.block].foam, shape)
+
+
+def filled(
+    template: Template, name: str, stock: dict[str, Any], foam: str | None, shape: dict[str, Any]
+) -> dict[str, Any]:
+    """A template as a whole problem: its stock goes on as ``stock`` begins, with the ``foam`` unless it names
+    one, and ``shape`` is its part in the block's frame."""
+    data = copy.deepcopy(template.data)
+    stock = {**stock, **(data.pop("stock", None) or {})}
+    if foam is not None:
+        stock.setdefault("foam", foam)
     operations = data.pop("operations")
-    head = {"tandem": 1, "name": f"{spec.name}_{name}", "cell": data.pop("cell")}
+    head = {"tandem": 1, "name": name, "cell": data.pop("cell")}
     rest = {key: value for key, value in data.items() if key not in ("tandem", "name")}
     part = {**shape, "in_stock": {"xyz_mm": [0.0, 0.0, 0.0]}}
     return {**head, **rest, "stock": stock, "part": part, "operations": operations}

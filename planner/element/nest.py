@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Literal
 
 import numpy as np
@@ -22,7 +22,8 @@ from planner.issues import Issue, Severity, TandemError
 
 SAME: Final = 5e-5
 """Thicknesses [m] that differ by no more than this are the same: sizes of blocks are rounded to 0.1 mm."""
-_MOST_NAMED = 6  # cuts that a message names
+MOST_NAMED: Final = 6
+"""Cuts that a message names."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,7 +131,10 @@ def nested(
             size = room.length, room.width, room.thickness
             blocks.append(NestedBlock("", source, size, foam, tree, tuple(mine), level))
     digits = max(2, len(str(len(blocks))))
-    named = tuple(dataclasses.replace(block, name=f"B{n:0{digits}d}") for n, block in enumerate(blocks, 1))
+    letters = _letters({panel.name.upper() for panel in panels}, len(blocks), digits)
+    named = tuple(
+        dataclasses.replace(block, name=f"{letters}{n:0{digits}d}") for n, block in enumerate(blocks, 1)
+    )
     kept = [one for one in stock if one.name not in used]
     names = {one.name for one in kept}
     for block in named:
@@ -145,6 +149,14 @@ def nested(
     if None not in least:
         sure = "bound" if least <= {"bound"} else "two-stage"
     return Nesting(named, bound, sure, tuple(kept))
+
+
+def _letters(panels: set[str], count: int, digits: int) -> str:
+    """What the blocks' ids begin with: B, or RB where a panel would have the same id."""
+    letters = "B"
+    while any(f"{letters}{n:0{digits}d}" in panels for n in range(1, count + 1)):
+        letters = f"R{letters}"
+    return letters
 
 
 def _box(panel: PanelBlock, oversize: float) -> Box:
@@ -242,20 +254,22 @@ def told(nesting: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> tupl
     for block in nesting.blocks:
         thick = block.size[2]
         for number, cut in unreached(block.tree, thick, bow):
-            found.append((f"cut {number} of {block.name}", *_nearest(cut, thick, bow)))
+            found.append(
+                (f"cut {number} of {block.name}", *nearest(needs(cut.along, cut.low, cut.high, thick), bow))
+            )
         for number, i, cut in level_cuts(block, panels, sawing.kerf):
             across = min(panels[i].length, panels[i].width) + sawing.oversize
             if not bow.reaches(cut.along, cut.low, cut.high, across):
                 name = f"cut {number} of {block.name} (level, {panels[i].name})"
-                found.append((name, *_nearest(cut, across, bow)))
+                found.append((name, *nearest(needs(cut.along, cut.low, cut.high, across), bow)))
     if not found:
         return ()
     span, throat = max(f[1] for f in found), max(f[2] for f in found)
     shown = "; ".join(
         f"{name} needs a span of {np.ceil(s / MM - 1e-6):.0f} and a throat of {np.ceil(t / MM - 1e-6):.0f} mm"
-        for name, s, t in found[:_MOST_NAMED]
+        for name, s, t in found[:MOST_NAMED]
     )
-    more = f"; and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
+    more = f"; and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
     bow_mm = f"a span of {bow.span / MM:g} and a throat of {bow.throat / MM:g} mm"
     wanted = f"span_mm: {np.ceil(max(span, bow.span) / MM - 1e-6):.0f}, "
     wanted += f"throat_mm: {np.ceil(max(throat, bow.throat) / MM - 1e-6):.0f}"
@@ -264,9 +278,8 @@ def told(nesting: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> tupl
     return (Issue("element.cut", what, Severity.WARNING, field="raw_blocks.bow", hint=hint),)
 
 
-def _nearest(cut: Cut, thickness: float, bow: Bow) -> tuple[float, float]:
-    """The least span and throat for a cut, by the way for which a bow lacks least."""
-    ways = needs(cut.along, cut.low, cut.high, thickness)
+def nearest(ways: Sequence[tuple[float, float]], bow: Bow) -> tuple[float, float]:
+    """Span and throat [m] of that of several ways to make a cut for which a bow lacks least."""
     return min(ways, key=lambda way: max(way[0] - bow.span, 0.0) + max(way[1] - bow.throat, 0.0))
 
 
@@ -285,24 +298,29 @@ def total_yields(nesting: Nesting, panels: Sequence[PanelBlock]) -> tuple[float,
     return sum(one.volume for one in panels) / whole, boxes / whole
 
 
-def table(nesting: Nesting, panels: Sequence[PanelBlock]) -> str:
-    """`blocks.csv`: a row for each block, panels in the order in which they come free, and one for all."""
+def table(
+    nesting: Nesting, panels: Sequence[PanelBlock], jobs: Mapping[str, Sequence[str]] | None = None
+) -> str:
+    """`blocks.csv`: a row for each block, panels in the order in which they come free, and one for all;
+    ``jobs``: names of the problems that cut each block, by its id."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     columns = ("block", "left_over", "length_mm", "width_mm", "thickness_mm", "foam", "cuts", "level_cuts")
-    writer.writerow([*columns, "panels", "yield_volume", "yield_boxes", "least_blocks"])
+    writer.writerow([*columns, "panels", "yield_volume", "yield_boxes", "least_blocks", "jobs"])
     for block in nesting.blocks:
         names = " ".join(panels[block.panel(part.box)].name for part in block.tree.boxes())
         size = [f"{round(v / MM, 3):g}" for v in block.size]
         share = [f"{v:.4f}" for v in yields(block, panels)]
         cuts = [len(block.tree.cuts()), len(block.level)]
-        writer.writerow([block.name, block.source or "", *size, block.foam or "", *cuts, names, *share, ""])
+        own = " ".join((jobs or {}).get(block.name, ()))
+        row = [block.name, block.source or "", *size, block.foam or "", *cuts, names, *share, "", own]
+        writer.writerow(row)
     share = [f"{v:.4f}" for v in total_yields(nesting, panels)]
     cuts = [
         sum(len(block.tree.cuts()) for block in nesting.blocks),
         sum(len(b.level) for b in nesting.blocks),
     ]
-    writer.writerow(["all", "", "", "", "", "", *cuts, "", *share, nesting.bound])
+    writer.writerow(["all", "", "", "", "", "", *cuts, "", *share, nesting.bound, ""])
     return out.getvalue()
 
 

@@ -20,6 +20,7 @@ from planner.element.nest import (
     total_yields,
     yields,
 )
+from planner.element.saw_jobs import saw_files
 from planner.geometry.cut_tree import Bow
 from planner.geometry.units import MM
 from planner.issues import Issue
@@ -41,12 +42,24 @@ def nested_folder(
     kerf = file.kerf_mm * MM
     sawing = Sawing(kerf, file.oversize_mm * MM, file.grain == "any", bow, file.keep_mm * MM)
     made = nested(name, panels, raw, element.stock, sawing)
+    problems: dict[str, str] = {}
+    jobs: dict[str, list[dict[str, Any]]] = {}
+    said = told(made, panels, sawing)
+    if element.saw is not None:
+        problems, jobs, of_jobs = saw_files(element, element.saw, made, panels)
+        said += of_jobs
+    names = {block: [job["id"] for job in own] for block, own in jobs.items()}
     files = {
-        "blocks.csv": table(made, panels),
+        "blocks.csv": table(made, panels, names),
         "blocks.svg": drawing(name, made, panels, kerf),
         "stock.csv": stock_file(made),
+        **problems,
     }
-    return files, told(made, panels, sawing), {"blocks": _data(made, panels, sawing)}
+    data = _data(made, panels, sawing)
+    for block in data["blocks"]:
+        if block["id"] in jobs:
+            block["jobs"] = jobs[block["id"]]
+    return files, said, {"blocks": data}
 
 
 def finished(

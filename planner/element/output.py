@@ -36,6 +36,7 @@ OWNED: Final = (
     "panels",
     "panels.csv",
     "panels.svg",
+    "blocks",
     "blocks.csv",
     "blocks.svg",
     "stock.csv",

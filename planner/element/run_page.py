@@ -36,7 +36,10 @@ def run_tiles(found: ElementRun) -> tuple[Tile, ...]:
     proven = sum(panel.proven for panel in found.panels)
     over = sum(joint.over for joint in found.joints)
     tiles = [Tile("panels proven", f"{proven} / {len(found.panels)}", bad=proven < len(found.panels))]
-    for arm, seconds in found.arm_seconds().items():
+    if found.saw:
+        cut = sum(one.proven for one in found.saw)
+        tiles.append(Tile("jobs of raw blocks proven", f"{cut} / {len(found.saw)}", bad=cut < len(found.saw)))
+    for arm, seconds in found.all_seconds().items():
         tiles.append(Tile(f"robot hours, {arm}", fixed(seconds / HOUR, 2), "h"))
     if found.measured:
         steps = _all_steps(found)
@@ -57,7 +60,7 @@ def _all_steps(found: ElementRun) -> FloatArray:
 def hours(found: ElementRun) -> tuple[Facts | Paragraph, ...]:
     """Before foam is ordered: what the robots are busy with all panels."""
     proven = sum(panel.proven for panel in found.panels)
-    if not proven:
+    if not found.all_seconds():
         return (Paragraph("No panel is proven, so there are no robot hours to tell."),)
     items: list[tuple[Phrase, Phrase]] = []
     for arm, seconds in found.arm_seconds().items():
@@ -66,6 +69,10 @@ def hours(found: ElementRun) -> tuple[Facts | Paragraph, ...]:
             share = seconds * len(found.panels) / proven / HOUR
             said += f"; about {share:.1f} h for all {len(found.panels)} if the others take as long"
         items.append((f"arm {arm}", said))
+    cut = sum(one.proven for one in found.saw)
+    for arm, seconds in found.saw_seconds().items():
+        said = f"{seconds / HOUR:.2f} h of motion for {cut} of {len(found.saw)} jobs of raw blocks"
+        items.append((f"arm {arm}, raw blocks", said))
     note = "Motion of the programs alone: loading, mounting and heating of wires come on top."
     return Facts(tuple(items)), Paragraph(note, "soft")
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -63,6 +63,29 @@ class PanelRun:
 
 
 @dataclasses.dataclass(frozen=True)
+class SawRun:
+    """A job that cuts a raw block, as ``element.json`` has it, the id of the ``block``, and what became of
+    it, as of a panel."""
+
+    job: Mapping[str, Any]
+    block: str
+    state: str
+    code: str = ""
+    message: str = ""
+    seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The job's id."""
+        return str(self.job["id"])
+
+    @property
+    def proven(self) -> bool:
+        """Whether its programs are proven."""
+        return self.state == PROVEN
+
+
+@dataclasses.dataclass(frozen=True)
 class JointRun:
     """A joint and its measure where both panels are proven, with the step [m] that 95 % must keep."""
 
@@ -91,11 +114,12 @@ class JointRun:
 
 @dataclasses.dataclass(frozen=True)
 class ElementRun:
-    """An element and a batch of its panels."""
+    """An element and a batch of its panels, with the jobs that cut its raw blocks."""
 
     data: Mapping[str, Any]
     panels: tuple[PanelRun, ...]
     joints: tuple[JointRun, ...]
+    saw: tuple[SawRun, ...] = ()
 
     @property
     def measured(self) -> tuple[JointRun, ...]:
@@ -103,17 +127,25 @@ class ElementRun:
         return tuple(joint for joint in self.joints if joint.cut is not None)
 
     @property
+    def _all(self) -> tuple[PanelRun | SawRun, ...]:
+        return *self.panels, *self.saw
+
+    @property
     def planned(self) -> bool:
-        """Whether the batch has any of its panels."""
-        return any(panel.state != NOT_PLANNED for panel in self.panels)
+        """Whether the batch has any of its panels, or of the jobs of its raw blocks."""
+        return any(one.state != NOT_PLANNED for one in self._all)
 
     def arm_seconds(self) -> dict[str, float]:
         """Seconds of motion of each arm, over the proven panels."""
-        out: dict[str, float] = {}
-        for panel in self.panels:
-            for arm, seconds in panel.seconds.items():
-                out[arm] = out.get(arm, 0.0) + seconds
-        return out
+        return _summed(self.panels)
+
+    def saw_seconds(self) -> dict[str, float]:
+        """The same over the proven jobs of raw blocks."""
+        return _summed(self.saw)
+
+    def all_seconds(self) -> dict[str, float]:
+        """Both together."""
+        return _summed(self._all)
 
     def issues(self) -> tuple[Issue, ...]:
         """``element.joint`` for each joint beyond its limits, ``element.run`` for panels without proof."""
@@ -134,17 +166,33 @@ class ElementRun:
             for joint in self.joints
             if joint.over
         ]
-        left = [panel for panel in self.panels if not panel.proven]
-        if left:
-            tried = [f"{p.name} ({p.code or p.state})" for p in left if p.state != NOT_PLANNED]
-            names = [panel.name for panel in left if panel.state == NOT_PLANNED]
-            more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-            if names:
-                tried.append(f"not planned: {', '.join(names[:_MOST_NAMED])}{more}")
-            what = f"{len(left)} of {len(self.panels)} panels are not proven: {', '.join(tried)}"
-            hint = "see what their reports say, and order no foam for them before"
-            found.append(Issue("element.run", what, Severity.WARNING, hint=hint))
+        found += _left("panels", self.panels, "see what their reports say, and order no foam for them before")
+        if any(one.state != NOT_PLANNED for one in self.saw):
+            hint = "see what their reports say; cut these by hand otherwise"
+            found += _left("jobs of raw blocks", self.saw, hint)
         return tuple(found)
+
+
+def _summed(jobs: Sequence[PanelRun | SawRun]) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for job in jobs:
+        for arm, seconds in job.seconds.items():
+            out[arm] = out.get(arm, 0.0) + seconds
+    return out
+
+
+def _left(what: str, jobs: Sequence[PanelRun | SawRun], hint: str) -> Iterator[Issue]:
+    """``element.run`` for those without proof."""
+    left = [job for job in jobs if not job.proven]
+    if not left:
+        return
+    tried = [f"{job.name} ({job.code or job.state})" for job in left if job.state != NOT_PLANNED]
+    names = [job.name for job in left if job.state == NOT_PLANNED]
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    if names:
+        tried.append(f"not planned: {', '.join(names[:_MOST_NAMED])}{more}")
+    said = f"{len(left)} of {len(jobs)} {what} are not proven: {', '.join(tried)}"
+    yield Issue("element.run", said, Severity.WARNING, hint=hint)
 
 
 def read_run(out: Path, run: Path) -> ElementRun:
@@ -182,7 +230,7 @@ def read_run(out: Path, run: Path) -> ElementRun:
         elif one.faces and other.faces:
             cut = cut_joint(names, one.faces, other.faces)
         joints.append(JointRun(names, float(joint["length_mm"]) * MM, limit, cut))
-    return ElementRun(data, panels, tuple(joints))
+    return ElementRun(data, panels, tuple(joints), tuple(_saw(data, run, rows)))
 
 
 def unplanned(data: Mapping[str, Any]) -> ElementRun:
@@ -191,7 +239,33 @@ def unplanned(data: Mapping[str, Any]) -> ElementRun:
         JointRun((str(j["panels"][0]), str(j["panels"][1])), float(j["length_mm"]) * MM, MOST_AT_95, None)
         for j in data.get("joints", ())
     )
-    return ElementRun(data, tuple(PanelRun(panel, NOT_PLANNED) for panel in data["panels"]), joints)
+    panels = tuple(PanelRun(panel, NOT_PLANNED) for panel in data["panels"])
+    return ElementRun(data, panels, joints, tuple(_saw(data, None, {})))
+
+
+def _saw(
+    data: Mapping[str, Any], run: Path | None, rows: Mapping[str, Mapping[str, str]]
+) -> Iterator[SawRun]:
+    """The jobs of raw blocks, by the ``rows`` of the summary in ``run``."""
+    for block in (data.get("blocks") or {}).get("blocks", ()):
+        for job in block.get("jobs", ()):
+            name, row = str(job["id"]), rows.get(str(job["id"]))
+            if run is None or row is None:
+                yield SawRun(job, block["id"], NOT_PLANNED)
+                continue
+            proven = row["state"] == PROVEN
+            code = next(iter(row["issues"].split()), "")
+            seconds = _motion(run / name) if proven else {}
+            yield SawRun(job, block["id"], row["state"], code, row["message"], seconds)
+
+
+def _motion(result: Path) -> dict[str, float]:
+    """Seconds of motion of each arm in a result folder."""
+    seconds: dict[str, float] = {}
+    for operation in plans.load(result).operations:
+        for arm in operation.targets.arms:
+            seconds[arm] = seconds.get(arm, 0.0) + float(operation.time[-1])
+    return seconds
 
 
 def _missing(path: Path, who: str) -> TandemError:
@@ -206,10 +280,7 @@ def _panel(
     code = next(iter(row["issues"].split()), "")
     if row["state"] != PROVEN:
         return PanelRun(panel, row["state"], code, row["message"])
-    seconds: dict[str, float] = {}
-    for operation in plans.load(run / str(panel["id"])).operations:
-        for arm in operation.targets.arms:
-            seconds[arm] = seconds.get(arm, 0.0) + float(operation.time[-1])
+    seconds = _motion(run / str(panel["id"]))
     if "front_mm" in panel:
         sides = cut_sides(out, run, panel, thickness)
         return PanelRun(panel, PROVEN, code, row["message"], seconds, sides, sides)

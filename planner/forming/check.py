@@ -19,7 +19,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from planner.catalogue.materials import thickness_doubt
-from planner.catalogue.robots import robot
 from planner.forming import two_point
 from planner.forming.claims import scallop
 from planner.forming.contact import MIRROR, Face, Pass, ToolPath
@@ -136,7 +135,8 @@ def force(work: Work, one: Pass, path: ToolPath) -> ForceEstimate:
     else:  # the step whose ridges are as high as stated, at the steepest wall
         ridge = (op.scallop_mm or 0.0) * MM
         step = 2.0 * float(np.sin(walls.max())) * float(np.sqrt(2.0 * radius * ridge - ridge**2))
-    return estimate(work.sheet.metal, work.thickness, 2.0 * radius, step, walls, op.force_n)
+    given = None if work.stated is None else work.stated.former[one.name]
+    return estimate(work.sheet.metal, work.thickness, 2.0 * radius, step, walls, given)
 
 
 def _clear(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
@@ -176,11 +176,14 @@ def _forces(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) ->
         for arm in filter(None, (work.former(one), work.supporter(one))):
             if work.operation.mode == "heat" and arm != work.former(one):
                 continue
-            if arm not in most or found.force > most[arm].force:
-                most[arm] = found
+            own, support = found, work.operation.support_force_n
+            if arm != work.former(one) and support is not None:
+                own = ForceEstimate(support, support, support, found.angle, "support_force_n")
+            if arm not in most or own.force > most[arm].force:
+                most[arm] = own
     for arm, found in most.items():
         mounted = setup.cell.arm(arm)
-        data = robot(mounted.robot)
+        data = mounted.data
         issue = payload_issue(found, f"arm {arm}", data.title, data.payload, mounted.tool.mass)
         if issue is not None:
             yield issue

@@ -307,6 +307,12 @@ class Pass:
     region: FloatArray
 
 
+def heights(one: Pass, step: float, number: int) -> tuple[float, float]:
+    """How far [m] below the flat around it a level begins and ends, at steps of ``step`` [m]."""
+    deep = abs(one.end - one.start)
+    return min(number * step, deep), min((number + 1) * step, deep)
+
+
 @dataclasses.dataclass(frozen=True)
 class ContactPath:
     """The path of the contact on the face of a pass, N points in the order of forming.

@@ -36,7 +36,7 @@ from planner.forming.check import (
 )
 from planner.forming.claims import scallop
 from planner.forming.contact import Pass, ToolPath
-from planner.forming.operation import GAP_MODES, Forming, Level, Springback
+from planner.forming.operation import GAP_MODES, Forming, Level
 from planner.forming.process_plan import (
     LEAST_MOVE_TIME,
     TOO_NARROW,
@@ -247,10 +247,7 @@ class FormingJob(Job[Forming]):
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
         made, setup = self.planned, self.setup
-        given = None
-        if self.operation.springback is not None:
-            compensation.require_mode(made)
-            given = self._compensation(self.operation.springback)
+        given = self.compensated()
         steps = list(step_issues(made))
         if steps:
             raise TandemError(steps)
@@ -291,7 +288,13 @@ class FormingJob(Job[Forming]):
             shown["released"] = released.compensated(made, paths, given)
         return dataclasses.replace(found, exhibits={**found.exhibits, **shown})
 
-    def _compensation(self, wanted: Springback) -> compensation_file.Compensation:
+    def compensated(self) -> compensation_file.Compensation | None:
+        """The springback file that the operation names, if it does. Raises ``TandemError``
+        (forming.compensation, forming.springback_mode) where it does not belong to this job."""
+        wanted = self.operation.springback
+        if wanted is None:
+            return None
+        compensation.require_mode(self.planned)
         identity = compensation_file.belongs_to(self.planned, self.setup.stock, self.part)
         return compensation_file.read(wanted.file, self.operation, identity)
 

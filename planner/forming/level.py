@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.forming.contact import ContactPath, Pass, ToolPath
+from planner.forming.contact import ContactPath, Pass, ToolPath, heights
 from planner.forming.operation import Level
 from planner.forming.process_plan import Work, lay
 from planner.geometry.arrays import FloatArray, lengths
@@ -79,12 +79,6 @@ def alone(work: Work, one: Pass, level: Level) -> ToolPath:
 def _spared(work: Work) -> float:
     """How far [m] balls may stay off the part where they do not fit."""
     return (work.operation.unreached_mm or 0.0) * MM
-
-
-def heights(one: Pass, step: float, number: int) -> tuple[float, float]:
-    """How far [m] below the flat around it a level begins and ends, at steps of ``step`` [m]."""
-    deep = abs(one.end - one.start)
-    return min(number * step, deep), min((number + 1) * step, deep)
 
 
 def _require_height(work: Work, one: Pass, height: FloatArray, level: Level) -> None:

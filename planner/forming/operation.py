@@ -73,6 +73,10 @@ GAP_MODES = frozenset({"dsif", "dpif_l", "adsif"})
 """Modes in which the sheet is held between both tools, so that their gap is part of the job."""
 
 
+Height = Annotated[float, Field(ge=-10_000, le=10_000)]
+Newton = Annotated[float, Field(ge=0, le=100_000)]
+
+
 def _from_the_problem_file(value: Path | None, info: ValidationInfo) -> Path | None:
     """A file name, looked up from the folder of the problem file."""
     return None if value is None else (info.context or {}).get("folder", Path()) / value
@@ -136,6 +140,45 @@ class Springback(Strict):
 
 LEVEL_MODES = frozenset({"spif", "dsif", "dpif_l", "heat"})
 """Modes that form level by level, each on its own: where the sheet is one elastic sheet held by its clamp."""
+
+
+class ForceBy(Strict):
+    """Forces on the sheet that change over a part, in place of ``force_n``.
+
+    ``table``: on the former by depth. ``file``: a CSV as it was measured, with the columns of `tandem
+    next-loop --forces`: by level, of both tools together, and where it has points with ``x_mm`` and ``y_mm``
+    by place.
+    """
+
+    table: Annotated[
+        list[tuple[Height, Newton]] | None,
+        Field(
+            min_length=2,
+            max_length=1000,
+            description="rows of z of the contact in the sheet's frame [mm], ascending or descending, and "
+            "the force along z [N] there; between rows it goes on evenly",
+        ),
+    ] = None
+    file: Annotated[Path | None, AfterValidator(_from_the_problem_file)] = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.table is None) == (self.file is None):
+            raise ValueError("state a table by depth, or the file of what was measured: one of them")
+        step = np.diff([row[0] for row in self.table or ()])
+        if not ((step > 0.0).all() or (step < 0.0).all()):
+            row = int(np.flatnonzero(step * step[0] <= 0.0)[0]) + 2
+            z = 0.0 if self.table is None else self.table[row - 1][0]
+            raise ValueError(f"table: row {row} is at z {z:g} mm; rows have to ascend in z, or to descend")
+        if self.table is not None and not any(n > 0.0 for _, n in self.table):
+            raise ValueError("table: all forces are 0")
+        return self
+
+
+FORCE_MODES = frozenset({"spif", "dsif", "dpif_l", "dpif_p", "heat"})
+"""Modes whose forces may be stated by depth or level: those whose springback is foretold."""
+SUPPORT_MODES = frozenset({"dsif", "dpif_l"})
+"""Modes in which the second tool presses the sheet against the former."""
 
 
 class Level(Strict):
@@ -222,6 +265,16 @@ class Forming(Strict):
     force_n: Annotated[
         float | None, Field(gt=0, le=100_000, description="on the former; none: by a formula")
     ] = None
+    force_by: ForceBy | None = None
+    support_force_n: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=100_000,
+            description="along z, by which the support presses the sheet against the former; what is left "
+            "of the former's force bends the sheet",
+        ),
+    ] = None
     gouge_tol_mm: Annotated[float, Field(ge=0.002, le=1)] = 0.05
     gap_tol_mm: Annotated[float, Field(ge=0.002, le=1)] = 0.02
     handshake_gap_mm: Annotated[
@@ -264,8 +317,38 @@ class Forming(Strict):
             not self.passes or list(self.passes) != sorted(set(self.passes)) or not 0 < self.passes[0] <= 90
         ):
             raise ValueError("passes: wall angles must ascend, each above 0 and at most 90")
+        self._stated_forces()
         self._one_level()
         return self
+
+    def _stated_forces(self) -> None:
+        """What forces by depth or level, and that of a support, ask of their operation."""
+        by, support = self.force_by, self.support_force_n
+        if by is not None:
+            if self.force_n is not None:
+                raise ValueError("give either force_n or force_by, one of them")
+            if self.mode not in FORCE_MODES:
+                allowed = ", ".join(sorted(FORCE_MODES))
+                raise ValueError(f"force_by belongs to the modes {allowed}, not {self.mode}")
+            if by.file is not None and self.stepdown_mm is None:
+                raise ValueError(
+                    "force_by: levels are counted by stepdown_mm; state it in place of scallop_mm"
+                )
+        if support is None:
+            return
+        if self.mode not in SUPPORT_MODES:
+            allowed = " and ".join(sorted(SUPPORT_MODES))
+            what = f"support_force_n belongs to the modes {allowed}; in {self.mode} no second tool presses "
+            raise ValueError(what + "the sheet against the former")
+        if by is not None and by.file is not None:
+            raise ValueError("support_force_n: the forces of force_by's file are of both tools together")
+        if self.force_n is None and by is None:
+            what = "support_force_n: it is taken off the former's force; state that, force_n or a table of "
+            raise ValueError(what + "force_by: the formula has no support")
+        former = [n for _, n in by.table or ()] if by is not None else [self.force_n or 0.0]
+        if min(former) < support or max(former) <= support:
+            what = f"support_force_n: {support:g} N is more than the former's {min(former):g} N leave: "
+            raise ValueError(what + "together they have to press the former's way")
 
     def _one_level(self) -> None:
         """What a level asks of its operation."""

@@ -8,6 +8,7 @@ over the sheet to each pass, down onto it, along it, and off again.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -23,6 +24,7 @@ from planner.forming.paths.adsif_path import adsif_tool_path, pressed_by_support
 from planner.forming.paths.contact_path import make_path
 from planner.forming.paths.spiral import MISSED_DISTANCE, PathOptions
 from planner.forming.sheet_mechanics import steepest
+from planner.forming.stated_force import Stated, stated
 from planner.forming.support.clearance import Clamp, clamp_of
 from planner.forming.support.modes import tool_path
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, dots
@@ -73,6 +75,13 @@ class Work:
         if len(self.operation.arms) == 1:
             return self.operation.side == "top"
         return arm == self.operation.arms[0]
+
+    @functools.cached_property
+    def stated(self) -> Stated | None:
+        """Forces on the sheet that the user states; None: by the formula. Raises ``TandemError``:
+        forming.force_input, forming.loop_forces."""
+        radius = {one.name: self.heads[self.former(one)].radius for one in self.passes}
+        return stated(self.operation, self.passes, self.sheet.metal, self.thickness, radius)
 
     @property
     def pressed(self) -> tuple[float, float]:
@@ -129,7 +138,9 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
     controller = setup.cell.controller
     every = controller.handshake.every if controller.sync == "handshake" else 0
     clamp = clamp_of(setup.stock)
-    return Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp, tolerance, every)
+    found = Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp, tolerance, every)
+    _ = found.stated  # what is wrong with it is said before anything is laid
+    return found
 
 
 def _order(op: Forming, tree: FeatureTree) -> tuple[OrderStep, ...]:

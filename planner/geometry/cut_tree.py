@@ -9,7 +9,7 @@ tree, depth first, so that what is cut next is always one part in one place.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,6 +52,45 @@ class CutTree:
         """What is left over."""
         return tuple(part for part in self.parts if part.box is None and part.axis is None)
 
+    def stages(self, together: Callable[[Stage], bool]) -> tuple[Stage, ...]:
+        """What is cut while it lies in one place: parts in the order of the tree, each with all cuts along
+        one axis that go through the whole of it, where ``together`` says that these are made side by side,
+        else with the first of them alone."""
+        cut = [i for i, part in enumerate(self.parts) if part.axis is not None]
+        numbers = {i: number for number, i in enumerate(cut, 1)}
+        out, waiting = [], [0]
+        while waiting:
+            first = waiting.pop()
+            if first not in numbers:
+                continue
+            stage, pieces = self._stage(first, numbers)
+            if not together(stage):
+                part = self.parts[first]
+                stage = Stage(part, ((numbers[first], self._cut(part)),))
+                pieces = [i for i in (part.low, part.high) if i is not None]
+            out.append(stage)
+            waiting += reversed(pieces)
+        return tuple(out)
+
+    def _stage(self, first: int, numbers: dict[int, int]) -> tuple[Stage, list[int]]:
+        """All cuts side by side in a part, and what they leave of it, both from its lower end on."""
+        cuts: list[tuple[int, Cut]] = []
+        pieces: list[int] = []
+
+        def walk(i: int | None) -> None:
+            if i is None:
+                return
+            part = self.parts[i]
+            if part.axis != self.parts[first].axis:
+                pieces.append(i)
+                return
+            walk(part.low)
+            cuts.append((numbers[i], self._cut(part)))
+            walk(part.high)
+
+        walk(first)
+        return Stage(self.parts[first], tuple(cuts)), pieces
+
     def _cut(self, part: Part) -> Cut:
         sizes = [
             0.0 if i is None else (self.parts[i].length, self.parts[i].width)[part.axis or 0]
@@ -76,6 +115,14 @@ class Cut:
 
 
 @dataclasses.dataclass(frozen=True)
+class Stage:
+    """``cuts`` side by side in one ``part``, from its lower end on, each with its number from 1 among all."""
+
+    part: Part
+    cuts: tuple[tuple[int, Cut], ...]
+
+
+@dataclasses.dataclass(frozen=True)
 class Bow:
     """A bow's straight wire: ``span`` [m] between its clamps, ``throat`` [m] free between wire and beam."""
 
@@ -89,6 +136,11 @@ class Bow:
         return (self.span >= thickness and self.throat >= min(narrow, 0.5 * along)) or (
             self.span >= along and self.throat >= min(narrow, thickness)
         )
+
+    def reaches_lying(self, along: float, thickness: float, margin: float) -> bool:
+        """Whether the wire can lie in a cut and go down with the beam above the block, ``margin`` [m] of foam
+        to its ends and to the beam, and as far below the block."""
+        return self.span >= along + 2.0 * margin and self.throat >= thickness + 2.0 * margin
 
 
 def needs(along: float, low: float, high: float, thickness: float) -> tuple[tuple[float, float], ...]:

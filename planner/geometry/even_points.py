@@ -42,15 +42,16 @@ class FineSurface:
     spacing: float
 
 
-def cut_fine(mesh: TriangleMesh, count: int) -> FineSurface:
-    """The surface with edges so short that ``count`` cells of it have some fifty vertices each."""
+def cut_fine(mesh: TriangleMesh, count: int, cut: float = CUT) -> FineSurface:
+    """The surface with at least ``cut`` edges along each side of ``count`` cells of it: some fifty vertices
+    each where that is 5."""
     spacing = float(np.sqrt(face_areas(mesh).sum() / count))
     fine = mesh
     while True:
-        cut = _halved(fine, spacing / CUT)
-        if len(cut.faces) == len(fine.faces):
+        finer = _halved(fine, spacing / cut)
+        if len(finer.faces) == len(fine.faces):
             break
-        fine = cut
+        fine = finer
     area = np.zeros(len(fine.vertices))
     np.add.at(area, fine.faces.reshape(-1), np.repeat(face_areas(fine) / 3.0, 3))
     return FineSurface(fine, vertex_normals(fine), area, spacing)
@@ -153,14 +154,17 @@ def _whole(surface: FineSurface, label: IntArray) -> IntArray:
     return label
 
 
-def bending(surface: FineSurface, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def bending(
+    surface: FineSurface, points: FloatArray, cells: int | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normals (N, 3), principal curvatures (N, 2) [1/m], the larger first, and directions (N, 2, 3).
 
-    From the quadric that fits the surface best around each point. Positive: the surface bends away from
+    From the quadric that fits the surface best around each point, over some of the ``cells`` that there are
+    on it (none: as many as points). Positive: the surface bends away from
     its normal, as a dome's does whose normals point outwards.
     """
     vertices = surface.mesh.vertices
-    count = min(max(int(_FITTED * len(vertices) / len(points)), 12), len(vertices))
+    count = min(max(int(_FITTED * len(vertices) / (cells or len(points))), 12), len(vertices))
     asked = KDTree(vertices).query(points, k=count)
     reach, near = np.asarray(asked[0]), np.asarray(asked[1])
     reach, near = reach[:, :: 1 + count // 300], near[:, :: 1 + count // 300]

@@ -39,7 +39,7 @@ class ThickPanel:
 def thick_panels(faces: Faces, thickness: float, rim: Rim = "square") -> tuple[ThickPanel, ...]:
     """Panels between their planes and those moved by ``thickness`` [m] along the normals (negative: against
     them). The bottom is always the face against the normal."""
-    ways = [_ways(faces, panel, rim) for panel in range(len(faces.normal))]
+    ways = [_ways(faces, panel, rim, np.sign(thickness)) for panel in range(len(faces.normal))]
     panels = []
     for panel, (way, level) in enumerate(ways):
         ring = faces.pattern.ring[panel]
@@ -51,30 +51,39 @@ def thick_panels(faces: Faces, thickness: float, rim: Rim = "square") -> tuple[T
     return tuple(panels)
 
 
-def _ways(faces: Faces, panel: int, rim: Rim) -> tuple[FloatArray, IntArray]:
+def _ways(faces: Faces, panel: int, rim: Rim, sign: float) -> tuple[FloatArray, IntArray]:
     """Where the corners (C, 3) of a panel go as its plane moves by one, and which sides (C,) are level."""
     pattern = faces.pattern
     ring, across, n = pattern.ring[panel], pattern.across[panel], faces.normal[panel]
     way = faces.way[ring].copy()
+    if pattern.quads:
+        way /= (way @ n)[:, None]
     level = (across == RIM) & faces.on_ground[ring] & faces.on_ground[np.roll(ring, -1)]
-    inner = pattern.panels[ring, 2] >= 0
-    for i in np.flatnonzero(~inner).tolist():
-        sides = [_side(faces, panel, k % len(ring), rim, bool(level[k % len(ring)])) for k in (i - 1, i)]
+    ends = (across == RIM) | (np.roll(across, 1) == RIM)
+    for i in np.flatnonzero(ends).tolist():
+        sides = [
+            _side(faces, panel, k % len(ring), rim, bool(level[k % len(ring)]), sign) for k in (i - 1, i)
+        ]
         way[i] = np.linalg.solve(np.stack([n, *sides]), np.array([1.0, 0.0, 0.0]))
     return way, level.astype(np.int64)
 
 
-def _side(faces: Faces, panel: int, side: int, rim: Rim, level: bool) -> FloatArray:
-    """The normal (3,) of the plane of one side of a panel."""
+def _side(faces: Faces, panel: int, side: int, rim: Rim, level: bool, sign: float) -> FloatArray:
+    """The normal (3,) of the plane of one side of a panel that is thick along its normal, times ``sign``."""
     ring, beyond = faces.pattern.ring[panel], int(faces.pattern.across[panel][side])
     one, two = int(ring[side]), int(ring[(side + 1) % len(ring)])
     edge = faces.knot[two] - faces.knot[one]
+    normal = faces.normal[panel]
     if beyond == RIM:
         if level:
             return np.array([0.0, 0.0, 1.0])
-        if rim == "upright" and np.hypot(edge[0], edge[1]) > _STEEP * np.linalg.norm(edge):
-            return unit(np.cross(edge, [0.0, 0.0, 1.0]))
-        return unit(np.cross(edge, faces.normal[panel]))
+        steep = np.hypot(edge[0], edge[1]) <= _STEEP * np.linalg.norm(edge)
+        up = normal if rim == "square" or steep else np.array([0.0, 0.0, 1.0])
+        ways = [up, *(faces.way[k] for k in (one, two) if faces.sharp[k])]
+        out = sign * np.cross(edge, normal)
+        return unit(np.cross(edge, min(ways, key=lambda way: float(out @ way) / float(normal @ way))))
+    if faces.pattern.quads:
+        return unit(np.cross(edge, faces.way[one] + faces.way[two]))
     apart = faces.normal[min(panel, beyond)] - faces.normal[max(panel, beyond)]
     if np.linalg.norm(apart) > COPLANAR:
         return unit(apart)

@@ -38,7 +38,8 @@ class Weights:
 
     ``plane``: panels are planar; ``close``: knots lie on the surface; ``normal``: panels have its normals, or
     they fold over; ``way``: offset edges are upright; ``fair`` and ``stay``: knots in the middle of their
-    neighbours and where they began; ``hinge``: limits; ``steady``: unknowns stay where they are.
+    neighbours and where they began; ``hinge``: limits; ``steady``: unknowns stay where they are;
+    ``even``: planes of quads moved by one meet at one point, though they need not.
     """
 
     plane: float = 20.0
@@ -49,6 +50,7 @@ class Weights:
     stay: float = 0.2
     hinge: float = 4.0
     steady: float = 0.2
+    even: float = 0.0
     rounds: int = 40
 
 
@@ -59,7 +61,8 @@ _WEIGHTS: Final = Weights()
 class Faces:
     """Planes of a pattern's panels: ``normal`` (N, 3) unit, ``distance`` (N,) [m]: normal . x = distance;
     ``knot`` (K, 3) [m] in the planes of its panels; ``way`` (K, 3): where it goes as they move by one;
-    ``on_ground`` (K,): knots that are held level."""
+    ``on_ground`` (K,): knots that are held level; ``sharp`` (K,): those on the rim at which a quad ends in a
+    point, so that sides on the rim beside it may not lean out beyond their ways."""
 
     pattern: Pattern
     normal: FloatArray
@@ -67,6 +70,7 @@ class Faces:
     knot: FloatArray
     way: FloatArray
     on_ground: BoolArray
+    sharp: BoolArray
 
 
 def planarised(
@@ -93,10 +97,11 @@ def planarised(
     work.exact()
     x, w, n, d = work.split(work.z)
     distance = work.scale * (d + dots(n, work.middle))
-    w = _squared(pattern, n, x, w)
+    w = w if pattern.quads else _squared(pattern, n, x, w)
     on_ground = np.zeros(work.knots, dtype=np.bool_)
     on_ground[work.foot] = True
-    return Faces(pattern, n, distance, work.scale * x, w, on_ground)
+    sharp = pattern.pointed & pattern.quads
+    return Faces(pattern, n, distance, work.scale * x, w, on_ground, sharp)
 
 
 def _squared(pattern: Pattern, normal: FloatArray, knot: FloatArray, way: FloatArray) -> FloatArray:
@@ -166,7 +171,7 @@ class _Work:
         self.knot = np.concatenate(pattern.ring)
         self.tree = KDTree(surface.mesh.vertices / scale)
         self.place, self.upright = surface.mesh.vertices / scale, surface.normal
-        self.rim = np.flatnonzero(pattern.panels[:, 2] < 0)
+        self.rim = np.flatnonzero(pattern.on_rim)
         rings = boundaries(surface.mesh)
         curve = np.concatenate([surface.mesh.vertices[ring] for ring in rings]) / scale
         step = np.concatenate(
@@ -176,7 +181,8 @@ class _Work:
         self.ground = 0.0 if ground is None else ground / scale
         height = np.abs(pattern.place[self.rim, 2] / scale - self.ground)
         self.foot = self.rim[(height < _ON_GROUND) & (ground is not None)]
-        self.corner = pattern.panels[self.rim, 1] < 0
+        self.level = self.foot[pattern.pointed[self.foot]]
+        self.corner = pattern.corner[self.rim]
         self.joint = joints(pattern)
         across = middle[self.joint[:, 1]] - middle[self.joint[:, 0]]
         self.reference = unit(np.cross(normal[self.joint[:, 0]] + normal[self.joint[:, 1]], across))
@@ -238,10 +244,24 @@ class _Work:
         rows.add(
             dots(n[f], off) - d[f], (self._x(k), n[f]), (self._n(f), off), (self._d(f), minus), weight=weight
         )
-        rows.add(dots(n[f], w[k]) - 1.0, (self._w(k), n[f]), (self._n(f), w[k]), weight=weight)
+        if self.pattern.quads:
+            self._sides(rows, x, w, weight)
+        else:
+            rows.add(dots(n[f], w[k]) - 1.0, (self._w(k), n[f]), (self._n(f), w[k]), weight=weight)
         one = np.ones((len(self.foot), 1))
         rows.add(x[self.foot, 2] - self.ground, (self._x(self.foot)[:, [2]], one), weight=weight)
         rows.add(0.5 * (dots(n, n) - 1.0), (self._n(np.arange(len(n))), n), weight=weight)
+
+    def _sides(self, rows: _Rows, x: FloatArray, w: FloatArray, weight: float) -> None:
+        """The ways of both ends of a joint in one plane with it; those of points on the ground are level."""
+        one, two = self.joint[:, 2:].T
+        e, a, b = x[two] - x[one], w[one], w[two]
+        across = np.cross(a, b)
+        terms = [(self._x(one), -across), (self._x(two), across)]
+        terms += [(self._w(one), np.cross(b, e)), (self._w(two), np.cross(e, a))]
+        rows.add(dots(e, across), *terms, weight=weight)
+        level = self.level
+        rows.add(w[level, 2], (self._w(level)[:, [2]], np.ones((len(level), 1))), weight=weight)
 
     def round(self) -> None:
         """One round of Gauss-Newton over all wishes."""
@@ -253,6 +273,9 @@ class _Work:
         every = np.arange(self.knots)
         rows.add(dots(up, x - self.place[near]), (self._x(every), up), weight=g.close)
         self._rims(rows, x)
+        if self.pattern.quads:
+            f, k = self.face, self.knot
+            rows.add(dots(n[f], w[k]) - 1.0, (self._w(k), n[f]), (self._n(f), w[k]), weight=g.even)
         for i in range(3):
             one = np.ones((self.panels, 1))
             rows.add(
@@ -264,7 +287,7 @@ class _Work:
         self._hinges(rows, x, w, n)
         matrix, rest = rows.matrix(len(self.z))
         square = csc_array(matrix.T @ matrix + g.steady**2 * diags_array(np.ones(len(self.z))))
-        self.z = self.z - _factor(square).solve(matrix.T @ rest)
+        self.z = self.z - symmetric_factor(square).solve(matrix.T @ rest)
 
     def _rims(self, rows: _Rows, x: FloatArray) -> None:
         at = self.rim_tree.query(x[self.rim])[1]
@@ -349,7 +372,7 @@ class _Work:
                 break
             best = min(best, worst)
             square = csc_array(matrix @ matrix.T + 1e-12 * diags_array(np.ones(len(rest))))
-            self.z = self.z - matrix.T @ _factor(square).solve(rest)
+            self.z = self.z - matrix.T @ symmetric_factor(square).solve(rest)
         n = self.split(self.z)[2]
         n /= np.linalg.norm(n, axis=1, keepdims=True)
 
@@ -360,5 +383,6 @@ _CONVEX: Final = 0.08
 """Sine of the least turn at a corner of a panel that is to be convex."""
 
 
-def _factor(square: csc_array) -> SuperLU:
+def symmetric_factor(square: csc_array) -> SuperLU:
+    """Factors of a symmetric positive matrix."""
     return splu(square, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

@@ -1,4 +1,4 @@
-"""The pattern of panels on a surface: the dual of a division into cells.
+"""The pattern of panels on a surface, and that of hexagons: the dual of a division into cells.
 
 Three cells meet at a knot, two at a knot on the rim, and one has a corner of the rim; each panel is the ring
 of its knots. Every inner knot belongs to three panels, whose planes make it one point.
@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.curves import turns
 from planner.geometry.even_points import FineSurface
 from planner.geometry.rulings import boundaries
@@ -34,15 +34,34 @@ class PatternError(ValueError):
 class Pattern:
     """Panels as rings of knots, counterclockwise seen against the normal.
 
-    ``place`` (K, 3) [m]: where the cells meet on the surface. ``panels`` (K, 3): the cells of a knot, padded
-    with -1. ``ring``: the knots of each panel; ``across``: for each side, from ring[i] to ring[i + 1], the
-    panel beyond, or ``RIM``.
+    ``place`` (K, 3) [m]: where the cells meet on the surface. ``panels`` (K, 3), of quads (K, 4): the cells
+    of a knot, padded with -1. ``ring``: the knots of each panel; ``across``: for each side, from ring[i] to
+    ring[i + 1], the panel beyond, or ``RIM``. ``corner`` (K,): knots at corners of the rim. ``quads``: up to
+    four panels meet at a knot, whose planes moved by one have no point in common.
     """
 
     place: FloatArray
     panels: IntArray
     ring: tuple[IntArray, ...]
     across: tuple[IntArray, ...]
+    corner: BoolArray
+    quads: bool = False
+
+    @property
+    def on_rim(self) -> BoolArray:
+        """Knots (K,) on the rim."""
+        found = np.zeros(len(self.place), dtype=np.bool_)
+        for ring, across in zip(self.ring, self.across, strict=True):
+            found[ring[across == RIM]] = found[np.roll(ring, -1)[across == RIM]] = True
+        return found
+
+    @property
+    def pointed(self) -> BoolArray:
+        """Knots (K,) on the rim at which a panel ends in a point, between two others."""
+        found = np.zeros(len(self.place), dtype=np.bool_)
+        for ring, across in zip(self.ring, self.across, strict=True):
+            found[ring[(across != RIM) & (np.roll(across, 1) != RIM)]] = True
+        return found & self.on_rim
 
 
 def pattern_of(surface: FineSurface, label: IntArray, count: int) -> Pattern:
@@ -95,7 +114,8 @@ def pattern_of(surface: FineSurface, label: IntArray, count: int) -> Pattern:
         knots, beyond = _ring(a, way)
         rings.append(np.array(knots, dtype=np.int64))
         across.append(np.array(beyond, dtype=np.int64))
-    return Pattern(np.array(place), np.array(panels, dtype=np.int64), tuple(rings), tuple(across))
+    own = np.array(panels, dtype=np.int64)
+    return Pattern(np.array(place), own, tuple(rings), tuple(across), own[:, 1] < 0)
 
 
 def _ring(panel: int, way: dict[int, tuple[int, int]]) -> tuple[list[int], list[int]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import shapely
@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.conjugate_field import layout
 from planner.geometry.even_points import (
     FineSurface,
     bending,
@@ -24,7 +25,8 @@ from planner.geometry.face_offset import Rim, ThickPanel, side_quads, thick_pane
 from planner.geometry.guided_projection import LONGEST_WAY, Weights, planarised
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.mesh_queries import Nearness
-from planner.geometry.panel_pattern import pattern_of
+from planner.geometry.panel_pattern import Pattern, pattern_of
+from planner.geometry.quad_pattern import quad_pattern
 from planner.geometry.units import DEG
 
 LEAST_COUNT: Final = 4
@@ -36,6 +38,13 @@ STEEPEST: Final = 30.0 * DEG
 FLAT: Final = 1e-9
 """Corners are in the planes of faces and sides within this [m]."""
 _TRIES: Final = (Weights(), Weights(stay=0.15, fair=0.03, hinge=2.0), Weights(stay=0.1, fair=0.05, rounds=60))
+_QUAD_TRIES: Final = tuple(
+    Weights(way=0.5, fair=0.1, even=2.0, stay=stay, hinge=hinge) for stay, hinge in ((0.2, 4.0), (0.1, 8.0))
+)
+"""The same for quads."""
+_LAID_OUT: Final = 2.0
+"""Edges along the side of a cell of the mesh that is laid out for quads."""
+Shape = Literal["hexagon", "quad"]
 _STRAIGHT: Final = 0.05
 """Where the ratio of principal curvatures is less, the surface is taken as bent in one way only."""
 
@@ -91,11 +100,14 @@ def planar_shell(
     least_edge: float = 0.05,
     rim: Rim = "square",
     ground: float | None = None,
+    shape: Shape = "hexagon",
+    least_width: float = 0.0,
 ) -> PanelShell:
-    """Exactly ``count`` planar panels of an open surface [m], ``thickness`` [m] along its normals (negative:
-    against them).
+    """Planar panels of an open surface [m], ``thickness`` [m] along its normals (negative: against them):
+    exactly ``count`` hexagons, or as nearly as many quads along conjugate directions as whole rows can be.
 
-    ``least_edge`` [m]: edges of both faces are to be longer. ``ground`` [m]: height on which the rim stands,
+    ``least_edge`` [m]: edges of both faces are to be longer; ``least_width`` [m]: quads are to be wider, as
+    far as another count or another place of the rows helps. ``ground`` [m]: height on which the rim stands,
     where it does. Panels that come out faulty are in the result, named by its check; the caller refuses them.
     Raises ``ValueError`` for a count that is not 4 to 5000 or a thickness of zero, ``PatternError`` (one,
     too) where the surface has no room for panels side by side.
@@ -105,14 +117,25 @@ def planar_shell(
     if not (np.isfinite(thickness) and thickness != 0.0):
         raise ValueError(f"got a thickness of {1e3 * thickness:g} mm, any but 0 is allowed")
     surface = cut_fine(mesh, count)
-    points = spread(surface, count)
+    if shape == "quad":
+        pattern = quad_pattern(layout(cut_fine(mesh, count, _LAID_OUT)), count, least_width)
+        middle = np.array([pattern.place[ring].mean(axis=0) for ring in pattern.ring])
+        tries = _QUAD_TRIES
+    else:
+        points = spread(surface, count)
+        label = cells(surface, points)
+        middle = middles(surface, label, points)
+        pattern = pattern_of(surface, label, len(points))
+        tries = _TRIES
     near = Nearness(mesh, 0.25 * surface.spacing)
-    return _best(surface, points, thickness, least_edge, rim, ground, near)
+    return _best(surface, pattern, middle, tries, thickness, least_edge, rim, ground, near)
 
 
 def _best(
     surface: FineSurface,
-    points: FloatArray,
+    pattern: Pattern,
+    middle: FloatArray,
+    tries: tuple[Weights, ...],
     thickness: float,
     least_edge: float,
     rim: Rim,
@@ -120,15 +143,12 @@ def _best(
     near: Nearness,
 ) -> PanelShell:
     """The first result without faults, else the one with the fewest."""
-    label = cells(surface, points)
-    middle = middles(surface, label, points)
-    pattern = pattern_of(surface, label, len(points))
     normal, curvature, _ = bending(surface, middle)
-    convex = synclastic(curvature)
+    convex = synclastic(curvature) | pattern.quads
     bend = curvature.prod(axis=1)
     bend[np.abs(bend) < _STRAIGHT * np.abs(curvature).max(axis=1) ** 2] = 0.0
     found: list[tuple[int, PanelShell]] = []
-    for weights in _TRIES:
+    for weights in tries:
         faces = planarised(surface, pattern, middle, normal, convex, thickness, least_edge, ground, weights)
         panels = thick_panels(faces, thickness, rim)
         shell = PanelShell(panels, check_panels(panels, near, bend, thickness > 0.0))

@@ -20,6 +20,7 @@ from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
+from planner.reading.forces_file import Asked
 from planner.reading.strict_yaml import Name, Strict
 
 MOST_BYTES: Final = 50_000_000
@@ -86,6 +87,16 @@ class LoopPlan:
     radius: float
     force_exponent: float
     levels: tuple[Level, ...]
+
+    @property
+    def asked(self) -> Asked:
+        """What a file of forces may have of it."""
+        return Asked(
+            self.name,
+            tuple(level.path[level.place, :2] for level in self.levels),
+            np.array([float(level.loads.max()) for level in self.levels]),
+            np.array([float(level.force.max()) for level in self.levels]),
+        )
 
 
 Number = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]

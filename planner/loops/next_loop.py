@@ -62,7 +62,8 @@ class Law:
 @dataclasses.dataclass(frozen=True)
 class Offsets:
     """Correction of a level: ``force`` (..., P) [N] that is foretold at its points, ``springback`` (..., P)
-    [m] of the model under it, ``offset`` (..., K) [m] at the places of its path, positive into the sheet.
+    [m] of the model under it, ``offset`` (..., K) [m] at the places of its path, positive into the sheet,
+    beyond what its programs go deeper ``already``.
     ``clipped``: forces beyond the curves, or offsets beyond the range, were cut."""
 
     force: FloatArray
@@ -78,12 +79,15 @@ def offsets(
     measured: Sequence[FloatArray],
     kappa: float | FloatArray = 1.0,
     before: FloatArray | None = None,
+    already: FloatArray | None = None,
 ) -> Offsets:
     """The correction of level ``number`` of a plan.
 
     ``measured``: for each level before it forces (..., P of that level) [N]; those of the running action are
     not looked at. ``kappa`` (...): S of the sheet over that of the model. ``before`` (...) [m]: the offset at
-    which the level before ends, from which this one goes on within the slope limit.
+    which the level before ends, from which this one goes on within the slope limit. ``already`` (K,) [m]:
+    what a springback file shifts the path by: limits, gain and ``before`` are of both together, and the
+    offset is what remains, which may be negative.
     """
     level = plan.levels[number]
     begin = number - number % law.every
@@ -96,7 +100,7 @@ def offsets(
     offset = limited(offset, level, law.slope, before)
     held = np.clip(offset, 0.0, law.most)
     clipped = bool(np.any(force > level.loads[:, -1]) or np.any(np.abs(held - offset) > 1e-9))
-    return Offsets(force, s, held, clipped)
+    return Offsets(force, s, held if already is None else held - already, clipped)
 
 
 def foretold(plan: LoopPlan, law: Law, begin: int, number: int, measured: Sequence[FloatArray]) -> FloatArray:

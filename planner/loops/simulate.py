@@ -53,10 +53,16 @@ class Run:
 
 
 def run(
-    plan: LoopPlan, plant: PlantFile, law: Law | None, seeds: list[int], lifts: Sequence[float] = ()
+    plan: LoopPlan,
+    plant: PlantFile,
+    law: Law | None,
+    seeds: list[int],
+    lifts: Sequence[float] = (),
+    already: Sequence[FloatArray] | None = None,
 ) -> Run:
     """Form sheets by their ``seeds`` (N,), corrected by ``law``, or not at all; the tool is lifted at the
-    depths ``lifts`` [m], each time a quarter round further.
+    depths ``lifts`` [m], each time a quarter round further. ``already``: of each level (K,) [m] by how much
+    its programs are deeper by a springback file; offsets of the loop are added to that.
 
     Raises ``TandemError`` (forming.loop_plant) where the plan's levels are not of the plant's shape."""
     require_shape(plan, plant)
@@ -80,12 +86,12 @@ def run(
     for k, level in enumerate(levels):
         step = float(depth[k] - (depth[k - 1] if k else 0.0))
         at = places[k][:, :2]
+        shift = np.zeros(len(level.path)) if already is None else already[k]
+        whole = np.broadcast_to(shift, (count, len(level.path)))
         if law is not None:
-            told = next_loop.offsets(plan, law, k, measured, kappa, before)
-            whole = np.broadcast_to(told.offset, (count, len(level.path)))
-            before, offset = whole[:, -1], whole[:, where[k]]
-        else:
-            offset = np.zeros((count, len(chosen)))
+            told = next_loop.offsets(plan, law, k, measured, kappa, before, shift)
+            whole = whole + told.offset
+        before, offset = whole[:, -1], whole[:, where[k]]
         none = sheets.form(level.depth, step, level.depth + offset, at)
         if level.depth > FIRST:
             lost |= none.any(axis=1)

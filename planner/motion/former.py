@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.robots import robot
+from planner.cell.plant import content_digest
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG
 from planner.issues import Issue, Severity, TandemError
@@ -69,8 +69,8 @@ class Former:
             return f"its arms are {', '.join(arms)}, here they are {', '.join(own)}"
         for name, arm in own.items():
             before = arms[name]
-            if before.robot != arm.robot:
-                return f"arm {name} is a {robot(before.robot).title} there, here a {robot(arm.robot).title}"
+            if before.robot != arm.robot or content_digest(before.given) != content_digest(arm.given):
+                return f"arm {name} is a {before.data.title} there, here a {arm.data.title}"
             given = not arm.base_auto
             if given and np.abs(self.plan.bases[name] - arm.base).max() > SAME_POSE:
                 return f"the base of arm {name} stands elsewhere"

@@ -474,8 +474,8 @@ def margins_at(
 
 def reach_gap(chain: Chain, pose: FloatArray) -> FloatArray:
     """How far (...,) [m] the wrist's centre of TCP poses (..., 4, 4) lies outside what the arm reaches."""
-    flange = np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp)
     p = chain.robot.opw
+    flange = p.inner(np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp))
     centre = flange[..., :3, 3] - p.c4 * flange[..., :3, 2]
     radial = np.hypot(centre[..., 0], centre[..., 1]) - p.a1
     distance = np.hypot(radial, centre[..., 2] - p.c1)

@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import OpwParameters, RobotData, robot
+from planner.catalogue.robots import OpwParameters, RobotData
 from planner.cell import clearance
 from planner.cell.clearance import Against, LeastClearance, Pairs
 from planner.cell.clearance import edge as edge_clearance
@@ -46,6 +46,7 @@ def inverse_kinematics(
     Angles are not wrapped into limits. The branch number of a solution is continuous in the pose while the
     arm does not pass a singularity.
     """
+    flange = opw.inner(flange)
     r = flange[..., :3, :3]
     centre = flange[..., :3, 3] - opw.c4 * r[..., :, 2]
     cx, cy, up = centre[..., 0], centre[..., 1], centre[..., 2] - opw.c1
@@ -125,7 +126,7 @@ class Chain:
     @staticmethod
     def of(arm: Arm, base: FloatArray | None = None) -> Chain:
         """The chain of an arm of a cell, at another base when one is given."""
-        return Chain(arm.name, robot(arm.robot), arm.base if base is None else base, arm.tool.tcp, arm.home)
+        return Chain(arm.name, arm.data, arm.base if base is None else base, arm.tool.tcp, arm.home)
 
     def pose(self, q: FloatArray) -> FloatArray:
         """TCP poses (..., 4, 4) in the world for joint angles (..., 6)."""

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import JointStiffness, RobotData, robot
+from planner.catalogue.robots import JointStiffness, RobotData
 from planner.cell.compliance import PointLoad, given_way
 from planner.cell.kinematics import forward
 from planner.claims.claim import FEED_WAY, ArmSags
@@ -145,8 +145,8 @@ def room(problem: Problem) -> tuple[float, float]:
     for setup in problem.setups:
         for claim in sags(problem, setup):
             arm = setup.cell.arm(claim.arm)
-            data = robot(arm.robot)
-            hand = abs(data.opw.c4) + float(np.linalg.norm(arm.tool.tcp[:3, 3]) + np.linalg.norm(claim.cog))
+            data = arm.data
+            hand = data.opw.hand + float(np.linalg.norm(arm.tool.tcp[:3, 3]) + np.linalg.norm(claim.cog))
             force = claim.mass * GRAVITY + largest(claim)
             # a rod passes what it bears on to axis 2 as well
             rods = 1.0 if data.coupling is None else 2.0
@@ -165,7 +165,7 @@ def _standing(problem: Problem, setup: Setup, plan: Plan) -> dict[str, _Standing
         claim = claims.get(arm.name)
         force = np.zeros((1, 3)) if claim is None else claim.force
         base = np.asarray(plan.bases.get(arm.name, arm.base))
-        out[arm.name] = _Standing(arm, robot(arm.robot), base, claim, force, place)
+        out[arm.name] = _Standing(arm, arm.data, base, claim, force, place)
     return out
 
 

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from planner.catalogue.robots import robot
 from planner.claims.claim import HoldsStock
 from planner.claims.vocabulary import Handshake, Segment
 from planner.geometry import corner_rounding
@@ -127,7 +126,7 @@ def build(plan: Plan, problem: Problem) -> Job:
             task=controller.tasks[place[arm.name]],
             unit=controller.units[place[arm.name]],
             arm=arm,
-            robot=robot(arm.robot),
+            robot=arm.data,
             base=plan.bases.get(arm.name, arm.base),
             operations=tuple(part[arm.name] for part in parts),
         )
@@ -169,7 +168,7 @@ class _Builder:
         stop = _stops(targets, keep)
         meets = np.zeros(len(keep), dtype=np.int64)
         if self.handshake is not None and len(targets.arms) > 1:
-            numbered = [arm for arm in targets.arms if robot(arms[arm].robot).family == "KUKA"]
+            numbered = [arm for arm in targets.arms if arms[arm].data.family == "KUKA"]
             stop = stop | _pauses([written[arm] for arm in numbered], keep)
             stop = meeting_rows(stop, self.handshake.every)
             meets = stop.astype(np.int64)
@@ -445,7 +444,7 @@ def _stretched(
         way = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
         least = np.maximum(least, 1e-3 * way / settings.tcp_speed)
         q = plan.q[arm]
-        allowed = settings.acceleration_fraction * robot(arms[arm].robot).acceleration
+        allowed = settings.acceleration_fraction * arms[arm].data.acceleration
         steps.append((q[keep] - q[keep - 1]) / allowed)
     return stretched(duration, stop, least, steps)
 

@@ -13,7 +13,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from planner.catalogue.robots import robot
 from planner.claims.claim import Claim
 from planner.claims.vocabulary import Segment
 from planner.issues import Issue, TandemError
@@ -81,7 +80,7 @@ def used(problem: Problem, made: Sequence[Targets]) -> list[Arm]:
 
 def speaks_krl(arm: Arm) -> bool:
     """Whether an arm's controller is KUKA's."""
-    return robot(arm.robot).family == "KUKA"
+    return arm.data.family == "KUKA"
 
 
 def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, Tag
 
-from planner.catalogue.robots import JointStiffness, RobotData, robot
+from planner.catalogue.robots import JointStiffness, RobotData, robot, robot_names
 from planner.geometry.arrays import FloatArray, Shape, from_rpy
 from planner.geometry.mesh import read_mesh
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
@@ -17,7 +17,8 @@ from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Obstacle, SagCompensation
 from planner.reading.controller import ControllerFile, controllers
 from planner.reading.materials import WiresFile, wires_at_hand
-from planner.reading.strict_yaml import Angle, FileName, Name, Positive, Strict, Unit, Vector
+from planner.reading.robot_file import OwnRobotFile, robot_of
+from planner.reading.strict_yaml import Angle, Choice, FileName, Name, Positive, Strict, Unit, Vector
 from planner.tooling import (
     BOW_SPAN,
     BOW_THROAT,
@@ -273,7 +274,11 @@ class ArmFile(Strict):
     """One robot: catalogue name, base, tool, home joints as the controller shows them."""
 
     name: Name
-    robot: str
+    robot: Annotated[
+        Annotated[str, Tag("word")] | Annotated[OwnRobotFile, Tag("mapping")],
+        Choice,
+        Field(description="one that is built in (`tandem robots`), or one of your own"),
+    ]
     base: PoseFile = PoseFile()
     base_auto: bool = False
     tool: ToolFile
@@ -323,9 +328,13 @@ def build(spec: CellFile, folder: Path) -> Cell:
     arms = []
     for number, arm in enumerate(spec.arms):
         try:
-            data = robot(arm.robot)
+            data = _robot(arm.robot, folder)
         except TandemError as error:
-            here = [dataclasses.replace(issue, field=f"arms.{number}.robot") for issue in error.issues]
+            field = f"arms.{number}.robot"
+            here = [
+                dataclasses.replace(issue, field=f"{field}.{issue.field}" if issue.field else field)
+                for issue in error.issues
+            ]
             raise TandemError(here) from error
         home = data.home if arm.home_deg is None else data.from_controller(np.array(arm.home_deg) * DEG)
         if float(data.limit_margin(home)) < 0.0:
@@ -337,14 +346,42 @@ def build(spec: CellFile, folder: Path) -> Cell:
         sag = None if arm.compensate_sag is None else arm.compensate_sag.value()
         if sag is not None and stiffness is None:
             raise TandemError(_no_stiffness(arm, number))
-        made = Arm(arm.name, arm.robot, arm.base.matrix(), mounted, home, arm.base_auto, stiffness, sag)
-        arms.append(made)
+        made = Arm(arm.name, data.name, arm.base.matrix(), mounted, home, arm.base_auto, stiffness, sag)
+        arms.append(made if data.file is None else dataclasses.replace(made, given=data))
+    _refuse_alike(arms)
     obstacles = tuple(
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
     controller = controllers(spec.controller, [arm.name for arm in spec.arms])
     wires = wires_at_hand(spec.wires or ())
     return Cell(spec.name, tuple(arms), obstacles, controller, _grippers(spec), wires)
+
+
+def _robot(spec: str | OwnRobotFile, folder: Path) -> RobotData:
+    if isinstance(spec, str):
+        return robot(spec)
+    if spec.name in robot_names():
+        what = f"name: {spec.name!r} is a robot that is built in; give your own another name"
+        raise TandemError(Issue("problem.duplicate_name", what, field="name"))
+    return robot_of(spec, folder)
+
+
+def _refuse_alike(arms: list[Arm]) -> None:
+    """Two robots of one name have to be one."""
+    first: dict[str, RobotData] = {}
+    for number, arm in enumerate(arms):
+        if arm.given is None or arm.given.file is None:
+            continue
+        other = first.setdefault(arm.robot, arm.given)
+        if other.file is not None and (other.file.text, other.assumed, other.payload) != (
+            arm.given.file.text,
+            arm.given.assumed,
+            arm.given.payload,
+        ):
+            what = f"name: {arm.robot!r} is another robot in another arm of the cell; name them apart"
+            raise TandemError(
+                Issue("problem.duplicate_name", what, field=f"arms.{number}.robot.name", arm=arm.name)
+            )
 
 
 def _grippers(spec: CellFile) -> tuple[Gripper, ...]:
@@ -439,7 +476,7 @@ def _mill(spec: MillFile) -> Mill:
 
 
 def _no_stiffness(arm: ArmFile, number: int) -> Issue:
-    what = f"arm {arm.name}: the stiffness of {arm.robot} is not known, so nothing is known of its sag"
+    what = f"arm {arm.name}: the stiffness of its robot is not known, so nothing is known of its sag"
     hint = "state stiffness: {joints_nm_rad: [...], source: ...} as identified, or leave compensate_sag out"
     return Issue("problem.field", f"{what}; {hint}", field=f"arms.{number}.compensate_sag", arm=arm.name)
 

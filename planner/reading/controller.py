@@ -12,7 +12,6 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from planner.catalogue.robots import robot
 from planner.claims.vocabulary import Handshake, HandshakeKind, PartnerSignals, SignalWire
 from planner.issues import Issue, TandemError
 from planner.problem import (
@@ -432,7 +431,7 @@ def _places(cell: Cell) -> list[Issue]:
         arm.name: [own.running, own.partner_running]
         for arm in cell.arms
         for own in [controller.handshake.of(arm.name)]
-        if controller.sync == "handshake" and robot(arm.robot).family == "ABB"
+        if controller.sync == "handshake" and arm.data.family == "ABB"
     }
     for arm, places in controller.interlock.places.items():
         known = [name.lower() for name in ends.get(arm, ())]
@@ -450,7 +449,7 @@ def _places(cell: Cell) -> list[Issue]:
 def _options(controller: Controller, cell: Cell, operations: Sequence[Operation]) -> list[Issue]:
     """One ABB controller that moves two arms needs MultiMove; a cell that states no options is not asked."""
     arms = {arm for operation in operations for arm in operation.arms}
-    together = [arm for arm in cell.arms if arm.name in arms and robot(arm.robot).family == "ABB"]
+    together = [arm for arm in cell.arms if arm.name in arms and arm.data.family == "ABB"]
     if controller.options is None or controller.sync == "handshake" or len(together) < 2:
         return []
     wanted = _COORDINATED[controller.robotware]

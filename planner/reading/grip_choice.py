@@ -18,7 +18,6 @@ import shapely
 from shapely.geometry import Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from planner.catalogue.robots import robot
 from planner.geometry.arrays import FloatArray, Ruled, corners, from_rpy, inverse, transform
 from planner.geometry.units import DEG, GRAVITY, MM
 from planner.issues import Issue, Severity
@@ -115,7 +114,7 @@ def choose(setup: Setup, part: Part | None, margin: float) -> Grip | None:
     arm = setup.cell.arm(str(stock.held_by))
     wires = _wires(setup, part)
     mounted = arm.tool
-    payload = robot(arm.robot).payload
+    payload = arm.data.payload
     known = [mounted, *setup.cell.grippers] if isinstance(mounted, Gripper) else list(setup.cell.grippers)
     strong = [one for one in known if can_hold(one, stock, payload)]
     if strong and strong[0] is mounted:
@@ -157,7 +156,7 @@ def advice(setup: Setup, part: Part | None, margin: float) -> str:
     where = f"[{at[0] / MM + 0.0:g}, {at[1] / MM + 0.0:g}] mm{turned}"
     plate = gripper_plate(*size)
     told = f"the largest plate that fits has width_mm: {width}, depth_mm: {depth}, with its middle at {where}"
-    if not can_hold(plate, stock, robot(arm.robot).payload):
+    if not can_hold(plate, stock, arm.data.payload):
         needed = GRIP_FORCE_FACTOR * (stock.mass or 0.0) * GRAVITY
         return f"{told}; it holds with {plate.holding:.0f} N, {needed:.0f} N are needed"
     return f"{told}; list it in the cell's grippers, or mount it, and leave grip out: Tandem finds it"

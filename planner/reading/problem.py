@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, Field, Tag, ValidationError, mod
 
 from planner.catalogue.issue_codes import CODES
 from planner.catalogue.robots import bundled
-from planner.files import is_file
+from planner.files import FILE_KEYS, is_file
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Cell, Change, Fixed, Force, Operation, Problem, Settings
@@ -31,9 +31,10 @@ from planner.reading import stock as stock_file
 from planner.reading.cell import CellFile
 from planner.reading.loads import ForcesFile
 from planner.reading.part import PartFile
+from planner.reading.robot_file import with_meshes
 from planner.reading.sheet import SheetFile
-from planner.reading.stock import Choice, SetupFile, StockFile
-from planner.reading.strict_yaml import Document, Name, Strict
+from planner.reading.stock import SetupFile, StockFile
+from planner.reading.strict_yaml import Choice, Document, Name, Strict
 
 
 def find(path: Path) -> Path:
@@ -74,6 +75,11 @@ def resolved(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     if isinstance(data.get("cell"), str):
         path = folder / data["cell"]
         out["cell"] = each_file(strict_yaml.read(path).data, lambda name: str(path.parent / name))
+    cell = out.get("cell")
+    arms = cell.get("arms") if isinstance(cell, dict) else None
+    for arm in arms if isinstance(arms, list) else ():
+        if isinstance(arm, dict) and isinstance(arm.get("robot"), dict):
+            arm["robot"] = with_meshes(arm["robot"])
     return out
 
 
@@ -90,10 +96,10 @@ def digest(source: Mapping[str, Any]) -> str:
 
 
 def each_file(data: Any, change: Callable[[Path], str]) -> Any:
-    """A copy of plain data with every value of a key ``file`` changed."""
+    """A copy of plain data with every value of a key ``file`` or ``urdf`` changed."""
     if isinstance(data, Mapping):
         return {
-            k: change(Path(v)) if k == "file" and isinstance(v, str) else each_file(v, change)
+            k: change(Path(v)) if k in FILE_KEYS and isinstance(v, str) else each_file(v, change)
             for k, v in data.items()
         }
     if isinstance(data, list):

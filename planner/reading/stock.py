@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, Discriminator, Field, Tag
+from pydantic import Field, Tag
 
 from planner.catalogue.materials import Foam, foam
-from planner.catalogue.robots import robot
 from planner.geometry.arrays import from_rpy
 from planner.geometry.units import DEG, GRAVITY, MM
 from planner.issues import Issue, TandemError
@@ -21,7 +20,7 @@ from planner.problem import Arm, Cell, Change, Pedestal, Problem, Setup, Stock
 from planner.reading import cell as cell_file
 from planner.reading import materials as material_file
 from planner.reading.cell import PoseFile, ShapeFile, ToolFile
-from planner.reading.strict_yaml import Angle, FileName, Name, Positive, Strict
+from planner.reading.strict_yaml import Angle, Choice, FileName, Name, Positive, Strict
 from planner.tooling import Gripper
 
 TABLE: Final = Pedestal(
@@ -37,13 +36,7 @@ GRIP_FORCE_FACTOR: Final = 3.0
 """Times its weight that a gripper must hold a block with: the arm's accelerations, and foam that gives."""
 
 
-def _word_or_mapping(value: object) -> str:
-    """Which alternative a value is meant to be, so that its faults are told of that one alone."""
-    return "mapping" if isinstance(value, dict | list | tuple | BaseModel) else "word"
-
-
 Auto = Annotated[Literal["auto"], Tag("word")]
-Choice = Discriminator(_word_or_mapping)
 PlaceFile = Annotated[Auto | Annotated[PoseFile, Tag("mapping")], Choice]
 SupportFile = Annotated[
     Annotated[Literal["table", "pedestal"], Tag("word")] | Annotated[tuple[ShapeFile, ...], Tag("mapping")],
@@ -155,7 +148,7 @@ def change(spec: SetupFile, arms: tuple[Arm, ...], folder: Path, number: int) ->
             issues.append(_unknown_arm(f"{field}.tools", name, known))
             continue
         tools[name] = cell_file.tool(wanted, folder)
-        data = robot(known[name].robot)
+        data = known[name].data
         if tools[name].mass > data.payload:
             issues.append(cell_file.too_heavy(name, f"{field}.tools.{name}", tools[name], data))
         steps.append(f"Mount the tool {tools[name].name} on arm {name}.")
@@ -240,12 +233,12 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
             "put what else stands in the cell among its obstacles",
             field=f"{field}.support",
         )
-    payload, needed = robot(arm.robot).payload, GRIP_FORCE_FACTOR * block.mass * GRAVITY
+    payload, needed = arm.data.payload, GRIP_FORCE_FACTOR * block.mass * GRAVITY
     if tool.mass + block.mass > payload:
         yield Issue(
             "stock.too_heavy",
             f"{field}: the block of {block.mass:.2f} kg and the tool of {tool.mass:.2f} kg are "
-            f"{block.mass + tool.mass:.2f} kg, {robot(arm.robot).title} carries {payload:g} kg; take a "
+            f"{block.mass + tool.mass:.2f} kg, {arm.data.title} carries {payload:g} kg; take a "
             "lighter foam, a smaller block or a larger arm",
             field=f"{field}.held_by",
             arm=name,

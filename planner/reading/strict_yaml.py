@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Discriminator, Field
 
-from planner.files import is_file, no_file
+from planner.files import FILE_KEYS, is_file, no_file
 from planner.issues import Issue, TandemError
 
 try:  # libyaml, where PyYAML was built with it: twenty times faster, and the same marks
@@ -208,7 +208,7 @@ def _key(node: Any, step: str, path: str) -> str | int:
 
 def _with_absolute_files(value: Any, folder: Path, key: str) -> Any:
     """The value with names of files made absolute."""
-    if key == "file" and isinstance(value, str):
+    if key in FILE_KEYS and isinstance(value, str):
         return str((folder / value).resolve())
     if isinstance(value, dict):
         return {k: _with_absolute_files(v, folder, k) for k, v in value.items()}
@@ -340,3 +340,11 @@ class Strict(BaseModel):
     """Base of every schema: unknown keys and non-finite numbers are refused, values do not change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def _word_or_mapping(value: object) -> str:
+    """Which alternative a value is meant to be, so that its faults are told of that one alone."""
+    return "mapping" if isinstance(value, dict | list | tuple | BaseModel) else "word"
+
+
+Choice = Discriminator(_word_or_mapping)

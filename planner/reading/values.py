@@ -21,7 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.files import write_whole
+from planner.files import FILE_KEYS, write_whole
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
@@ -68,7 +68,7 @@ def plain(value: Any, where: str, depth: int = 0) -> Any:
             raise _fault(where, f"has the key {wrong[0]!r}, which is not text; write it as a name")
         return {
             k: _file(v, f"{where}.{k}", "unit" in value)
-            if k == "file"
+            if k in FILE_KEYS
             else plain(v, f"{where}.{k}", depth + 1)
             for k, v in value.items()
         }

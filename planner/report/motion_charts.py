@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from planner.catalogue import robots
 from planner.catalogue.robots import RobotData
 from planner.claims.claim import CutsSurface, FeedWindow, WireJoins
 from planner.claims.vocabulary import Segment
@@ -185,7 +184,7 @@ def _proven(problem: Problem, series: Mapping[str, Any]) -> dict[str, ArmMotion]
         time = np.asarray(series["time"], dtype=np.float64)
         given = series.get(f"speed/{arm.name}")
         speed = np.gradient(q, time, axis=0) if given is None else np.asarray(given)
-        robot = robots.robot(arm.robot)
+        robot = arm.data
         out[arm.name] = ArmMotion(robot, time, np.asarray(q), speed, series.get(f"acceleration/{arm.name}"))
     return out
 
@@ -201,7 +200,7 @@ def _planned(problem: Problem, plan: Plan, starts: list[float]) -> dict[str, Arm
         step = np.maximum(np.diff(time), 1e-9)
         speed = np.concatenate([np.zeros((1, 6)), np.diff(q, axis=0) / step[:, None]])
         speed[np.concatenate([[True], np.diff(time) < 1e-6])] = 0.0
-        out[arm.name] = ArmMotion(robots.robot(arm.robot), time, q, speed, None)
+        out[arm.name] = ArmMotion(arm.data, time, q, speed, None)
     return out
 
 

@@ -167,7 +167,27 @@ def files(
     proof: Proof | None,
     drawn: Sequence[tuple[str, Picture]] | None = None,
 ) -> dict[str, str]:
-    """``report.html``, ``replay.html``, and with a proof ``proof.json`` and ``simulated_part.obj``, by name.
+    """What :func:`pages` and :func:`proof_files` make, by name."""
+    return pages(problem, plan, proof, drawn) | proof_files(plan, proof)
+
+
+def proof_files(plan: Plan, proof: Proof | None) -> dict[str, str]:
+    """With a proof ``proof.json`` and ``simulated_part.obj``, by name."""
+    out: dict[str, str] = {}
+    if proof is not None:
+        out["proof.json"] = _verdict(proof, accepted(plan.issues))
+        if proof.part_obj:
+            out["simulated_part.obj"] = proof.part_obj
+    return out
+
+
+def pages(
+    problem: Problem,
+    plan: Plan,
+    proof: Proof | None,
+    drawn: Sequence[tuple[str, Picture]] | None = None,
+) -> dict[str, str]:
+    """``report.html`` and ``replay.html``, by name.
 
     ``drawn``: what :func:`pictures` gives, where that is done already.
     Where Meshcat cannot start there is no replay, and the report says so.
@@ -183,10 +203,6 @@ def files(
         drawn = cell_picture.setup_pictures(model, problem, plan)
     extra = Extra(drawn, model.pairs_filtered, issues=issues)
     out["report.html"] = render(problem, plan, proof, extra)
-    if proof is not None:
-        out["proof.json"] = _verdict(proof, accepted(plan.issues))
-        if proof.part_obj:
-            out["simulated_part.obj"] = proof.part_obj
     return out
 
 

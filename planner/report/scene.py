@@ -15,7 +15,6 @@ import numpy as np
 import trimesh
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, Rgba, Role, Sphere
 
-from planner.catalogue import robots
 from planner.cell.bodies import drake_shape
 from planner.cell.kinematics import forward
 from planner.cell.plant import STOCK_COLOUR, SUPPORT_COLOUR, TOOL_COLOUR, CellModel
@@ -32,7 +31,7 @@ from planner.tooling import Bow, Mill, working_solid
 def flange_poses(arm: Arm, bases: Mapping[str, FloatArray], q: FloatArray) -> FloatArray:
     """Flange poses (..., 4, 4) in the world at joint angles q (..., 6); ``bases`` replaces the arm's own."""
     base = np.asarray(bases.get(arm.name, arm.base))
-    return np.asarray(base @ forward(robots.robot(arm.robot), q))
+    return np.asarray(base @ forward(arm.data, q))
 
 
 def block_pose(
@@ -364,7 +363,7 @@ def _ways(
         own = {name: np.concatenate([here[name][None], path]) for name, path in own.items()}
         steps = []
         for name, path in own.items():
-            robot = robots.robot(problem.cell.arm(name).robot)
+            robot = problem.cell.arm(name).data
             steps.append(np.max(np.abs(np.diff(path, axis=0)) / (ENTRY_PACE * robot.velocity), axis=1))
         time = rows.end() + np.concatenate([[0.0], np.cumsum(np.max(steps, axis=0))])
         q = {**{a: q[None] for a, q in here.items()}, **own}

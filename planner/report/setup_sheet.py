@@ -10,8 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.catalogue import robots
-from planner.catalogue.robots import robot
 from planner.cell import support
 from planner.claims.claim import CutsSurface, FeedWindow, HoldsStock, StraightWire, WireJoins
 from planner.claims.forming import SinksHolder
@@ -49,14 +47,18 @@ def tool_table(setup: Setup, plan: Plan) -> Block:
     """What each arm carries, its TCP on the flange and its base in the world."""
     rows, frames = [], []
     for arm in setup.cell.arms:
-        robot = robots.robot(arm.robot)
+        robot = arm.data
         cog = ", ".join(markup.fixed(float(v) / MM, 1) for v in arm.tool.cog)
         rows.append((arm.name, robot.title, robot.controller, arm.tool.name, arm.tool.mass, cog))
         base = np.asarray(plan.bases.get(arm.name, arm.base))
         frames.append((f"{arm.name}: TCP on the flange", *pose_cells(arm.tool.tcp)))
         frames.append((f"{arm.name}: base in the world", *pose_cells(base)))
     heads = ("arm", "robot", "controller", "tool", "mass [kg]", "centre of gravity on the flange [mm]")
-    return markup.Group((markup.table(heads, rows), markup.table(("frame", *_POSE_COLUMNS), frames)))
+    tables = [markup.table(heads, rows), markup.table(("frame", *_POSE_COLUMNS), frames)]
+    doubts = [(arm.name, line) for arm in setup.cell.arms if arm.given for line in arm.given.assumed]
+    if doubts:
+        tables.append(markup.table(("arm", "robot of a file: not confirmed"), doubts))
+    return markup.Group(tuple(tables))
 
 
 def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
@@ -160,9 +162,7 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> Table:
             continue
         q = made.q[arm.name][0]
         counted = made.commanded.get(arm.name, made.q[arm.name])[0]
-        angles = ", ".join(
-            markup.fixed(float(v) / DEG, 3) for v in robots.robot(arm.robot).to_controller(counted)
-        )
+        angles = ", ".join(markup.fixed(float(v) / DEG, 3) for v in arm.data.to_controller(counted))
         place, turn, _ = pose_cells(scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)
         rows.append((f"{arm.name}: TCP at {made.targets.name(0)}, world", place, turn, angles, _FILL))
     stock = setup.stock
@@ -199,7 +199,7 @@ def controller_checks(problem: Problem, plan: Plan) -> Table:
     rows: list[tuple[Phrase, ...]] = []
     seen = False
     for arm in arms:
-        if robot(arm.robot).family == "KUKA":
+        if arm.data.family == "KUKA":
             rows += [
                 (arm.name, what, wanted, _FILL) for what, wanted in _kuka(problem, plan, arm.name, joined)
             ]
@@ -221,9 +221,7 @@ def _sag(arm: Arm) -> list[tuple[str, str]]:
     """What makes up for the arm's sag, which must be done once, and by what figures."""
     if arm.sag is None or arm.stiffness is None:
         return []
-    own = (
-        "model of a positionally accurate robot" if robot(arm.robot).family == "KUKA" else "Absolute Accuracy"
-    )
+    own = "model of a positionally accurate robot" if arm.data.family == "KUKA" else "Absolute Accuracy"
     off = f"off ({own}): the program makes up for the load's sag itself"
     on = f"on ({own}): the program makes up for the work's force alone"
     joints = ", ".join(f"{value:.3g}" for value in arm.stiffness.joints)
@@ -426,7 +424,7 @@ def _listed(phrases: Sequence[Phrase]) -> Phrase:
 def _controllers(problem: Problem) -> list[tuple[object, object]]:
     """Tasks of ABB's arms; of KUKA's the dialect, what the controller must have, and numbers of signals."""
     controller = problem.cell.controller
-    krl = [arm.name for arm in problem.cell.arms if robot(arm.robot).family == "KUKA"]
+    krl = [arm.name for arm in problem.cell.arms if arm.data.family == "KUKA"]
     named = [
         f"{arm.name}: {task}"
         for arm, task in zip(problem.cell.arms, controller.tasks, strict=False)

@@ -33,7 +33,7 @@ import planner
 from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
 from planner.catalogue.robots import data_dir
-from planner.files import is_file
+from planner.files import FILE_KEYS, is_file
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
 from planner.service import element_routes, routes
@@ -146,7 +146,7 @@ def _files(name: str) -> dict[str, Path]:
 def _named(data: Any, folder: Path) -> Iterator[tuple[str, Path]]:
     if isinstance(data, dict):
         for key, value in data.items():
-            if key == "file" and isinstance(value, str):
+            if key in FILE_KEYS and isinstance(value, str):
                 path = (folder / value).resolve()
                 if is_file(path) and path.is_relative_to(data_dir("problems").resolve()):
                     yield path.name, path
@@ -160,7 +160,7 @@ def _named(data: Any, folder: Path) -> Iterator[tuple[str, Path]]:
 def _renamed(data: Any) -> Any:
     if isinstance(data, dict):
         return {
-            key: Path(value).name if key == "file" and isinstance(value, str) else _renamed(value)
+            key: Path(value).name if key in FILE_KEYS and isinstance(value, str) else _renamed(value)
             for key, value in data.items()
         }
     return [_renamed(value) for value in data] if isinstance(data, list) else data

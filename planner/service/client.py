@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from planner import plans
-from planner.files import RESULT, write_folder
+from planner.files import PAGES, RESULT, write_folder
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
@@ -67,10 +67,11 @@ class Served(Outcome):
     files: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
     job: str = ""
 
-    def save(self, folder: str | Path, progress: Progress | None = None) -> None:
-        """Write the result folder as the service made it."""
+    def save(self, folder: str | Path, progress: Progress | None = None, pages: bool = True) -> None:
+        """Write the result folder as the service made it; ``pages`` as of an outcome."""
         del progress
-        write_folder(Path(folder), self.files, RESULT)
+        files = {name: content for name, content in self.files.items() if pages or name not in PAGES}
+        write_folder(Path(folder), files, RESULT)
 
 
 class Client:

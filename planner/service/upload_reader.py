@@ -31,7 +31,7 @@ from planner import processes
 from planner.batch.job import ELEMENT, PROBLEM
 from planner.element import element_file
 from planner.element.element_file import ElementFile
-from planner.files import base_name
+from planner.files import FILE_KEYS, base_name
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -87,12 +87,15 @@ class Uploaded:
         return document.with_data(data), self._faults
 
     def element_inside(self, document: Document) -> tuple[Document, list[Issue]]:
-        """The same of an element: the templates of its jobs are written out, with their cells."""
+        """The same of an element: the templates of its jobs and of its raw blocks are written out, with their
+        cells."""
         data = self._changed(document.data, document, ())
-        jobs, raw = data.get("jobs"), data.get("raw_blocks")
+        jobs, saw, raw = data.get("jobs"), data.get("cut_blocks"), data.get("raw_blocks")
         for number, job in enumerate(jobs if isinstance(jobs, list) else ()):
             if isinstance(job, dict) and "problem" in job:
                 job["problem"] = self._template(job["problem"], document, ("jobs", number, "problem"))
+        if isinstance(saw, dict) and "problem" in saw:
+            saw["problem"] = self._template(saw["problem"], document, ("cut_blocks", "problem"))
         if isinstance(raw, dict) and isinstance(raw.get("stock"), str):
             raw["stock"] = self._laid(raw["stock"], document, ("raw_blocks", "stock"))
         return document.with_data(data), self._faults
@@ -143,7 +146,7 @@ class Uploaded:
         if isinstance(data, dict):
             return {
                 key: self._laid(value, document, (*place, key))
-                if key == "file" and isinstance(value, str)
+                if key in FILE_KEYS and isinstance(value, str)
                 else self._changed(value, document, (*place, key))
                 for key, value in data.items()
             }

@@ -7,18 +7,19 @@ however small it is. Floor and flange are flat and filled with rows at growing d
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import shapely
 from scipy.spatial import Delaunay, cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths
+from planner.shell.bisection import bisected
 from planner.shell.contours import (
     PLACES_AROUND,
     along_contour,
-    at_places,
     counterclockwise,
     matched_contours,
     mean_gap,
@@ -39,6 +40,12 @@ OFF_RING = 5e-4
 """How far from a contour a point of a wall may be to become a node of it [m]."""
 LEAST_STEP = 1e-3
 """Distance down the wall [m] from which contours between kinks are worked with."""
+NEAREST = 0.2
+"""Elements about places over others at least."""
+NEAR_GROWTH = 0.3
+"""How much larger elements about places become by metre of distance from there."""
+ROUND = np.radians(15.0)
+"""Turn of a profile [rad] between kinks for each row at least."""
 _ROW = 0.866
 """Distance of rows of a flat region, in sizes of elements: that of equal-sided triangles."""
 _MOST_ROWS = 1000
@@ -52,6 +59,10 @@ _ENOUGH = 0.95
 """Share of the triangles allowed with which a mesh is taken at once."""
 _LARGER = 1.03
 """By how much elements become larger at least that were too many."""
+_NEAR_SHARE = 0.4
+"""Share of the triangles that those about places may be more where there are too many."""
+_LARGER_NEAR = 1.4
+"""By how much elements about places become larger then."""
 _SMALLER = 0.85
 """By how much elements become smaller that did not fit."""
 
@@ -78,7 +89,11 @@ class Wall:
 
 
 def mesh_sheet(
-    rings: Sequence[FloatArray], window: FloatArray, triangles: int, places: FloatArray | None = None
+    rings: Sequence[FloatArray],
+    window: FloatArray,
+    triangles: int,
+    places: FloatArray | None = None,
+    near: float = np.inf,
 ) -> SheetMesh:
     """A sheet that is clamped along a rectangle and has one wall of these ``rings``, or none.
 
@@ -86,18 +101,24 @@ def mesh_sheet(
     """
     low, high = np.asarray(window, dtype=np.float64)
     outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    return mesh_walls([Wall(rings)] if len(rings) else [], outline, triangles, places)
+    return mesh_walls([Wall(rings)] if len(rings) else [], outline, triangles, places, near)
 
 
 def mesh_walls(
-    walls: Sequence[Wall], outline: FloatArray, triangles: int, places: FloatArray | None = None
+    walls: Sequence[Wall],
+    outline: FloatArray,
+    triangles: int,
+    places: FloatArray | None = None,
+    near: float = np.inf,
 ) -> SheetMesh:
     """A sheet clamped along an ``outline`` (k, 2) [m], with ``walls`` that begin on its flange, of at most so
     many ``triangles``; without walls a flat one at z = 0.
 
     ``places`` (p, 2 or more) [m]: x, y of points that become nodes, on flange, floors or within `OFF_RING` of
-    a ring. Raises ValueError where a ring crosses another or the outline, is not level where it has to be, a
-    place is elsewhere, or so few triangles do not do.
+    a ring; about them elements are of ``near`` [m], or `NEAREST` of the others, and grow from there, but
+    larger, or as the others, where they do not do with a share of the triangles. Raises ValueError where a
+    ring crosses another or the outline, is not level where it has to be, a place is elsewhere, or so few
+    triangles do not do.
     """
     some = (
         np.empty((0, 2)) if places is None else np.asarray(places, dtype=np.float64).reshape(len(places), -1)
@@ -109,7 +130,7 @@ def mesh_walls(
     why = "none could be made"
     for _ in range(_ROUNDS):
         try:
-            made = _meshed(frame, layout, size)
+            made, even = _meshed(frame, layout, size, near)
         except _UnfilledError as unfilled:
             why = str(unfilled)
             size *= _SMALLER
@@ -120,8 +141,15 @@ def mesh_walls(
         if best is made and count > _ENOUGH * triangles:
             break
         why = f"allow about {count}"
-        larger = float(np.sqrt(2.0 * count / ((1.0 + _ENOUGH) * triangles)))
+        # those about places stay as many when others become larger
+        more = count - even
+        if count > triangles and more > _NEAR_SHARE * triangles:
+            near = _LARGER_NEAR * max(near, NEAREST * size)
+        larger = float(np.sqrt(even / max(0.5 * (1.0 + _ENOUGH) * triangles - more, 0.5 * triangles)))
         size *= max(larger, _LARGER) if count > triangles else larger
+    if best is None and np.isfinite(near):
+        wider = 2.0 * max(near, NEAREST * size)
+        return mesh_walls(walls, outline, triangles, places, wider if wider < size else np.inf)
     if best is None:
         raise ValueError(f"got {triangles} triangles: {why}")
     return best
@@ -187,6 +215,36 @@ class _Layout:
     fixed: dict[int, list[float]]
     kept: list[int]
     floor: _Flat
+
+    @functools.cached_property
+    def reach(self) -> FloatArray:
+        """Mean way (r,) [m] down the wall to each contour."""
+        step = lengths(np.diff(self.around, axis=0)).mean(axis=1)
+        return np.concatenate([[0.0], np.cumsum(step)])
+
+    @functools.cached_property
+    def turn(self) -> FloatArray:
+        """By how much (r,) [rad] the profile has turned on the way to each contour, kinks at kept ones left
+        out."""
+        down = np.diff(self.around, axis=0)
+        slope = np.arctan2(-down[:, :, 2].mean(axis=1), lengths(down[:, :, :2]).mean(axis=1))
+        turn = np.abs(np.diff(slope, prepend=slope[:1], append=slope[-1:]))
+        turn[self.kept] = 0.0
+        return np.cumsum(0.5 * np.append(0.0, turn[1:] + turn[:-1]))
+
+    def points(self, reach: FloatArray, place: FloatArray) -> FloatArray:
+        """Points (n, 3) [m] at ways down the wall (n,) [m] and places around it (n,), linear between."""
+        ring = np.clip(np.searchsorted(self.reach, reach, side="right") - 1, 0, max(len(self.reach) - 2, 0))
+        inner = np.minimum(ring + 1, len(self.reach) - 1)
+        step = np.where(inner > ring, self.reach[inner] - self.reach[ring], 1.0)
+        low = np.floor(place).astype(np.int64)
+        down, on = ((reach - self.reach[ring]) / step)[:, None], (place - low)[:, None]
+        high = (low + 1) % PLACES_AROUND
+        low = low % PLACES_AROUND
+        outer = (1.0 - on) * self.around[ring, low] + on * self.around[ring, high]
+        return (1.0 - down) * outer + down * (
+            (1.0 - on) * self.around[inner, low] + on * self.around[inner, high]
+        )
 
 
 def _flat(region: shapely.Polygon, walls: list[_Outlines], places: FloatArray, height: float = 0.0) -> _Flat:
@@ -258,21 +316,17 @@ def _laid_out(wall: _Outlines, places: Sequence[FloatArray]) -> _Layout:
 
 
 def _rows(layout: _Layout, size: float) -> tuple[FloatArray, list[list[float]]]:
-    """Rows (r, PLACES_AROUND, 3) down the wall, kept contours among them, and places of their fixed nodes."""
-    around = layout.around
-    if len(around) == 1:
-        return around, [layout.fixed.get(0, [])]
-    step = lengths(np.diff(around, axis=0)).mean(axis=1)
-    reach = np.concatenate([[0.0], np.cumsum(step)])
+    """Ways down the wall (r,) [m] of its rows, kept contours among them, and places of their fixed nodes."""
+    reach = layout.reach
     at, fixed = [reach[:1]], [layout.fixed.get(0, [])]
     for low, high in zip(layout.kept, layout.kept[1:], strict=False):
-        count = max(1, round((reach[high] - reach[low]) / size))
-        at.append(np.linspace(reach[low], reach[high], count + 1)[1:])
+        part = slice(low, high + 1)
+        turn = layout.turn[part] - layout.turn[low]
+        elements = np.append(0.0, np.cumsum(np.maximum(np.diff(reach[part]) / size, np.diff(turn) / ROUND)))
+        count = max(1, round(elements[-1]))
+        at.append(np.interp(np.linspace(0.0, elements[-1], count + 1)[1:], elements, reach[part]))
         fixed += [[]] * (count - 1) + [layout.fixed.get(high, [])]
-    wanted = np.concatenate(at)
-    ring = np.clip(np.searchsorted(reach, wanted, side="right") - 1, 0, len(reach) - 2)
-    share = ((wanted - reach[ring]) / step[ring])[:, None, None]
-    return (1.0 - share) * around[ring] + share * around[ring + 1], fixed
+    return np.concatenate(at), fixed
 
 
 def _places(row: FloatArray, ends: FloatArray, size: float) -> FloatArray:
@@ -307,19 +361,42 @@ def _band(outer: FloatArray, inner: FloatArray, first: int, second: int) -> IntA
     )
 
 
+def _spots(flat: _Flat) -> Iterator[FloatArray]:
+    """Points (p, 3) [m] of a sheet that become nodes: of a flat region, and of the walls on it."""
+    yield np.column_stack([flat.fixed, np.full(len(flat.fixed), flat.height)])
+    for wall in flat.walls:
+        for ring, places in wall.fixed.items():
+            yield wall.points(np.full(len(places), wall.reach[ring]), np.array(places))
+        yield from _spots(wall.floor)
+
+
 class _Parts:
     """Nodes and triangles, as they are made."""
 
     def __init__(self, size: float) -> None:
         self.size = size
+        self.walls: list[_Layout] = []
         self.nodes: list[FloatArray] = []
         self.triangles: list[IntArray] = []
         self.zones: list[IntArray] = []
         self._count = 0
 
-    def add(self, nodes: FloatArray) -> IntArray:
-        """Add nodes (n, 3); their numbers."""
-        self.nodes.append(nodes)
+    def begin(self, layout: _Layout) -> int:
+        """Add a wall; its number."""
+        self.walls.append(layout)
+        return len(self.walls) - 1
+
+    def add(
+        self,
+        nodes: FloatArray,
+        wall: int = -1,
+        reach: FloatArray | float = 0.0,
+        place: FloatArray | float = 0.0,
+    ) -> IntArray:
+        """Add nodes (n, 3), where they are on a ``wall``: ``reach`` (n,) [m] down, ``place`` (n,) around it;
+        their numbers."""
+        on = np.column_stack(np.broadcast_arrays(np.full(len(nodes), wall), reach, place))
+        self.nodes.append(np.column_stack([nodes, on]))
         self._count += len(nodes)
         return np.arange(self._count - len(nodes), self._count)
 
@@ -328,9 +405,38 @@ class _Parts:
         self.triangles.append(triangles)
         self.zones.append(np.full(len(triangles), zone))
 
+    def finer(self, spots: FloatArray, near: float) -> tuple[FloatArray, IntArray, IntArray]:
+        """Nodes, triangles and their zones, cut where they are larger than ``near`` [m] at ``spots`` (p, 3)
+        [m] and grow from there."""
+        nodes, triangles = np.concatenate(self.nodes), np.concatenate(self.triangles).astype(np.int64)
+        zones = np.concatenate(self.zones)
+        near = max(near, NEAREST * self.size)
+        if near >= self.size or not len(spots):
+            return nodes, triangles, zones
+        tree = cKDTree(spots)
 
-def _meshed(frame: shapely.Polygon, layout: _Flat, size: float) -> SheetMesh:
-    """The sheet with elements of a ``size`` [m] on walls and floors."""
+        def size_at(points: FloatArray) -> FloatArray:
+            wanted = near + NEAR_GROWTH * np.asarray(tree.query(points)[0])
+            return np.where(wanted < self.size, wanted, np.inf)
+
+        def middle(one: FloatArray, two: FloatArray, beside: IntArray) -> FloatArray:
+            new = 0.5 * (one + two)
+            new[:, 3] = np.where((zones[beside] == WALL).any(axis=1), one[:, 3], -1)
+            around = two[:, 5] - one[:, 5]
+            around -= PLACES_AROUND * np.round(around / PLACES_AROUND)
+            new[:, 5] = (one[:, 5] + 0.5 * around) % PLACES_AROUND
+            for number, wall in enumerate(self.walls):
+                mine = new[:, 3] == number
+                new[mine, :3] = wall.points(new[mine, 4], new[mine, 5])
+            return new
+
+        nodes, triangles, owner = bisected(nodes, triangles, size_at, middle)
+        return nodes, triangles, zones[owner]
+
+
+def _meshed(frame: shapely.Polygon, layout: _Flat, size: float, near: float) -> tuple[SheetMesh, int]:
+    """The sheet with elements of a ``size`` [m] on walls and floors, of ``near`` [m] about places; and how
+    many triangles it would have without those."""
     parts = _Parts(size)
     tops = [_wall(wall, parts) for wall in layout.walls]
     corners = np.array(frame.exterior.coords[:-1])
@@ -347,11 +453,11 @@ def _meshed(frame: shapely.Polygon, layout: _Flat, size: float) -> SheetMesh:
         rim = _spaced(corners, lambda points: np.full(len(points), size))
     number = parts.add(np.column_stack([rim, np.full(len(rim), layout.height)]))
     _filled(frame, (number, rim), tops, layout, size_at, zone, parts)
-    nodes, joined = np.concatenate(parts.nodes), np.concatenate(parts.triangles).astype(np.int64)
+    nodes, joined, zones = parts.finer(np.concatenate(list(_spots(layout))), near)
     a, b, c = (nodes[joined[:, k], :2] for k in range(3))
     if np.min((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) <= 0.0:
         raise _UnfilledError("a wall folds between two rows; give more contours or allow more triangles")
-    return SheetMesh(nodes, joined, np.concatenate(parts.zones))
+    return SheetMesh(nodes[:, :3], joined, zones), sum(map(len, parts.triangles))
 
 
 def _even(size: float) -> Callable[[FloatArray], FloatArray]:
@@ -366,13 +472,16 @@ _Rim = tuple[IntArray, FloatArray]
 def _wall(layout: _Layout, parts: _Parts) -> _Rim:
     """Add a wall and its floor; its first row."""
     rows, fixed = _rows(layout, parts.size)
-    number = np.arange(PLACES_AROUND + 1, dtype=np.float64)
+    number = np.arange(PLACES_AROUND, dtype=np.float64)
     places: list[FloatArray] = []
     numbers: list[IntArray] = []
-    for row, own in zip(rows, fixed, strict=True):
+    wall = parts.begin(layout)
+    for reach, own in zip(rows, fixed, strict=True):
         ends = np.unique(np.concatenate([layout.corners, own]))
+        row = layout.points(np.full(PLACES_AROUND, reach), number)
         places.append(_places(row, ends if len(ends) else np.zeros(1), parts.size))
-        numbers.append(parts.add(at_places(row, number, places[-1])))
+        down = np.full(len(places[-1]), reach)
+        numbers.append(parts.add(layout.points(down, places[-1]), wall, down, places[-1]))
     first = len(parts.nodes) - len(rows)
     for k in range(len(rows) - 1):
         parts.join(_band(places[k], places[k + 1], int(numbers[k][0]), int(numbers[k + 1][0])), WALL)

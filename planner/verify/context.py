@@ -351,7 +351,7 @@ class Context:
         for claim in (c for group in self.setup_claims[index].groups for c in group):
             if isinstance(claim, ArmSags):
                 arm = self.setups[index].cell.arm(claim.arm)
-                machine = arm_model.machine_of(arm.robot)
+                machine = arm_model.machine_of(arm.data)
                 out[arm.name] = Bent(machine, claim, self.bases[arm.name], arm.tool.tcp, block)
         return out
 

@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.catalogue.robots import robot
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, HoldsStock, StraightWire, WireJoins
 from planner.claims.forming import SheetState
 from planner.claims.milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
@@ -197,7 +196,7 @@ def task_names(problem: Problem) -> tuple[str, ...]:
 
 def speaks_krl(arm: Arm) -> bool:
     """Whether the arm's programs are KRL."""
-    return robot(arm.robot).family == "KUKA"
+    return arm.data.family == "KUKA"
 
 
 def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str, dict[str, str]], list[str]]:

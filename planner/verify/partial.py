@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from planner.catalogue.robots import RobotData
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
@@ -159,7 +160,7 @@ def _by_joints(one: Read, move: MoveStep) -> MoveStep:
     """A MoveJ as the move by joints that it is, where its confdata say to which."""
     if move.kind != "MoveJ" or not isinstance(move.target, RobTarget) or not move.wobj.fixed:
         return move
-    machine = arm_model.machine_of(one.arm.robot)
+    machine = arm_model.machine_of(one.arm.data)
     q = inverse_kinematics.select_by_confdata(
         machine, flange_at(move, one.arm.base)[None], np.array([move.target.conf])
     )[0]
@@ -185,7 +186,7 @@ def _strange(move: MoveStep) -> str:
 
 def _joints(problem: Problem, one: Read, move: MoveStep) -> FloatArray | None:
     """Joints (6,) at a move's target, None where the text does not say which."""
-    machine, base = arm_model.machine_of(one.arm.robot), one.arm.base
+    machine, base = arm_model.machine_of(one.arm.data), one.arm.base
     target = move.target
     if isinstance(target, JointTarget):
         q = machine.data.from_controller(target.joints)
@@ -231,7 +232,7 @@ def _prove(
         for key in keys:
             count.no(key, error.issues[0].message)
         return
-    bad = _bad(problem, context, prover, one.arm.name, one.arm.robot, motion, run, count)
+    bad = _bad(problem, context, prover, one.arm.name, one.arm.data, motion, run, count)
     way = np.zeros(len(run))
     places = motion.tcp[one.arm.name][np.arange(len(motion.time))][:, :3, 3]
     np.add.at(way, motion.node[1:], np.nan_to_num(np.linalg.norm(np.diff(places, axis=0), axis=1)))
@@ -250,7 +251,7 @@ def _bad(
     context: Context,
     prover: Prover,
     arm: str,
-    model: str,
+    model: RobotData,
     motion: Motion,
     run: Sequence[MoveStep],
     count: _Count,

@@ -14,14 +14,20 @@ from typing import Any
 import numpy as np
 
 from planner.batch import worker
-from planner.batch.job import Done
+from planner.batch.job import Done, Reports
 from planner.issues import Issue
 
 KEPT: list[Any] = []
 
 
 def faulty(
-    name: str, source: Path, result: Path, origins: Mapping[str, str], on_progress: Any, on_issues: Any
+    name: str,
+    source: Path,
+    result: Path,
+    origins: Mapping[str, str],
+    on_progress: Any,
+    on_issues: Any,
+    reports: Reports,
 ) -> Done:
     """What `planner.batch.run.solve` would do, or the fault that the name asks for."""
     kind = name.split("-")[0]
@@ -50,9 +56,10 @@ def faulty(
 
         solve.pipeline.load = _wrong  # type: ignore[assignment]
         (result / "half").unlink()
-        return solve.solve(name, source, result, origins, on_progress, on_issues)
+        return solve.solve(name, source, result, origins, on_progress, on_issues, reports)
     (result / "half").unlink()
-    (result / "report.html").write_text(f"{name} {os.getpid()}")
+    written = "report.html" if reports == "all" else "plan.json"
+    (result / written).write_text(f"{name} {os.getpid()}")
     on_issues([Issue("mesh.unit", f"{source / 'problem.yaml'}: a note")])
     return Done(name, "verified", (), {"targets": 3.0}, 0.5)
 

@@ -76,6 +76,37 @@ def test_results_are_those_of_planning_one_by_one(tmp_path: Path) -> None:
     assert "2 kept from earlier runs" in (tmp_path / "out" / "summary.html").read_text()
 
 
+def test_reports_may_be_made_later(tmp_path: Path) -> None:
+    for name, text in (("bad", BAD), ("good", small_problem.PROBLEM)):
+        (tmp_path / "in" / name).mkdir(parents=True)
+        small_problem.write(tmp_path / "in" / name, text)
+    good = tmp_path / "out" / "good"
+    asked = Batch((tmp_path / "in",), tmp_path / "out", workers=1, reports="failed")
+    assert command(asked) == 2
+    assert not (good / "report.html").exists()
+    assert (tmp_path / "out" / "bad" / "report.html").is_file()
+    command_line.plan(tmp_path / "in" / "good" / "problem.yaml", tmp_path / "alone")
+    whole = content(tmp_path / "alone")
+    pages = {"report.html", "replay.html"}
+    assert content(good) == {name: text for name, text in whole.items() if name not in pages}
+    assert "good/report.html" not in (tmp_path / "out" / "summary.html").read_text()
+    before = good.stat().st_ino
+    assert command(dataclasses.replace(asked, resume=True)) == 2
+    assert good.stat().st_ino == before
+    assert command_line.report((good,)) == 0
+    assert content(good) == whole
+    next((good / "programs").rglob("*.mod*")).unlink()
+    assert command_line.report((good, tmp_path / "out" / "bad")) == 4
+
+
+def test_without_reports_what_has_none_is_planned_again_where_all_are_asked_for(tmp_path: Path) -> None:
+    found, out = items(tmp_path, ["good-1"]), tmp_path / "out"
+    for resume, reports, kept in ((False, "failed", False), (True, "failed", True), (True, "all", False)):
+        rows, _ = plan(found, out, Settings(resume=resume, reports=reports))  # type: ignore[arg-type]
+        assert [(row.done.state, row.kept) for row in rows] == [("verified", kept)]
+        assert (out / "good-1" / "report.html").is_file() == (reports == "all")
+
+
 @pytest.mark.parametrize("rounds", [5, pytest.param(40, marks=pytest.mark.long)])
 @pytest.mark.parametrize("whom", ["parent", "worker"])
 def test_a_batch_that_is_killed_at_many_moments_goes_on(tmp_path: Path, whom: str, rounds: int) -> None:

@@ -66,21 +66,26 @@ def sides(panel: Written) -> list[np.ndarray]:
     ]
 
 
+def require_convex_panel(panel: Written, thick: float, least: float) -> None:
+    """Faces level ``thick`` [mm] apart and convex with edges of ``least`` [mm], planar sides, as written."""
+    for ring, height in zip(panel.own, (0.0, thick), strict=True):
+        assert (ring[:, 2] == height).all()
+        outline = shapely.Polygon(ring[:, :2])
+        assert outline.is_valid
+        assert outline.exterior.is_ccw
+        # convex up to the last digit that is written
+        assert outline.convex_hull.area - outline.area < 1e-3
+        assert np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1).min() >= least
+    assert max(map(off_plane, sides(panel))) < 1e-6
+
+
 def test_the_dome_has_267_convex_panels_with_planar_faces_and_sides_as_written(
     dome: dict[str, Written],
 ) -> None:
     assert len(dome) == 267
     longest, off = [], []
     for panel in dome.values():
-        for ring, height in zip(panel.own, (0.0, 200.0), strict=True):
-            assert (ring[:, 2] == height).all()
-            outline = shapely.Polygon(ring[:, :2])
-            assert outline.is_valid
-            assert outline.exterior.is_ccw
-            # convex up to the last digit that is written
-            assert outline.convex_hull.area - outline.area < 1e-3
-            assert np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1).min() >= 50.0
-        assert max(map(off_plane, sides(panel))) < 1e-6
+        require_convex_panel(panel, 200.0, 50.0)
         longest.append(np.linalg.norm(panel.top[:, None] - panel.top, axis=2).max())
         x, y, z = np.concatenate([panel.top, panel.top.mean(axis=0)[None]]).T / 1e3
         # to first order: the level set's value by its slope

@@ -95,7 +95,7 @@ def test_a_broken_panel_is_cut_again_from_what_is_left_over_and_holds_it_or_from
     panel, other = data["panels"][:2]
     size = {axis: float(panel[f"block_{axis}_mm"]) for axis in "xyz"}
     name = data["name"]
-    tight = f"{name}-B01-1,{size['y'] + 1:.1f},{size['x'] + 1:.1f},150,eps_a120"
+    tight = f"{name}-RB01-1,{size['y'] + 1:.1f},{size['x'] + 1:.1f},150,eps_a120"
     rows = [
         "id,length_mm,width_mm,thickness_mm,foam",
         f"thin,{size['x'] + 50:.1f},{size['y'] + 50:.1f},149,eps_a120",
@@ -107,12 +107,12 @@ def test_a_broken_panel_is_cut_again_from_what_is_left_over_and_holds_it_or_from
     (out / "stock.csv").write_text("\n".join(rows) + "\n")
     mark(out, panel["id"], "broken")
     assert "1 broken" in lines(out)
-    # B01 is not cut yet, the old piece is at hand
+    # RB01 is not cut yet, the old piece is at hand
     assert f"{panel['id']} again" in lines(out) and "left over, old (" in lines(out)
     for one in data["blocks"]["blocks"][0]["panels"]:
         if one["id"] != panel["id"]:
             mark(out, one["id"], "cut")
-    assert f"left over, {name}-B01-1 (" in lines(out)
+    assert f"left over, {name}-RB01-1 (" in lines(out)
     mark(out, other["id"], "broken")  # which no piece serves twice
     said = [line for line in lines(out).splitlines() if " again, " in line]
     assert [line.split()[0] for line in said] == [panel["id"], other["id"]]

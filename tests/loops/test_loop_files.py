@@ -12,9 +12,9 @@ import yaml
 
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
-from planner.loops.forces_file import read_forces
 from planner.loops.loop_plan import read_plan
 from planner.loops.plant import read_plant
+from planner.reading.forces_file import read_forces
 from tests.loops.plans import file_data, forces, power_plan, write
 
 PLAN = power_plan()
@@ -29,7 +29,7 @@ def refused(work: Callable[[], object]) -> list[Issue]:
 def read_text(tmp_path: Path, text: str) -> Any:
     path = tmp_path / "forces.csv"
     path.write_text(text)
-    return read_forces(path, PLAN)
+    return read_forces(path, [PLAN.asked])[0]
 
 
 def test_curves_come_back_as_they_were(tmp_path: Path) -> None:
@@ -125,6 +125,36 @@ def test_a_wrong_row_of_forces_is_named(tmp_path: Path, text: str, field: str | 
     assert all(issue.hint for issue in issues)
 
 
+PLACED = "level,point,force_n,x_mm,y_mm\n" + "\n".join(
+    f"0,{k},500,{50 * np.cos(np.pi * k / 3):.2f},{50 * np.sin(np.pi * k / 3):.2f}" for k in range(6)
+)
+
+
+def test_where_points_are_may_be_said_beside_them(tmp_path: Path) -> None:
+    found = read_text(tmp_path, PLACED + "\n")
+    assert found.place[0][0] == pytest.approx([50 * MM, 0.0], abs=1e-5)
+    named = GOOD.replace("level", "pass,level").replace("\n", "\nwall,")
+    assert len(read_text(tmp_path, named.removesuffix("wall,")).force) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "said"),
+    [
+        (PLACED.replace("0,0,500,50.00", "0,0,500,53.00"), "x_mm", "3.0 mm off where point 0 is"),
+        (PLACED.replace("0,0,500,50.00", "0,0,500,nan"), "x_mm", "got nan"),
+        (PLACED.replace("0,0,500,50.00", "0,0,500,"), "x_mm", "allowed are figures"),
+        ("level,point,force_n,x_mm\n0,0,500,50\n", "y_mm", "got no column 'y_mm'"),
+        ("level,point,force_n,pass\n0,0,500,roof\n", "pass", "got pass 'roof', allowed wall"),
+        ("level,force_n\n0,500\n", "point", "got no column 'point'"),
+    ],
+)
+def test_a_place_or_pass_of_another_part_is_named(tmp_path: Path, text: str, field: str, said: str) -> None:
+    issues = refused(lambda: read_text(tmp_path, text))
+    assert {issue.code for issue in issues} == {"forming.loop_forces"}
+    assert any(issue.field == field and said in issue.message for issue in issues), issues
+    assert all(issue.hint for issue in issues)
+
+
 def test_correcting_the_row_that_is_named_is_enough(tmp_path: Path) -> None:
     lines = GOOD.replace("1,3,500.0", "1,3,-500.0").splitlines()
     (issue,) = refused(lambda: read_text(tmp_path, "\n".join(lines)))
@@ -144,9 +174,9 @@ def test_rows_with_the_same_fault_are_told_once(tmp_path: Path) -> None:
 
 def test_a_file_of_forces_that_is_missing_or_no_text_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "forces.csv"
-    assert refused(lambda: read_forces(path, PLAN))[0].code == "forming.loop_forces"
+    assert refused(lambda: read_forces(path, [PLAN.asked]))[0].code == "forming.loop_forces"
     path.write_bytes(b"\xff\xfe\x00\x01")
-    assert refused(lambda: read_forces(path, PLAN))[0].code == "forming.loop_forces"
+    assert refused(lambda: read_forces(path, [PLAN.asked]))[0].code == "forming.loop_forces"
 
 
 PLANT: dict[str, Any] = {"tandem_plant": 1, "sheet": "cone"}

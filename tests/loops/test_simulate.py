@@ -11,6 +11,7 @@ import pytest
 
 from bench.loop_bench import LIFTS, PUBLISHED, corner_ratio, sheets_of, trial_plan, verdicts
 from planner.geometry.units import MM
+from planner.loops import next_loop
 from planner.loops.next_loop import Law
 from planner.loops.simulate import Run, run
 from planner.loops.stability import Rule
@@ -67,6 +68,20 @@ def test_lifts_find_how_much_more_a_sheet_comes_back() -> None:
     assert np.ptp(one.kappa) > 0.3
     assert (two.kappa == 1.0).all()
     assert one.mean().max() < 0.5 * two.mean().max()
+
+
+@pytest.mark.parametrize("shape", ["cone", "pyramid"])
+def test_a_springback_file_below_the_loop_leaves_no_more_than_the_loop_alone(shape: str) -> None:
+    """The file makes up for the model's springback under the expected force; what it does, the loop leaves
+    out, also where sheets come back by much more or less than that."""
+    plan, wide = trial_plan(shape), sheets_of(shape, springback=(0.72, 1.25))
+    file = [next_loop.between(one, next_loop.springback(one, one.force)) for one in plan.levels]
+    by_file = run(plan, wide, None, SEEDS, (), file)
+    for law in (Law(), Law(rule="half", every=5, feed_forward=False)):
+        alone, both = run(plan, wide, law, SEEDS, LIFTS), run(plan, wide, law, SEEDS, LIFTS, file)
+        assert np.abs(both.error - alone.error).max() < 1e-9
+        assert np.abs(both.offset - alone.offset).max() < 1e-12
+        assert both.mean().mean() < 0.5 * by_file.mean().mean()
 
 
 def test_verdicts_of_stability_are_those_of_loops_that_are_run() -> None:

@@ -7,6 +7,18 @@ from typing import Final
 from planner.catalogue.issue_codes import CODES
 
 ELSEWHERE: Final = {
+    **dict.fromkeys(
+        ("robot.urdf", "robot.chain", "robot.limits"),
+        ("reading/test_urdf", "test_bad_files_are_refused_in_words_and_what_is_advised_helps"),
+    ),
+    "robot.bodies": (
+        "reading/test_robot_file",
+        "test_meshes_that_are_not_there_are_refused_and_laid_there_are_hulled",
+    ),
+    "robot.not_opw": ("reading/test_urdf", "test_the_base_behind_what_carries_the_arm_is_a_remedy"),
+    "robot.deviation": (
+        "reading/test_urdf", "test_figures_with_noise_are_refused_with_the_deviation",
+    ),
     "forming.force": ("test_acceptance", "test_an_error_says_how_it_is_accepted_and_following_that_works"),
     "kerf.unsettled": (
         "hotwire/straight/test_offset_heat",
@@ -102,6 +114,10 @@ ELSEWHERE: Final = {
     "element.assembly": (
         "element/test_assembly",
         "test_panels_without_a_way_in_are_named_and_what_is_advised_opens_one",
+    ),
+    "element.count": (
+        "element/test_quads",
+        "test_a_count_that_rows_cannot_make_is_told_and_narrower_panels_make_it",
     ),
     "element.concave": (
         "element/test_hexagons",

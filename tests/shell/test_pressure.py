@@ -43,3 +43,18 @@ def test_what_it_does_hangs_on_no_mesh() -> None:
 def test_a_place_off_the_sheet_is_refused() -> None:
     with pytest.raises(ValueError, match="the sheet is elsewhere"):
         pressure(cone(1500), np.array([0.5, 0.0]), WIDTH)
+
+
+def test_few_triangles_do_where_they_are_small_about_the_place() -> None:
+    """Beside the clamp, 1,000 of them: within 0.3 % of 6,000; with even ones it is 1.6 % too stiff."""
+    place = np.array([0.066, 0.020])
+    window = 0.09 * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    moved = []
+    for triangles, near in ((1000, MM), (1000, np.inf), (6000, MM)):
+        made = mesh_sheet([], window, triangles, place[None], near)
+        sheet = Sheet(made.nodes, made.triangles, np.full(len(made.triangles), MM), 68e9, 0.3)
+        load = np.array([[0.0, 0.0, -100.0]])
+        held = Loading(sheet, clamped(sheet, "sliding"))
+        moved.append(float(held.curve(pressure(sheet, place, WIDTH), load)[0, 2]))
+    assert moved[0] == pytest.approx(moved[2], rel=0.003)
+    assert abs(moved[1]) < 0.99 * abs(moved[2])

@@ -36,7 +36,7 @@ def dialogue(arms, signal):
 
 def joints(arm, tcp):
     """Joints (N, 6) of TCP poses (N, 4, 4) in the world."""
-    machine = arm_model.machine_of(arm.robot)
+    machine = arm_model.machine_of(arm.data)
     flange = inverse(arm.base) @ tcp @ inverse(arm.tool.tcp)
     branch = np.full(len(tcp), int(inverse_kinematics.branch_of(machine, arm.home)))
     q = inverse_kinematics.continued(inverse_kinematics.solve(machine, flange, branch), arm.home)

@@ -172,7 +172,7 @@ def way(count=24):
 
 def joints_at(arm, pose):
     """Joints (N, 6) of TCP poses (N, 4, 4) in the stock frame, in the posture of home."""
-    machine = arm_model.machine_of(arm.robot)
+    machine = arm_model.machine_of(arm.data)
     flange = inverse(arm.base) @ STOCK @ pose @ inverse(arm.tool.tcp)
     branch = np.full(len(pose), int(inverse_kinematics.branch_of(machine, arm.home)))
     q = inverse_kinematics.continued(inverse_kinematics.solve(machine, flange, branch), arm.home)

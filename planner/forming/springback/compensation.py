@@ -20,8 +20,7 @@ from typing import Any, Final
 import numpy as np
 import shapely
 
-from planner.forming.contact import Pass, ToolPath
-from planner.forming.level import heights
+from planner.forming.contact import Pass, ToolPath, heights
 from planner.forming.operation import Level
 from planner.forming.passes import stood
 from planner.forming.process_plan import Work
@@ -209,6 +208,12 @@ def _refined(path: ToolPath, number: FloatArray) -> ToolPath:
         contact=contact,
         loose=None if path.loose is None else path.loose[end],
     )
+
+
+def at_targets(way: Way, path: ToolPath) -> FloatArray:
+    """Shifts (N,) [m] of a way at the targets of the path that it was made of."""
+    places, known = arc_length(path.former), arc_length(way.point)
+    return np.interp(places, known * (places[-1] / max(float(known[-1]), 1e-12)), way.shift)
 
 
 def shifted(laid: Sequence[tuple[Pass, ToolPath]], given: Sequence[Way]) -> list[tuple[Pass, ToolPath]]:

@@ -75,7 +75,20 @@ def belongs_to(work: Work, stock: Stock, part: Part | None) -> dict[str, Any]:
         "clamp.border_n_mm2": "immovable" if np.isinf(sheet.border) else _short(sheet.border * MM**2),
         **{f"tool.{arm}": [head.kind, _short(head.radius / MM)] for arm, head in sorted(work.heads.items())},
         **{f"operation.{name}": _plain(getattr(op, name)) for name in DECIDES},
+        **_stated_forces(op),
     }
+
+
+def _stated_forces(op: Forming) -> dict[str, Any]:
+    """Forces by depth, level or of a support, where they are stated."""
+    out: dict[str, Any] = {}
+    if op.force_by is not None:
+        table, file = op.force_by.table, op.force_by.file
+        whole = [list(row) for row in table or ()] if file is None else _digest(file.read_bytes())
+        out["operation.force_by"] = whole
+    if op.support_force_n is not None:
+        out["operation.support_force_n"] = op.support_force_n
+    return out
 
 
 def _mesh_digest(mesh: Mesh) -> str:
@@ -97,7 +110,7 @@ def _plain(value: Any) -> Any:
 
 def assumed(work: Work) -> list[str]:
     """What a forecast rests on that nobody has measured here."""
-    op, metal = work.operation, work.sheet.metal
+    metal = work.sheet.metal
     border = work.sheet.border
     edge = (
         "slides in its plane"
@@ -106,19 +119,13 @@ def assumed(work: Work) -> list[str]:
         if np.isinf(border)
         else f"gives way by a spring of {border * MM**2:g} N/mm for each mm"
     )
-    force = (
-        f"the force is {op.force_n:g} N everywhere, as force_n states"
-        if op.force_n is not None
-        else "forces are those of a formula for one tool (Aerens and others), not measured"
-    )
-    out = [
-        f"{force}",
+    return [
+        *forecast.forces_told(work),
         f"the sheet's edge {edge} (clamp: border)",
         f"E {metal.young / 1e9:g} GPa and nu {metal.poisson:g} of {metal.title}, elastic alone",
         "the sheet is as thick as the sine law has it, and has the wanted shape down to the tool",
         "residual stress, which moves a part when it is unclamped or trimmed, is not in this",
     ]
-    return [*out, *(["what the other tool carries of the force is not known"] if len(op.arms) > 1 else [])]
 
 
 def text(

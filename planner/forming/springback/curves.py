@@ -36,6 +36,8 @@ TRIANGLES: Final = 4000
 """Triangles of an elastic sheet at most: within half a percent of five times as many."""
 SQUARE: Final = 3.0 * MM
 """Width [m] of the square that a tool presses on."""
+NEAR: Final = SQUARE / 3.0
+"""Elements there at most [m]: beside a sharp rim or on a narrow ledge it decides, not how many there are."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +98,8 @@ class PassSpringback:
         above = np.clip(np.searchsorted(height, points[:, 2]), 1, max(len(height) - 1, 1))
         below = above - 1
         above = np.minimum(above, len(height) - 1)
-        rise = np.where(above > below, height[above] - height[below], 1.0)
+        rise = height[above] - height[below]
+        rise = np.where(rise > 0.0, rise, 1.0)  # of a file two levels may be nearest to one loop
         share = np.clip((points[:, 2] - height[below]) / rise, 0.0, 1.0)
         rows = np.arange(len(points))
         return _between(each[below, rows], each[above, rows], share)
@@ -128,12 +131,12 @@ def _between(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatA
     return np.asarray(np.where(share <= 0.0, first, np.where(share >= 1.0, second, mixed)))
 
 
-def forces(work: Work, radius: float, angle: FloatArray) -> FloatArray:
-    """Forces (N,) [N] along z on walls at ``angle`` (N,) [rad] under a ball of ``radius`` [m]: the user's
-    figure, else the formula of `axial_force`, which knows of no second tool."""
-    op = work.operation
-    if op.force_n is not None:
-        return np.full(len(angle), op.force_n)
+def forces(work: Work, one: Pass, points: FloatArray, angle: FloatArray) -> FloatArray:
+    """Forces (N,) [N] along z on the sheet at places (N, 3) [m] of a pass, on walls at ``angle`` (N,) [rad]:
+    as the user states them, else by the formula of `axial_force`, which knows of no second tool."""
+    if work.stated is not None:
+        return work.stated.at(one.name, points)
+    op, radius = work.operation, work.heads[work.former(one)].radius
     if op.stepdown_mm is None:
         ridge = np.full(len(angle), (op.scallop_mm or 0.0) * MM)
     else:
@@ -149,7 +152,7 @@ def solved(work: Work, point: Point, triangles: int = TRIANGLES, shares: FloatAr
     """
     one = work.passes[point.number]
     formed = walls(work, point.number, float(point.place[2]))
-    made = mesh_walls(formed, work.sheet.opening, triangles, point.place[None])
+    made = mesh_walls(formed, work.sheet.opening, triangles, point.place[None], NEAR)
     mesh = Mesh(made.nodes, made.triangles)
     metal = work.sheet.metal
     sheet = Sheet(made.nodes, made.triangles, thickness(work, point.number, mesh), metal.young, metal.poisson)

@@ -1,7 +1,7 @@
 """What a forming job springs back by, before anything is formed: curves at control points, issues, exhibits.
 
-Forces are the user's figure or a formula for one tool; what a second tool or a die carries is not known here.
-So this says how much too shallow a part will about be, and where; measured forces say it better.
+Forces are what the user states or a formula for one tool; what a die carries is not known here. So this says
+how much too shallow a part will about be, and where; measured forces say it better.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ LEAST_FORCE_SHARE: Final = 0.01
 """Forces of a pass are at least this share of its largest: where it is flat the formula says 0."""
 TRIED: Final = 4
 """Points of each pass at which a sheet is held against a finer one."""
+NOT_APART: Final = 0.005 * MM
+"""Differences of springback [m] that are none."""
 ESTIMATE_TRIANGLES: Final = 1200
 """Triangles of a sheet of which a plan says about how far it comes back."""
 ESTIMATE_SHARES: Final = np.array([0.4, 1.0])
@@ -58,6 +60,24 @@ def require_mode(work: Work) -> None:
         raise TandemError(Issue("forming.springback_mode", what, field="mode", hint=hint))
 
 
+def forces_told(work: Work) -> list[str]:
+    """Which force is taken, and, of two tools, what of the second one's."""
+    op = work.operation
+    if op.force_n is not None:
+        force = f"the force is {op.force_n:g} N everywhere, as force_n states"
+    elif op.force_by is None:
+        force = "forces are those of a formula for one tool (Aerens and others), not measured"
+    elif op.force_by.file is not None:
+        force = f"forces are those of {op.force_by.file.name}, by level as measured, of all tools together"
+    else:
+        force = "the force is by depth, as the table of force_by states"
+    if len(op.arms) == 1 or op.mode == "heat" or (op.force_by is not None and op.force_by.file is not None):
+        return [force]
+    if op.support_force_n is not None:
+        return [f"{force}, less the {op.support_force_n:g} N by which the support presses against it"]
+    return [force, "all of that bends the sheet: what the other tool carries of it is not stated"]
+
+
 def points(
     work: Work, laid: Sequence[tuple[Pass, ToolPath]], most: int = MOST_POINTS
 ) -> list[tuple[ControlPoints, list[Point]]]:
@@ -66,9 +86,9 @@ def points(
     for number, (one, path) in enumerate(laid):
         radius, contact = work.heads[work.former(one)].radius, path.contact
         control = control_points(contact.point, contact.angle, contact.loop, radius, most)
-        force = forces(work, radius, control.angle)
+        force = forces(work, one, control.point, control.angle)
         force = np.maximum(force, LEAST_FORCE_SHARE * float(force.max()))
-        around = _around(control, contact.loop, forces(work, radius, contact.angle))
+        around = _around(control, contact.loop, forces(work, one, contact.point, contact.angle))
         rows = [
             Point(number, place, float(n), float(around[level]))
             for place, n, level in zip(control.point, force, control.level, strict=True)
@@ -88,7 +108,7 @@ def _around(control: ControlPoints, loop: IntArray, force: FloatArray) -> FloatA
 def along(work: Work, found: PassSpringback, points: FloatArray, angle: FloatArray) -> FloatArray:
     """Springback (N,) [m] at places (N, 3) [m] along the contact of a pass, on walls at ``angle`` (N,) [rad],
     under the force there, which is no smaller than where it is flat."""
-    force = forces(work, work.heads[work.former(found.one)].radius, angle)
+    force = forces(work, found.one, points, angle)
     return found.at(points, np.maximum(force, LEAST_FORCE_SHARE * float(found.force.max())))
 
 
@@ -101,24 +121,26 @@ def some_points(control: Sequence[tuple[ControlPoints, Sequence[Point]]]) -> lis
 
 
 def apart(some: Sequence[Point], found: Sequence[Curve], other: Sequence[Curve]) -> float:
-    """The largest share by which places come back by other than with ``other`` curves, under their forces;
-    0 where both snap."""
+    """The largest share by which places come back by other than with ``other`` curves, under their forces,
+    but for `NOT_APART`; 0 where both snap."""
     back = np.array(
         [[curve.at(point.force) for curve in pair] for point, *pair in zip(some, found, other, strict=True)]
     )
     snaps = np.isnan(back)
     if (snaps[:, 0] != snaps[:, 1]).any():
         return float("inf")
-    off = np.abs(back[:, 0] / back[:, 1] - 1.0)
+    off = np.maximum(np.abs(back[:, 0] - back[:, 1]) - NOT_APART, 0.0) / back[:, 1]
     return float(np.nan_to_num(off).max(initial=0.0))
 
 
-def curves(work: Work, some: Sequence[Point], triangles: int = TRIANGLES) -> Iterator[Curve]:
-    """The curves at some points, one after the other: what a process works out. Raises ``TandemError``
-    (forming.springback_mesh)."""
+def curves(
+    work: Work, some: Sequence[Point], triangles: int = TRIANGLES, shares: FloatArray = LOAD_SHARES
+) -> Iterator[Curve]:
+    """The curves at some points, at ``shares`` of their forces, one after the other: what a process works
+    out. Raises ``TandemError`` (forming.springback_mesh)."""
     for point in some:
         try:
-            found = solved(work, point, triangles)
+            found = solved(work, point, triangles, shares)
         except ValueError as error:
             what = (
                 f"pass {work.passes[point.number].name}: the sheet as formed at z = "
@@ -192,43 +214,51 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """Springback of pass ``number`` of a plan at the targets ``rows`` of its path: ``springback`` each
-    [m]."""
+    """Springback of pass ``number`` of a plan at the targets ``rows`` of its path: ``springback`` each [m],
+    under the ``force`` [N]."""
 
     number: int
     rows: tuple[int, ...]
     springback: tuple[float, ...]
+    force: tuple[float, ...]
 
 
 def estimate(work: Work, laid: Sequence[tuple[Pass, ToolPath]]) -> Estimate | None:
     """What a plan says of springback where the user states the force: two places of the deepest pass, on
-    coarse sheets; some half a second a place. None without ``force_n`` or a forecast of the mode; without
+    coarse sheets; some half a second a place. None without a force or a forecast of the mode; without
     places where the sheet snaps or is too coarse, of which `tandem springback` says what to do."""
-    if work.operation.force_n is None or work.operation.mode not in MODES:
+    if work.stated is None or work.operation.mode not in MODES:
         return None
     number = int(np.argmax([abs(one.end - one.start) for one in work.passes]))
-    contact = laid[number][1].contact
+    one, contact = laid[number][0], laid[number][1].contact
+    force = forces(work, one, contact.point, contact.angle)
     last = int(contact.loop.max())
     found: dict[int, float] = {}
-    for row in [int(np.flatnonzero(contact.loop == k)[0]) for k in sorted({last // 2, last})]:
-        point = Point(number, contact.point[row], work.operation.force_n)
+    for loop in sorted({last // 2, last}):
+        rows = np.flatnonzero(contact.loop == loop)
+        row = int(rows[np.argmax(force[rows])])
+        if force[row] <= 0.0:
+            continue
         try:
-            curve = solved(work, point, ESTIMATE_TRIANGLES, ESTIMATE_SHARES)
+            curve = solved(
+                work, Point(number, contact.point[row], force[row]), ESTIMATE_TRIANGLES, ESTIMATE_SHARES
+            )
         except ValueError:
             continue
         if not curve.snaps:
             found[row] = float(curve.springback[-1])
-    return Estimate(number, tuple(found), tuple(found.values()))
+    return Estimate(number, tuple(found), tuple(found.values()), tuple(float(force[row]) for row in found))
 
 
 def estimate_issues(work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Estimate) -> list[Issue]:
     """What the user must know of an estimate (forming.springback)."""
     one, path = laid[found.number]
+    field = "force_n" if work.operation.force_by is None else "force_by"
     if not found.rows:
         what = f"pass {one.name}: springback was not estimated: the sheet has no coarse mesh, or it snaps"
         hint = "see tandem springback"
-        return [Issue("forming.springback", what, Severity.WARNING, field="force_n", hint=hint)]
-    most, row = max(zip(found.springback, found.rows, strict=True))
+        return [Issue("forming.springback", what, Severity.WARNING, field=field, hint=hint)]
+    most, row, force = max(zip(found.springback, found.rows, found.force, strict=True))
     most /= MM
     if most <= TOLD:
         return []
@@ -236,7 +266,7 @@ def estimate_issues(work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Es
     count = len(found.rows)
     what = (
         f"pass {one.name}: when the tool lets go the sheet will come back by about {most:.1f} mm at "
-        f"({x:.1f}, {y:.1f}, {z:.1f}) mm under {work.operation.force_n:g} N: so much too shallow the part "
+        f"({x:.1f}, {y:.1f}, {z:.1f}) mm under {force:.0f} N: so much too shallow the part "
         f"will be; estimated at {count} place{'s' * (count > 1)}, of {TOLD:g} mm and less nothing is told"
     )
     hint = "tandem springback says it all over the part; --write makes a file that springback: takes"
@@ -245,7 +275,7 @@ def estimate_issues(work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Es
             "forming.springback",
             what,
             Severity.WARNING,
-            field="force_n",
+            field=field,
             value=most,
             limit=TOLD,
             unit="mm",

@@ -17,6 +17,7 @@ from planner.forming.contact import Pass, ToolPath
 from planner.forming.level import first_loops
 from planner.forming.process_plan import Work
 from planner.forming.sheet_mechanics import OF_SCALLOP
+from planner.forming.springback.compensation import Way, at_targets
 from planner.forming.springback.curves import PassSpringback
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.curves import along, arc_length
@@ -53,13 +54,13 @@ def file_data(
                 "side": one.side,
                 "ball_radius_mm": radius / MM,
                 "force_exponent": FORCE_EXPONENT,
-                "levels": _levels(one, path, springback),
+                "levels": _levels(work, one, path, springback),
             }
         )
     return {"tandem_loop": 1, "problem": name, "digest": digest, "passes": passes}
 
 
-def _levels(one: Pass, path: ToolPath, found: PassSpringback) -> list[dict[str, Any]]:
+def _levels(work: Work, one: Pass, path: ToolPath, found: PassSpringback) -> list[dict[str, Any]]:
     contact, out = path.contact, []
     mix = _Mixed(found)
     for number in first_loops(one, contact):
@@ -68,6 +69,8 @@ def _levels(one: Pass, path: ToolPath, found: PassSpringback) -> list[dict[str, 
         ring = evenly(points)
         place = _places(ring, found)
         loads, springback, force = mix.at(ring[place])
+        if work.stated is not None:
+            force = work.stated.at(one.name, ring[place])
         out.append(
             {
                 "depth_mm": round(depth / MM, 4),
@@ -88,10 +91,25 @@ def _levels(one: Pass, path: ToolPath, found: PassSpringback) -> list[dict[str, 
 
 def evenly(points: FloatArray) -> FloatArray:
     """A closed loop of points (N, 3) [m] as places (K, 3) that are equally far apart."""
-    ends = np.vstack([points, points[:1]])
-    way = arc_length(ends)
+    return along(np.vstack([points, points[:1]]), *_even(points))
+
+
+def _even(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Way [m] to each point of a closed loop and back (N + 1,), and to its even places (K,)."""
+    way = arc_length(np.vstack([points, points[:1]]))
     count = int(np.clip(round(float(way[-1]) / SPACING), *PLACES))
-    return along(ends, way, np.arange(count) * way[-1] / count)
+    return way, np.arange(count) * way[-1] / count
+
+
+def shifts(one: Pass, path: ToolPath, way: Way) -> list[FloatArray]:
+    """What a springback file shifts the tools by, (K,) [m] at the places of each level of a pass; ``path`` is
+    the one without it."""
+    contact, shift, out = path.contact, at_targets(way, path), []
+    for number in first_loops(one, contact):
+        mine = contact.loop == number
+        gone, at = _even(contact.point[mine])
+        out.append(np.interp(at, gone, np.append(shift[mine], shift[mine][0])))
+    return out
 
 
 def _places(ring: FloatArray, found: PassSpringback) -> IntArray:

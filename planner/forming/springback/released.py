@@ -17,14 +17,13 @@ from scipy.spatial import cKDTree
 from planner.forming.contact import Pass, ToolPath
 from planner.forming.process_plan import Work
 from planner.forming.springback import forecast
-from planner.forming.springback.compensation import Way, refused
+from planner.forming.springback.compensation import Way, at_targets, refused
 from planner.forming.springback.compensation_file import Compensation, Foretold
 from planner.forming.springback.control_points import ControlPoints, Ring
 from planner.forming.springback.curves import PassSpringback
 from planner.forming.springback.forecast import Estimate
 from planner.forming.springback.levels import evenly
 from planner.geometry.arrays import FloatArray, IntArray, Mesh
-from planner.geometry.curves import arc_length
 from planner.geometry.mesh import small_pieces
 from planner.geometry.units import MM
 
@@ -53,7 +52,7 @@ def compensated(work: Work, laid: Laid, given: Compensation) -> dict[str, Any]:
         if one.name not in by_name:
             raise refused(f"it has no control points for pass {one.name}")
         back[one.name] = _interpolated(work, one, path, by_name[one.name])
-        deeper[one.name] = _shift(ways[one.name], path)
+        deeper[one.name] = at_targets(ways[one.name], path)
     note = f"by {given.file}: its forecast less what the tools go deeper; nothing was measured"
     return _exhibit(work, laid, back, deeper, note)
 
@@ -73,7 +72,9 @@ def estimated(work: Work, laid: Laid, found: Estimate) -> dict[str, Any]:
     }
     count = len(found.rows)
     note = f"estimated at {count} place{'s' * (count > 1)} of pass {estimated_pass.name}, under "
-    note += f"{work.operation.force_n:g} N, by depth between; nothing was measured"
+    low, high = min(found.force), max(found.force)
+    note += f"{low:.0f} N" if low == high else f"{low:.0f} to {high:.0f} N"
+    note += ", by depth between; nothing was measured"
     return _exhibit(work, laid, back, {}, note)
 
 
@@ -109,12 +110,6 @@ def _interpolated(work: Work, one: Pass, path: ToolPath, given: Foretold) -> Flo
     return forecast.along(work, found, contact.point, contact.angle)
 
 
-def _shift(way: Way, path: ToolPath) -> FloatArray:
-    """Shifts (N,) [m] of a way at the targets of the path that it was made of."""
-    places, known = arc_length(path.former), arc_length(way.point)
-    return np.interp(places, known * (places[-1] / max(float(known[-1]), 1e-12)), way.shift)
-
-
 def maps(work: Work, laid: Laid, found: Sequence[PassSpringback], ways: Sequence[Way] = ()) -> dict[str, Any]:
     """A forecast as a map; with ``ways`` also how much too shallow the part will be without their shifts and
     with them, on one scale."""
@@ -130,7 +125,7 @@ def maps(work: Work, laid: Laid, found: Sequence[PassSpringback], ways: Sequence
     named = {"springback": ("How far the sheet comes back when the tool lets go", back)}
     if ways:
         by_name = {way.name: way for way in ways}
-        left = back - grid.spread({one.name: _shift(by_name[one.name], path) for one, path in laid})
+        left = back - grid.spread({one.name: at_targets(by_name[one.name], path) for one, path in laid})
         named["deviation_before"] = ("How much too shallow the part will be, without the file", back)
         named["deviation_after"] = ("How much too shallow the part will be, with it", left)
     end = _scale_end(back)

@@ -331,7 +331,7 @@ def _hand(model: CellModel, arm: str) -> float:
     """Greatest distance [m] of the hand, with what it holds, from the wrist's centre."""
     tool = model.cell.arm(arm).tool
     out = float(np.linalg.norm(tool.tcp[:3, 3])) + HAND_REACH_M
-    return model.robots[arm].opw.c4 + max(out, _outermost(model, arm))
+    return model.robots[arm].opw.hand + max(out, _outermost(model, arm))
 
 
 def _outermost(model: CellModel, arm: str) -> float:

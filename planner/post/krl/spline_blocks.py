@@ -20,7 +20,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from planner.catalogue.robots import robot
 from planner.claims.claim import on_straight_moves_alone
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, from_quaternion, log_rotation, to_quaternion
@@ -212,7 +211,7 @@ def spline_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, .
     hint = "set controller: {path: slin}"
     issues = []
     for arm in problem.cell.arms:
-        data = robot(arm.robot)
+        data = arm.data
         if data.family != "KUKA" or data.coupling is not None:
             got = f"path: spline for {arm.name} ({arm.robot}); allowed: KUKA arms without parallel rods"
             issues.append(Issue("post.path", got, field="controller.path", arm=arm.name, hint=hint))

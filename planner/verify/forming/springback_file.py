@@ -278,7 +278,21 @@ def _wanted(
     for name in OF_OPERATION:
         value = getattr(operation, name)
         out[f"operation.{name}"] = [*value] if isinstance(value, tuple) else value
+    stated = operation.force_by
+    if stated is not None and stated.file is None:
+        out["operation.force_by"] = [[float(z), float(n)] for z, n in stated.table]
+    elif stated is not None:
+        out["operation.force_by"] = _digest_of(Path(stated.file))
+    if operation.support_force_n is not None:
+        out["operation.support_force_n"] = operation.support_force_n
     return out
+
+
+def _digest_of(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:32]
+    except OSError as error:
+        return f"not read ({error.strerror})"
 
 
 OF_OPERATION = (

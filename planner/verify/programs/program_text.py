@@ -294,6 +294,8 @@ class Partner:
 
 _DIGEST: Final = re.compile(r"[0-9a-f]{16}")
 """The digest that a program carries."""
+_FILE_KEYS: Final = ("file", "urdf")
+"""Keys of a problem whose text is the name of a file."""
 
 
 def changed(source: Any) -> tuple[str, ...]:
@@ -301,7 +303,7 @@ def changed(source: Any) -> tuple[str, ...]:
     out: list[str] = []
     if isinstance(source, Mapping):
         for key, value in source.items():
-            path = Path(value) if key == "file" and isinstance(value, str) else None
+            path = Path(value) if key in _FILE_KEYS and isinstance(value, str) else None
             if path is None:
                 out += changed(value)
             elif path.parent.name == "files" and _DIGEST.fullmatch(path.stem) and _other(path):

@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Final
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from planner.catalogue.robots import RobotData, robot, urdf_path
-from planner.geometry.arrays import FloatArray
+from planner.catalogue.robots import RobotData, urdf_path
+from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue, TandemError
 
 BASE_LINK: Final = "base_link"
@@ -90,10 +92,11 @@ def _put(out: FloatArray, axes: FloatArray, place: FloatArray) -> None:
     out[:, :3, 3] = place.reshape(3, -1).T
 
 
-def read_chain(text: str) -> Chain:
-    """The chain from ``base_link`` to ``tool0`` in the text of a URDF file; joints that are fixed are part of
-    the way. Raises ``ValueError`` that says what is wrong: no XML, no such chain, not six turning joints,
-    other joints that move, numbers that are none.
+def read_chain(text: str, base: str = BASE_LINK, tip: str = TIP_LINK, own: bool = False) -> Chain:
+    """The chain from ``base`` to ``tip`` in the text of a URDF file; joints that are fixed are part of
+    the way. In a file of the user's ``own`` other joints may move, and angles of frames count as the multiple
+    of 15 degrees that they round (:data:`ROUNDED`). Raises ``ValueError`` that says what is wrong: no XML, no
+    such chain, not six turning joints, other joints that move, numbers that are none.
     """
     try:
         root = ET.fromstring(text)
@@ -109,35 +112,38 @@ def read_chain(text: str) -> Chain:
         if child in above:
             raise ValueError(f"hangs link {child} on two joints; one is allowed")
         above[child] = joint
-    way = _way(above)
+    way = _way(above, base, tip)
     turning = [joint for joint in way if joint.get("type") in ("revolute", "continuous")]
     moving = [joint for joint in above.values() if joint.get("type") != "fixed"]
+    if own:
+        moving = [joint for joint in way if joint.get("type") != "fixed"]
     if len(turning) != 6 or len(moving) != 6:
         what = f"has {len(moving)} joints that move, {len(turning)} of them turning on the way"
-        raise ValueError(f"{what} from {BASE_LINK} to {TIP_LINK}; six are needed, and no others")
-    return _chain(way)
+        raise ValueError(f"{what} from {base} to {tip}; six are needed, and no others")
+    return _chain(way, own)
 
 
-def _way(above: dict[str, ET.Element]) -> list[ET.Element]:
+def _way(above: dict[str, ET.Element], base: str, tip: str) -> list[ET.Element]:
     """The joints from the base to the tip."""
     way: list[ET.Element] = []
-    link = TIP_LINK
-    while link != BASE_LINK:
+    link = tip
+    while link != base:
         if link not in above or len(way) > len(above):
-            raise ValueError(f"has no chain of joints from {BASE_LINK} to {TIP_LINK}: nothing holds {link}")
+            raise ValueError(f"has no chain of joints from {base} to {tip}: nothing holds {link}")
         way.append(above[link])
         link = _link(above[link], "parent")
     return way[::-1]
 
 
-def _chain(way: list[ET.Element]) -> Chain:
+def _chain(way: list[ET.Element], own: bool) -> Chain:
     links, zero, axes, limits, steps, lays = [], [], [], [], [], []
     pose, step = np.eye(4), np.eye(4)
     for joint in way:
         origin = joint.find("origin")
         moved = np.eye(4)
         if origin is not None:
-            moved[:3, :3] = _rotation(_numbers(joint, origin, "rpy", "0 0 0"))
+            rpy = _numbers(joint, origin, "rpy", "0 0 0")
+            moved[:3, :3] = _rotation(_meant(rpy) if own else rpy)
             moved[:3, 3] = _numbers(joint, origin, "xyz", "0 0 0")
         pose, step = pose @ moved, step @ moved
         if joint.get("type") == "fixed":
@@ -160,7 +166,7 @@ def _chain(way: list[ET.Element]) -> Chain:
         step = lay.T
     lower, upper, velocity = np.array(limits).T
     return Chain(
-        links=(*links, TIP_LINK),
+        links=(*links, _link(way[-1], "child")),
         zero=np.array([*zero, pose]),
         axis=np.array(axes),
         lower=lower,
@@ -177,6 +183,15 @@ def _laid(axis: FloatArray) -> FloatArray:
     x = np.cross(other, axis)
     x = x / np.linalg.norm(x)
     return np.stack([x, np.cross(axis, x), axis], axis=1)
+
+
+ROUNDED: Final = 2e-4
+"""Angles in a file of the user's own that are so near to a multiple of 15 degrees [rad] are that: 1.5708."""
+
+
+def _meant(angles: FloatArray) -> FloatArray:
+    twelfths = np.rint(angles * 12.0 / np.pi) * np.pi / 12.0
+    return np.where(np.abs(angles - twelfths) <= ROUNDED, twelfths, angles)
 
 
 def _rotation(rpy: FloatArray) -> FloatArray:
@@ -227,8 +242,8 @@ _LENGTH_DECIMALS: Final = 11
 class ArmShape:
     """Lengths [m], ``offsets`` (6,) [rad] and ``signs`` (6,) of the arm: theta = signs * q - offsets.
 
-    Tip in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) Rz(t6)
-    T(0, 0, c4).
+    Tip in the base: ``left`` Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) Rz(t6)
+    T(0, 0, c4) ``right``, both (4, 4) and the identity but for arms of the user's own.
     """
 
     a1: float
@@ -240,10 +255,69 @@ class ArmShape:
     c4: float
     offsets: FloatArray
     signs: FloatArray
+    left: FloatArray = dataclasses.field(default_factory=lambda: np.eye(4))
+    right: FloatArray = dataclasses.field(default_factory=lambda: np.eye(4))
 
 
-def shape_of(chain: Chain) -> ArmShape:
-    """The shape of a chain. Raises ``ValueError`` that says which axes are not as the form has them."""
+def shape_of(chain: Chain, own: bool = False) -> ArmShape:
+    """The shape of a chain; base and tip of one of the user's ``own`` may stand in any way to the form's.
+    Raises ``ValueError`` that says which axes are not as the form has them."""
+    if not own:
+        return _shape_of(chain)
+    left = _form_base(chain)
+    back = inverse(left)
+    chain = dataclasses.replace(chain, zero=back @ chain.zero, axis=chain.axis @ back[:3, :3].T)
+    right = _form_tip(chain)
+    zero = np.concatenate([chain.zero[:6], chain.zero[6:] @ inverse(right)])
+    shape = _shape_of(dataclasses.replace(chain, zero=zero))
+    if np.abs(right - np.eye(4)).max() > AXIS_ERROR:  # the tip says nothing of axis 6: its angle is 0 at zero
+        by = shape.offsets[5]
+        turn = np.eye(4)
+        turn[:2, :2] = [[np.cos(by), np.sin(by)], [-np.sin(by), np.cos(by)]]
+        right = turn @ right
+        shape = dataclasses.replace(shape, offsets=np.array([*shape.offsets[:5], 0.0]))
+    return dataclasses.replace(shape, left=left, right=right)
+
+
+APART: Final = 3e-3
+"""What is nearer to an axis than this [m] says nothing of where an arm stands or faces."""
+
+
+def _form_base(chain: Chain) -> FloatArray:
+    """The form's base (4, 4) in that of the chain: z along axis 1 to where axis 2 lies from the base, else
+    up; y along axis 2, so that x points to where axis 2 is off axis 1, else to the wrist, else ahead."""
+    w, point = chain.axis, chain.zero[:6, :3, 3]
+    rise = float(point[1] @ w[0])
+    up = w[0] * np.sign(rise if abs(rise) > APART else w[0][2] or 1.0)
+    foot = point[0] - (point[0] @ up) * up
+    wrist = _meeting(point[3], w[3], point[4], w[4])
+    ahead = np.cross(w[1], up)
+    ways = [float(at @ ahead) for at in (point[1] - foot, wrist - foot)]
+    ways = [way for way in ways if abs(way) > APART] or [float(np.array([1.0, 0.5, 0.25]) @ ahead)]
+    side = w[1] if ways[0] > 0.0 else -w[1]
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([np.cross(side, up), side, up], axis=1)
+    pose[:3, 3] = foot
+    return pose
+
+
+def _form_tip(chain: Chain) -> FloatArray:
+    """The chain's tip (4, 4) in a flange that stands on axis 6 with z out of the wrist."""
+    w, point, tip = chain.axis, chain.zero[:6, :3, 3], chain.zero[6]
+    wrist = _meeting(point[3], w[3], point[4], w[4])
+    reach = float((tip[:3, 3] - wrist) @ w[5])
+    out = w[5] * (1.0 if (reach if abs(reach) > 1e-6 else float(tip[:3, 2] @ w[5])) >= 0.0 else -1.0)
+    foot = wrist + abs(reach) * out
+    if tip[:3, 2] @ out > 1.0 - 1e-6 and np.linalg.norm(tip[:3, 3] - foot) <= MODEL_AGREEMENT:
+        return np.eye(4)
+    x = w[4]  # square to axis 6: any frame on it does
+    flange = np.eye(4)
+    flange[:3, :3] = np.stack([x, np.cross(out, x), out], axis=1)
+    flange[:3, 3] = foot
+    return np.asarray(inverse(flange) @ tip)
+
+
+def _shape_of(chain: Chain) -> ArmShape:
     w, point = chain.axis, chain.zero[:6, :3, 3]
     flange = chain.zero[6]
     up = np.array([0.0, 0.0, 1.0])
@@ -365,23 +439,51 @@ class Machine:
         return self.chain.tip(q)
 
 
-def machine_of(name: str) -> Machine:
-    """The robot of that name in the catalogue. Raises ``TandemError`` (``verify.robot_model``) for a file
-    that cannot be read or is of no arm with a spherical wrist, and as
+def machine_of(data: RobotData) -> Machine:
+    """The robot as its URDF has it, that of the catalogue or the user's own. Raises ``TandemError``
+    (``verify.robot_model``) for a file that cannot be read or is of no arm with a spherical wrist, and as
     :func:`planner.catalogue.robots.urdf_path`."""
-    path = urdf_path(name)
+    path = urdf_path(data.name) if data.file is None else None
     try:
-        chain, shape = _read(path.read_text(encoding="utf-8"))
+        if path is not None:
+            chain, shape = _read(path.read_text(encoding="utf-8"), BASE_LINK, TIP_LINK, False)
+        elif data.file is not None:
+            chain, shape = _read(data.file.text, data.file.base, data.file.tip, True)
     except (OSError, ValueError) as error:
-        message = f"the robot {name}: its URDF {error}"
-        raise TandemError(Issue(ROBOT_MODEL, message, file=str(path), hint=REINSTALL_HINT)) from None
-    return Machine(robot(name), chain, shape)
+        message = f"the robot {data.name}: its URDF {error}"
+        file = None if path is None else str(path)
+        raise TandemError(Issue(ROBOT_MODEL, message, file=file, hint=hint_of(data))) from None
+    return Machine(data, chain, shape)
 
 
 @functools.lru_cache(maxsize=32)
-def _read(text: str) -> tuple[Chain, ArmShape]:
-    chain = read_chain(text)
-    return chain, shape_of(chain)
+def _read(text: str, base: str, tip: str, own: bool) -> tuple[Chain, ArmShape]:
+    chain = read_chain(text, base, tip, own)
+    return chain, shape_of(chain, own)
+
+
+def hint_of(data: RobotData) -> str:
+    """What to do where a robot's data do not agree."""
+    return REINSTALL_HINT if data.file is None else "plan the problem again from its own files"
+
+
+def stated_otherwise(stated: Mapping[str, Any], data: RobotData) -> list[str]:
+    """Where the robot of a file, which programs were planned with, is not what the problem states: its URDF
+    is read once more."""
+    file, out = data.file, []
+    if file is None:
+        return []
+    try:
+        text = Path(str(stated.get("urdf", ""))).read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        return [f"its URDF cannot be read ({error})"]
+    if text != file.text:
+        out.append("its URDF is not the one that programs were planned with")
+    for key, own, usual in (("base", file.base, BASE_LINK), ("tip", file.tip, "")):
+        wanted = stated.get(key) or usual
+        if own != (wanted or next((t for t in (TIP_LINK, "flange") if f'"{t}"' in text), "")):
+            out.append(f"its {key} is the link {wanted!r} in the problem, {own!r} in what was planned with")
+    return out
 
 
 def differences(machine: Machine) -> list[str]:
@@ -399,6 +501,10 @@ def differences(machine: Machine) -> list[str]:
     for i in np.flatnonzero(~(turn <= MODEL_AGREEMENT)):
         here, there = np.rad2deg([shape.offsets[i], planned.offsets[i]])
         out.append(f"the offset of axis {i + 1} is {here:.6f} deg in the URDF, {there:.6f} in the catalogue")
+    for word, mine, planners in (("base", shape.left, planned.left), ("tip", shape.right, planned.right)):
+        off = np.abs(mine - (np.eye(4) if planners is None else planners)).max()
+        if not off <= MODEL_AGREEMENT:
+            out.append(f"the {word} stands elsewhere by the axes of the URDF, or turned, by {off:.3g}")
     turned = np.flatnonzero(shape.signs != planned.signs)
     out += [f"axis {i + 1} turns the other way in the URDF than in the catalogue" for i in turned]
     for word, here, there in (

@@ -172,9 +172,9 @@ def travel(context: Context, index: int, arm: str, rows: IntArray | slice = slic
 def lever(context: Context, index: int, arm: str) -> FloatArray:
     """How far any point of an arm is from each of its axes at most (6,) [m]."""
     setup = context.setups[index]
-    p = arm_model.machine_of(setup.cell.arm(arm).robot).shape
+    p = arm_model.machine_of(setup.cell.arm(arm).data).shape
     tool = _hand(setup, arm)
-    hand = abs(p.c4) + tool
+    hand = abs(p.c4) + float(np.linalg.norm(p.right[:3, 3])) + tool
     forearm = float(np.hypot(p.a2, p.c3))
     return np.array(
         [abs(p.a1) + p.c2 + forearm + hand, p.c2 + forearm + hand, forearm + hand, hand, hand, tool]

@@ -23,7 +23,7 @@ import itertools
 
 import numpy as np
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse
 from planner.verify.replay.arm_model import Machine
 
 FULL_TURN = 2.0 * np.pi
@@ -39,8 +39,9 @@ def solve(machine: Machine, flange: FloatArray, branch: IntArray) -> FloatArray:
     Axes 1, 4 and 6 are in (-pi, pi] of the OPW angle; whole turns are for the caller (:func:`nearest_turns`).
     """
     p = machine.shape
-    rotation = flange[:, :3, :3]
-    wrist = flange[:, :3, 3] - p.c4 * rotation[:, :, 2]
+    own = inverse(p.left) @ flange @ inverse(p.right)
+    rotation = own[:, :3, :3]
+    wrist = own[:, :3, 3] - p.c4 * rotation[:, :, 2]
     behind, below, negative = (branch & 4) > 0, (branch & 2) > 0, (branch & 1) > 0
     with np.errstate(invalid="ignore"):
         radial = np.sqrt(wrist[:, 0] ** 2 + wrist[:, 1] ** 2 - p.b**2)

@@ -58,7 +58,7 @@ class _Player:
         self.units = {task.unit.lower(): task.arm.name for task in job.tasks}
         self.bases = bases
         self.arms = [task.arm for task in job.tasks]
-        self.robots = {arm.name: arm_model.machine_of(arm.robot) for arm in self.arms}
+        self.robots = {arm.name: arm_model.machine_of(arm.data) for arm in self.arms}
         self.q = {arm.name: np.array(arm.home, dtype=np.float64) for arm in self.arms}
         self.clock = 0.0
         self.nodes = 0

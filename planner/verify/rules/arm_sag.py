@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import robot
 from planner.claims.claim import ArmSags
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
@@ -63,7 +62,7 @@ def sag(context: Context) -> Outcome:
 def _shift(context: Context, index: int, arm: str) -> FloatArray:
     """How far (S,) [m] the TCP of an arm is, as it stands, from where its controller has it."""
     setup, motion = context.setups[index], context.motion
-    machine = arm_model.machine_of(setup.cell.arm(arm).robot)
+    machine = arm_model.machine_of(setup.cell.arm(arm).data)
     tcp = setup.cell.arm(arm).tool.tcp
     out = np.empty(len(motion.time))
     for first in range(0, len(out), 1 << 14):
@@ -83,7 +82,7 @@ def _figures(context: Context, index: int, name: str, arm: Arm, own: list[ArmSag
     if len(own) != 1:
         return [_wrong(arm.name, f"has {len(own)} claims of its sag in {name}; wanted is one")]
     claim = own[0]
-    stiffness = arm.stiffness or robot(arm.robot).stiffness
+    stiffness = arm.stiffness or arm.data.stiffness
     if stiffness is None:
         return [_wrong(arm.name, f"has no stiffness that anybody stated, and sag is claimed of it in {name}")]
     mass, moment = 0.0, np.zeros(3)

@@ -10,7 +10,6 @@ import numpy as np
 import shapely
 from scipy.spatial import ConvexHull
 
-from planner.catalogue.robots import robot
 from planner.cell import support
 from planner.geometry.arrays import FloatArray, corners, inverse, transform
 from planner.geometry.units import GRAVITY
@@ -81,8 +80,8 @@ def _held(setup: Setup) -> Iterator[str]:
         return
     if tool.holding < GRIP_FACTOR * mass * GRAVITY:
         yield f"{tool.name} holds with {tool.holding:.0f} N, not {GRIP_FACTOR * mass * GRAVITY:.0f} N"
-    if tool.mass + mass > robot(arm.robot).payload:
-        payload = robot(arm.robot).payload
+    if tool.mass + mass > arm.data.payload:
+        payload = arm.data.payload
         yield f"gripper and block weigh {tool.mass + mass:.2f} kg, the arm carries {payload:g} kg"
 
 

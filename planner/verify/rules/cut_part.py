@@ -7,7 +7,6 @@ from other surfaces, and what has to be cut before what.
 from __future__ import annotations
 
 import dataclasses
-import functools
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from planner.verify.result import CutFace
 from planner.verify.rules.wire import wire_issue
 from planner.verify.wire.cut_surface import Sweep, cut_face, deepest, part_obj, unreached
 from planner.verify.wire.slits import in_slit, slits
-from planner.verify.wire.walls import Walls, crosses, taken_by_bent, taken_depth, walls
+from planner.verify.wire.walls import PartWalls, taken_by_bent, taken_depth, walls
 from planner.verify.wire.wire_motion import Wire, end_error, to_block
 
 
@@ -291,13 +290,13 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 )
                 measure = (deep, mm(float(tolerance[i])), "mm")
                 issues.append(wire_issue(context, wire, "verify.part", what, int(row[i]), *measure))
-    issues += _beside(context, wires, wanted)
+    issues += _beside(context, wires, bounds.walls)
     if not np.isfinite(worst):
         return Outcome(tuple(issues), where="no way in or out in the foam beside the part")
     return Outcome(tuple(issues), mm(worst), 0.0, "mm left", where)
 
 
-def _beside(context: Context, wires: tuple[Wire, ...], part: tuple[CutsSurface, ...]) -> list[Issue]:
+def _beside(context: Context, wires: tuple[Wire, ...], part: PartWalls) -> list[Issue]:
     """What slots take from other surfaces than those beside which they cut."""
     issues: list[Issue] = []
     straight = {claim.segment.key for claim in context.rulings}
@@ -305,8 +304,8 @@ def _beside(context: Context, wires: tuple[Wire, ...], part: tuple[CutsSurface, 
         if len(sweep.points) < 2:
             continue
         take = taken_depth if claim.segment.key in straight else taken_by_bent
-        for other in part:
-            found = None if other is claim else take(claim, sweep, other, part, context.datum.box)
+        for other in part.claims:
+            found = None if other is claim else take(claim, sweep, other, part)
             if found is None:
                 continue
             x, y, z = (mm(float(value)) for value in found.place)
@@ -329,7 +328,7 @@ class _Bounds:
             for claim in context.rulings
             if np.abs(claim.start[0] - claim.start[-1]).max() < SIDE_DISTANCE
         }
-        self.block = context.datum.box
+        self.walls = PartWalls(claims, context.datum.box)
         contours = tuple(claim for claim in claims if claim.segment.key in closed)
         self.faces = tuple(claim for claim in claims if claim.segment.key not in closed)
         self.groups = [
@@ -337,7 +336,6 @@ class _Bounds:
             for some in (contours, self.faces)
             if some
         ]
-        self.crossed: dict[int, tuple[Walls, ...]] = {}
 
     def off(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance (N,) [m] of points (N, 3) to the part, negative inside, NaN where it is not known, and the
@@ -356,23 +354,12 @@ class _Bounds:
         """Distances (N,) [m] of points (N, 3), where ``off`` is that to the nearest face, ``owner`` (N,)."""
         off = off.copy()
         for number in np.unique(owner[off < 0.0]).tolist():
-            for wall in self._crossed(number):
-                rows = np.flatnonzero((off < 0.0) & (owner == number))
-                own, _ = wall.off(points[rows])
-                off[rows] = np.where(own > 0.0, own, off[rows])
+            for other in self.walls.crossed(self.faces[number]):
+                if any(other is face for face in self.faces):
+                    rows = np.flatnonzero((off < 0.0) & (owner == number))
+                    own, _ = self.walls.wall(other).off(points[rows])
+                    off[rows] = np.where(own > 0.0, own, off[rows])
         return off
-
-    def _crossed(self, number: int) -> tuple[Walls, ...]:
-        """The other faces that a face is on both sides of."""
-        if number not in self.crossed:
-            others = [wall for k, wall in enumerate(self._alone) if k != number]
-            own = self.faces[number]
-            self.crossed[number] = tuple(wall for wall in others if crosses(own, wall, self.block))
-        return self.crossed[number]
-
-    @functools.cached_property
-    def _alone(self) -> list[Walls]:
-        return [walls((face,)) for face in self.faces]
 
 
 def _is_side(context: Context, claim: CutsSurface) -> bool:

@@ -163,7 +163,7 @@ def _refused(context: Context, found: list[Block]) -> list[Issue]:
         what = "a spline block where two arms share the work; allowed: one arm alone; write SLIN"
         issues.append(at_step(SPLINE, what, first.task, first.moves[0]))
     for block in found:
-        if arm_model.machine_of(block.task.arm.robot).data.coupling is not None:
+        if arm_model.machine_of(block.task.arm.data).data.coupling is not None:
             what = "a spline block of an arm with parallel rods, whose joints are not bounded; write SLIN"
             issues.append(at_step(SPLINE, what, block.task, block.moves[0]))
     for kind in dict.fromkeys(type(claim) for claim in context.claims):
@@ -251,7 +251,7 @@ def _nearby(context: Context, block: Block, mean: FloatArray) -> FloatArray:
 def _joints(context: Context, block: Block, bounds: Bounds) -> tuple[Allowance, list[Issue]]:
     """What curves of a block may be off in the joints, and limits and speeds that they may pass."""
     task, motion = block.task, context.motion
-    machine, q = arm_model.machine_of(task.arm.robot), motion.q[task.arm.name]
+    machine, q = arm_model.machine_of(task.arm.data), motion.q[task.arm.name]
     data = machine.data
     at = motion.node_sample[block.nodes]
     before = np.concatenate([[motion.node_sample[block.nodes[0] - 1]], at[:-1]])

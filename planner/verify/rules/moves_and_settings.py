@@ -12,7 +12,6 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from planner.catalogue.robots import robot
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import TaskText, sync_points
@@ -217,7 +216,7 @@ def move_kinds(context: Context) -> Outcome:
         if task.krl is not None:
             issues += synchronisation.move_kinds(task)
             continue
-        wanted = "off" if robot(task.arm.robot).coupling is not None else "on"
+        wanted = "off" if task.arm.data.coupling is not None else "on"
         state = "on"
         stated = False
         for step in task.steps:

@@ -7,15 +7,16 @@ joint_acceleration, singularity, tcp_speed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Final
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.robots import robot
+from planner.catalogue.robots import RobotData
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
+from planner.problem import Cell
 from planner.verify.context import Context, Outcome, at_node, at_sample, at_step, mm, rule
 from planner.verify.programs.steps import MoveStep
 from planner.verify.replay import arm_model
@@ -71,7 +72,7 @@ def continuity(context: Context) -> Outcome:
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
         for move, word in zip((*moves[:1], *moves[-1:]), ("first", "last"), strict=False):
-            if not at_home(move, robot(task.arm.robot), task.arm.home):
+            if not at_home(move, task.arm.data, task.arm.home):
                 what = f"the {word} move of {task.arm.name} does not go home by its joints"
                 issues.append(at_step("verify.continuity", what, task, move))
     for arm, q in motion.q.items():
@@ -107,7 +108,7 @@ def confdata(context: Context) -> Outcome:
         arm = task.arm.name
         if task.krl is not None:
             continue  # verify.status asks the same of KRL
-        if robot(task.arm.robot).coupling is not None:
+        if task.arm.data.coupling is not None:
             continue  # cfx of parallel-rod arms is not settled; the programs run with ConfL\Off
         selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]
         straight = _straight(context, arm)
@@ -128,7 +129,7 @@ def joint_limits(context: Context) -> Outcome:
     """Every axis stays within its limits."""
     issues, least, where = [], np.inf, ""
     for task in context.job.tasks:
-        machine, arm = robot(task.arm.robot), task.arm.name
+        machine, arm = task.arm.data, task.arm.name
         q = context.motion.q[arm]
         # one axis at a time: a long motion has many samples
         rows = np.array([*(int(axis.argmin()) for axis in q.T), *(int(axis.argmax()) for axis in q.T)])
@@ -166,7 +167,7 @@ def rod_limits(context: Context) -> Outcome:
     """Parallel-rod arms: the controller's axis 3, serial angle plus axis 2, is within its own limits too."""
     issues, least = [], np.inf
     for task in context.job.tasks:
-        machine, arm = robot(task.arm.robot), task.arm.name
+        machine, arm = task.arm.data, task.arm.name
         if machine.coupling is None:
             continue
         axis3 = context.motion.q[arm][:, 1] + context.motion.q[arm][:, 2]
@@ -214,7 +215,7 @@ def _rates(
 ) -> Outcome:
     issues, worst, where = [], 0.0, ""
     for task in context.job.tasks:
-        machine, arm = robot(task.arm.robot), task.arm.name
+        machine, arm = task.arm.data, task.arm.name
         limit = machine.velocity if word == "speed" else machine.acceleration
         over = np.zeros(len(context.motion.time), dtype=bool)
         for joint in range(len(limit)):  # one at a time: a long motion has many samples
@@ -250,7 +251,7 @@ def singularity(context: Context) -> Outcome:
         if not len(rows):
             continue
         parts = np.array_split(rows, len(rows) // _SAMPLES_AT_ONCE + 1)
-        machine, q = arm_model.machine_of(task.arm.robot), context.motion.q[arm]
+        machine, q = arm_model.machine_of(task.arm.data), context.motion.q[arm]
         distance = np.concatenate([singularity_distance(machine, q[part]) for part in parts])
         k = int(np.argmin(distance))
         if distance[k] < least:
@@ -362,18 +363,31 @@ def robot_model(context: Context) -> Outcome:
     the programs were planned with are theirs."""
     issues: list[Issue] = []
     cells = [context.problem.cell, *(setup.cell for setup in context.setups)]
-    names = sorted({arm.robot for cell in cells for arm in cell.arms})
-    for name in names:
+    names = {arm.robot: arm.data for cell in cells for arm in cell.arms}
+    for name, data in sorted(names.items()):
         try:
-            differ = arm_model.differences(arm_model.machine_of(name))
+            differ = arm_model.differences(arm_model.machine_of(data))
         except TandemError as error:
             issues += error.issues
             continue
         issues += [
-            Issue(arm_model.ROBOT_MODEL, f"the robot {name}: {what}", hint=arm_model.REINSTALL_HINT)
+            Issue(arm_model.ROBOT_MODEL, f"the robot {name}: {what}", hint=arm_model.hint_of(data))
             for what in differ
         ]
-    return Outcome(tuple(issues), where=", ".join(names))
+    for given, data in _from_files(context.problem.source, context.problem.cell):
+        issues += [
+            Issue(arm_model.ROBOT_MODEL, f"the robot {data.name}: {what}", hint=arm_model.hint_of(data))
+            for what in arm_model.stated_otherwise(given, data)
+        ]
+    return Outcome(tuple(issues), where=", ".join(sorted(names)))
+
+
+def _from_files(source: Mapping[str, Any], cell: Cell) -> Iterator[tuple[Mapping[str, Any], RobotData]]:
+    """What the problem states of each robot from a file, and its data."""
+    stated = source.get("cell", {}).get("arms", []) if isinstance(source.get("cell"), Mapping) else []
+    for arm, own in zip(cell.arms, stated, strict=False):
+        if arm.given is not None:
+            yield (own["robot"] if isinstance(own["robot"], Mapping) else {}), arm.given
 
 
 @rule("verify.kinematics")
@@ -449,7 +463,7 @@ def _chains(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArr
     """The same of the links and the flange, which a tool's body stands in, by the chains of the URDFs."""
     out = {}
     for arm, rows in q.items():
-        chain = arm_model.machine_of(model.cell.arm(arm).robot).chain
+        chain = arm_model.machine_of(model.cell.arm(arm).data).chain
         frames = model.bases[arm] @ chain.frames(rows)
         for i, link in enumerate((*chain.links[:6], "tool")):
             out[f"{arm}/{link}"] = frames[:, i]

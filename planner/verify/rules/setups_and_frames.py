@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.catalogue.robots import RobotData, robot
+from planner.catalogue.robots import RobotData
 from planner.claims.claim import HoldsStock
 from planner.geometry.arrays import FloatArray, inverse, log_rotation
 from planner.issues import Issue
@@ -335,7 +335,7 @@ def _standing(context: Context, place: Asked, number: int, first: bool) -> list[
     if stage.synchronised or any(stage.moves(task.name) for task in context.job.tasks):
         issues.append(_at(place, f"an arm may move while setup {number} is being confirmed"))
     for task in context.job.tasks:
-        machine = robot(task.arm.robot)
+        machine = task.arm.data
         moves = [m for earlier in context.job.stages[: place.stage] for m in earlier.moves(task.name)]
         away = [m for m in (moves if first else moves[-1:]) if not at_home(m, machine, task.arm.home)]
         if away:

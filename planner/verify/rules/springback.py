@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,7 +23,7 @@ from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.tooling import FormingTool
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
-from planner.verify.forming import elastic, loop_walls, springback_bounds, springback_file
+from planner.verify.forming import elastic, loop_walls, springback_bounds, springback_file, stated_force
 from planner.verify.forming.released import Told
 from planner.verify.forming.shapes import PartShapes
 from planner.verify.forming.springback_bounds import STEP, FilePass
@@ -168,13 +169,19 @@ def _forces(context: Context, one: Told) -> Iterator[Issue]:
     sheet = setup.stock.sheet
     if given is None or sheet is None:
         return
+    claims = {claim.segment.name: claim for claim in _group(context, one) if isinstance(claim, FormsSheet)}
     for name in given.ways:
         mine = [control for control in given.controls if control.segment == name]
-        if not mine:
+        if not mine or name not in claims:
             yield _issue(one, f"{name} has no control point in its springback file")
             continue
-        if operation.force_n is not None:
-            wanted = np.full(len(mine), float(operation.force_n))
+        try:
+            stated = stated_force.stated(operation, claims[name])
+        except ValueError as error:
+            yield _issue(one, f"{Path(operation.force_by.file).name}: {error}")
+            return
+        if stated is not None:
+            wanted = _at_least(stated.at(np.array([control.place for control in mine])))
         else:
             arms = (setup.cell.arm(arm).tool for arm in operation.arms)
             radii = [tool.head.radius for tool in arms if isinstance(tool, FormingTool)]
@@ -182,7 +189,7 @@ def _forces(context: Context, one: Told) -> Iterator[Issue]:
             each = [_by_formula(operation, sheet.metal.tensile_stress, setup, r, angle) for r in radii]
             wanted = min(each, key=lambda some: float(np.abs(some - [c.force for c in mine]).max()))
         off = np.abs(np.array([control.force for control in mine]) - wanted)
-        # figures by formula hang on angles that the file rounds
+        # figures by formula hang on angles that the file rounds, those by place on places
         allowed = FORCE_SHARE * float(wanted.max()) + (0.1 if operation.force_n is None else 0.0)
         k = int(np.argmax(off))
         if off[k] > allowed:
@@ -205,18 +212,39 @@ def _by_formula(
         ridge = r - np.sqrt(np.maximum(r * r - half * half, 0.0))
     degrees = np.rad2deg(angle)
     force = 0.0716 * tensile / 1e6 * thick**1.57 * (2.0 * r) ** 0.41 * ridge**0.09 * degrees * np.cos(angle)
-    return np.asarray(np.maximum(force, LEAST_FORCE * float(force.max())))
+    return _at_least(force)
 
 
-def _along_way(context: Context, one: Told, angle: FloatArray, radius: float, some: FloatArray) -> FloatArray:
-    """The least and largest force (2, P) [N] at places of a way by the walls' ``angle`` (P,) [rad] around;
-    ``some`` (C,) [rad] are those of its control points."""
+def _at_least(force: FloatArray, of: FloatArray | None = None) -> FloatArray:
+    """Forces (N,) [N] that are no smaller than where a pass is flat, by the largest ``of`` them."""
+    return np.asarray(np.maximum(force, LEAST_FORCE * float((force if of is None else of).max())))
+
+
+def _around(value: FloatArray) -> FloatArray:
+    """Values (P, 2 `ALONG` + 1) at places (P,) of a way and those around."""
+    return np.lib.stride_tricks.sliding_window_view(np.pad(value, ALONG, mode="edge"), 2 * ALONG + 1)
+
+
+def _along_way(
+    context: Context,
+    one: Told,
+    claim: FormsSheet,
+    touch: FloatArray,
+    angle: FloatArray,
+    controls: Sequence[Control],
+) -> FloatArray:
+    """The least and largest force (2, P) [N] at places ``touch`` (P, 3) [m] of a way, on walls at ``angle``
+    (P,) [rad]: as stated around, or by these walls; ``controls`` are its control points."""
     operation, setup = one.operation, context.setups[one.index]
-    if operation.force_n is not None:
-        return np.full((2, len(angle)), float(operation.force_n))
-    sheet = setup.stock.sheet
+    stated = stated_force.stated(operation, claim)
+    if stated is not None:
+        largest = stated.at(np.array([control.place for control in controls]))
+        near = _around(_at_least(stated.at(touch), largest))
+        return np.stack([near.min(axis=1), near.max(axis=1)])
+    sheet, radius = setup.stock.sheet, claim.radius
+    some = np.array([control.angle for control in controls])
     tensile = 0.0 if sheet is None else sheet.metal.tensile_stress
-    wide = np.lib.stride_tricks.sliding_window_view(np.pad(angle, ALONG, mode="edge"), 2 * ALONG + 1)
+    wide = _around(angle)
     each = [np.maximum(wide.min(axis=1) - ANGLE_ALONG, 0.0), angle, wide.max(axis=1) + ANGLE_ALONG]
     force = np.array(
         [_by_formula(operation, tensile, setup, radius, np.append(some, own))[len(some) :] for own in each]
@@ -248,8 +276,7 @@ def _passes(context: Context, forming: Forming, one: Told) -> Iterator[FilePass]
             rows = ring == k
             rise[rows] = min(float(np.ptp(found.place[rows, 2])), most)
         angle = np.arccos(np.clip(up, 0.0, 1.0))
-        some = np.array([control.angle for control in controls])
-        force = _along_way(context, one, angle, claim.radius, some)
+        force = _along_way(context, one, claim, found.place, angle, controls)
         yield FilePass(claim, made.face, way, controls, at, found.place, angle, force, ring, rise)
 
 
@@ -272,7 +299,8 @@ def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
             yield _issue(one, what, mm(float(away[k])), mm(0.5 * STEP + OFF_TOUCH), "mm")
             continue
         normal = own.face.normal[found.triangle]
-        formula = one.operation.force_n is None  # else nothing hangs on angles
+        # else nothing hangs on angles
+        formula = one.operation.force_n is None and one.operation.force_by is None
         for row, control in enumerate(own.controls) if formula else ():
             around = tree.query_ball_point(places[row], OFF_ANGLE)
             walls = np.unique(normal[found.row == row].round(6), axis=0)
@@ -504,11 +532,12 @@ def _places(context: Context, one: Told, passes: Sequence[FilePass]) -> list[_Pl
 
 
 def _force_at(context: Context, one: Told, own: FilePass, k: int) -> tuple[float, float]:
-    """The problem's force [N] at a place of a pass; and the share by which it is in doubt, for a formula
-    hangs on the wall's angle."""
+    """The problem's force [N] at a place of a pass; and the share by which it is in doubt: a formula hangs on
+    the wall's angle, and what is stated by place on the place."""
     operation, setup = one.operation, context.setups[one.index]
-    if operation.force_n is not None:
-        return float(operation.force_n), 0.0
+    if operation.force_n is not None or operation.force_by is not None:
+        low, high = (float(force) for force in own.force[:, k])
+        return 0.5 * (low + high), 0.5 * (high - low) / max(high, 1e-9)
     sheet = setup.stock.sheet
     tensile = 0.0 if sheet is None else sheet.metal.tensile_stress
     around = [float(own.angle[k]) + off for off in (0.0, -ANGLE, ANGLE)]

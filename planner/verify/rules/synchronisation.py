@@ -152,7 +152,7 @@ def _chosen(
     context: Context, task: TaskText, move: MoveStep, target: StatusTarget
 ) -> tuple[list[str], tuple[int, ...]]:
     """What is wrong with Status and Turn of a move's target, and axes near zero."""
-    machine, base = arm_model.machine_of(task.arm.robot), context.bases[task.arm.name]
+    machine, base = arm_model.machine_of(task.arm.data), context.bases[task.arm.name]
     bits = f"S {target.status} and T {target.turn}"
     found = solutions(move, machine, base)
     if len(found.q) != 1:

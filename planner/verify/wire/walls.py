@@ -63,8 +63,25 @@ class Walls:
             rows = np.flatnonzero(parts == number)
             row = np.repeat(np.arange(len(rows)), counts[rows])
             tri = np.concatenate([near[k] for k in rows])
-            off[rows], owner[rows] = self._nearest(points[rows], row, tri)
+            maybe = self._within(points[rows], best[rows], row, tri)
+            off[rows], owner[rows] = self._nearest(points[rows], row[maybe], tri[maybe])
         return off, owner
+
+    def _within(self, points: FloatArray, reach: FloatArray, row: IntArray, tri: IntArray) -> IntArray:
+        """Which pairs (K,) of points ``row`` and triangles ``tri`` may be within ``reach`` (N,) [m] of points
+        (N, 3), by the boxes of the triangles."""
+        far = np.zeros(len(row))
+        for at, low, high in zip(points.T, *self._boxes, strict=True):
+            here = at[row]
+            gap = np.maximum(low[tri] - here, here - high[tri])
+            far += np.maximum(gap, 0.0, out=gap) ** 2
+        return np.flatnonzero(far <= ((reach + 2.0 * _LEAST_SIZE) ** 2)[row])
+
+    @functools.cached_property
+    def _boxes(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest coordinates (3, F) [m] of each triangle."""
+        low, high = self.corners.min(axis=1), self.corners.max(axis=1)
+        return np.ascontiguousarray(low.T), np.ascontiguousarray(high.T)
 
     @functools.cached_property
     def _near(self) -> list[tuple[IntArray, cKDTree, float]]:
@@ -82,12 +99,13 @@ class Walls:
         place, share = closest(points[row], *np.moveaxis(self.corners[tri], 1, 0))
         way = points[row] - place
         found = np.linalg.norm(way, axis=1)
-        begin = np.searchsorted(row, np.arange(len(points)))
-        best = np.minimum.reduceat(found, begin)
+        best = np.minimum.reduceat(found, np.searchsorted(row, np.arange(len(points))))
         same = found <= best[row] + _LEAST_SIZE
+        row, tri, place, share, way, found = (one[same] for one in (row, tri, place, share, way, found))
+        begin = np.searchsorted(row, np.arange(len(points)))
         # an edge is met where the corner across it has no weight; at a corner of the border triangles meet
         # that have no edge on it, and all that are as near count
-        edge = same & (np.roll(share < 1e-9, -2, axis=1) & self.border[tri]).any(axis=1)
+        edge = (np.roll(share < 1e-9, -2, axis=1) & self.border[tri]).any(axis=1)
         order = np.lexsort((tri, found, row))[begin]
         # at an edge as sharp as a wing's what is nearly as near lies on the other side of it: the same place
         met = np.linalg.norm(place - place[order][row], axis=1) <= _MEETING_DISTANCE
@@ -199,18 +217,41 @@ class Taken:
     half: float
 
 
-def taken_depth(
-    claim: CutsSurface, sweep: Sweep, other: CutsSurface, part: tuple[CutsSurface, ...], block: FloatArray
-) -> Taken | None:
-    """What the slot of a cut takes from another surface of the part inside the block (2, 3), beyond that
-    surface's tolerance; None for nothing.
+class PartWalls:
+    """The wanted surfaces of a part, ``claims``, in the block (2, 3) [m]: each as a wall of its own, and
+    which cross one another. Worked out once, when first asked for."""
+
+    def __init__(self, claims: tuple[CutsSurface, ...], block: FloatArray) -> None:
+        self.claims, self.block = claims, block
+        self._walls: dict[int, tuple[CutsSurface, Walls]] = {}
+        self._crossed: dict[int, tuple[CutsSurface, tuple[CutsSurface, ...]]] = {}
+
+    def wall(self, claim: CutsSurface) -> Walls:
+        """The wall of a surface, one of ``claims`` or any other."""
+        if id(claim) not in self._walls:  # kept with its claim, so no other one gets its id
+            self._walls[id(claim)] = (claim, walls((claim,)))
+        return self._walls[id(claim)][1]
+
+    def crossed(self, claim: CutsSurface) -> tuple[CutsSurface, ...]:
+        """Those of ``claims`` that a surface is on both sides of."""
+        if id(claim) not in self._crossed:
+            others = (other for other in self.claims if other is not claim)
+            found = tuple(other for other in others if crosses(claim, self.wall(other), self.block))
+            self._crossed[id(claim)] = (claim, found)
+        return self._crossed[id(claim)][1]
+
+
+def taken_depth(claim: CutsSurface, sweep: Sweep, other: CutsSurface, part: PartWalls) -> Taken | None:
+    """What the slot of a cut takes from another surface of the part inside the block, beyond that surface's
+    tolerance; None for nothing.
 
     Where a surface goes on outside of one that it crosses, it bounds nothing: both bound the part together.
     """
+    block = part.block
     sheet = _Sheet(sweep, claim.kerf, block)
     corners = other.vertices[other.faces]
     corners = corners[np.linalg.norm(_cross(corners), axis=1) > 0.0]
-    wall = walls((claim,))
+    wall = part.wall(claim)
     worst: list[tuple[FloatArray, FloatArray, FloatArray, IntArray]] = []
     left = [corners]
     while left:
@@ -242,23 +283,21 @@ def taken_depth(
     if not worst:
         return None
     depth, place, half, row = (np.concatenate([one[k] for one in worst]) for k in range(4))
-    real = _bounds_the_part(place, other, part, block)
+    real = _bounds_the_part(place, other, part)
     if not real.any():
         return None
     k = int(np.argmax(np.where(real, depth, -np.inf)))
     return Taken(float(depth[k]), place[k], int(row[k]), float(half[k]))
 
 
-def taken_by_bent(
-    claim: CutsSurface, sweep: Sweep, other: CutsSurface, part: tuple[CutsSurface, ...], block: FloatArray
-) -> Taken | None:
+def taken_by_bent(claim: CutsSurface, sweep: Sweep, other: CutsSurface, part: PartWalls) -> Taken | None:
     """As :func:`taken_depth`, by a bent wire: where its points come nearer to the other surface than half
     their slot, or pass through it from one look to the next.
 
     Where a point is outside of the surface that it cuts, what the slot reaches is outside of the part, or on
     this side of that surface; so what counts is beyond the rim of that surface, or deep below it.
     """
-    del part
+    block = part.block
     points, half = sweep.points, 0.5 * claim.kerf.at(sweep.speed)
     flat = points.reshape(-1, 3)
     inside = ((flat > block[0]) & (flat < block[1])).all(axis=1).reshape(half.shape)
@@ -272,7 +311,7 @@ def taken_by_bent(
     off, own = np.full((2, len(flat)), np.nan)
     if not len(near):
         return None
-    off[near] = walls((other,)).off(flat[near])[0]
+    off[near] = part.wall(other).off(flat[near])[0]
     off = off.reshape(half.shape)
     signs = joined & (off[1:] * off[:-1] < 0.0)  # NaN is no crossing
     through = np.zeros(half.shape, dtype=np.bool_)
@@ -283,7 +322,7 @@ def taken_by_bent(
     some = np.flatnonzero(bad)
     if not len(some):
         return None
-    own[some] = walls((claim,)).off(flat[some])[0]
+    own[some] = part.wall(claim).off(flat[some])[0]
     depth = np.where(bad & ~(own.reshape(half.shape) > 0.0), depth, -np.inf)
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
     if not np.isfinite(depth[row, column]):
@@ -315,8 +354,9 @@ class _Sheet:
         """Which places (N, 3) have something within ``size`` (N,) [m] that the slot might reach."""
         if self.tree is None:
             return np.zeros(len(points), dtype=np.bool_)
-        distance, _ = self.tree.query(points)
-        return np.asarray(distance <= size + self.most + self.gap)
+        reach = size + self.most + self.gap
+        distance, _ = self.tree.query(points, distance_upper_bound=1.001 * float(reach.max(initial=0.0)))
+        return np.asarray(distance <= reach)  # infinite where farther than any of them
 
     def nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
         """Of each of points (N, 3) that may be near: the distance (N,) [m] to the sheet, the nearest place
@@ -368,19 +408,13 @@ class _Sheet:
         return start + along[..., None] * way, half
 
 
-def _bounds_the_part(
-    places: FloatArray, own: CutsSurface, part: tuple[CutsSurface, ...], block: FloatArray
-) -> BoolArray:
+def _bounds_the_part(places: FloatArray, own: CutsSurface, part: PartWalls) -> BoolArray:
     """Which places (N, 3) of a surface bound the part: those not outside of another one that it crosses in
     the block."""
     real = np.ones(len(places), dtype=np.bool_)
-    for other in part:
-        if other is own:
-            continue
-        wall = walls((other,))
-        if crosses(own, wall, block):
-            rows = np.flatnonzero(real)
-            real[rows] &= ~(wall.off(places[rows])[0] > -MEETING_ROUNDING)
+    for other in part.crossed(own):
+        rows = np.flatnonzero(real)
+        real[rows] &= ~(part.wall(other).off(places[rows])[0] > -MEETING_ROUNDING)
     return real
 
 
@@ -393,8 +427,14 @@ def crosses(own: CutsSurface, wall: Walls, block: FloatArray) -> bool:
     points = np.einsum("wk,fkd->fwd", inner, own.vertices[own.faces]).reshape(-1, 3)
     points = points[((points > block[0]) & (points < block[1])).all(axis=1)]
     points = np.random.default_rng(0).permutation(points)[: 2 * CROSSING_SAMPLES]
-    off, _ = wall.off(points)
-    return bool((off > CROSSING_DEPTH).any() and (off < -CROSSING_DEPTH).any())
+    above = below = False
+    for some in np.split(points, [CROSSING_SAMPLES // 10, CROSSING_SAMPLES // 2]):  # a few mostly tell
+        off, _ = wall.off(some)
+        above |= bool((off > CROSSING_DEPTH).any())
+        below |= bool((off < -CROSSING_DEPTH).any())
+        if above and below:
+            return True
+    return False
 
 
 def _cross(corners: FloatArray) -> FloatArray:

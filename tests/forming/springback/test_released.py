@@ -91,7 +91,9 @@ def test_an_estimate_goes_by_depth(together: FormingJob) -> None:
     laid = lay_all(together.planned)
     contact = laid[0][1].contact
     rows = tuple(int(np.flatnonzero(contact.loop == k)[0]) for k in (2, int(contact.loop.max())))
-    shape = released.estimated(together.planned, laid, Estimate(0, rows, (1.0 * MM, 0.4 * MM)))
+    shape = released.estimated(
+        together.planned, laid, Estimate(0, rows, (1.0 * MM, 0.4 * MM), (500.0, 500.0))
+    )
     points = [
         {"x_mm": float(contact.point[row, 0]) / MM, "y_mm": float(contact.point[row, 1]) / MM} for row in rows
     ]

@@ -190,7 +190,9 @@ def test_between_control_points_s_is_as_if_solved_there(tmp_path: Path) -> None:
     path = laid[0][1].contact
     rows = np.random.default_rng(3).choice(np.flatnonzero(path.point[:, 2] < -0.002), 3, replace=False)
     for row in rows:
-        force = float(curves.forces(made, 0.006, path.angle[row : row + 1])[0])
+        force = float(
+            curves.forces(made, laid[0][0], path.point[row : row + 1], path.angle[row : row + 1])[0]
+        )
         x = curves.Point(0, path.point[row], force)
         alone = float(curves.solved(made, x, COARSE).at(force))
         assert found.at(path.point[row : row + 1], np.array([force]))[0] == pytest.approx(

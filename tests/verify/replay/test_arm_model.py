@@ -46,7 +46,7 @@ def drakes(plant, links, q):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_link_is_where_drake_has_it(name):
-    machine = arm_model.machine_of(name)
+    machine = arm_model.machine_of(robots.robot(name))
     q = postures(machine)
     plant = plant_of(robots.urdf_path(name).read_text("utf-8"))
     wanted = drakes(plant, machine.chain.links, q)
@@ -61,7 +61,7 @@ def test_the_file_is_xml_with_its_namespace_and_the_catalogues_figures(name):
     text = robots.urdf_path(name).read_text("utf-8")
     assert ET.fromstring(text).get("name") == name
     assert 'xmlns:drake="' in text
-    machine = arm_model.machine_of(name)
+    machine = arm_model.machine_of(robots.robot(name))
     assert arm_model.differences(machine) == []
     np.testing.assert_allclose(machine.chain.lower, machine.data.lower, atol=1e-12)
     np.testing.assert_allclose(machine.chain.upper, machine.data.upper, atol=1e-12)
@@ -71,7 +71,7 @@ def test_the_file_is_xml_with_its_namespace_and_the_catalogues_figures(name):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_solution_leads_back_to_its_pose_by_drake(name):
     """All eight branches of poses that random joints make; some of the other branches are out of reach."""
-    machine = arm_model.machine_of(name)
+    machine = arm_model.machine_of(robots.robot(name))
     q = np.random.default_rng(12).uniform(machine.data.lower, machine.data.upper, (40, 6))
     plant = plant_of(robots.urdf_path(name).read_text("utf-8"))
     pose = drakes(plant, ["tool0"], q)[:, 0]
@@ -84,7 +84,7 @@ def test_every_solution_leads_back_to_its_pose_by_drake(name):
 
 
 def test_a_solution_that_the_chain_does_not_lead_back_from_does_not_count():
-    machine = arm_model.machine_of("irb140")
+    machine = arm_model.machine_of(robots.robot("irb140"))
     q = np.random.default_rng(3).uniform(machine.data.lower, machine.data.upper, (50, 6))
     pose, branch = machine.flange(q), inverse_kinematics.branch_of(machine, q)
     assert np.isfinite(inverse_kinematics.solve(machine, pose, branch)).all()
@@ -95,7 +95,7 @@ def test_a_solution_that_the_chain_does_not_lead_back_from_does_not_count():
 
 
 def test_batches_keep_their_shape():
-    machine = arm_model.machine_of("kr60_ha")
+    machine = arm_model.machine_of(robots.robot("kr60_ha"))
     q = postures(machine, arm_model.POSTURES_TOGETHER + 6).reshape(-1, 2, 6)
     assert machine.chain.frames(q).shape == (len(q), 2, 7, 4, 4)
     assert machine.flange(q[0, 0]).shape == (4, 4)
@@ -239,7 +239,7 @@ def test_what_is_no_such_robot_is_refused_in_words(case, tmp_path, monkeypatch):
     path.write_text(text, "utf-8")
     monkeypatch.setattr(arm_model, "urdf_path", lambda name: path)
     with pytest.raises(TandemError) as caught:
-        arm_model.machine_of("irb140")
+        arm_model.machine_of(robots.robot("irb140"))
     (issue,) = caught.value.issues
     assert issue.code == "verify.robot_model"
     assert words in issue.message, issue.message

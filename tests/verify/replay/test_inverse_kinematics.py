@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from planner.catalogue import robots
 from planner.catalogue.robots import robot, robot_names
 from planner.cell.kinematics import forward, link_frames
 from planner.verify.replay import arm_model
@@ -29,7 +30,7 @@ def samples(machine, count, seed):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_they_select_the_joints_that_they_were_made_from(name):
-    machine = arm_model.machine_of(name)
+    machine = arm_model.machine_of(robots.robot(name))
     for q in samples(machine, 300, 7):
         found = select_by_status(machine, forward(machine.data, q), int(status_of(machine, q)), turn_of(q))
         assert len(found.q) == 1
@@ -41,7 +42,7 @@ def test_they_select_the_joints_that_they_were_made_from(name):
 def test_bits_are_what_the_manual_draws(name):
     """Bit 0 by the wrist's centre in the frame of axis 1, bit 1 by the side of the straight arm on which it
     is bent, both from the links' frames, and bit 2 by the sign of axis 5."""
-    machine = arm_model.machine_of(name)
+    machine = arm_model.machine_of(robots.robot(name))
     q = samples(machine, 500, 8)
     frames = link_frames(machine.data, q)
     wrist = frames[:, 4, :3, 3]
@@ -59,7 +60,7 @@ def test_bits_are_what_the_manual_draws(name):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_other_bits_select_no_joints_or_others(name):
-    machine = arm_model.machine_of(name)
+    machine = arm_model.machine_of(robots.robot(name))
     for q in samples(machine, 40, 9):
         if np.abs(q).min() < NEAR_ZERO_ANGLE:
             continue

@@ -22,7 +22,7 @@ from tests.verify import held_job, small_job
 
 @pytest.mark.parametrize("name", robots.robot_names())
 def test_inverse_kinematics_undoes_forward_on_every_branch(name):
-    machine = arm_model.machine_of(name)
+    machine = arm_model.machine_of(robots.robot(name))
     q = np.random.default_rng(3).uniform(machine.data.lower, machine.data.upper, (1000, 6))
     branch = inverse_kinematics.branch_of(machine, q)
     assert {0, 1, 4, 5} <= set(branch.tolist())
@@ -34,7 +34,7 @@ def test_inverse_kinematics_undoes_forward_on_every_branch(name):
 
 
 def test_out_of_reach_is_nan():
-    machine = arm_model.machine_of("irb140")
+    machine = arm_model.machine_of(robots.robot("irb140"))
     pose = np.eye(4)[None]
     pose[0, 0, 3] = 3.0
     assert np.isnan(inverse_kinematics.solve(machine, pose, np.zeros(1, dtype=int))).any()
@@ -46,7 +46,7 @@ def quadrants(q):
 
 
 def test_confdata_alone_select_the_solution():
-    machine = arm_model.machine_of("irb140")
+    machine = arm_model.machine_of(robots.robot("irb140"))
     q = np.random.default_rng(5).uniform(machine.data.lower, machine.data.upper, (2000, 6))
     q = q[inverse_kinematics.singularity_distance(machine, q) > 0.05]
     conf = np.concatenate([quadrants(q), inverse_kinematics.branch_of(machine, q)[:, None]], axis=1)
@@ -63,7 +63,7 @@ def test_confdata_alone_select_the_solution():
     ("degrees", "quadrant"), [(0.0, 0), (89.0, 0), (90.0, 1), (-1.0, -1), (-91.0, -2), (370.0, 4)]
 )
 def test_quadrants_as_in_the_manual(degrees, quadrant):
-    machine = arm_model.machine_of("irb140")
+    machine = arm_model.machine_of(robots.robot("irb140"))
     q = np.zeros((1, 6))
     q[0, 5] = np.deg2rad(degrees)
     conf = np.array([[0, 0, quadrant, inverse_kinematics.branch_of(machine, q)[0]]])

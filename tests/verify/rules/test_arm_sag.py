@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from planner import pipeline, processes
+from planner.catalogue import robots
 from planner.catalogue.robots import JointStiffness, robot, robot_names
 from planner.cell.compliance import PointLoad, given_way
 from planner.cell.kinematics import forward
@@ -60,7 +61,7 @@ def test_the_proof_bends_an_arm_as_the_planner_unbends_it(name: str, frame: Any)
     )
     drives = q - given_way(data, JointStiffness(JOINTS, ""), q, loads)
     claim = ArmSags("a", JOINTS, 35.0, cog, force[None], np.zeros(1), frame, 0.1)
-    bent = Bent(machine_of(name), claim, BASE, TCP, np.eye(4)).joints(drives, share[:, 0], feed)
+    bent = Bent(machine_of(robots.robot(name)), claim, BASE, TCP, np.eye(4)).joints(drives, share[:, 0], feed)
     assert np.abs(drives - q).max() > 1e-3
     np.testing.assert_allclose(bent, q, atol=1e-9)
 

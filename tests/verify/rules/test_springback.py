@@ -23,11 +23,12 @@ from planner.cli.forming import Springback, run_springback
 from planner.geometry.units import MM
 from planner.pipeline import Outcome
 from planner.verify.context import Context
-from planner.verify.forming import elastic, springback_bounds, springback_file
+from planner.verify.forming import elastic, released, springback_bounds, springback_file
 from planner.verify.forming.state import Forming
 from planner.verify.rules import forming_tool, forming_two_tools, springback
 from tests import small_forming
 from tests.forming.springback import springback_files as files
+from tests.forming.test_stated_force import TABLE, by_level
 from tests.test_whole_forming import UPRIGHT
 from tests.verify import planner_faults
 
@@ -491,6 +492,119 @@ def test_the_problem_of_a_result_has_the_file_in_it(outcome: Outcome, tmp_path: 
     data = yaml.safe_load(path.read_text())
     assert (path.parent / data["operations"][0]["springback"]["file"]).is_file()
     assert planner.load(path).digest == outcome.problem.digest
+
+
+# ---- forces that are stated by depth, by level and place, and of a support ----
+
+
+def by_force(folder: Path, kind: str, **more: Any) -> Path:
+    """A dish under forces of one of three kinds; the problem's file."""
+    folder.mkdir(exist_ok=True)
+    stated: dict[str, Any] = {"file": {"force_by": {"file": "forces.csv"}}}.get(kind) or {"force_n": 600}
+    if kind == "table":
+        stated = {"force_by": {"table": TABLE}}
+    if kind == "file":
+        (folder / "forces.csv").write_text(by_level(4, 8))
+    else:
+        stated["support_force_n"] = 150
+    data = small_forming.problem("spif" if kind == "file" else "dsif", tangent_deg=3, **stated, **more)
+    if kind != "file":
+        data["sheet"]["place"] = UPRIGHT
+    return small_forming.write(folder, data, small_forming.dish(around=120))
+
+
+def forces_said(context: Context, one: released.Told) -> list[str]:
+    """What is wrong with the forces of a file."""
+    found = (*springback._belongs(context, one), *springback._forces(context, one))
+    return [issue.message for issue in found]
+
+
+def _no_support(old: Callable[..., Any]) -> Callable[..., Any]:
+    """The support's force is forgotten."""
+    return lambda op, *rest: old(op.model_copy(update={"support_force_n": None}), *rest)
+
+
+def _upside_down(old: Callable[..., Any]) -> Callable[..., Any]:
+    """Forces of the floor where the wall begins."""
+    return lambda stated, name, points: old(stated, name, points * [1.0, 1.0, -1.0] - [0.0, 0.0, 4.0 * MM])
+
+
+def _all_around(old: Callable[..., Any]) -> Callable[..., Any]:
+    """One force around a whole level."""
+    return lambda stated, name, points: old(stated, name, points * [0.0, 0.0, 1.0])
+
+
+_AT = "forming.stated_force:Stated.at"
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes"),
+    [
+        ("figure", {"forming.process_plan:stated": _no_support}),
+        ("table", {"forming.process_plan:stated": _no_support}),
+        ("table", {_AT: _upside_down}),
+        ("file", {_AT: _upside_down}),
+        ("file", {_AT: _all_around}),
+    ],
+)
+def test_another_force_than_the_stated_one_is_found(tmp_path: Path, kind: str, changes: Any) -> None:
+    """Files by a formula for springback: forces alone are asked."""
+
+    def asked(changes: Any) -> list[str]:
+        with planner_faults.changed(changes):
+            (job,) = processes.jobs(planner.load(by_force(tmp_path, kind)))
+            (tmp_path / "back.json").write_text(files.text_of(job))  # type: ignore[arg-type]
+        problem = planner.load(by_force(tmp_path, kind, springback={"file": "back.json"}))
+        claims = {job.operation.name: job.claims() for job in processes.jobs(problem)}
+        found = Context(problem, claims, {})
+        (one,) = Forming(found).told
+        return [
+            issue.message for issue in (*springback._belongs(found, one), *springback._forces(found, one))
+        ]
+
+    assert asked({}) == []
+    (what,) = asked(changes)
+    assert "the problem's force there is" in what
+
+
+def test_a_file_of_other_forces_than_it_was_written_for_is_of_another_job(tmp_path: Path) -> None:
+    (job,) = processes.jobs(planner.load(by_force(tmp_path, "file")))
+    (tmp_path / "back.json").write_text(files.text_of(job))  # type: ignore[arg-type]
+    problem = planner.load(by_force(tmp_path, "file", springback={"file": "back.json"}))
+    found = Context(problem, {job.operation.name: job.claims() for job in processes.jobs(problem)}, {})
+    (one,) = Forming(found).told
+    whole = (tmp_path / "forces.csv").read_text()
+    for text, named in (
+        (whole.replace("375.0", "376.0"), "of another job: operation.force_by"),
+        (whole.replace("0,3,", "0,9,"), "level 0 of f1 has the points"),
+        (whole.replace("0,3,", "0,2,"), "level 0 has point 2 twice"),
+        (whole.replace("375.0", "-375.0"), "has the force -375.0"),
+        (whole.replace("375.0", "nan"), "has the force nan"),
+        (whole.replace("375.0", ""), "forces.csv: could not convert"),
+        (by_level(2, 8), "which has 3"),
+        ("level;point", "no rows of level and force_n"),
+    ):
+        (tmp_path / "forces.csv").write_text(text)
+        what = [
+            issue.message for issue in (*springback._belongs(found, one), *springback._forces(found, one))
+        ]
+        assert any(named in message for message in what), what
+    (tmp_path / "forces.csv").unlink()
+    assert any("cannot be read" in issue.message for issue in springback._forces(found, one))
+
+
+@pytest.mark.parametrize("kind", ["file", pytest.param("table", marks=pytest.mark.long)])
+def test_what_is_planned_under_stated_forces_is_proven(tmp_path: Path, kind: str) -> None:
+    path = by_force(tmp_path, kind)
+    request = Springback(path, most_points=3, triangles=3000, write=tmp_path / "back.json")
+    run_springback(request, planner.load(path))
+    made = planner.plan(planner.load(by_force(tmp_path, kind, springback={"file": "back.json"})))
+    assert made.verified, made.issues
+    (rule,) = (rule for rule in made.proof.rules if rule.code == "verify.springback")
+    assert rule.ran
+    assert 0.0 < rule.worst <= 100.0
+    forces = [row["force_n"] for row in json.loads((tmp_path / "back.json").read_text())["control_points"]]
+    assert max(forces) > 1.5 * min(forces)
 
 
 # ---- faults of the planner itself ----

@@ -279,4 +279,4 @@ def test_what_goes_on_beyond_a_surface_that_it_crosses_is_no_part() -> None:
     outline = next(claim for claim in part if claim.segment.name == "outline")
     place = np.array([[0.10308477, 0.0337478, z] for z in (0.0735, 0.0755)])
     block = np.array([[-0.145, -0.3, 0.0], [0.145, 0.3, 0.1]])
-    assert walls._bounds_the_part(place, outline, part, block).tolist() == [True, False]
+    assert walls._bounds_the_part(place, outline, walls.PartWalls(part, block)).tolist() == [True, False]

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from planner.verify.rules.cut_part import _Bounds
-from planner.verify.wire.walls import crosses, walls
+from planner.verify.wire import walls as module
+from planner.verify.wire.walls import PartWalls, crosses, walls
 
 HALF = np.array([0.1, 0.06])
 BLOCK = np.array([[-0.12, -0.08, 0.0], [0.12, 0.08, 0.05]])
@@ -69,3 +71,34 @@ def test_a_face_that_only_meets_another_does_not_make_outside_what_is_beyond_it(
     context: Any = SimpleNamespace(rulings=(), datum=SimpleNamespace(box=BLOCK))
     off, _ = _Bounds(context, (floor, wall)).off(np.array([[0.02, -0.03, 0.025], [-0.05, 0.01, 0.025]]))
     assert (off < 0.0).all()
+
+
+def test_of_the_faces_of_a_ring_neighbours_cross_and_each_pair_is_looked_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = []
+    monkeypatch.setattr(module, "crosses", lambda *one: asked.append(one) or crosses(*one))
+    faces = ring(0.018)
+    part = PartWalls(faces, BLOCK)
+    for _ in range(2):
+        for k, face in enumerate(faces):
+            assert [faces.index(one) for one in part.crossed(face)] == sorted([(k + 1) % 4, (k - 1) % 4])
+    assert len(asked) == 12
+
+
+def test_distances_far_from_a_slanted_wall_are_those_to_its_triangles() -> None:
+    """Against trimesh, triangle by triangle, without any search; far away very many may be the nearest."""
+    rng = np.random.default_rng(3)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    wave = [[x, y, 0.01 * np.sin(40 * x) * np.cos(30 * y)] for x in (-0.05, 0, 0.06) for y in (-0.05, 0.05)]
+    one: Any = SimpleNamespace(
+        vertices=np.array(wave) @ turn.T, faces=np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]])
+    )
+    points = rng.uniform([-0.04, -0.04, -0.3], [0.05, 0.04, 0.3], (300, 3)) @ turn.T
+    off, _ = walls((one,)).off(points)
+    all_of = np.repeat(one.vertices[one.faces], len(points), axis=0)
+    places = trimesh.triangles.closest_point(all_of, np.tile(points, (4, 1)))
+    wanted = np.linalg.norm(places - np.tile(points, (4, 1)), axis=1).reshape(4, -1).min(axis=0)
+    known = np.isfinite(off)
+    assert known.mean() > 0.5
+    np.testing.assert_allclose(np.abs(off[known]), wanted[known], atol=1e-9)

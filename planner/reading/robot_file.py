@@ -1,0 +1,269 @@
+"""A robot of the user's own: its URDF and a few lines beside it, as a problem file states them.
+
+The geometry is that of the URDF's axes (:mod:`planner.reading.opw`); what a URDF does not say is
+stated with its source, or assumed and shown as that. Bodies for collision are the URDF's, meshes by
+their convex hulls; none is left out silently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+from scipy.spatial import ConvexHull, QhullError
+
+from planner.catalogue.robots import OpwParameters, RobotData, RobotFile, RodCoupling
+from planner.files import is_file
+from planner.geometry.arrays import FloatArray, Shape, read_only
+from planner.geometry.mesh import read_mesh
+from planner.geometry.units import DEG, MM
+from planner.issues import Issue, TandemError
+from planner.reading.strict_yaml import Angle, FileName, Name, Strict
+from planner.reading.urdf import MAX_URDF_BYTES, UrdfChain, UrdfShape, read_chain
+
+if TYPE_CHECKING:
+    from planner.reading.opw import OpwFit
+
+FULL_SPEED_AFTER: Final = 0.4
+"""Time [s] from rest to full speed of every axis where none is stated: that of the largest arms built in."""
+FAMILIES: Final[Mapping[str, tuple[Literal["ABB", "KUKA"], str]]] = {
+    "abb": ("ABB", "IRC5"),
+    "kuka": ("KUKA", "KRC4"),
+}
+"""Families whose language is written, with the controller where none is stated."""
+
+
+class LinkMeshFile(Strict):
+    """Where a mesh of a URDF lies."""
+
+    name: Annotated[FileName, Field(description="as the URDF names it")]
+    file: FileName
+
+
+class OwnRobotFile(Strict):
+    """A robot of one's own: its URDF, and what a URDF does not say."""
+
+    urdf: FileName
+    name: Annotated[Name, Field(description="what it is called; not that of a robot that is built in")]
+    title: Annotated[str | None, Field(max_length=100, description="none: its name")] = None
+    base: Annotated[str, Field(description="link that stands where the arm's `base` is")] = "base_link"
+    tip: Annotated[str | None, Field(description="link that tools are on; none: `tool0`, else `flange`")] = (
+        None
+    )
+    family: Annotated[Literal["abb", "kuka"], Field(description="of its controller: RAPID or KRL")]
+    controller: Annotated[str | None, Field(max_length=50, description="none: IRC5 or KRC4")] = None
+    payload_kg: Annotated[float, Field(ge=0.1, le=5000)]
+    full_speed_after_s: Annotated[
+        float | None, Field(ge=0.01, le=5, description="of every axis from rest; none: 0.4, assumed")
+    ] = None
+    coupled_deg: Annotated[
+        tuple[Angle, Angle] | None,
+        Field(description="of a parallel rod: range of the controller's axis 3, which is axis 2 + axis 3"),
+    ] = None
+    home_deg: Annotated[
+        tuple[Angle, Angle, Angle, Angle, Angle, Angle] | None,
+        Field(description="serial joints at home; none: the upper arm upright, the forearm level"),
+    ] = None
+    left_out: Annotated[
+        tuple[str, ...],
+        Field(description="joints beside the chain whose bodies do not count: rods"),
+    ] = ()
+    meshes: Annotated[
+        tuple[LinkMeshFile, ...], Field(description="where meshes lie that are not found from the URDF")
+    ] = ()
+    sources: Annotated[
+        dict[str, str], Field(description="where figures come from, by key: urdf, payload_kg ...")
+    ] = Field(default_factory=dict)
+
+
+_STATED: Final = ("payload_kg", "coupled_deg", "home_deg", "full_speed_after_s")
+"""Keys whose figures have a source, or are shown as assumed."""
+
+
+def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
+    """The robot of a file; names start at ``folder``. Raises :class:`TandemError` as
+    :func:`planner.reading.urdf.read_chain` and :func:`planner.reading.opw.fit`, ``robot.bodies`` for bodies
+    that are not known, ``problem.field`` for lines that contradict one another."""
+    from planner.reading.opw import fit  # with kinematics, which problems without such arms are read without
+
+    path = folder / spec.urdf
+    text = _text(path)
+    chain = read_chain(text, spec.base, spec.tip)
+    found = fit(chain)
+    issues = [*_key_faults(spec, chain)]
+    shapes = _shapes(spec, chain, path, issues)
+    if issues:
+        raise TandemError(issues)
+    coupling = None if spec.coupled_deg is None else RodCoupling(*(v * DEG for v in spec.coupled_deg))
+    rise = spec.full_speed_after_s or FULL_SPEED_AFTER
+    family, controller = FAMILIES[spec.family]
+    home = _home(found.opw, chain) if spec.home_deg is None else np.array(spec.home_deg) * DEG
+    opw = found.opw
+    data = RobotData(
+        name=spec.name,
+        title=spec.title or spec.name,
+        family=family,
+        controller=spec.controller or controller,
+        opw=opw,
+        lower=chain.lower,
+        upper=chain.upper,
+        velocity=chain.velocity,
+        acceleration=chain.velocity / rise,
+        payload=spec.payload_kg,
+        reach=float(np.hypot(abs(opw.a1) + opw.c2 + np.hypot(opw.a2, opw.c3), opw.b)),
+        coupling=coupling,
+        home=home,
+        sources=tuple(f"{key}: {source}" for key, source in sorted(spec.sources.items())),
+        assumed=tuple(_assumed(spec, chain, found)),
+        file=RobotFile(text, spec.base, chain.tip_link, chain.zero, chain.axis, shapes),
+    )
+    read_only(data)
+    if not float(data.limit_margin(home)) >= 0.0:
+        got = ", ".join(f"{v:g}" for v in np.round(home / DEG, 3))
+        what = f"home_deg: [{got}] is beyond the limits of the URDF or of coupled_deg; correct them"
+        raise TandemError(Issue("problem.field", what, field="home_deg"))
+    return data
+
+
+def _text(path: Path) -> str:
+    if not is_file(path):
+        what = f"urdf: no file {path}; check the path"
+        raise TandemError(Issue("problem.missing_file", what, field="urdf"))
+    size = path.stat().st_size
+    if size > MAX_URDF_BYTES:
+        what = f"urdf: {size / 1e6:.0f} MB, up to {MAX_URDF_BYTES / 1e6:.0f} MB are read"
+        raise TandemError(Issue("problem.too_large", what, field="urdf", hint="give the URDF of one arm"))
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        what = f"the file is not UTF-8 ({error})"
+        raise TandemError(Issue("robot.urdf", what, field="urdf", hint="save it as UTF-8")) from None
+
+
+def _key_faults(spec: OwnRobotFile, chain: UrdfChain) -> Iterator[Issue]:
+    beside = [name for name in chain.beside if name not in spec.left_out]
+    if beside:
+        names = ", ".join(repr(name) for name in beside)
+        what = f"{len(beside)} joints move beside the chain from {spec.base!r} to the tip: {names}"
+        hint = "fix them, name the base of this arm alone, or name rods and pistons under left_out"
+        yield Issue("robot.chain", what, field="urdf", hint=hint)
+    if spec.coupled_deg is not None:
+        low, high = spec.coupled_deg
+        sums = (chain.lower[1:3].sum() / DEG, chain.upper[1:3].sum() / DEG)
+        if not (low < high and low < sums[1] and high > sums[0]):
+            what = f"coupled_deg: got {low:g} to {high:g}, by the limits of axes 2 and 3 their sum is within "
+            what += f"{sums[0]:g} to {sums[1]:g} deg; correct one of them"
+            yield Issue("problem.field", what, field="coupled_deg")
+    for key in sorted(set(spec.sources) - set(OwnRobotFile.model_fields)):
+        yield Issue("problem.field", f"sources: {key!r} is no key of a robot; correct it", field="sources")
+
+
+def _assumed(spec: OwnRobotFile, chain: UrdfChain, found: OpwFit) -> Iterator[str]:
+    if spec.full_speed_after_s is None:
+        yield f"acceleration: assumed, every axis reaches its full speed in {FULL_SPEED_AFTER:g} s from rest"
+    for key in _STATED:
+        if getattr(spec, key) is not None and key not in spec.sources:
+            yield f"{key}: stated without a source"
+    if "urdf" not in spec.sources:
+        yield "dimensions, limits and speeds: of a URDF without a source"
+    if spec.coupled_deg is None:
+        yield "coupling: assumed, none"
+    if spec.home_deg is None:
+        yield "home: assumed, the upper arm upright and the forearm level"
+    if max(found.snapped) > 0.0:
+        off = f"{found.snapped[0] / MM:.2g} mm, {found.snapped[1]:.2g} rad at the tip"
+        yield f"angles of the URDF: taken as multiples of 15 deg where they are nearly that, at most {off}"
+    for name in chain.beside:
+        yield f"bodies: what the joint {name} moves is left out"
+    yield from chain.notes
+
+
+def _home(opw: OpwParameters, chain: UrdfChain) -> FloatArray:
+    """Serial joints (6,) [rad]: upper arm upright, forearm level, all others at zero; in the limits."""
+    q = np.zeros(6)
+    for axis, theta in ((1, 0.0), (2, 0.5 * np.pi)):
+        angle = opw.signs[axis] * (theta + opw.offsets[axis])
+        q[axis] = np.arctan2(np.sin(angle), np.cos(angle)) + 0.0
+    return np.clip(q, chain.lower, chain.upper)
+
+
+def _shapes(
+    spec: OwnRobotFile, chain: UrdfChain, path: Path, issues: list[Issue]
+) -> tuple[tuple[Shape, ...], ...]:
+    """What is held apart, of the base and of each link."""
+    out: dict[str, list[Shape]] = {link: [] for link in chain.links}
+    lost = []
+    for one in chain.shapes:
+        if one.kind != "mesh":
+            out[one.link].append(Shape(one.kind, one.size, one.pose))  # type: ignore[arg-type]
+            continue
+        file = mesh_file(one.file, spec, path)
+        if file is None:
+            lost.append(one.file)
+        else:
+            out[one.link].append(_hull(one, file))
+    if lost:
+        what = f"{len(lost)} meshes of the URDF are not there: {', '.join(sorted(set(lost))[:7])}"
+        hint = "lay them beside the URDF as its package has them, or say under meshes where each of them lies"
+        issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
+    bare = [link for link in chain.links if not out[link]]
+    if bare and not lost:
+        what = f"the links {', '.join(bare)} have no <collision> geometry, so nothing would keep off them"
+        hint = "give each one a <collision>: a box, cylinder, sphere or mesh"
+        issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
+    return tuple(tuple(shapes) for shapes in out.values())
+
+
+def _hull(one: UrdfShape, file: Path) -> Shape:
+    """The convex hull of a mesh, whose file is in metres times the URDF's scale."""
+    vertices = read_mesh(file, 1.0).vertices * np.array(one.size)
+    try:
+        hull = ConvexHull(vertices)
+    except QhullError:
+        what = f"the mesh {one.file} is flat and bounds nothing"
+        raise TandemError(
+            Issue("robot.bodies", what, field="urdf", hint="export it as a solid, or state a box")
+        ) from None
+    points = vertices[hull.vertices]
+    faces = np.searchsorted(hull.vertices, hull.simplices)
+    corners = points[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.sum(normal * hull.equations[:, :3], axis=1) < 0.0
+    faces[inward] = faces[inward][:, ::-1]
+    return Shape("mesh", (), one.pose, points, faces.astype(np.int64))
+
+
+def mesh_file(name: str, spec: OwnRobotFile, urdf: Path) -> Path | None:
+    """The file of a mesh, as ``meshes`` state it, else beside the URDF or in its package; None if it is not
+    there."""
+    for one in spec.meshes:
+        if one.name == name:
+            return urdf.parent / one.file if is_file(urdf.parent / one.file) else None
+    rest = Path(name.partition("://")[2] or name)
+    if rest.is_absolute() or ".." in rest.parts or not rest.parts:
+        return None
+    package = name.startswith("package://")
+    for folder in (urdf.parent, *urdf.parent.parents) if package else (urdf.parent,):
+        inside = folder.joinpath(*rest.parts[1:]) if package and folder.name == rest.parts[0] else None
+        for file in (folder / rest, inside):
+            if file is not None and is_file(file):
+                return file
+    return None
+
+
+def with_meshes(robot: Mapping[str, Any]) -> dict[str, Any]:
+    """What a problem states of a robot, every file name absolute, with all meshes of the URDF named; as it is
+    where it is not well stated, which whoever reads it says."""
+    try:
+        spec = OwnRobotFile.model_validate(dict(robot))
+    except ValidationError:
+        return dict(robot)
+    path = Path(spec.urdf)
+    chain = read_chain(_text(path), spec.base, spec.tip)
+    named = dict.fromkeys(one.file for one in chain.shapes if one.kind == "mesh")
+    files = [(name, mesh_file(name, spec, path)) for name in named]
+    meshes = [{"name": name, "file": str(file)} for name, file in files if file is not None]
+    return {**robot, **({"meshes": meshes} if meshes else {})}

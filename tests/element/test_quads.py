@@ -1,0 +1,157 @@
+"""Shells of planar quads along conjugate directions: what their files say, read by the tests' own code."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import manifold3d
+import numpy as np
+import pytest
+import shapely
+
+from planner.geometry.mesh import TriangleMesh, merge
+from tests.element.shells import THICK, Written, patch, saddle, shell, written
+from tests.element.test_hexagons import divided, off_plane, refusals, require_convex_panel, sides, told
+
+
+def wavy() -> TriangleMesh:
+    """Two waves that run across each other, as those of `problems/wave_facade`: both signs of curvature."""
+    return patch(lambda x, y: 0.2 * np.sin(1.5 * x + 0.6 * y) + 0.1 * np.cos(2.6 * y - 0.5 * x), 61)
+
+
+def turned() -> TriangleMesh:
+    """A saddle whose principal directions run across its rim."""
+    return patch(lambda x, y: 0.2 * x * y)
+
+
+SURFACES = {
+    "saddle": (saddle, {}),
+    "turned": (turned, {}),
+    "wavy": (wavy, {"count": 70, "off_surface_mm": 45}),
+}
+THIN = {"wavy": {"thickness_mm": 60, "blocks": [{"size_mm": [1200, 1000, 60], "foam": "eps_a120"}]}}
+
+
+@pytest.fixture(scope="module", params=SURFACES)
+def quads(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A surface's name, the panels that are written, and what is said of them."""
+    mesh, own = SURFACES[request.param]
+    folder = tmp_path_factory.mktemp(request.param)
+    path = shell(folder, mesh(), {"shape": "quad", **own}, **THIN.get(request.param, {}))
+    files, said = told(path)
+    return request.param, written(files), said
+
+
+def test_panels_are_planar_do_not_cross_and_keep_the_limits(quads: Any) -> None:
+    name, panels, said = quads
+    thick = 60.0 if name == "wavy" else THICK
+    assert len(panels) == SURFACES[name][1].get("count", 40)
+    assert not [issue.code for issue in said if issue.code in ("element.count", "element.concave")]
+    four = 0
+    for panel in panels.values():
+        four += len(panel.top) == 4
+        require_convex_panel(panel, thick, 40.0)
+        rise = np.linalg.norm(panel.own[1] - panel.own[0], axis=1)
+        assert rise.max() <= 1.15 * thick
+        assert np.degrees(np.arccos(thick / rise)).max() <= 30.0
+    assert four >= 0.6 * len(panels)
+
+
+def test_neighbours_have_one_plane_between_them_and_backs_end_nearly_alike(quads: Any) -> None:
+    panels = quads[1]
+    met = 0
+    for name, panel in panels.items():
+        for i, other in enumerate(panel.row["neighbours"]):
+            if other is None or other < name:
+                continue
+            beyond = panels[other]
+            k = beyond.row["neighbours"].index(name)
+            here, there = sides(panel)[i][[1, 0, 3, 2]], sides(beyond)[k]
+            assert off_plane(np.concatenate([here, there])) < 1e-6
+            np.testing.assert_allclose(here[2:], there[2:], atol=1e-6)  # fronts have one edge
+            met += 1
+            for back, front in ((0, 3), (1, 2)):
+                if at_rim(panel, i, back) or at_rim(beyond, k, 1 - back):
+                    continue
+                # one line from front to back, of two lengths: four planes moved by one have no common point
+                step = np.linalg.norm(here[back] - there[back])
+                assert step < 3.0
+                way = here[back] - here[front]
+                assert np.linalg.norm(np.cross(way, there[back] - there[front])) / np.linalg.norm(way) < 1e-6
+    assert met > 1.3 * len(panels)
+
+
+def at_rim(panel: Written, side: int, end: int) -> bool:
+    """Whether a side's first (0) or second corner, as its neighbour counts them, is on the rim."""
+    beside = panel.row["neighbours"]
+    return beside[(side + 1) % len(beside) if end == 0 else side - 1] is None
+
+
+def test_no_two_solids_have_anything_in_common(quads: Any) -> None:
+    """Pair by pair: a union of all is not exact where many faces nearly lie in one plane."""
+    panels = list(quads[1].values())
+    corners = [np.concatenate([p.bottom, p.top]) / 1e3 for p in panels]
+    bodies = [manifold3d.Manifold.hull_points(one) for one in corners]
+    low, high = (np.array([extreme(one, axis=0) for one in corners]) for extreme in (np.min, np.max))
+    met = 0
+    for a in range(len(bodies)):
+        for b in range(a):
+            if (low[a] < high[b]).all() and (low[b] < high[a]).all():
+                assert (bodies[a] ^ bodies[b]).volume() < 1e-9
+                met += 1
+    assert met > len(panels)
+    stated = [panel.row["volume_l"] for panel in panels]
+    np.testing.assert_allclose(stated, [1e3 * body.volume() for body in bodies], atol=1e-3)
+
+
+def test_panels_leave_nothing_bare(quads: Any) -> None:
+    panels = quads[1]
+    fronts = shapely.union_all([shapely.Polygon(p.top[:, :2]) for p in panels.values()])
+    plan = shapely.box(-2000.0, -1500.0, 2000.0, 1500.0)
+    assert fronts.symmetric_difference(plan).buffer(-40.0).is_empty
+    assert fronts.intersection(plan).area > 0.98 * plan.area
+
+
+def test_the_same_file_gives_the_same_bytes_and_a_billionth_changes_no_id(tmp_path: Path) -> None:
+    quad = {"shape": "quad"}
+    first = divided(shell(tmp_path / "one", saddle(), quad))
+    assert divided(shell(tmp_path / "two", saddle(), quad)) == first
+    mesh = saddle()
+    moved = mesh.vertices + np.random.default_rng(1).uniform(-1e-9, 1e-9, mesh.vertices.shape)
+    near = written(divided(shell(tmp_path / "three", TriangleMesh(moved, mesh.faces), quad)))
+    for name, panel in written(first).items():
+        assert panel.row["neighbours"] == near[name].row["neighbours"]
+        np.testing.assert_allclose(panel.top, near[name].top, atol=0.1)
+
+
+def test_a_count_that_rows_cannot_make_is_told_and_narrower_panels_make_it(tmp_path: Path) -> None:
+    quad = {"shape": "quad", "count": 37}
+    files, said = told(shell(tmp_path / "one", saddle(), {**quad, "least_width_mm": 380}))
+    (issue,) = (one for one in said if one.code == "element.count")
+    count = len(written(files))
+    assert issue.message.startswith(f"{count} panels are as near to the 37 asked")
+    assert 0 < abs(count - 37) <= 4
+    assert "a smaller least_width_mm" in str(issue.hint)
+    files, said = told(shell(tmp_path / "two", saddle(), {**quad, "least_width_mm": 100}))
+    assert len(written(files)) == 37
+    assert not [one for one in said if one.code == "element.count"]
+
+
+def test_quads_are_advised_where_hexagons_fail_as_the_surface_bends_both_ways(tmp_path: Path) -> None:
+    limits = {"least_edge_mm": 150, "least_width_mm": 200}
+    found = refusals(shell(tmp_path, saddle(), limits))
+    assert all("shape: quad was tried: all panels can be made then" in str(i.hint) for i in found.values())
+    assert divided(shell(tmp_path, saddle(), {**limits, "shape": "quad"}))
+
+
+def test_a_surface_that_cannot_be_laid_out_is_refused_with_a_place(tmp_path: Path) -> None:
+    """A tube: lines round it have no beginning."""
+    mesh = patch(lambda x, y: 0 * x, 41)
+    x, y = mesh.vertices[:, 0], mesh.vertices[:, 1].copy()
+    mesh.vertices[:] = np.stack([y, np.cos(np.pi * x / 2.0), np.sin(np.pi * x / 2.0)], axis=1)
+    issue = refusals(shell(tmp_path, merge(mesh), {"shape": "quad"}))["panels.hexagons.count"]
+    assert issue.code == "element.surface"
+    assert re.search(r"near \(-?\d+, -?\d+, -?\d+\) mm", issue.message)
+    assert "shape: hexagon" in str(issue.hint)

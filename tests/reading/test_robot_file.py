@@ -1,0 +1,191 @@
+"""A robot of the user's own in a cell, by its URDF: the same plan as the catalogue's, proven; what is wrong
+is told by field."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from planner import pipeline
+from planner.catalogue import robots
+from planner.geometry.arrays import from_rpy, inverse, to_rpy
+from planner.issues import TandemError
+from planner.reading import problem as problem_file
+from planner.report import setup_sheet
+from planner.tooling import wire_holder
+from planner.verify.replay import arm_model
+from tests import small_problem
+from tests.refusals import POSES, change
+
+FOOT = from_rpy([0.1, 0.05, -0.3], [0.0, 0.0, np.pi / 2])
+HAND = from_rpy([0.01, 0.0, 0.02], [0.0, np.pi / 2, 0.0])
+TEXT = robots.urdf_path("irb140").read_text("utf-8")
+LINES = {"name": "mine", "family": "abb", "payload_kg": 6, "full_speed_after_s": 0.25}
+
+
+def fixed(name, pose, parent, child):
+    xyz, rpy = (" ".join(repr(float(v)) for v in part) for part in (pose[:3, 3], to_rpy(pose[:3, :3])))
+    origin = f'<origin xyz="{xyz}" rpy="{rpy}"/><parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="fixed">{origin}</joint>'
+
+
+def turned_text():
+    """The catalogue's IRB 140 on a foot of another frame, with a hand of another frame."""
+    ends = f'<link name="foot"/><link name="hand"/>{fixed("f", FOOT, "foot", "base_link")}'
+    return TEXT.replace("</robot>", f"{ends}{fixed('h', HAND, 'tool0', 'hand')}</robot>")
+
+
+def posed(pose):
+    return {"xyz_mm": (1e3 * pose[:3, 3]).tolist(), "rpy_deg": np.rad2deg(to_rpy(pose[:3, :3])).tolist()}
+
+
+def data(folder, text=TEXT, **lines):
+    (folder / "mine.urdf").write_text(text, "utf-8")
+    return change(POSES, "cell.arms.0.robot", {"urdf": "mine.urdf", **LINES, **lines})
+
+
+def loaded(folder, source):
+    path = folder / "problem.yaml"
+    path.write_text(yaml.safe_dump(source), "utf-8")
+    return pipeline.load(path)
+
+
+def refused(folder, source):
+    with pytest.raises(TandemError) as caught:
+        loaded(folder, source)
+    return caught.value.issues
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """The plan of the small problem with the catalogue's robot, and with the file's on other frames."""
+    folder = tmp_path_factory.mktemp("robot")
+    small_problem.write(folder)
+    tcp = wire_holder("along", "start").tcp
+    tool = {"kind": "plain", "tcp": posed(tcp), "mass_kg": 1.0, "cog_mm": [0, 0, 50]}
+    known = change(POSES, "cell.arms.0.tool", tool)
+    moved = change(data(folder, turned_text(), base="foot", tip="hand"), "cell.arms.0.tool", tool)
+    moved = change(moved, "cell.arms.0.tool.tcp", posed(inverse(HAND) @ tcp))
+    source = change(moved, "cell.arms.0.base", posed(inverse(FOOT)))
+    kept = [pipeline.plan(loaded(folder, one)) for one in (known, source)]
+    return folder, loaded(folder, source), kept
+
+
+def test_the_plan_is_the_catalogues_and_is_proven(both):
+    _, _, (catalogue, own) = both
+    assert catalogue.proof.ok
+    assert own.proof.issues == ()
+    for one, other in zip(catalogue.plan.operations, own.plan.operations, strict=True):
+        for arm in one.q:
+            np.testing.assert_allclose(other.q[arm], one.q[arm], atol=1e-6)
+
+
+def test_the_bundle_carries_the_urdf_and_has_the_same_digest(both, tmp_path):
+    _, problem, _ = both
+    for name, content in problem_file.bundle(problem).items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(content)
+    again = pipeline.load(tmp_path / "problem.yaml")
+    assert again.digest == problem.digest
+    assert again.cell.arms[0].data.file.text == turned_text()
+
+
+BARE = re.sub(r"(<link name=\"link_6\">.*?)<collision>.*?</collision>", r"\1MESH", TEXT, flags=re.DOTALL)
+MESHED = BARE.replace(
+    "MESH",
+    '<collision><geometry><mesh filename="package://mine_support/meshes/link_6.stl"/></geometry></collision>',
+)
+
+
+def test_meshes_that_are_not_there_are_refused_and_laid_there_are_hulled(tmp_path):
+    (issue,) = refused(tmp_path, data(tmp_path, MESHED))
+    assert (issue.code, issue.field) == ("robot.bodies", "cell.arms.0.robot.urdf")
+    assert "link_6.stl" in issue.message
+    folder = tmp_path / "mine_support" / "meshes"
+    folder.mkdir(parents=True)
+    trimesh.creation.box((0.06, 0.06, 0.02)).export(folder / "link_6.stl")
+    small_problem.write(tmp_path)
+    problem = loaded(tmp_path, data(tmp_path, MESHED))
+    (hull,) = problem.cell.arms[0].data.file.shapes[6]
+    assert hull.kind == "mesh"
+    assert len(hull.vertices) == 8
+    assert trimesh.Trimesh(hull.vertices, hull.faces).volume == pytest.approx(0.06 * 0.06 * 0.02)
+    assert len([name for name in problem_file.bundle(problem) if name.endswith(".stl")]) == 1
+
+
+def test_a_link_without_any_body_is_refused(tmp_path):
+    (issue,) = refused(tmp_path, data(tmp_path, BARE.replace("MESH", "")))
+    assert issue.code == "robot.bodies"
+    assert "link_6" in issue.message
+
+
+PARENT = '<parent link="link_2"/><child link="rod"/>'
+ROD = f'<link name="rod"/><joint name="piston" type="prismatic">{PARENT}</joint>'
+
+
+@pytest.mark.parametrize(
+    ("lines", "text", "code", "words"),
+    [
+        ({"name": "irb140"}, TEXT, "problem.duplicate_name", "built in"),
+        ({"coupled_deg": [400, 500]}, TEXT, "problem.field", "their sum is within -320 to 160 deg"),
+        ({"home_deg": [0, 0, 200, 0, 0, 0]}, TEXT, "problem.field", "home_deg"),
+        ({"sources": {"paylod_kg": "a"}}, TEXT, "problem.field", "'paylod_kg' is no key"),
+        ({"family": "ur"}, TEXT, "problem.field", "'abb' or 'kuka'"),
+        ({"tip": "hand"}, TEXT, "robot.chain", "no link 'hand'"),
+        ({"urdf": "none.urdf"}, TEXT, "problem.missing_file", "none.urdf"),
+        ({}, TEXT.replace("</robot>", f"{ROD}</robot>"), "robot.chain", "'piston'"),
+    ],
+)
+def test_wrong_lines_are_told_by_field(tmp_path, lines, text, code, words):
+    issues = refused(tmp_path, data(tmp_path, text, **lines))
+    assert [issue.code for issue in issues] == [code]
+    assert words in str(issues[0])
+    assert issues[0].field.startswith("cell.arms.0.robot")
+    small_problem.write(tmp_path)
+    assert loaded(tmp_path, data(tmp_path)).cell.arms[0].robot == "mine"
+
+
+def test_what_a_urdf_does_not_say_is_shown_as_assumed(tmp_path):
+    small_problem.write(tmp_path)
+    lines = {"left_out": ["piston"], "sources": {"payload_kg": "data sheet of 2020"}}
+    robot = (
+        loaded(tmp_path, data(tmp_path, TEXT.replace("</robot>", f"{ROD}</robot>"), **lines))
+        .cell.arms[0]
+        .data
+    )
+    assert robot.sources == ("payload_kg: data sheet of 2020",)
+    assert "full_speed_after_s: stated without a source" in robot.assumed
+    assert "bodies: what the joint piston moves is left out" in robot.assumed
+    assert "coupling: assumed, none" in robot.assumed
+
+
+def test_a_proof_sees_a_urdf_that_was_changed_behind_the_plan(both):
+    _, problem, _ = both
+    changed = turned_text().replace('rgba="0.93', 'rgba="0.92')
+    robot = problem.cell.arms[0].given
+    other = dataclasses.replace(robot, file=dataclasses.replace(robot.file, text=changed))
+    stated = problem.source["cell"]["arms"][0]["robot"]
+    assert arm_model.stated_otherwise(stated, robot) == []
+    assert arm_model.stated_otherwise(stated, other)
+    wrong = dataclasses.replace(robot, opw=dataclasses.replace(robot.opw, c2=robot.opw.c2 + 1e-4))
+    assert arm_model.differences(arm_model.machine_of(robot)) == []
+    assert "c2 is" in arm_model.differences(arm_model.machine_of(wrong))[0]
+
+
+def test_the_setup_sheet_shows_what_is_assumed(both):
+    _, problem, (_, own) = both
+    told = repr(setup_sheet.tool_table(problem.setups[0], own.plan))
+    assert "coupling: assumed, none" in told
+
+
+@pytest.mark.parametrize(
+    "cell", [{}, [], None, {"arms": {}}, {"arms": [1, {}, {"robot": {}}, {"robot": {"urdf": 3}}]}]
+)
+def test_a_cell_that_is_not_well_stated_is_carried_as_it_is(tmp_path, cell):
+    """Elements, batches and templates carry what nobody has read yet; whoever reads it says what is wrong."""
+    assert problem_file.resolved({"cell": cell}, tmp_path) == {"cell": cell}

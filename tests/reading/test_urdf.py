@@ -1,0 +1,241 @@
+"""Arms from the text of a URDF: parameters from axes, held against the file's own kinematics; other
+classes and bad files by name, each with a remedy that works."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planner.catalogue import robots
+from planner.cell.kinematics import flange_poses
+from planner.geometry.arrays import exp_rotation, from_parts, from_rpy
+from planner.issues import TandemError
+from planner.motion.planning_scene import inverse_kinematics
+from planner.reading.opw import fit
+from planner.reading.urdf import read_chain
+from tests import urdf_text
+
+UP, SIDE, AHEAD = np.eye(3)[[2, 1, 0]]
+IRB = robots.robot("irb140")
+TEXT = urdf_text.of_robot(IRB)
+
+
+def made(text, base="base_link", tip=None):
+    chain = read_chain(text, base, tip)
+    return chain, fit(chain)
+
+
+def refused(text, base="base_link", tip=None):
+    with pytest.raises(TandemError) as caught:
+        made(text, base, tip)
+    return caught.value.issues
+
+
+def apart(a, b):
+    return np.abs(a - b).max()
+
+
+@pytest.mark.parametrize("name", robots.robot_names())
+def test_robots_of_the_catalogue_are_found_again_from_their_files(name):
+    known = robots.robot(name)
+    chain, found = made(robots.urdf_path(name).read_text("utf-8"))
+    for field in dataclasses.fields(known.opw):
+        have, want = getattr(found.opw, field.name), getattr(known.opw, field.name)
+        assert have is want or apart(have, want) < 1e-12, field.name
+    assert apart(chain.lower, known.lower) < 1e-8 and apart(chain.velocity, known.velocity) < 1e-8
+
+
+@pytest.mark.parametrize("name", ["irb140", "kr210_r2700"])
+def test_base_and_tip_may_be_turned_and_links_have_any_frames(name):
+    known = robots.robot(name)
+    rng = np.random.default_rng(3)
+    base = from_rpy([0.1, -0.2, 0.3], [0.4, np.pi, 0.0])
+    tip = from_rpy([0.01, 0.02, -0.05], [0.0, np.pi / 2, 0.3])
+    text = urdf_text.of_robot(known, base, tip, exp_rotation(rng.normal(size=(6, 3))))
+    chain, found = made(text)
+    q = rng.uniform(known.lower, known.upper, size=(200, 6))
+    assert max(found.off) < 1e-12
+    assert apart(chain.tip(q), np.linalg.inv(base) @ flange_poses(known.opw, q) @ tip) < 1e-12
+    for key in ("a1", "a2", "b", "c2", "c3"):
+        assert abs(getattr(found.opw, key) - getattr(known.opw, key)) < 1e-12, key
+
+
+lengths = st.floats(0.05, 1.0)
+small = st.floats(-0.2, 0.2)
+turn = st.integers(-5, 6).map(lambda k: k * np.pi / 12)
+sign = st.sampled_from([-1.0, 1.0])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.tuples(small.map(abs), small, small, lengths, lengths, lengths, lengths),
+    st.tuples(*[turn] * 5),
+    st.tuples(*[sign] * 6),
+)
+def test_any_arm_of_the_form_is_found_and_its_start_posture_too(sizes, offsets, signs):
+    keys = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
+    opw = robots.OpwParameters(
+        **dict(zip(keys, sizes, strict=True)), offsets=np.array([0.0, *offsets]), signs=np.array(signs)
+    )
+    chain, found = made(urdf_text.of_robot(dataclasses.replace(IRB, opw=opw)))
+    assert found.off[0] < 1e-9 and found.off[1] < 1e-9
+    q = np.random.default_rng(1).uniform(chain.lower, chain.upper, size=(100, 6))
+    solutions = inverse_kinematics(found.opw, chain.tip(q))
+    off = np.abs(np.angle(np.exp(1j * (solutions - q[:, None]))))
+    assert np.nanmin(off.max(axis=-1), axis=1).max() < 1e-5
+
+
+def test_angles_as_files_write_them_count_as_what_is_meant():
+    turns = from_rpy([0, 0, 0], [0.5 * np.pi, 0, 0])[:3, :3]
+    text = urdf_text.of_robot(IRB, turns=np.tile(turns, (6, 1, 1)))
+    assert "1.5707963267948966" in text
+    _, found = made(text.replace("1.5707963267948966", "1.5708"))
+    assert max(found.off) < 1e-12
+    assert 1e-6 < found.snapped[1] < 1e-4
+
+
+# ---- not of the form ---------------------------------------------------------------------------------
+
+
+def pose(x, y, z, axis):
+    return from_parts(exp_rotation(0.5 * np.pi * np.asarray(axis)), np.array([x, y, z]))
+
+
+UR = (
+    [UP, SIDE, SIDE, SIDE, -UP, SIDE],
+    [(0, 0, 0.16), (0, 0.2, 0.16), (0.6, 0.1, 0.16), (1.2, 0.1, 0.16), (1.2, 0.1, 0.05), (1.2, 0.2, 0.05)],
+)
+OFFSET = (
+    [UP, SIDE, SIDE, AHEAD, SIDE, AHEAD],
+    [(0, 0, 0.2), (0, 0, 0.3), (0, 0, 0.8), (0.2, 0, 0.9), (0.7, 0, 0.9), (0.8, 0, 0.98)],
+)
+SEVEN = ([UP, SIDE, UP, SIDE, UP, SIDE, UP], [(0, 0, z) for z in (0.3, 0.3, 0.3, 0.7, 1.1, 1.1, 1.1)])
+PANDA = (
+    [UP, SIDE, UP, SIDE, UP, SIDE, UP],
+    [(0, 0, 0.3), (0, 0, 0.3), (0, 0, 0.6), (0.08, 0, 0.6), (0, 0, 1), (0, 0, 1), (0.09, 0, 1)],
+)
+CLASSES = {
+    "three parallel": UR,
+    "offset wrist": OFFSET,
+    "seven axes, its shoulder and its wrist": SEVEN,
+    "with seven axes;": PANDA,
+    "five axes": tuple(part[:5] for part in OFFSET),
+    "positioner with 2 axes": tuple(part[:2] for part in OFFSET),
+    "with 9 axes": ([UP, SIDE, UP, *OFFSET[0]], [(0, 0, -1)] * 3 + OFFSET[1]),
+    "2 and 3 are not parallel": ([UP, SIDE, AHEAD, *OFFSET[0][3:]], OFFSET[1]),
+    "axes 3 and 4 are at 60 degrees": (
+        [UP, SIDE, SIDE, np.array([3**0.5 / 2, 0.5, 0.0]), SIDE, AHEAD],
+        [*OFFSET[1][:3], *[(0.5, 0, 0.9)] * 3],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", CLASSES)
+def test_arms_of_other_classes_are_told_by_class_with_what_to_do(words):
+    axes, points = CLASSES[words]
+    (issue,) = refused(urdf_text.arm(np.array(axes), points, pose(1.3, 0, 1, SIDE)))
+    assert issue.code == "robot.not_opw"
+    assert words in issue.message
+    assert issue.hint
+
+
+def test_the_base_behind_what_carries_the_arm_is_a_remedy():
+    axes, points = [UP, SIDE, *OFFSET[0]], [(0, 0, -1), (0, 0, -0.5), *OFFSET[1][:5], OFFSET[1][4]]
+    text = urdf_text.arm(np.array(axes), points, pose(1.3, 0, 0.9, SIDE))
+    (issue,) = refused(text)
+    assert "8 axes" in issue.message and "as base" in issue.hint
+    assert max(made(text, base="l2")[1].off) < 1e-12
+
+
+def test_figures_with_noise_are_refused_with_the_deviation():
+    """Tenths of a millimetre on axes, as ROS-Industrial's kr210l150 has, whose figures come of a mesh."""
+    frames, rng = np.array(OFFSET[1][:5] + OFFSET[1][4:5]), np.random.default_rng(2)
+    clean = urdf_text.arm(np.array(OFFSET[0]), frames, pose(1.3, 0, 0.9, SIDE))
+    assert max(made(clean)[1].off) < 1e-12
+    noisy = urdf_text.arm(
+        np.array(OFFSET[0]), frames + rng.normal(size=(6, 3)) * 2e-4, pose(1.3, 0, 0.9, SIDE)
+    )
+    (issue,) = refused(noisy)
+    assert issue.code == "robot.deviation"
+    assert 0.05 < issue.value < 2.0 and f"{issue.value:.3g} mm" in issue.message
+    assert "drawing" in issue.hint
+
+
+# ---- bad files ---------------------------------------------------------------------------------------
+
+LIMIT = TEXT[TEXT.index("<limit") : TEXT.index("/>", TEXT.index("<limit")) + 2]
+AXIS = '<axis xyz="0.0 0.0 1.0"/>'
+START = '<robot name="own">'
+XACRO = '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arm/>'
+SPEED = f'velocity="{float(IRB.velocity[0])!r}"'
+BAD = [
+    ("robot.urdf", "is not XML", "</robot>", "</rob"),
+    ("robot.urdf", "ENTITY", START, f"<!DOCTYPE robot [<!ENTITY a 'b'>]>{START}"),
+    ("robot.urdf", "xacro FILE.xacro", START, XACRO),
+    ("robot.urdf", "begins with <sdf>", "robot", "sdf"),
+    ("robot.urdf", "two links 'l1'", '<link name="l1">', '<link name="l1"/><link name="l1">'),
+    ("robot.urdf", "'ghost', which is not there", '<child link="l3"/>', '<child link="ghost"/>'),
+    ("robot.urdf", "on two joints", '<child link="l3"/>', '<child link="l2"/>'),
+    ("robot.urdf", "names no child link", '<child link="l3"/>', ""),
+    ("robot.urdf", "3 finite numbers", AXIS, '<axis xyz="0 nan 1"/>'),
+    ("robot.urdf", "axis [0.0, 0.0, 0.0]", AXIS, '<axis xyz="0 0 0"/>'),
+    ("robot.urdf", "type 'ball'", 'name="j2" type="revolute"', 'name="j2" type="ball"'),
+    ("robot.chain", "prismatic", 'name="j2" type="revolute"', 'name="j2" type="prismatic"'),
+    ("robot.chain", "mimic", LIMIT, LIMIT + '<mimic joint="j2"/>'),
+    ("robot.limits", "continuous", 'name="j2" type="revolute"', 'name="j2" type="continuous"'),
+    ("robot.limits", "needs its range", LIMIT, ""),
+    ("robot.limits", "below upper", LIMIT, LIMIT.replace('lower="-', 'lower="')),
+    ("robot.limits", "a speed of 0 rad/s", SPEED, 'velocity="0"'),
+    ("robot.limits", "a speed of -2 rad/s", SPEED, 'velocity="-2"'),
+    ("robot.limits", "rad/s: correct", SPEED, 'velocity="200"'),
+]
+
+
+@pytest.mark.parametrize(("code", "words", "good", "bad"), BAD, ids=[row[1] for row in BAD])
+def test_bad_files_are_refused_in_words_and_what_is_advised_helps(code, words, good, bad):
+    assert good in TEXT
+    issues = refused(TEXT.replace(good, bad))
+    assert {issue.code for issue in issues} == {code}
+    assert words in str(issues[0])
+    assert max(made(TEXT)[1].off) < 1e-12
+
+
+def test_all_joints_without_limits_are_told_at_once():
+    issues = refused(TEXT.replace("lower=", "low="))
+    assert [issue.bodies for issue in issues] == [(f"j{i}",) for i in range(1, 7)]
+
+
+@pytest.mark.parametrize(
+    ("base", "tip", "words"),
+    [
+        ("foot", None, "no link 'foot'"),
+        ("base_link", "hand", "no link 'hand'"),
+        ("l3", "l2", "from it the chain goes l2, l1"),
+        ("tool0", "tool0", "a chain with 0 axes"),
+    ],
+)
+def test_a_base_or_a_tip_that_is_not_on_the_chain_is_told(base, tip, words):
+    (issue,) = refused(TEXT, base, tip)
+    assert words in issue.message
+
+
+def test_a_file_without_the_usual_tip_asks_for_its_name():
+    text = TEXT.replace("tool0", "mount")
+    (issue,) = refused(text)
+    assert issue.code == "robot.chain" and "name the flange" in issue.hint
+    assert max(made(text, tip="mount")[1].off) < 1e-12
+
+
+def test_joints_beside_the_chain_and_inertias_that_are_none_are_told():
+    rod = '<link name="rod"/><joint name="piston" type="prismatic"><parent link="l2"/><child link="rod"/>'
+    heavy = '<inertial><mass value="5"/><inertia ixx="-1" iyy="1" izz="1"/></inertial>'
+    text = TEXT.replace("</robot>", rod + "</joint></robot>").replace(
+        '<link name="l2">', f'<link name="l2">{heavy}'
+    )
+    chain, _ = made(text)
+    assert chain.beside == ("piston",)
+    assert chain.notes == ("inertia: that of the link l2 is not of a body; it is not used",)
