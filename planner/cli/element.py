@@ -87,7 +87,7 @@ def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
 @dataclasses.dataclass(frozen=True)
 class ElementMark:
     """Keep which panels of an element are cut, glued or broken; says what to cut next, and from what a broken
-    one is cut again.
+    one is cut again; open takes a mark away.
 
     Written to progress.csv in OUT, which stays where the element is divided again.
     """
@@ -96,7 +96,7 @@ class ElementMark:
     """folder that `tandem element FILE -o OUT` wrote"""
     panel: tyro.conf.Positional[str]
     """the id of a panel"""
-    state: tyro.conf.Positional[Literal["cut", "glued", "broken"]]
+    state: tyro.conf.Positional[Literal["cut", "glued", "broken", "open"]]
     """what it is now"""
 
 

@@ -588,10 +588,13 @@ def _rest(
 ) -> tuple[str, str | None, dict[str, Any]]:
     """The rest of a problem file, without the part and what of its stock ``who`` brings itself: what it is
     called, its file, if it is one, and the data."""
-    name, file, given = field, None, problem
+    name, file = field, None
+    given: Mapping[str, Any]
     if isinstance(problem, str):
         name, file = problem, str(folder / problem)
         folder, given = (folder / problem).parent, strict_yaml.read(folder / problem).data
+    else:
+        given = problem
     stock = given.get("stock") or {}
     brought = [key for key in ("part", "sheet") if key in given]
     if isinstance(stock, dict):

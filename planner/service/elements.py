@@ -15,7 +15,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from sqlalchemy import Connection, RowMapping, func, select
 
@@ -113,11 +113,11 @@ class Elements:
         return [self._head(one, texts.get(one.id, "{}"), counts.get(one.id, 0)) for one in found], following
 
     def owner(self, element: str) -> str | None:
-        """Whose element it is; None where there is none of that id."""
+        """Whose element it is; None where there is none of that id, or it is being deleted."""
         asked = (
             select(JOBS.c.owner)
             .join_from(JOBS, ELEMENT_JOBS, JOBS.c.id == ELEMENT_JOBS.c.job)
-            .where(JOBS.c.id == element, ELEMENT_JOBS.c.role == "division")
+            .where(JOBS.c.id == element, ELEMENT_JOBS.c.role == "division", JOBS.c.cancel <= CANCELLED)
         )
         with self._database.read() as db:
             found: str | None = db.execute(asked).scalar()
@@ -203,7 +203,7 @@ class Elements:
         if not used:
             self.delete(element)
 
-    def mark(self, owner: str, element: str, panel: str, state: Mark) -> None:
+    def mark(self, owner: str, element: str, panel: str, state: Mark | Literal["open"]) -> None:
         """Mark a panel as ``tandem element mark`` does; raises :class:`RefusedError`, 404, 422 or 507."""
         self._divided(element)
         with self._database.write() as db:

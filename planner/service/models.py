@@ -366,11 +366,11 @@ class Chosen(Sent):
 
 
 class Marking(Sent):
-    """A panel and what it is now."""
+    """A panel and what it is now; ``open`` takes its mark away."""
 
     model_config = ConfigDict(extra="forbid")
     panel: str = Field(max_length=32)
-    state: Mark
+    state: Literal["cut", "glued", "broken", "open"]
 
 
 class FileOut(Sent):

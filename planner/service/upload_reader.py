@@ -52,7 +52,7 @@ MOST: Final = 3000
 """Bars of one way; of longer ones some poses are left out."""
 DIVIDED_BY: Final = {
     "elastic": ("tolerance_mm",),
-    "hexagons": ("count",),
+    "hexagons": ("count", "off_surface_mm"),
     "boxes": ("least_height_mm",),
     "puzzle": ("lobe_mm", "cells"),
     "strips": ("tolerance_mm",),
@@ -539,6 +539,8 @@ def _fields(spec: ElementFile) -> dict[str, Any]:
     out["thickness_mm"] = spec.thickness_mm
     for number, block in enumerate(spec.blocks):
         out[f"blocks.{number}.size_mm"] = list(block.size_mm)
+    for number, block in enumerate(spec.raw_blocks.sizes if spec.raw_blocks else ()):
+        out[f"raw_blocks.sizes.{number}.size_mm"] = list(block.size_mm)
     return out
 
 

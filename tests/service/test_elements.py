@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from planner.batch.run import solve
 from planner.issues import Issue
 from planner.service.security import Auth, Limits
 from tests.element.shells import cap, shell
-from tests.service.support import InProcess, Team, codes
+from tests.element.test_saw_jobs import SAW
+from tests.service.support import ROOT, InProcess, Team, codes
 
 NO_REACH = Issue("motion.no_reach", "a target of the pretended plan is too far")
 COUNT = 24
@@ -104,6 +106,7 @@ def test_an_element_is_uploaded_and_divided(here: Elements, dome: dict[str, Any]
     assert (dome["state"], dome["name"], dome["kind"]) == ("done", "dome", "hexagons")
     assert dome["fields"] == {
         "panels.hexagons.count": COUNT,
+        "panels.hexagons.off_surface_mm": 60.0,
         "thickness_mm": 150.0,
         "blocks.0.size_mm": [1200.0, 1000.0, 150.0],
     }
@@ -223,6 +226,10 @@ def test_panels_are_marked_as_by_the_command(here: Elements, tmp_path: Path) -> 
     assert (wrong.status_code, codes(wrong)) == (422, [("element.mark", "panel")])
     wrong = here.http.post(f"{address}/mark", json={"panel": first, "state": "lost", "more": 1})
     assert codes(wrong) == [("service.request", "state"), ("service.request", "more")]
+    for panel in (first, first):  # taken away twice is taken away
+        back = here.http.post(f"{address}/mark", json={"panel": panel, "state": "open"}).json()
+        assert [one["id"] for one in back["panels"] if "mark" in one] == [second]
+    here.http.post(f"{address}/mark", json={"panel": first, "state": "glued"})
     again = here.http.post(f"{address}/divide?instead=true", json={"fields": {}}).json()["id"]
     assert here.divided(again)["counts"] == {"not_planned": COUNT, "glued": 1, "broken": 1}
     assert here.http.get(address).status_code == 200
@@ -309,12 +316,98 @@ def test_what_cannot_be_divided_ends_with_its_issues(here: Elements, tmp_path: P
     assert (refused.status_code, codes(refused)) == (404, [("service.unknown_file", None)])
 
 
+def test_raw_blocks_have_jobs_with_what_their_template_names(here: Elements, tmp_path: Path) -> None:
+    saw = {**SAW, "cell": "../irb4600_bow.yaml"}
+    raw = {"sizes": [{"size_mm": [2400, 1200, 170], "foam": "eps_a120"}], "kerf_mm": 2}
+    path = shell(tmp_path, cap(n=9), SHELL, name="sawn", raw_blocks=raw, cut_blocks={"problem": "saw.yaml"})
+    cells = ROOT / "problems" / "cells"
+    held = yaml.safe_load((tmp_path / "held.yaml").read_text()) | {"cell": "two_irb4600_bow_gripper.yaml"}
+    files = [
+        ("problem", ("element.yaml", path.read_bytes())),
+        ("files", ("shell.obj", (tmp_path / "shell.obj").read_bytes())),
+        ("files", ("held.yaml", yaml.safe_dump(held))),
+        ("files", ("two_irb4600_bow_gripper.yaml", (cells / "two_irb4600_bow_gripper.yaml").read_bytes())),
+        ("files", ("irb4600_bow.yaml", (cells / "irb4600_bow.yaml").read_bytes())),
+    ]
+    missing = here.http.post("/v1/elements", files=files)
+    assert (missing.status_code, codes(missing)) == (422, [("service.not_uploaded", "cut_blocks.problem")])
+    files.append(("files", ("saw.yaml", yaml.safe_dump(saw))))
+    found = here.divided(here.http.post("/v1/elements", files=files).json()["id"])
+    assert found["state"] == "done"
+    assert found["fields"]["raw_blocks.sizes.0.size_mm"] == [2400.0, 1200.0, 170.0]
+    names = [one["name"] for one in here.http.get(f"/v1/jobs/{found['id']}/files").json()["files"]]
+    jobs = [name for name in names if name.startswith("blocks/")]
+    problem = yaml.safe_load(here.http.get(f"/v1/jobs/{found['id']}/files/{jobs[0]}").text)
+    assert problem["cell"]["arms"][0]["robot"] == "irb4600_40"
+
+
+@pytest.mark.parametrize("name", ["../shell.obj", "/etc/shell.obj", "..\\shell.obj", "a/../../shell.obj"])
+def test_names_of_uploads_lead_nowhere(here: Elements, tmp_path: Path, name: str) -> None:
+    """A surface of such a name is refused, or found by its last step: nothing is read or written beside."""
+    path = shell(tmp_path, cap(n=9), SHELL, name="named", surface={"mesh": {"file": name, "unit": "mm"}})
+    template = yaml.safe_load((tmp_path / "held.yaml").read_text())
+    cell = yaml.safe_load(Path(template["cell"]).read_text())
+    files = [
+        ("problem", ("element.yaml", path.read_bytes())),
+        ("files", (name, (tmp_path / "shell.obj").read_bytes())),
+        ("files", ("held.yaml", yaml.safe_dump({**template, "cell": cell}))),
+    ]
+    before = sorted(here.service.options.data.parent.rglob("shell.obj"))
+    answer = here.http.post("/v1/elements", files=files)
+    if answer.status_code != 422:
+        assert here.divided(answer.json()["id"])["state"] == "done"
+    assert sorted(here.service.options.data.parent.rglob("shell.obj")) == before
+
+
+def test_an_element_is_deleted_while_it_is_divided(here: Elements, dome: dict[str, Any]) -> None:
+    here.team.hold.set()
+    try:
+        change = {"fields": {"panels.hexagons.count": 27}}
+        made = here.http.post(f"/v1/elements/{dome['id']}/divide", json=change).json()["id"]
+        while here.http.get(f"/v1/elements/{made}").json()["state"] != "running":
+            pass
+        assert here.http.delete(f"/v1/elements/{made}").status_code == 204
+        for ask in (
+            here.http.get(f"/v1/elements/{made}"),
+            here.http.delete(f"/v1/elements/{made}"),
+            here.http.post(f"/v1/elements/{made}/divide", json=change),
+            here.http.post(f"/v1/elements/{made}/mark", json={"panel": "A01", "state": "cut"}),
+        ):
+            assert (ask.status_code, codes(ask)) == (404, [("service.unknown_job", None)])
+    finally:
+        here.team.hold.clear()
+    assert len(here.http.get(f"/v1/elements/{dome['id']}").json()["panels"]) == COUNT
+
+
+def test_two_who_change_one_element_each_have_an_answer(here: Elements, tmp_path: Path) -> None:
+    """The slower one is told that the element is there no more; nothing is left over of either."""
+    element = here.divided(here.upload(tmp_path, name="shared").json()["id"])["id"]
+    address = f"/v1/elements/{element}/divide?instead=true"
+    counts = (28, 29)
+    with ThreadPoolExecutor(2) as both:
+        answers = list(
+            both.map(
+                lambda count: here.http.post(address, json={"fields": {"panels.hexagons.count": count}}),
+                counts,
+            )
+        )
+    assert {one.status_code for one in answers} <= {201, 404}
+    made = [(count, one.json()["id"]) for count, one in zip(counts, answers, strict=True) if one.is_success]
+    assert made
+    for count, other in made:
+        assert len(here.divided(other)["panels"]) == count
+    assert here.http.get(f"/v1/elements/{element}").status_code == 404
+
+
 def test_bad_requests_are_told_by_field(here: Elements, dome: dict[str, Any]) -> None:
     address = f"/v1/elements/{dome['id']}"
     wrong = here.http.post(f"{address}/divide", json={"fields": {"nothing.at..all": 1}})
     assert (wrong.status_code, codes(wrong)) == (422, [("service.request", "nothing.at..all")])
     wrong = here.http.post(f"{address}/divide", json={"fields": {"panels.hexagons.count": "many"}})
     assert codes(wrong) == [("problem.field", "panels.hexagons.count")]
+    for count in (1, 100_000):
+        wrong = here.http.post(f"{address}/divide", json={"fields": {"panels.hexagons.count": count}})
+        assert (wrong.status_code, codes(wrong)) == (422, [("problem.field", "panels.hexagons.count")])
     wrong = here.http.post(f"{address}/divide", json={"fields": {"surface.mesh.file": "/etc/passwd"}})
     assert codes(wrong) == [("service.not_uploaded", "surface.mesh.file")]
     wrong = here.http.post(f"{address}/plan", json={"panels": ["A01", "<b>"]})
