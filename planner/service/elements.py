@@ -197,11 +197,17 @@ class Elements:
         self._jobs.cancel(element, also_delete=True)
 
     def give_up(self, element: str) -> None:
-        """Delete an element of which nothing was made: no panel was planned or marked."""
+        """Delete an element of which nothing was made: no panel was planned or marked. One that was deleted
+        meanwhile is gone as well."""
         with self._database.read() as db:
             used = _panels(db, element) or MARKS in job_files(db, element)
-        if not used:
+        if used:
+            return
+        try:
             self.delete(element)
+        except RefusedError as error:
+            if error.status != 404:
+                raise
 
     def mark(self, owner: str, element: str, panel: str, state: Mark | Literal["open"]) -> None:
         """Mark a panel as ``tandem element mark`` does; raises :class:`RefusedError`, 404, 422 or 507."""

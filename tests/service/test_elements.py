@@ -380,7 +380,7 @@ def test_an_element_is_deleted_while_it_is_divided(here: Elements, dome: dict[st
 
 
 def test_two_who_change_one_element_each_have_an_answer(here: Elements, tmp_path: Path) -> None:
-    """The slower one is told that the element is there no more; nothing is left over of either."""
+    """The slower one has an element of its own, or is told that there is none any more; then it made none."""
     element = here.divided(here.upload(tmp_path, name="shared").json()["id"])["id"]
     address = f"/v1/elements/{element}/divide?instead=true"
     counts = (28, 29)
@@ -392,7 +392,9 @@ def test_two_who_change_one_element_each_have_an_answer(here: Elements, tmp_path
             )
         )
     assert {one.status_code for one in answers} <= {201, 404}
-    made = [(count, one.json()["id"]) for count, one in zip(counts, answers, strict=True) if one.is_success]
+    made = [(n, one.json()["id"]) for n, one in zip(counts, answers, strict=True) if one.is_success]
+    listed = here.http.get("/v1/elements?limit=200").json()["elements"]
+    assert {one["id"] for one in listed if one["name"] == "shared"} == {other for _, other in made}
     assert made
     for count, other in made:
         assert len(here.divided(other)["panels"]) == count

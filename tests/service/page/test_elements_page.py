@@ -40,6 +40,13 @@ def test_an_element_is_divided_by_sliders_and_ticked_off(page: Page, server: str
     expect(page.locator("#foam-said")).to_contain_text("Robot hours: the cuts alone take about")
     expect(page.locator("#foam-said")).to_contain_text(f"Proven: 0 of {COUNT}")
 
+    label = page.locator(".panel-id").last
+    name, place = label.inner_text(), label.bounding_box()
+    assert place is not None
+    page.mouse.click(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
+    expect(page.locator("#said")).to_contain_text(f"{name}: not planned")
+    expect(page.locator(".panel.chosen")).to_contain_text(name)
+
     slider = page.get_by_role("slider", name="Panels, slider")
     slider.focus()
     page.keyboard.press("ArrowRight")

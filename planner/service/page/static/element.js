@@ -23,6 +23,7 @@ let drawn = ""; // whose data those are
 let asked = 0; // requests for the element, the newest of which counts
 let taken = 0;
 let sending = false;
+let planning = false; // jobs are being made
 let refused = []; // what the last change was refused for
 let group = "all";
 let chosen = "";
@@ -84,8 +85,8 @@ function draw() {
   const panels = element.panels ?? [];
   $("facts").textContent = [divided() ? plural(panels.length, "panel") : null, element.kind, `made ${ago(element.created)}`].filter(Boolean).join(" · ");
   const left = panels.filter((panel) => stateOf(panel) === "not_planned").length;
-  $("plan").disabled = !left;
-  $("plan").textContent = left && left < panels.length ? `Make jobs of the other ${left}` : left ? `Make jobs of all ${left}` : "All panels have jobs";
+  $("plan").disabled = !left || planning;
+  $("plan").textContent = planning ? "Making jobs …" : left && left < panels.length ? `Make jobs of the other ${left}` : left ? `Make jobs of all ${left}` : "All panels have jobs";
   const open = panels.filter((panel) => isOpen(panel.state)).length;
   const reporting = element.report && isOpen(element.report.state);
   $("report").disabled = reporting || !panels.some((panel) => panel.job && !isOpen(panel.state));
@@ -275,9 +276,15 @@ async function divide() {
 }
 
 async function plan(panels) {
-  $("plan").disabled = true;
+  if (planning) return;
+  planning = true;
   banner("");
+  draw();
   await send("plan", panels ? { panels } : {}).then(refresh).catch(failed);
+  planning = false;
+  if (gone) return;
+  draw();
+  again(0);
 }
 
 // A mark that is set already is taken away: a tap may be wrong.

@@ -13,7 +13,7 @@ export class PanelView extends Orbit {
   // choose(id): called with the panel that was tapped, or with "" beside all.
   constructor(canvas, labels, choose) {
     super(canvas);
-    Object.assign(this, { labels, panels: [], kinds: new Map(), chosen: "", marks: [] });
+    Object.assign(this, { labels, panels: [], kinds: new Map(), chosen: "", marks: [], bodies: [], lines: null, built: "" });
     if (!this.works) return;
     let from = null;
     canvas.addEventListener("pointerdown", (e) => (from = [e.clientX, e.clientY]));
@@ -28,7 +28,6 @@ export class PanelView extends Orbit {
   // Shows the panels of element.json; keep: leave the camera as it is.
   show(data, keep) {
     if (!this.works) return;
-    for (const panel of this.panels) for (const body of [panel.body, panel.lines]) this.drop(body);
     const axes = uprightAxes(data.up);
     this.panels = data.panels.filter((panel) => panel.solid).map(({ id, solid, way_in }) => {
       const made = madePanel({ id, front: solid.front_mm, back: solid.back_mm, faces: solid.faces, rim: solid.rim, way: way_in }, axes);
@@ -42,8 +41,11 @@ export class PanelView extends Orbit {
         out = plus(out, cross(minus(b, a), minus(c, a)));
         middle = plus(middle, plus(a, plus(b, c)));
       }
-      return { ...made, out: unit(out), face: scaled(middle, 1 / Math.max(half, 1)), body: this.load(made.solid), lines: this.load(made.edges) };
+      return { ...made, out: unit(out), face: scaled(middle, 1 / Math.max(half, 1)) };
     });
+    if (this.lines) this.drop(this.lines);
+    this.lines = this.load({ vertices: this.panels.flatMap((panel) => panel.edges.vertices), faces: [] });
+    this.build();
     const ends = (pick, k, axis) => this.panels.reduce((worst, panel) => pick(worst, panel[k][axis]), this.panels[0][k][axis]);
     this.whole = this.panels.length ? [[0, 1, 2].map((k) => ends(Math.min, "low", k)), [0, 1, 2].map((k) => ends(Math.max, "high", k))] : null;
     if (keep) this.draw();
@@ -68,12 +70,32 @@ export class PanelView extends Orbit {
   // kinds: Map of ids to keys of COLOURS.
   colourBy(kinds, chosen) {
     Object.assign(this, { kinds, chosen });
+    const key = JSON.stringify([[...kinds], chosen]);
+    if (!this.works || key === this.built) return;
+    this.built = key;
+    this.build();
     this.draw();
+  }
+
+  // One body for each kind, so that thousands of panels are a few calls to draw.
+  build() {
+    for (const [, body] of this.bodies) this.drop(body);
+    const groups = new Map();
+    for (const { id, solid } of this.panels) {
+      const kind = id === this.chosen ? "chosen" : this.kinds.get(id) ?? "not_planned";
+      if (!groups.has(kind)) groups.set(kind, { vertices: [], faces: [] });
+      const { vertices, faces } = groups.get(kind);
+      const from = vertices.length / 3;
+      for (const v of solid.vertices) vertices.push(v);
+      for (const k of solid.faces) faces.push(from + k);
+    }
+    this.bodies = [...groups].map(([kind, body]) => [kind, this.load(body)]);
   }
 
   recolour() {
     this.known = Object.fromEntries(Object.entries(COLOURS).map(([kind, name]) => [kind, this.colour(name)]));
-    Object.assign(this, { ink: this.colour("--ink"), accent: this.colour("--accent-deep") });
+    this.known.chosen = this.colour("--accent-deep");
+    this.ink = this.colour("--ink");
     this.draw();
   }
 
@@ -83,9 +105,9 @@ export class PanelView extends Orbit {
     const camera = this.begin();
     gl.enable(gl.POLYGON_OFFSET_FILL);
     gl.polygonOffset(1, 1);
-    for (const panel of this.panels) this.fill(panel.body, panel.id === this.chosen ? this.accent : this.known[this.kinds.get(panel.id)] ?? this.known.not_planned, 1);
+    for (const [kind, body] of this.bodies) this.fill(body, this.known[kind], 1);
     gl.disable(gl.POLYGON_OFFSET_FILL);
-    for (const panel of this.panels) this.stroke(panel.lines, this.ink, 0.55);
+    this.stroke(this.lines, this.ink, 0.55);
     this.label(camera);
   }
 
