@@ -298,7 +298,7 @@ async function tick(panel, mark) {
 function failed(error) {
   lost = error instanceof Unreachable;
   gone ||= error instanceof Refused && error.issues[0]?.code === "service.unknown_job";
-  if (!gone) return tell(error);
+  if (!gone || !element) return tell(error);
   clearTimeout(timer);
   banner("This element is there no more: it was divided anew, or deleted, in another window. The list of elements has what there is.");
   for (const control of document.querySelectorAll("#element button:not(.id), #element input, #element select")) control.disabled = true;
@@ -340,4 +340,5 @@ $("more").addEventListener("click", () => {
   drawList();
 });
 addEventListener("visibilitychange", () => !document.hidden && again(0));
-await refresh().then(drawReport).then(() => again()).catch(failed);
+await refresh().then(drawReport).catch(failed);
+if (!gone) again();
