@@ -277,6 +277,7 @@ FIGURES: Final[dict[str, str]] = {
 """Figures of a job that every summary shows, and what they are called."""
 STATES: Final[dict[str, str]] = {
     "verified": "verified",
+    "done": "done",
     "unproven": "not proven",
     "infeasible": "no plan",
     "bad_input": "bad input",

@@ -20,21 +20,28 @@ from planner.files import RESULT, is_file, staging, unhurried, versions, write_w
 from planner.issues import Issue, TandemError
 
 State = Literal[
-    "verified", "infeasible", "bad_input", "unproven", "crashed", "timeout", "memory", "cancelled"
+    "verified", "done", "infeasible", "bad_input", "unproven", "crashed", "timeout", "memory", "cancelled"
 ]
 STATES: tuple[State, ...] = get_args(State)
-"""How a job may end."""
+"""How a job may end; ``done``: an element is divided, or the report on it written."""
 Reports = Literal["all", "failed"]
 """Which jobs get report and replay: all, or those that are not verified."""
 PROBLEM = "problem.yaml"
 """The problem file among a job's files."""
+ELEMENT = "element.yaml"
+"""In its place, the file of a building element that the job divides; what it names stands beside it."""
+PLANNED = "planned.json"
+"""In its place, how the panels of an element ended, as a list of plain data, where the job reports on it. The
+element's folder is ``element/`` there; results of panels are in ``run/``, under their ids."""
+LIKE = "like"
+"""The folder, among a job's files, of the result that it is planned like."""
 MAX_NAME = 100
 """Characters that the name of a job may have."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A problem that stands alone.
+    """A problem that stands alone; or an element to divide, or one to report on.
 
     ``name`` is a safe folder name. ``files``: the problem by relative names, as
     :func:`planner.reading.problem.bundle` makes it. A job is stopped after ``timeout_s`` [s] of planning, and
@@ -55,7 +62,7 @@ class Job:
     def __post_init__(self) -> None:
         if not safe_name(self.name):
             raise ValueError(f"{self.name!r} is no safe folder name; see planner.batch.job.safe_name")
-        if PROBLEM not in self.files:
+        if not self.files.keys() & {PROBLEM, ELEMENT, PLANNED}:
             raise ValueError(f"job {self.name}: its files lack {PROBLEM}")
         for file in self.files:
             path = PurePosixPath(file)
@@ -231,7 +238,7 @@ class Place:
         try:
             hidden = self._hidden or self.prepare({})[1].parent
             result = hidden / "result"
-            if done.state != "verified" and not is_file(result / "report.html"):
+            if done.state not in ("verified", "done") and not is_file(result / "report.html"):
                 from planner.batch.run import write_failure
 
                 write_failure(result, done.issues)

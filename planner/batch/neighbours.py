@@ -11,9 +11,12 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from planner.batch.run import Item
 from planner.issues import Issue, TandemError
+
+if TYPE_CHECKING:
+    from planner.batch.run import Item
 
 ELEMENT = "element.json"
 """The file of an element that has its panels with their neighbours."""
@@ -38,6 +41,11 @@ def like_neighbours(items: Sequence[Item]) -> list[Item]:
         raise TandemError(Issue("batch.field", what, field="--like", hint=hint))
     like = _rings(panels, known)
     return [dataclasses.replace(item, like=like.get(item.name)) for item in items]
+
+
+def like_within(data: Mapping[str, Any], panels: Sequence[str]) -> dict[str, str]:
+    """The same of those ``panels`` of an ``element.json``, by ids: the one that each is planned like."""
+    return _rings({(Path(), name): name for name in panels}, {Path(): _jobs_and_neighbours(data)})
 
 
 def _rings(
@@ -65,9 +73,11 @@ def _rings(
 def _panels(path: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
     """The job and the neighbours of each panel; empty where there is no such file, or it is none."""
     try:
-        rows = json.loads(path.read_text("utf-8"))["panels"]
-        return {
-            str(row["id"]): (str(row["job"]), tuple(str(n) for n in row["neighbours"] if n)) for row in rows
-        }
+        return _jobs_and_neighbours(json.loads(path.read_text("utf-8")))
     except (OSError, ValueError, KeyError, TypeError):
         return {}
+
+
+def _jobs_and_neighbours(data: Mapping[str, Any]) -> dict[str, tuple[str, tuple[str, ...]]]:
+    rows = data["panels"]
+    return {str(row["id"]): (str(row["job"]), tuple(str(n) for n in row["neighbours"] if n)) for row in rows}

@@ -27,7 +27,11 @@ import yaml
 
 from planner import pipeline, spec
 from planner.batch.batch_file import BATCH, read_batch
+from planner.batch.division import solve_division, solve_report
 from planner.batch.job import (
+    ELEMENT,
+    LIKE,
+    PLANNED,
     PROBLEM,
     Done,
     Event,
@@ -53,8 +57,6 @@ from planner.verify.result import RuleResult
 
 SUFFIXES = (".yaml", ".yml")
 """Endings of problem and batch files."""
-LIKE: Final = "like"
-"""The folder, among a job's files, of the result that it is planned like."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -453,8 +455,8 @@ def solve(
     on_issues: OnIssues,
     reports: Reports = "all",
 ) -> Done:
-    """Plan the bundle in ``source`` and write its result folder to ``result``, which is there for every state
-    but ``crashed``.
+    """Plan the bundle in ``source``, or divide or report on the element there, and write its result folder to
+    ``result``, which is there for every state but ``crashed``.
 
     ``origins`` and ``reports`` as in :class:`planner.batch.job.Job`; ``on_issues`` gets issues as they are
     known.
@@ -467,6 +469,9 @@ def solve(
 
     problem = None
     try:
+        for file, other in ((ELEMENT, solve_division), (PLANNED, solve_report)):
+            if is_file(source / file):
+                return done("done", called.issues(other(source, result, on_progress)), {})
         problem = pipeline.load(source / PROBLEM)
         on_issues(called.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
         like = source / LIKE
@@ -495,7 +500,7 @@ def write_failure(folder: Path, issues: Sequence[Issue]) -> None:
 
 def write_result(folder: Path, files: Mapping[str, bytes]) -> None:
     """A result folder of files that were planned elsewhere, whole or not at all."""
-    write_folder(folder, files, RESULT)
+    write_folder(folder, files, tuple(dict.fromkeys((*RESULT, *(name.split("/")[0] for name in files)))))
 
 
 class Names:

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import tempfile
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
-import numpy as np
 import tyro
 from rich.console import Console
 
-from planner.files import claim_folder, is_file, write_folder, write_whole
-from planner.geometry.units import DEG, MM
-from planner.issues import Issue, Severity, TandemError
-
-if TYPE_CHECKING:
-    from planner.element.elastic import Judge
-    from planner.element.element_file import ElasticElement, HexagonElement, StripsElement, WallElement
+from planner.files import claim_folder, write_folder, write_whole
+from planner.issues import Issue
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -41,7 +33,8 @@ class ElementRequest:
 
 def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     """Divide, write and print; what is to be said. Raises ``TandemError``."""
-    from planner.element import element_file, element_page, labels, output, run_report
+    from planner.batch.division import divide
+    from planner.element import element_file, output
 
     start = time.perf_counter()
     claim_folder(request.output, output.OWNED, keep=request.file)
@@ -49,85 +42,12 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     raw = element.file.raw_blocks
     if raw is not None and raw.stock is not None:
         claim_folder(request.output, output.OWNED, keep=request.file.parent / raw.stock)
-    if isinstance(element, element_file.HexagonElement):
-        files, told, said = _hexagons(element)
-    elif isinstance(element, element_file.WallElement):
-        files, told, said = _wall(element)
-    elif isinstance(element, element_file.StripsElement):
-        files, told, said = _strips(element)
-    else:
-        files, told, said = _elastic(element)
-    data = json.loads(files["element.json"])
-    files["element.html"] = element_page.element_page(run_report.unplanned(data), files.get("blocks.svg"))
-    files["labels.svg"] = labels.label_sheets(data)
-    write_folder(request.output, files, output.OWNED)
-    out.print(f"{element.file.name}: {said}", markup=False)
+    made = divide(element, lambda stage, fraction: None)
+    write_folder(request.output, made.files, output.OWNED)
+    out.print(f"{element.file.name}: {made.said}", markup=False)
     seconds = time.perf_counter() - start
     out.print(f"divided in {seconds:.1f} s; see {request.output / 'element.html'}", markup=False)
-    return told
-
-
-def _elastic(element: ElasticElement) -> tuple[dict[str, str], tuple[Issue, ...], str]:
-    """All files of elastic panels, what is to be said, and what they came out as."""
-    from planner.element import elastic, output
-
-    made = elastic.search(element.surface, element.cells, element.rules)
-    judge = _judge(element) if element.judged else None
-    panels = elastic.divide_elastic(made, judge, held=element.wanted.check != "none")
-    files, told = output.folder(element, panels)
-    steps = np.concatenate([joint.steps.ravel() for joint in elastic.joints(panels)] or [np.zeros(1)]) / MM
-    off = max(panel.misfit for panel in panels) / MM
-    said = (
-        f"{len(panels)} panels, at most {off:.2f} mm off the surface; "
-        f"steps at joints {np.percentile(steps, output.JOINT_SHARE):.2f} mm at "
-        f"{output.JOINT_SHARE:g} %, {steps.max():.2f} mm at most"
-    )
-    return files, told, said
-
-
-def _hexagons(element: HexagonElement) -> tuple[dict[str, str], tuple[Issue, ...], str]:
-    """All files of planar panels, what is to be said, and what they came out as."""
-    from planner.element import hexagon_files, hexagons
-
-    panels = hexagons.divide_hexagons(element)
-    files, told = hexagon_files.folder(element, panels)
-    off = max(panel.off for panel in panels) / MM
-    lean = max(panel.lean for panel in panels) / DEG
-    said = (
-        f"{len(panels)} panels, at most {off:.1f} mm off the surface; edges from face to face lean "
-        f"{lean:.1f} degrees at most"
-    )
-    return files, told, said
-
-
-def _wall(element: WallElement) -> tuple[dict[str, str], tuple[Issue, ...], str]:
-    """All files of a ruled wall, what is to be said, and what it came out as."""
-    from planner.element import wall_files, walls
-
-    panels = walls.divide_wall(element)
-    files, told = wall_files.folder(element, panels)
-    heights = np.array([panel.box[1] for panel in panels]) / MM
-    off = max(panel.off for panel in panels) / MM
-    said = (
-        f"{len(panels)} panels, {heights.min():.0f} to {heights.max():.0f} mm high; backs at most {off:.2f} "
-        "mm off one thickness behind the front"
-    )
-    return files, told, said
-
-
-def _strips(element: StripsElement) -> tuple[dict[str, str], tuple[Issue, ...], str]:
-    """All files of a surface in ruled strips, what is to be said, and what it came out as."""
-    from planner.element import strips, wall_files
-
-    found = strips.divide_strips(element)
-    files, told = wall_files.strips_folder(element, found)
-    tried = "; ".join(f"across {one}: {p} in {s} strips" for one, (s, p) in found.tried.items())
-    said = (
-        f"{len(found.panels)} panels in {len(found.cuts) - 1} ruled strips across {found.across} ({tried}), "
-        f"at most {found.off.max() / MM:.2f} mm off the surface; kinks of at most "
-        f"{found.kinks.max(initial=0.0) / DEG:.1f} degrees between neighbours"
-    )
-    return files, told, said
+    return made.issues
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,14 +65,12 @@ class ElementReport:
 
 def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
     """Read, measure, write and print; what is to be said. Raises ``TandemError``."""
-    from planner.element import element_page, run_page, run_report
+    from planner.batch.division import report_files
+    from planner.element import run_page, run_report
 
     found = run_report.read_run(request.element, request.run)
-    write_whole(request.element / "report.csv", run_report.panel_rows(found))
-    write_whole(request.element / "joints.csv", run_report.joint_rows(found))
-    blocks = request.element / "blocks.svg"
-    drawn = blocks.read_text("utf-8") if is_file(blocks) else None
-    write_whole(request.element / "element.html", element_page.element_page(found, drawn))
+    for name, text in report_files(found, request.element).items():
+        write_whole(request.element / name, text)
     proven = sum(panel.proven for panel in found.panels)
     hours = ", ".join(f"{arm} {s / run_page.HOUR:.2f} h" for arm, s in found.all_seconds().items())
     blocks_cut = f", {sum(one.proven for one in found.saw)} of {len(found.saw)} jobs of raw blocks"
@@ -169,7 +87,7 @@ def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
 @dataclasses.dataclass(frozen=True)
 class ElementMark:
     """Keep which panels of an element are cut, glued or broken; says what to cut next, and from what a broken
-    one is cut again.
+    one is cut again; open takes a mark away.
 
     Written to progress.csv in OUT, which stays where the element is divided again.
     """
@@ -178,7 +96,7 @@ class ElementMark:
     """folder that `tandem element FILE -o OUT` wrote"""
     panel: tyro.conf.Positional[str]
     """the id of a panel"""
-    state: tyro.conf.Positional[Literal["cut", "glued", "broken"]]
+    state: tyro.conf.Positional[Literal["cut", "glued", "broken", "open"]]
     """what it is now"""
 
 
@@ -192,36 +110,3 @@ def run_element_mark(request: ElementMark) -> tuple[Issue, ...]:
     for line in lines:
         out.print(line, markup=False)
     return progress.issues(found)
-
-
-def _judge(element: ElasticElement) -> Judge:
-    """The check of a panel's problem as it will be written; what no template is for is told with its id at
-    the end."""
-    from planner import pipeline, processes
-    from planner.element.elastic import ElasticPanel
-    from planner.element.jobs import panel_files
-
-    whole = element.wanted.check == "all"
-
-    def refusal(panel: ElasticPanel) -> Issue | None:
-        try:
-            files = panel_files(element, (panel,), ("panel",))
-        except TandemError:
-            return None
-        with tempfile.TemporaryDirectory() as folder:
-            for name, text in files.items():
-                path = Path(folder) / name
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_text(text)
-            found: list[Issue] = []
-            try:
-                problem = pipeline.load(Path(folder) / "panels" / "panel.yaml")
-                if whole:
-                    found += pipeline.check(problem, advise=False)
-                else:
-                    found += [issue for job in processes.jobs(problem) for issue in job.targets().issues]
-            except TandemError as error:
-                found += error.issues
-        return next((issue for issue in found if issue.severity is Severity.ERROR), None)
-
-    return refusal

@@ -206,7 +206,7 @@ def _print(robot: RobotData, chain: UrdfChain, off: tuple[float, float]) -> None
         bodies = ", ".join(sorted("hull" if one.kind == "mesh" else one.kind for one in shapes[i + 1]))
         table.add_row(str(i + 1), joint, low, high, speed, bodies)
     out.print(table)
-    figures = [(field.name, getattr(robot.form, field.name)) for field in dataclasses.fields(robot.form)]
+    figures = vars(robot.form).items()
     lengths = ", ".join(f"{key} {v / MM:.7g}" for key, v in figures if isinstance(v, float))
     out.print(f"six axes in closed form: {lengths} mm; it reaches {robot.reach / MM:.0f} mm")
     out.print(f"at most {off[0] / MM:.2g} mm and {off[1]:.2g} rad beside the URDF on 1000 postures")

@@ -1,39 +1,12 @@
 // Panels of an element as they are put up, one after the other along their ways in.
-import { cross, dot, minus, plus, project, scaled, times, unit } from "./matrix.js";
+import { cross, minus, plus, project, scaled, times, unit } from "./matrix.js";
 import { Orbit } from "./orbit.js";
+import { madePanel } from "./panels.js";
 
 const BEFORE = 0.9; // how far a panel that comes hovers before its place, in its own diameters
 const NEAR = [1.2, 500]; // zoom at first, where the view is that wide
-const SHARP = 0.75; // cosine of the turn at which an outline has an edge from front to back
 const SECONDS = 0.8; // for a panel to come in, at most
 const WHOLE = 40; // seconds for all of them, at most
-
-const numbers = (text) => text.split(" ").map(Number);
-const points = (text, axes) => {
-  const flat = numbers(text);
-  return Array.from({ length: flat.length / 3 }, (_, i) => axes.map((axis) => dot(axis, flat.slice(3 * i, 3 * i + 3))));
-};
-
-// A panel as it is drawn: its body, the lines on it, where it is and how large.
-function made(panel, axes) {
-  const [front, back] = [points(panel.front, axes), points(panel.back, axes)];
-  const [faces, rim, count] = [numbers(panel.faces), numbers(panel.rim), front.length];
-  const triangles = [...faces];
-  for (let i = 0; i < faces.length; i += 3) triangles.push(count + faces[i], count + faces[i + 2], count + faces[i + 1]);
-  const lines = [];
-  for (const [i, a] of rim.entries()) {
-    const [b, before] = [rim[(i + 1) % rim.length], rim[(i + rim.length - 1) % rim.length]];
-    triangles.push(count + a, count + b, b, count + a, b, a);
-    lines.push(...front[a], ...front[b], ...back[a], ...back[b]);
-    if (dot(unit(minus(front[b], front[a])), unit(minus(front[a], front[before]))) < SHARP) lines.push(...front[a], ...back[a]);
-  }
-  const every = [...front, ...back];
-  const low = [0, 1, 2].map((k) => Math.min(...every.map((p) => p[k])));
-  const high = [0, 1, 2].map((k) => Math.max(...every.map((p) => p[k])));
-  const way = axes.map((axis) => dot(axis, panel.way));
-  const size = Math.hypot(...minus(high, low));
-  return { ...panel, way, low, high, size, middle: scaled(plus(low, high), 0.5), solid: { vertices: every.flat(), faces: triangles }, edges: { vertices: lines, faces: [] } };
-}
 
 // A cone and a rod from one point to another.
 function arrow(from, to, radius) {
@@ -70,7 +43,7 @@ class Assembly extends Orbit {
     part("back").onclick = () => this.go(Math.ceil(this.now) - 1);
     part("next").onclick = () => this.go(Math.floor(this.now) + 1);
     if (this.works) {
-      this.panels = data.panels.map((panel) => made(panel, data.axes));
+      this.panels = data.panels.map((panel) => madePanel(panel, data.axes));
       this.whole = [0, 1].map((end) => [0, 1, 2].map((k) => (end ? Math.max : Math.min)(...this.panels.map((p) => (end ? p.high : p.low)[k]))));
       for (const panel of this.panels) [panel.body, panel.lines] = [this.load(panel.solid), this.load(panel.edges)];
       this.ways = this.load({ vertices: this.panels.flatMap((p) => [...p.middle, ...minus(p.middle, scaled(p.way, 0.6 * p.size))]), faces: [] });

@@ -231,12 +231,15 @@ class WhenFile(Strict):
         return all(r is None or r[0] <= own[name] < r[1] for name, r in ranges.items())
 
 
+Rest = Annotated[FileName | dict[str, Any], Field(description="a file, or what it would hold")]
+
+
 class JobFile(Strict):
     """A template: the rest of a problem file for the panels that ``when`` names; without it, for all.
     ``grippers`` lie ready beside those of its cell."""
 
     when: WhenFile = WhenFile()
-    problem: FileName
+    problem: Rest
     grippers: RackFile = ()
 
 
@@ -268,7 +271,7 @@ class CutBlocksFile(Strict):
     """How raw blocks are cut apart: a template, the rest of a problem file with a straight wire whose block,
     stand and cuts come with each piece."""
 
-    problem: FileName
+    problem: Rest
     stand_mm: Annotated[
         float, Field(ge=50, le=2000, description="height of what pieces lie or stand on, at most")
     ] = 700.0
@@ -536,18 +539,18 @@ def _cells(own: ElementSurface) -> tuple[int, int]:
 
 
 def _template(job: JobFile, folder: Path, field: str) -> Template:
-    data = _rest(job.problem, folder, field, ("part", "sheet"), ("size_mm",), "panel")
+    name, _, data = _rest(job.problem, folder, field, ("size_mm",), "panel")
     rack = [one.model_dump(mode="json", exclude_none=True) for one in job.grippers]
     if rack and isinstance(data["cell"], dict):
         data["cell"] = {**data["cell"], "grippers": [*(data["cell"].get("grippers") or []), *rack]}
-    return Template(job.when, job.problem, data)
+    return Template(job.when, name, data)
 
 
 def _saw(cut: CutBlocksFile, kerf_mm: float, folder: Path) -> SawTemplate:
     """The template for raw blocks, whose one operation has the ``kerf_mm`` that blocks are nested with as its
     slot; where it states its power, at most that."""
     stock = ("size_mm", "place", "roll_pitch_deg", "support", "oversize_mm", "held_by", "grip", "gripper")
-    data = _rest(cut.problem, folder, "cut_blocks", ("part", "sheet"), stock, "piece of a block")
+    name, file, data = _rest(cut.problem, folder, "cut_blocks", stock, "piece of a block")
     operations = data["operations"]
     one = operations[0] if len(operations) == 1 and isinstance(operations[0], dict) else {}
     brought = ("cuts", "kerf_mm", "kerf_range_mm")
@@ -558,12 +561,9 @@ def _saw(cut: CutBlocksFile, kerf_mm: float, folder: Path) -> SawTemplate:
         if bow is not None:
             least = min(Straight.model_fields["kerf_range_mm"].default[0], 0.5 * kerf_mm)
             slot = {"kerf_range_mm": [least, kerf_mm]} if "power_w" in one else {"kerf_mm": kerf_mm}
-            return SawTemplate(WhenFile(), cut.problem, {**data, "operations": [{**one, **slot}]}, bow)
+            return SawTemplate(WhenFile(), name, {**data, "operations": [{**one, **slot}]}, bow)
         wrong, hint = "mounts no bow on the first of its arms", "give that arm a tool of the kind bow"
-    where = str(folder / cut.problem)
-    raise TandemError(
-        Issue("element.jobs", f"{cut.problem} {wrong}", file=where, field="cut_blocks", hint=hint)
-    )
+    raise TandemError(Issue("element.jobs", f"{name} {wrong}", file=file, field="cut_blocks", hint=hint))
 
 
 def _mounted(operation: Mapping[str, Any], cell: object) -> Bow | None:
@@ -584,24 +584,30 @@ def _mounted(operation: Mapping[str, Any], cell: object) -> Bow | None:
 
 
 def _rest(
-    problem: str, folder: Path, field: str, brings: tuple[str, ...], of_stock: tuple[str, ...], who: str
-) -> dict[str, Any]:
-    """The rest of a problem file, without what ``who`` brings itself, at its top and in its stock."""
-    path = folder / problem
-    document = strict_yaml.read(path)
-    stock = document.data.get("stock") or {}
-    brought = [key for key in brings if key in document.data]
+    problem: str | Mapping[str, Any], folder: Path, field: str, of_stock: tuple[str, ...], who: str
+) -> tuple[str, str | None, dict[str, Any]]:
+    """The rest of a problem file, without the part and what of its stock ``who`` brings itself: what it is
+    called, its file, if it is one, and the data."""
+    name, file = field, None
+    given: Mapping[str, Any]
+    if isinstance(problem, str):
+        name, file = problem, str(folder / problem)
+        folder, given = (folder / problem).parent, strict_yaml.read(folder / problem).data
+    else:
+        given = problem
+    stock = given.get("stock") or {}
+    brought = [key for key in ("part", "sheet") if key in given]
     if isinstance(stock, dict):
         brought += [f"stock.{key}" for key in of_stock if key in stock]
     if brought:
-        what = f"{problem} has {', '.join(brought)}, which each {who} brings itself"
+        what = f"{name} has {', '.join(brought)}, which each {who} brings itself"
         raise TandemError(
-            Issue("element.jobs", what, file=str(path), field=field, hint="take that out of the template")
+            Issue("element.jobs", what, file=file, field=field, hint="take that out of the template")
         )
-    missing = [key for key in ("cell", "operations") if key not in document.data]
-    if missing or not isinstance(stock, dict) or not isinstance(document.data.get("operations"), list):
-        what = f"{problem} is no template: it must have a cell, a list of operations, and a mapping as stock"
+    missing = [key for key in ("cell", "operations") if key not in given]
+    if missing or not isinstance(stock, dict) or not isinstance(given.get("operations"), list):
+        what = f"{name} is no template: it must have a cell, a list of operations, and a mapping as stock"
         raise TandemError(
-            Issue("element.jobs", what, file=str(path), field=field, hint="write the rest of a problem file")
+            Issue("element.jobs", what, file=file, field=field, hint="write the rest of a problem file")
         )
-    return resolved(document.data, path.parent)
+    return name, file, resolved(given, folder)

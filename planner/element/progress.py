@@ -70,17 +70,20 @@ def read(out: Path) -> Progress:
     return Progress(data, rows)
 
 
-def marked(found: Progress, name: str, state: State) -> Progress:
-    """The same with one panel in that state. Raises ``TandemError``: ``element.mark`` for an id that the
-    element does not have."""
+def marked(found: Progress, name: str, state: State | Literal["open"]) -> Progress:
+    """The same with one panel in that state, or without its mark. Raises ``TandemError``: ``element.mark``
+    for an id that the element does not have."""
+    rows = {one: row for one, row in found.rows.items() if one != name}
     panel = next((one for one in found.data["panels"] if one["id"] == name), None)
-    if panel is None:
+    if panel is None and (state != "open" or name not in found.rows):
         known = [str(one["id"]) for one in found.data["panels"]]
         what = (
             f"got panel {name!r}, {found.data['name']} has {len(known)} panels from {known[0]} to {known[-1]}"
         )
         raise TandemError(Issue("element.mark", what, field="panel", hint="see the ids in element.html"))
-    return dataclasses.replace(found, rows={**found.rows, name: (state, _block_mm(panel))})
+    if panel is not None and state != "open":
+        rows[name] = state, _block_mm(panel)
+    return dataclasses.replace(found, rows=rows)
 
 
 def text(found: Progress) -> str:
@@ -103,8 +106,8 @@ def issues(found: Progress) -> tuple[Issue, ...]:
     ):
         if names:
             what = f"{len(names)} panels that are marked {said}: {', '.join(names)}"
-            hint = "the element was divided anew since: see to these panels, then mark them again or take "
-            hint += f"their rows out of {FILE}"
+            hint = "the element was divided anew since: see to these panels, then mark them again, or open "
+            hint += "to take their marks away"
             out.append(Issue("element.mark", what, Severity.WARNING, file=FILE, hint=hint))
     return tuple(out)
 

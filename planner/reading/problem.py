@@ -46,11 +46,16 @@ def find(path: Path) -> Path:
 
 
 def bundle(problem: Problem) -> dict[str, bytes]:
-    """The problem as files that stand alone: ``problem.yaml`` with the cell inside, and what it names in
-    ``files/``.
+    """The problem as files that stand alone, as :func:`packed`."""
+    return packed(problem.source)
 
-    Reading the bundle gives a problem with the same digest, so a result folder can be proven wherever it is
-    carried.
+
+def packed(source: Mapping[str, Any]) -> dict[str, bytes]:
+    """A problem's values, as :func:`resolved` gives them, as files that stand alone: ``problem.yaml`` with
+    the cell inside, and what it names in ``files/``.
+
+    Reading them gives a problem with the same digest, so a result folder can be proven wherever it is
+    carried. Raises ``OSError`` for a file that is not there.
     """
     files: dict[str, bytes] = {}
 
@@ -60,16 +65,16 @@ def bundle(problem: Problem) -> dict[str, bytes]:
         files[name] = content
         return name
 
-    text = strict_yaml.dump(_each_file(problem.source, carry))
+    text = strict_yaml.dump(each_file(source, carry))
     return {"problem.yaml": text.encode(), **files}
 
 
 def resolved(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The file's data with its cell inside and every file name made absolute."""
-    out: dict[str, Any] = _each_file(data, lambda path: str(folder / path))
+    out: dict[str, Any] = each_file(data, lambda path: str(folder / path))
     if isinstance(data.get("cell"), str):
         path = folder / data["cell"]
-        out["cell"] = _each_file(strict_yaml.read(path).data, lambda name: str(path.parent / name))
+        out["cell"] = each_file(strict_yaml.read(path).data, lambda name: str(path.parent / name))
     cell = out.get("cell")
     arms = cell.get("arms") if isinstance(cell, dict) else None
     for arm in arms if isinstance(arms, list) else ():
@@ -86,19 +91,19 @@ def digest(source: Mapping[str, Any]) -> str:
     def content(path: Path) -> str:
         return hashlib.sha256(path.read_bytes()).hexdigest() if is_file(path) else "missing"
 
-    text = json.dumps(_each_file(source, content), sort_keys=True, default=str)
+    text = json.dumps(each_file(source, content), sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _each_file(data: Any, change: Callable[[Path], str]) -> Any:
+def each_file(data: Any, change: Callable[[Path], str]) -> Any:
     """A copy of plain data with every value of a key ``file`` or ``urdf`` changed."""
     if isinstance(data, Mapping):
         return {
-            k: change(Path(v)) if k in FILE_KEYS and isinstance(v, str) else _each_file(v, change)
+            k: change(Path(v)) if k in FILE_KEYS and isinstance(v, str) else each_file(v, change)
             for k, v in data.items()
         }
     if isinstance(data, list):
-        return [_each_file(v, change) for v in data]
+        return [each_file(v, change) for v in data]
     return data
 
 

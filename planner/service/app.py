@@ -9,18 +9,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
 import logging
-import re
 import resource
 import signal
 import ssl
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import uvicorn
-import yaml
 from fastapi import APIRouter, FastAPI, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
@@ -32,139 +29,14 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 import planner
 from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
-from planner.catalogue.robots import data_dir
-from planner.files import FILE_KEYS, is_file
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
-from planner.service import routes
+from planner.service import bundled, element_routes, routes
 from planner.service.routes import REFUSALS, REQUESTS, Caller, Here
 from planner.service.runner import Team
 from planner.service.security import LOOPBACK, Guard, RefusedError, issue_json
 from planner.service.service import Options, Service
 from planner.service.storage import take_upload
-
-_NO_EXAMPLES: Final = ("cells",)
-"""Folders of bundled files that hold no problems."""
-_NO_PROBLEMS: Final = ("faces.yaml", "panel.yaml", "expect.yaml")
-"""Bundled files of YAML that are no problems."""
-_SCRIPT: Final = re.compile(r"\bmake_\w+\.py")
-"""A script that made an example's files; what its comment says of it is not shown."""
-INFEASIBLE: Final = "infeasible"
-"""The folder of problems that have no plan."""
-
-
-@functools.cache
-def bundled_entries() -> dict[str, dict[str, Any]]:
-    """By their names: ``name``, ``about`` (its first comment), ``processes``, ``cell`` (a bundled one),
-    ``robots``, ``feasible``."""
-    return dict(sorted(_entries()))
-
-
-def bundled_problem(name: str) -> dict[str, Any]:
-    """``problem``: its data as JSON, with the cell inside and files called by their last step; ``cell``: what
-    the bundled cell is called; ``files``: names of its files. Raises :class:`RefusedError`, 404."""
-    path = _path(name)
-    data = _data(path)
-    cell = data.get("cell")
-    title = ""
-    if isinstance(cell, str):
-        title = Path(cell).stem
-        data["cell"] = _renamed(_data((path.parent / cell).resolve()))
-    return {"problem": _renamed(data), "cell": title, "files": sorted(_files(name))}
-
-
-def bundled_file(name: str, wanted: str) -> Path:
-    """The file that a bundled problem calls ``wanted``; raises :class:`RefusedError`, 404."""
-    found = _files(name).get(wanted)
-    if found is None:
-        what = f"bundled problem {name[:80]!r} has no file {wanted[:80]!r}; its list has their names"
-        raise RefusedError(404, Issue("service.unknown_file", what, field="name"))
-    return found
-
-
-def _entries() -> Iterator[tuple[str, dict[str, Any]]]:
-    root = data_dir("problems")
-    for path in sorted(root.glob("*/*.yaml")):
-        folder = path.parent.name
-        if folder in _NO_EXAMPLES or path.name in _NO_PROBLEMS:
-            continue
-        data = _data(path)
-        if "operations" not in data:
-            continue
-        cell = data["cell"]
-        inside = _data((path.parent / cell).resolve()) if isinstance(cell, str) else cell
-        key = folder if path.name == "problem.yaml" else f"{folder}/{path.stem}"
-        processes = [operation.get("process", "") for operation in data["operations"]]
-        yield (
-            key,
-            {
-                "name": str(data.get("name", key)),
-                "about": _about(path.read_text("utf-8")),
-                "processes": list(dict.fromkeys(processes)),
-                "cell": Path(cell).stem if isinstance(cell, str) else "",
-                "robots": [str(arm.get("robot", "")) for arm in inside.get("arms", [])],
-                "feasible": folder != INFEASIBLE,
-            },
-        )
-
-
-def _about(text: str) -> str:
-    """The comment at the head of a problem file, without remarks on who wrote the file."""
-    lines = []
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            break
-        lines.append(line.lstrip("# ").rstrip())
-    sentences = re.split(r"(?<=\.) (?=[A-Z0-9])", " ".join(lines))
-    return " ".join(one for one in sentences if not _SCRIPT.search(one)).strip()
-
-
-def _path(name: str) -> Path:
-    if name not in bundled_entries():
-        what = f"bundled problem {name[:80]!r}: there is none; list the bundled problems"
-        raise RefusedError(404, Issue("service.not_found", what, field="name"))
-    inside = data_dir("problems") / name
-    return inside / "problem.yaml" if inside.is_dir() else inside.with_suffix(".yaml")
-
-
-def _data(path: Path) -> dict[str, Any]:
-    data = yaml.safe_load(path.read_text("utf-8"))
-    return data if isinstance(data, dict) else {}
-
-
-def _files(name: str) -> dict[str, Path]:
-    """Files that a bundled problem names, by the last step of their names; only such as are bundled too."""
-    path = _path(name)
-    data = _data(path)
-    found = dict(_named(data, path.parent))
-    if isinstance(data.get("cell"), str):
-        cell = (path.parent / data["cell"]).resolve()
-        found |= dict(_named(_data(cell), cell.parent))
-    return found
-
-
-def _named(data: Any, folder: Path) -> Iterator[tuple[str, Path]]:
-    if isinstance(data, dict):
-        for key, value in data.items():
-            if key in FILE_KEYS and isinstance(value, str):
-                path = (folder / value).resolve()
-                if is_file(path) and path.is_relative_to(data_dir("problems").resolve()):
-                    yield path.name, path
-            else:
-                yield from _named(value, folder)
-    elif isinstance(data, list):
-        for value in data:
-            yield from _named(value, folder)
-
-
-def _renamed(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {
-            key: Path(value).name if key in FILE_KEYS and isinstance(value, str) else _renamed(value)
-            for key, value in data.items()
-        }
-    return [_renamed(value) for value in data] if isinstance(data, list) else data
-
 
 page_router: Final = APIRouter(include_in_schema=False)
 PAGE_FOLDER: Final = Path(__file__).resolve().parent / "page"
@@ -205,6 +77,7 @@ TEMPLATES: Final = Environment(
 PAGES: Final = {
     "new": "New job",
     "compare": "Compare two jobs",
+    "elements": "Building elements",
     "login": "Log in",
 }
 """Titles of the pages, by name."""
@@ -222,6 +95,12 @@ def job(job: str, here: Here) -> HTMLResponse:
     return _page("job", "Job", here, job=job)
 
 
+@page_router.get("/ui/elements/{element}")
+def element(element: str, here: Here) -> HTMLResponse:
+    """One building element, as of a job."""
+    return _page("element", "Element", here, element=element)
+
+
 @page_router.get("/ui/static/{name:path}")
 def static(name: str) -> Response:
     """Styles and scripts of this version."""
@@ -235,17 +114,24 @@ def static(name: str) -> Response:
 
 
 @page_router.get("/ui/examples")
-def bundled(owner: Caller) -> dict[str, Any]:
+def examples(owner: Caller) -> dict[str, Any]:
     """Bundled problems."""
     del owner
-    return bundled_entries()
+    return bundled.problems()
+
+
+@page_router.get("/ui/example-elements")
+def example_elements(owner: Caller) -> dict[str, Any]:
+    """Bundled building elements."""
+    del owner
+    return bundled.elements()
 
 
 @page_router.get("/ui/example")
 def one(owner: Caller, name: Annotated[str, Query(max_length=200)]) -> dict[str, Any]:
     """A bundled problem as data."""
     del owner
-    return bundled_problem(name)
+    return bundled.problem(name)
 
 
 @page_router.get("/ui/example/file")
@@ -254,7 +140,7 @@ def example_file(
 ) -> FileResponse:
     """A file of a bundled problem."""
     del owner
-    return FileResponse(bundled_file(name, file), media_type="application/octet-stream")
+    return FileResponse(bundled.file(name, file), media_type="application/octet-stream")
 
 
 @page_router.post("/ui/preview")
@@ -333,6 +219,7 @@ def create_app(service: Service) -> FastAPI:
     )
     app.state.service = service
     app.include_router(routes.job_router)
+    app.include_router(element_routes.router)
     app.include_router(routes.about_router)
     app.include_router(page_router)
     app.add_exception_handler(RefusedError, _refused)

@@ -21,7 +21,18 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from planner.issues import Issue
-from planner.service.models import EVENTS, FILES, JOBS, OPEN, SETTLED, Database, JobOut
+from planner.service.models import (
+    ELEMENT_JOBS,
+    EVENTS,
+    FILES,
+    JOBS,
+    MARKS,
+    OPEN,
+    SETTLED,
+    Database,
+    JobOut,
+    Role,
+)
 from planner.service.security import Limits, RefusedError, issue_json, unknown_job
 from planner.service.storage import Blob
 
@@ -32,8 +43,21 @@ DELETED: Final = 2
 
 
 @dataclasses.dataclass(frozen=True)
+class OfElement:
+    """What a job is to an ``element``, by its id, none for a division, which is one; ``panel``, ``like`` and
+    ``about`` as the store has them."""
+
+    role: Role
+    element: str | None = None
+    panel: str = ""
+    like: str | None = None
+    about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
 class NewJob:
-    """What a job is made of: ``files`` by the names of a result folder; its answer depends on ``key``."""
+    """What a job is made of: ``files`` by the names of a result folder; its answer depends on ``key``. Its
+    ``id`` is made where none is given."""
 
     owner: str
     name: str
@@ -44,6 +68,8 @@ class NewJob:
     timeout_s: float
     memory_mb: float
     issues: tuple[Issue, ...] = ()
+    of: OfElement | None = None
+    id: str = dataclasses.field(default_factory=lambda: secrets.token_hex(16))
 
 
 class Jobs:
@@ -57,43 +83,60 @@ class Jobs:
 
         Raises :class:`RefusedError`, 429, where the owner has too many.
         """
-        job, now = secrets.token_hex(16), time.time()
+        return self.create_all([new])[0]
+
+    def create_all(self, jobs: Sequence[NewJob]) -> list[JobOut]:
+        """Store jobs of one owner, all or none; panels count as one job for each element. Raises as
+        :meth:`create`."""
         with self._database.write() as db:
-            self._database.one_at_a_time(db, new.owner)
-            self._allow(db, new.owner)
-            row = {
-                "id": job,
-                "owner": new.owner,
-                "name": new.name,
-                "digest": new.digest,
-                "key": new.key,
-                "processes": json.dumps(new.processes),
-                "state": "queued",
-                "created": now,
-                "timeout_s": new.timeout_s,
-                "memory_mb": new.memory_mb,
-                "issues": issues_json(new.issues),
-            }
-            db.execute(insert(JOBS).values(row))
-            put_files(db, job, new.files)
-            record_event(db, job, "state", {"state": "queued"})
-            if new.issues:
-                record_event(db, job, "issues", {"issues": [issue_json(issue) for issue in new.issues]})
-            answer_from_store(db, job, new.key)
-            return job_out(_row(db, job), self._ahead(db, job))
+            self._database.one_at_a_time(db, jobs[0].owner)
+            self._allow(db, jobs)
+            return [self._created(db, new) for new in jobs]
+
+    def _created(self, db: Connection, new: NewJob) -> JobOut:
+        job = new.id
+        row = {
+            "id": job,
+            "owner": new.owner,
+            "name": new.name,
+            "digest": new.digest,
+            "key": new.key,
+            "processes": json.dumps(new.processes),
+            "state": "queued",
+            "created": time.time(),
+            "timeout_s": new.timeout_s,
+            "memory_mb": new.memory_mb,
+            "issues": issues_json(new.issues),
+        }
+        db.execute(insert(JOBS).values(row))
+        put_files(db, job, new.files)
+        if new.of is not None:
+            kept = {"element": new.of.element or job, "role": new.of.role, "panel": new.of.panel}
+            about = {"like": new.of.like, "about": json.dumps(new.of.about)}
+            db.execute(insert(ELEMENT_JOBS).values({"job": job, **kept, **about}))
+        record_event(db, job, "state", {"state": "queued"})
+        if new.issues:
+            record_event(db, job, "issues", {"issues": [issue_json(issue) for issue in new.issues]})
+        answer_from_store(db, job, new.key)
+        return job_out(job_row(db, job), self._ahead(db, job))
 
     def get(self, job: str) -> tuple[str, JobOut]:
         """Owner and job; raises :class:`RefusedError`, 404."""
         with self._database.read() as db:
-            row = _row(db, job)
+            row = job_row(db, job)
             return row["owner"], job_out(row, self._ahead(db, job) if row["state"] == "queued" else None)
 
     def page(
-        self, owner: str, states: Sequence[str], cursor: str | None, count: int
+        self, owner: str, states: Sequence[str], cursor: str | None, count: int, role: Role | None = None
     ) -> tuple[list[JobOut], str | None]:
         """Up to ``count`` jobs of the owner, the newest first, and the cursor of what follows, if anything
-        does."""
+        does: jobs of that ``role`` in an element, or such as plan a problem."""
         query = select(JOBS).where(JOBS.c.owner == owner, JOBS.c.cancel != DELETED)
+        of = select(ELEMENT_JOBS.c.job)
+        if role is None:
+            query = query.where(JOBS.c.id.not_in(of.where(ELEMENT_JOBS.c.role != "panel")))
+        else:
+            query = query.where(JOBS.c.id.in_(of.where(ELEMENT_JOBS.c.role == role)))
         if states:
             query = query.where(JOBS.c.state.in_(states))
         if cursor is not None:  # jobs may have been deleted since, that one too
@@ -109,7 +152,7 @@ class Jobs:
         """Cancel a job: at once if it waits, else its worker is told; no more happens to one that is done."""
         with self._database.write() as db:
             self._database.one_at_a_time(db, job)
-            row = _row(db, job)
+            row = job_row(db, job)
             if row["state"] == "queued":
                 changed = db.execute(
                     update(JOBS)
@@ -120,7 +163,7 @@ class Jobs:
                     record_event(db, job, "state", {"state": "cancelled"})
             wanted = DELETED if also_delete else max(CANCELLED, row["cancel"])
             db.execute(update(JOBS).where(JOBS.c.id == job, JOBS.c.state == "running").values(cancel=wanted))
-            done = job_out(_row(db, job, deleted_too=True))
+            done = job_out(job_row(db, job, deleted_too=True))
             if also_delete and done.state not in OPEN:
                 remove(db, job)
             return done
@@ -152,15 +195,24 @@ class Jobs:
             return dict(tuple(row) for row in rows)
 
     def _ahead(self, db: Connection, job: str) -> int | None:
-        row = _row(db, job)
+        row = job_row(db, job)
         if row["state"] != "queued":
             return None
         earlier = and_(JOBS.c.state == "queued", JOBS.c.created < row["created"])
         return int(db.execute(select(func.count()).select_from(JOBS).where(earlier)).scalar_one())
 
-    def _allow(self, db: Connection, owner: str) -> None:
+    def _allow(self, db: Connection, new: Sequence[NewJob]) -> None:
+        owner = new[0].owner
         mine = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
-        waiting = int(db.execute(mine.where(JOBS.c.state.in_(OPEN))).scalar_one())
+        panels = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.role == "panel")
+        opened = and_(JOBS.c.owner == owner, JOBS.c.state.in_(OPEN))
+        elements = (
+            select(func.count(ELEMENT_JOBS.c.element.distinct()))
+            .join_from(ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.job == JOBS.c.id)
+            .where(opened, ELEMENT_JOBS.c.role == "panel")
+        )
+        waiting = int(db.execute(mine.where(opened, JOBS.c.id.not_in(panels))).scalar_one())
+        waiting += int(db.execute(elements).scalar_one())
         if waiting >= self._limits.open_jobs:
             what = (
                 f"{waiting} jobs wait or run, at most {self._limits.open_jobs} may; wait for some, or cancel"
@@ -169,8 +221,9 @@ class Jobs:
                 429, Issue("service.too_many", what, limit=self._limits.open_jobs), {"Retry-After": "10"}
             )
         kept = int(db.execute(mine).scalar_one())
-        if kept >= self._limits.kept_jobs:
-            what = f"{kept} jobs are kept, at most {self._limits.kept_jobs} may be; delete old ones"
+        if kept + len(new) > self._limits.kept_jobs:
+            more = f", {len(new)} more are wanted" if len(new) > 1 else ""
+            what = f"{kept} jobs are kept{more}, at most {self._limits.kept_jobs} may be; delete old ones"
             raise RefusedError(
                 429, Issue("service.too_many", what, limit=self._limits.kept_jobs), {"Retry-After": "60"}
             )
@@ -199,10 +252,15 @@ def job_files(db: Connection, job: str) -> dict[str, Blob]:
 
 
 def remove(db: Connection, job: str) -> None:
-    """Delete a job with its files and events; stored content goes with a later sweep."""
-    for table in (EVENTS, FILES):
-        db.execute(delete(table).where(table.c.job == job))
-    db.execute(delete(JOBS).where(JOBS.c.id == job))
+    """Delete a job with its files and events; of an element, reports too, and its panels become jobs like any
+    others. Stored content goes with a later sweep."""
+    own = and_(ELEMENT_JOBS.c.element == job, ELEMENT_JOBS.c.role == "report")
+    reports = db.execute(select(ELEMENT_JOBS.c.job).where(own)).scalars().all()
+    for one in {job, *reports}:
+        for table in (EVENTS, FILES):
+            db.execute(delete(table).where(table.c.job == one))
+        db.execute(delete(JOBS).where(JOBS.c.id == one))
+    db.execute(delete(ELEMENT_JOBS).where(or_(ELEMENT_JOBS.c.job == job, ELEMENT_JOBS.c.element == job)))
 
 
 def answer_from_store(db: Connection, job: str, key: str) -> bool:
@@ -218,7 +276,8 @@ def answer_from_store(db: Connection, job: str, key: str) -> bool:
         return False
     kept = {name: found[name] for name in ("state", "issues", "metrics", "seconds", "stage", "fraction")}
     db.execute(update(JOBS).where(JOBS.c.id == job).values(**kept, from_store=1, finished=time.time()))
-    put_files(db, job, job_files(db, found["id"]))
+    files = job_files(db, found["id"])
+    put_files(db, job, {name: blob for name, blob in files.items() if name != MARKS})
     if found["issues"] != "[]":
         record_event(db, job, "issues", {"issues": json.loads(found["issues"])})
     record_event(db, job, "state", {"state": found["state"], "from_store": True})
@@ -258,7 +317,8 @@ def _utc(seconds: float) -> dt.datetime:
     return dt.datetime.fromtimestamp(seconds, dt.UTC)
 
 
-def _row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:
+def job_row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:
+    """A job as the store has it; raises :class:`RefusedError`, 404."""
     row = db.execute(select(JOBS).where(JOBS.c.id == job)).mappings().first()
     if row is None or (row["cancel"] == DELETED and not deleted_too):
         raise unknown_job(job)

@@ -116,6 +116,19 @@ SECRETS: Final = Table(
     Column("value", String(64), nullable=False),
 )
 """What all hosts of a store sign with, by what it is for."""
+ELEMENT_JOBS: Final = Table(
+    "tandem_element_jobs",
+    METADATA,
+    Column("job", String(32), primary_key=True),
+    Column("element", String(32), nullable=False, index=True),
+    Column("role", String(16), nullable=False),
+    Column("panel", String(32), nullable=False, default=""),
+    Column("like", String(32)),
+    Column("about", Text, nullable=False, default="{}"),
+)
+"""Jobs of building elements, by ``role``: ``division``, by whose job the element is called and which has
+``about`` it what may be changed; ``panel``, that plans the panel of that id, ``like`` the job of one beside
+it; ``report`` on what was planned."""
 
 EVENTS: Final = Table(
     "tandem_events",
@@ -244,6 +257,7 @@ State = Literal[
     "queued",
     "running",
     "verified",
+    "done",
     "infeasible",
     "bad_input",
     "unproven",
@@ -255,8 +269,12 @@ State = Literal[
 Kind = Literal["robots", "cells", "tools", "materials"]
 OPEN: Final = ("queued", "running")
 """States of jobs that have not ended."""
-SETTLED: Final = ("verified", "infeasible", "unproven")
+SETTLED: Final = ("verified", "done", "infeasible", "unproven")
 """States that the problem alone decides, so that an identical one needs no planning."""
+MARKS: Final = "progress.csv"
+"""The file of an element's job that says which panels are cut, glued or broken; no part of its result."""
+Role = Literal["division", "panel", "report"]
+Mark = Literal["cut", "glued", "broken"]
 
 
 class Sent(BaseModel):
@@ -299,6 +317,71 @@ class JobList(Sent):
 
     jobs: list[JobOut]
     next: str | None = None
+
+
+class ElementOut(JobOut):
+    """An element: the job that divides it, and what may be changed."""
+
+    kind: str = Field("", description="of its panels")
+    fields: dict[str, float | list[float]] = Field(
+        {}, description="what may be changed, by its place in the element file, as it is"
+    )
+    planned: int = Field(0, description="panels that were given to the planner")
+
+
+class ElementList(Sent):
+    """A page of elements, as of jobs."""
+
+    elements: list[ElementOut]
+    next: str | None = None
+
+
+class PanelOut(Sent):
+    """A panel of an element and what became of it."""
+
+    id: str
+    order: int | None = Field(None, description="when it is put in, from 1")
+    block_mm: list[float] = Field(description="its block")
+    block: str = Field("", description="the raw block that this is cut from")
+    cut_min: dict[str, float] = Field({}, description="estimate of the cuts alone [min], by arm")
+    job: str | None = Field(None, description="the job that plans it")
+    state: State | Literal["not_planned"] = "not_planned"
+    stage: str = ""
+    cycle_s: float | None = Field(None, description="time of its programs [s]")
+    issue: Issue | None = Field(None, description="the first of what stands in its way")
+    mark: Mark | None = None
+
+
+class ElementPanels(ElementOut):
+    """An element with its panels, once it is divided."""
+
+    panels: list[PanelOut] = []
+    counts: dict[str, int] = Field({}, description="panels by state, and by mark")
+    cut_h: dict[str, float] = Field({}, description="estimate of all cuts [h], by arm")
+    told: list[str] = Field([], description="how far it is made, what to cut and to glue next")
+    report: JobOut | None = Field(None, description="the last report on its panels; its files have it")
+
+
+class Change(Sent):
+    """Fields of an element file by their places, with their new values."""
+
+    model_config = ConfigDict(extra="forbid")
+    fields: dict[str, Any] = Field(max_length=100)
+
+
+class Chosen(Sent):
+    """Panels by their ids; none: all that are not planned yet."""
+
+    model_config = ConfigDict(extra="forbid")
+    panels: list[str] | None = Field(None, max_length=10_000)
+
+
+class Marking(Sent):
+    """A panel and what it is now; ``open`` takes its mark away."""
+
+    model_config = ConfigDict(extra="forbid")
+    panel: str = Field(max_length=32)
+    state: Literal["cut", "glued", "broken", "open"]
 
 
 class FileOut(Sent):

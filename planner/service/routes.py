@@ -64,7 +64,7 @@ _BEARER: Final = HTTPBearer(auto_error=False, description="a token that `tandem 
 """How the description of the interface tells of tokens."""
 _COOKIE: Final = APIKeyCookie(name=COOKIE, auto_error=False, description="what POST /v1/session set")
 """How the description of the interface tells of the cookie."""
-_JOB_ID: Final = re.compile(r"[0-9a-f]{32}")
+JOB_ID: Final = re.compile(r"[0-9a-f]{32}")
 """A job's identifier."""
 
 REFUSALS: Final = {
@@ -112,7 +112,7 @@ Here = Annotated[Service, Depends(service)]
 
 def own_job(job: str, owner: Caller, here: Here) -> JobOut:
     """The job, if it is the caller's; raises :class:`RefusedError`, 403 or 404."""
-    if not _JOB_ID.fullmatch(job):
+    if not JOB_ID.fullmatch(job):
         raise unknown_job(job)
     belongs_to, found = here.jobs.get(job)
     if belongs_to != owner:
@@ -324,6 +324,10 @@ SANDBOX: Final = "sandbox allow-scripts allow-downloads allow-popups; frame-ance
 """What is in a report came from a user: it runs apart from this site, without its cookies."""
 PAGE_SIZE: Final = 50
 """Jobs of one page of the list, where the request does not say."""
+CURSOR = Annotated[
+    str | None,
+    Query(pattern=r"^[0-9]{1,12}\.[0-9]{1,9}-[0-9a-f]{32}$", description="`next` of the page before"),
+]
 EVENT_SCHEMA: Final = {
     "type": "object",
     "description": "one event of the stream",
@@ -390,10 +394,7 @@ def page(
     owner: Caller,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
-    cursor: Annotated[
-        str | None,
-        Query(pattern=r"^[0-9]{1,12}\.[0-9]{1,9}-[0-9a-f]{32}$", description="`next` of the page before"),
-    ] = None,
+    cursor: CURSOR = None,
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
 ) -> JobList:
     """The newest first, a page at a time."""

@@ -18,10 +18,10 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from sqlalchemy import ColumnElement, Connection, Select, and_, delete, func, select, update
+from sqlalchemy import ColumnElement, Connection, Select, and_, case, delete, func, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
-from planner.batch.job import Done, Event, Finished, Found, Job, Progress
+from planner.batch.job import LIKE, Done, Event, Finished, Found, Job, Progress
 from planner.issues import Issue, TandemError
 from planner.service.jobs import (
     DELETED,
@@ -32,7 +32,7 @@ from planner.service.jobs import (
     record_event,
     remove,
 )
-from planner.service.models import JOBS, OPEN, SESSIONS, Database, State
+from planner.service.models import ELEMENT_JOBS, JOBS, OPEN, SESSIONS, Database, State
 from planner.service.security import issue_json
 from planner.service.storage import Blob, Files
 
@@ -61,8 +61,9 @@ class Work:
     def claim(self) -> Claimed | None:
         """The next job that waits, now held by this host; None where there is none.
 
-        Owners with fewer running jobs come first, then the older job. A job whose like is running waits, and
-        one whose like is done gets that answer.
+        Owners with fewer running jobs come first, then elements to divide or to report on, which somebody
+        looks at, then the older job. A job whose like is running waits, and one whose like is done gets that
+        answer. A panel waits for the one beside it that it is planned like.
         """
         waiting = select(JOBS.c.id).where(JOBS.c.state == "queued").limit(1)
         while True:
@@ -91,7 +92,7 @@ class Work:
                     )
                 )
                 record_event(db, job, "state", {"state": "running", "attempt": attempt})
-                files = job_files(db, job)
+                files = {**job_files(db, job), **_like(db, job)}
                 return Claimed(job, row["name"], attempt, files, row["timeout_s"], row["memory_mb"])
 
     def _next(self) -> Select[Any]:
@@ -103,10 +104,17 @@ class Work:
         )
         like = JOBS.alias()
         same = select(like.c.key).where(like.c.state == "running")
+        beside = JOBS.alias()
+        after = (
+            select(ELEMENT_JOBS.c.job)
+            .join_from(ELEMENT_JOBS, beside, ELEMENT_JOBS.c.like == beside.c.id)
+            .where(beside.c.state.in_(OPEN))
+        )
+        seen = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.role != "panel")
         return (
             select(JOBS)
-            .where(JOBS.c.state == "queued", JOBS.c.key.not_in(same))
-            .order_by(running, JOBS.c.created, JOBS.c.id)
+            .where(JOBS.c.state == "queued", JOBS.c.key.not_in(same), JOBS.c.id.not_in(after))
+            .order_by(running, case((JOBS.c.id.in_(seen), 0), else_=1), JOBS.c.created, JOBS.c.id)
             .limit(1)
             .with_for_update(of=JOBS, skip_locked=True)
         )
@@ -233,6 +241,25 @@ class Work:
             JOBS.c.attempts == claimed.attempt,
         )
         return db.execute(select(JOBS.c.id).where(mine).with_for_update()).first() is not None
+
+
+def _like(db: Connection, job: str) -> dict[str, Blob]:
+    """What a panel begins with: the plan of the panel that it is like, or where that has none, of the one
+    which that is like, and so on."""
+    asked = select(ELEMENT_JOBS.c.like, JOBS.c.state).join_from(
+        ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.like == JOBS.c.id
+    )
+    row = db.execute(asked.where(ELEMENT_JOBS.c.job == job)).first()
+    while row is not None and row.state != "verified":
+        row = db.execute(asked.where(ELEMENT_JOBS.c.job == row.like)).first()
+    if row is None:
+        return {}
+    plan = ("plan.json", "plan.npz")
+    return {
+        f"problem/{LIKE}/{name}": blob
+        for name, blob in job_files(db, row.like).items()
+        if name in plan or name.startswith("problem/")
+    }
 
 
 LOG: Final = logging.getLogger("planner.service")

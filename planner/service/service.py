@@ -15,17 +15,18 @@ import shutil
 import socket
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Final, TypeVar
+from typing import IO, Any, Final, TypeVar
 
 import anyio
 import anyio.to_thread
 from starlette.requests import Request
 
-from planner.batch.job import all_versions
+from planner.batch.job import PROBLEM, all_versions
 from planner.issues import Issue, TandemError
-from planner.service.jobs import Hub, Jobs, NewJob
+from planner.service.elements import Elements
+from planner.service.jobs import Hub, Jobs, NewJob, OfElement
 from planner.service.models import Database, JobOut, default_url
 from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, Links, RefusedError
@@ -101,6 +102,7 @@ class Service:
             keep_s=None if limits.keep_days is None else limits.keep_days * 86400.0,
             shas=self.jobs.shas,
         )
+        self.elements = Elements(self)
         self._turns: dict[str, anyio.Semaphore] = {}
         self._readers = anyio.CapacityLimiter(options.examiners)
         self._waiting: Counter[str] = Counter()
@@ -187,10 +189,7 @@ class Service:
         if known is None:
             uploads = {name: self.files.path(blob.sha) for name, blob in upload.files.items()}
             problem = self.files.path(upload.problem.sha)
-            known = self._examiners.examine(problem, uploads, reach, draw, reading)
-            if not known.readable:
-                large = all(issue.code == "service.too_large" for issue in known.issues)
-                raise RefusedError(413 if large else 422, known.issues)
+            known = _readable(self._examiners.examine(problem, uploads, reach, draw, reading))
             if draw:  # pictures are large, and asked for once
                 return known
             with self._read_lock:
@@ -209,22 +208,73 @@ class Service:
     ) -> JobOut:
         """A job for an upload; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
         read = self.examine(upload, reading=reading)
-        sizes = {blob.sha: blob.size for blob in upload.files.values()}
-        (text,) = self.storage.put(owner, [io.BytesIO(read.text.encode())])
-        files = {f"problem/{name}": Blob(sha, sizes[sha]) for name, sha in read.files.items()}
-        return self.jobs.create(
-            NewJob(
-                owner=owner,
-                name=read.name,
-                digest=read.digest,
-                key=_key(read.digest),
-                processes=read.processes,
-                files={"problem/problem.yaml": text, **files},
-                timeout_s=min(timeout_s or self.limits.job_s, self.limits.job_s),
-                memory_mb=min(memory_mb or self.limits.job_memory_mb, self.limits.job_memory_mb),
-                issues=read.issues,
-            )
+        files = self.stored(owner, {PROBLEM: read}, upload.files)[PROBLEM]
+        return self.jobs.create(self.new_job(owner, read.name, read, files, timeout_s, memory_mb))
+
+    def examine_element(
+        self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: Reading
+    ) -> Examined:
+        """Read an uploaded element; raises as :meth:`examine`."""
+        paths = {name: self.files.path(blob.sha) for name, blob in uploads.items()}
+        return _readable(self._examiners.examine_element(self.files.path(sha), paths, fields, reading))
+
+    def examine_panels(
+        self, files: Mapping[str, Blob], panels: Sequence[str], reading: Reading
+    ) -> list[Examined]:
+        """Panels out of the files of a divided element; raises as :meth:`examine`."""
+        paths = {name: self.files.path(blob.sha) for name, blob in files.items()}
+        return [_readable(one) for one in self._examiners.examine_panels(paths, panels, reading)]
+
+    def stored(
+        self,
+        owner: str,
+        read: Mapping[str, Examined],
+        uploads: Mapping[str, Blob],
+        document: str | None = None,
+    ) -> dict[str, dict[str, Blob]]:
+        """Files of the jobs for what was read, by the same names; these are those of the document too, where
+        none is named. Raises :class:`RefusedError`, 507."""
+        sizes = {blob.sha: blob.size for blob in uploads.values()}
+        texts = self.storage.put(owner, [io.BytesIO(one.text.encode()) for one in read.values()])
+        out = {}
+        for (name, one), text in zip(read.items(), texts, strict=True):
+            files = {f"problem/{file}": Blob(sha, sizes[sha]) for file, sha in one.files.items()}
+            out[name] = {f"problem/{document or name}": text, **files}
+        return out
+
+    def new_job(
+        self,
+        owner: str,
+        name: str,
+        read: Examined,
+        files: Mapping[str, Blob],
+        timeout_s: float | None = None,
+        memory_mb: float | None = None,
+        of: OfElement | None = None,
+        after: str = "",
+    ) -> NewJob:
+        """A job for what was read; its answer depends on that, and on the key of the one that it comes
+        ``after``."""
+        return NewJob(
+            owner=owner,
+            name=name,
+            digest=read.digest,
+            key=_key(f"{read.digest} {after}".strip()),
+            processes=read.processes,
+            files=files,
+            timeout_s=min(timeout_s or self.limits.job_s, self.limits.job_s),
+            memory_mb=min(memory_mb or self.limits.job_memory_mb, self.limits.job_memory_mb),
+            issues=read.issues,
+            of=of,
         )
+
+
+def _readable(read: Examined) -> Examined:
+    """The same; raises :class:`RefusedError`, 413 or 422, for what cannot be read."""
+    if not read.readable:
+        large = all(issue.code == "service.too_large" for issue in read.issues)
+        raise RefusedError(413 if large else 422, read.issues)
+    return read
 
 
 def _key(digest: str) -> str:

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
@@ -94,6 +94,30 @@ class Examiners:
     ) -> Examined:
         """As :func:`planner.service.upload_reader.examine`, in a process of its own; raises
         :class:`RefusedError`, 503, where the service stops meanwhile, 499 where ``reading`` is broken off."""
+        more = {"problem": str(problem), "reach": reach, "draw": draw, "facets": self._facets}
+        return self._asked("examine", uploads, more, reading)[0]
+
+    def examine_element(
+        self,
+        element: Path,
+        uploads: Mapping[str, Path],
+        fields: Mapping[str, Any],
+        reading: Reading | None = None,
+    ) -> Examined:
+        """As :func:`planner.service.upload_reader.examine_element`, in the same way."""
+        more = {"element": str(element), "facets": self._facets, "fields": dict(fields)}
+        return self._asked("examine_element", uploads, more, reading)[0]
+
+    def examine_panels(
+        self, files: Mapping[str, Path], panels: Sequence[str], reading: Reading | None = None
+    ) -> list[Examined]:
+        """As :func:`planner.service.upload_reader.examine_panels`, in the same way; one with errors alone
+        where reading was stopped."""
+        return self._asked("examine_panels", files, {"panels": list(panels)}, reading)
+
+    def _asked(
+        self, what: str, files: Mapping[str, Path], more: Mapping[str, Any], reading: Reading | None
+    ) -> list[Examined]:
         reading = reading or Reading()
         process = self._idle.get()
         try:
@@ -102,15 +126,8 @@ class Examiners:
             with tempfile.TemporaryDirectory(dir=self._scratch, prefix="examine-") as folder:
                 if process is None or process.poll() is not None:
                     process = self._started()
-                asked = {
-                    "folder": folder,
-                    "problem": str(problem),
-                    "uploads": {name: str(path) for name, path in uploads.items()},
-                    "reach": reach,
-                    "draw": draw,
-                    "facets": self._facets,
-                }
-                return self._ask(process, asked, reading)
+                given = {name: str(path) for name, path in files.items()}
+                return self._ask(process, {"what": what, "folder": folder, "files": given, **more}, reading)
         finally:
             self._idle.put(process)
 
@@ -153,7 +170,9 @@ class Examiners:
         self._all.add(process)
         return process
 
-    def _ask(self, process: subprocess.Popen[str], asked: Mapping[str, Any], reading: Reading) -> Examined:
+    def _ask(
+        self, process: subprocess.Popen[str], asked: Mapping[str, Any], reading: Reading
+    ) -> list[Examined]:
         late = threading.Event()
 
         def stop() -> None:
@@ -170,7 +189,7 @@ class Examiners:
             reading.by(None)
             timer.cancel()
         if answer:
-            return _from_json(json.loads(answer))
+            return [_from_json(one) for one in json.loads(answer)]
         process.kill()
         process.wait()
         if self._closed:
@@ -183,7 +202,7 @@ class Examiners:
             else f"needs more than the {self._memory:g} MB that reading may take, or broke off"
         )
         message = f"the problem {what}; make its meshes, tables and step counts smaller"
-        return Examined((Issue("service.check_stopped", message, field="problem"),))
+        return [Examined((Issue("service.check_stopped", message, field="problem"),))]
 
 
 def _stopping() -> RefusedError:
@@ -222,7 +241,7 @@ def _from_json(data: dict[str, Any]) -> Examined:
 def serve() -> None:
     """Answer requests from standard input until it ends."""
     from planner.batch.worker import end_with
-    from planner.service.upload_reader import examine
+    from planner.service.upload_reader import examine, examine_element, examine_panels
 
     end_with(int(sys.argv[1]))
     limit = int(float(sys.argv[2]) * MB)
@@ -232,11 +251,17 @@ def serve() -> None:
     os.dup2(2, 1)  # what libraries print is no answer
     for line in sys.stdin:
         asked = json.loads(line)
-        uploads = {name: Path(path) for name, path in asked["uploads"].items()}
+        folder, files = Path(asked["folder"]), {name: Path(path) for name, path in asked["files"].items()}
         try:
-            folder, problem = Path(asked["folder"]), Path(asked["problem"])
-            found = examine(folder, problem, uploads, asked["facets"], asked["reach"], asked["draw"])
-            answer = json.dumps(_to_json(found))
+            if asked["what"] == "examine_panels":
+                found = examine_panels(folder, files, asked["panels"])
+            elif asked["what"] == "examine_element":
+                element = Path(asked["element"])
+                found = [examine_element(folder, element, files, asked["facets"], asked["fields"])]
+            else:
+                problem = Path(asked["problem"])
+                found = [examine(folder, problem, files, asked["facets"], asked["reach"], asked["draw"])]
+            answer = json.dumps([_to_json(one) for one in found])
         except MemoryError:
             os._exit(1)  # who asked says what it means
         answers.write(answer + "\n")

@@ -7,6 +7,9 @@ facets and vertices a mesh file has is told from its text or header without buil
 **Drawn before it is planned**: surfaces, block, and ways of tool points, all as triangles; the ways
 of the tool points, of poses that a table gives, as thin bars.
 
+**Elements** are read in the same way, with the templates of their jobs inside; panels, out of the folder of a
+divided element, as problems that stand alone.
+
 This runs in a process of its own (:mod:`planner.service.upload_processes`), because what people
 upload may be hostile; it loads all processes, so nothing else imports it.
 """
@@ -18,14 +21,16 @@ import hashlib
 import os
 import re
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from planner import processes
-from planner.batch.job import PROBLEM
+from planner.batch.job import ELEMENT, PROBLEM
+from planner.element import element_file
+from planner.element.element_file import ElementFile
 from planner.files import FILE_KEYS, base_name
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
@@ -45,6 +50,14 @@ PROCESS: Final = "targets"
 """Its targets are as good as read from a file; those of other processes take planning."""
 MOST: Final = 3000
 """Bars of one way; of longer ones some poses are left out."""
+DIVIDED_BY: Final = {
+    "elastic": ("tolerance_mm",),
+    "hexagons": ("count", "off_surface_mm"),
+    "boxes": ("least_height_mm",),
+    "puzzle": ("lobe_mm", "cells"),
+    "strips": ("tolerance_mm",),
+}
+"""Figures of the element file by which each kind of panels is divided."""
 WIDTH: Final = 0.004
 """Of a bar, as a share of the way's extent and the block's."""
 
@@ -57,6 +70,7 @@ class Uploaded:
         self._folder, self._uploads = folder, uploads
         self._names: dict[str, str] = {}
         self._cell: Document | None = None
+        self._inner: dict[Path, int] = {}  # how deep in the whole the file begins
         self._faults: list[Issue] = []
         (folder / "files").mkdir()
 
@@ -69,9 +83,40 @@ class Uploaded:
             if path == NOWHERE:
                 data["cell"] = NOWHERE
             else:
-                self._cell = strict_yaml.read(self._folder / path)
-                data["cell"] = self._changed(self._cell.data, self._cell, ("cell",))
+                self._cell, data["cell"] = self._read(path, ("cell",))
         return document.with_data(data), self._faults
+
+    def element_inside(self, document: Document) -> tuple[Document, list[Issue]]:
+        """The same of an element: the templates of its jobs and of its raw blocks are written out, with their
+        cells."""
+        data = self._changed(document.data, document, ())
+        jobs, saw, raw = data.get("jobs"), data.get("cut_blocks"), data.get("raw_blocks")
+        for number, job in enumerate(jobs if isinstance(jobs, list) else ()):
+            if isinstance(job, dict) and "problem" in job:
+                job["problem"] = self._template(job["problem"], document, ("jobs", number, "problem"))
+        if isinstance(saw, dict) and "problem" in saw:
+            saw["problem"] = self._template(saw["problem"], document, ("cut_blocks", "problem"))
+        if isinstance(raw, dict) and isinstance(raw.get("stock"), str):
+            raw["stock"] = self._laid(raw["stock"], document, ("raw_blocks", "stock"))
+        return document.with_data(data), self._faults
+
+    def _template(self, given: Any, document: Document, place: tuple[str | int, ...]) -> Any:
+        if isinstance(given, str):
+            path = self._laid(given, document, place)
+            if path == NOWHERE:
+                return given
+            document, given = self._read(path, place)
+        if isinstance(given, dict) and isinstance(given.get("cell"), str):
+            path = self._laid(given["cell"], document, (*place, "cell"))
+            if path != NOWHERE:
+                given["cell"] = self._read(path, (*place, "cell"))[1]
+        return given
+
+    def _read(self, path: str, place: tuple[str | int, ...]) -> tuple[Document, Any]:
+        """A file that is laid, and its values as the whole has them at ``place``."""
+        document = strict_yaml.read(self._folder / path)
+        self._inner[document.path] = len(place)
+        return document, self._changed(document.data, document, place)
 
     def in_user_names(self, issues: Iterable[Issue]) -> tuple[Issue, ...]:
         """The issues without paths of this machine, those of a cell's file with its lines."""
@@ -129,7 +174,7 @@ class Uploaded:
         field = ".".join(str(step) for step in place)
         have = ", ".join(repr(one[:80]) for one in sorted(self._uploads)[:10]) or "no files"
         what = f"{'several uploads are' if many else 'no upload is'} called {base_name(name)[:80]!r}"
-        inner = place[1:] if document is self._cell else place
+        inner = place[self._inner.get(document.path, 0) :]
         return Issue(
             "service.not_uploaded",
             f"{field}: got {name[:80]!r}, {what}; with the problem came {have}",
@@ -435,6 +480,93 @@ def examine(
         summary=_summary(read),
         shapes=tuple(drawn),
     )
+
+
+def examine_element(
+    folder: Path, element: Path, uploads: Mapping[str, Path], facets: int, fields: Mapping[str, Any]
+) -> Examined:
+    """The same of an element file, with ``fields`` in place of those that it has; ``summary``: the ``kind``
+    of its panels and the ``fields`` that may be changed, as they are."""
+    faults = [*_archives(uploads), *_large_meshes(uploads, facets)]
+    if faults:
+        return Examined(tuple(faults))
+    uploaded = Uploaded(folder, uploads)
+    shutil.copyfile(element, folder / ELEMENT)
+    try:
+        document = strict_yaml.read(folder / ELEMENT)
+        faults = [*_replaced(document.data, fields)]
+        document, missing = uploaded.element_inside(document)
+        if faults or missing:
+            return Examined(uploaded.in_user_names([*faults, *missing]))
+        text = strict_yaml.dump(document.data)
+        (folder / ELEMENT).write_text(text, "utf-8")
+        read = element_file.read(folder / ELEMENT)
+    except TandemError as error:
+        return Examined(uploaded.in_user_names(error.issues))
+    laid = {f"files/{path.name}": path.read_bytes() for path in sorted((folder / "files").iterdir())}
+    files = {name: hashlib.sha256(content).hexdigest() for name, content in laid.items() if name in text}
+    operations = [operation for template in read.templates for operation in template.data["operations"]]
+    named = [str(one["process"]) for one in operations if isinstance(one, dict) and "process" in one]
+    return Examined(
+        issues=(),
+        name=read.file.name,
+        digest=hashlib.sha256(text.encode()).hexdigest(),
+        processes=tuple(dict.fromkeys(named)),
+        text=text,
+        files=files,
+        summary={"kind": read.file.panels.kind, "fields": _fields(read.file)},
+    )
+
+
+def _replaced(data: dict[str, Any], fields: Mapping[str, Any]) -> Iterator[Issue]:
+    """Set fields by their places; what cannot be set."""
+    for field, value in fields.items():
+        try:
+            strict_yaml.changed_field(data, field, value, Path("/"))
+        except ValueError as error:
+            yield Issue("service.request", f"{field[:80]}: {error}; correct it", field=field[:80])
+
+
+def _fields(spec: ElementFile) -> dict[str, Any]:
+    """What may be changed by hand: thickness, blocks, the figure by which its kind is divided."""
+    kind = spec.panels.kind
+    wanted = getattr(spec.panels, kind)
+    out: dict[str, Any] = {}
+    for name in DIVIDED_BY[kind]:
+        value = getattr(wanted, name)
+        if value is not None:
+            out[f"panels.{kind}.{name}"] = list(value) if isinstance(value, tuple) else value
+    out["thickness_mm"] = spec.thickness_mm
+    for number, block in enumerate(spec.blocks):
+        out[f"blocks.{number}.size_mm"] = list(block.size_mm)
+    for number, block in enumerate(spec.raw_blocks.sizes if spec.raw_blocks else ()):
+        out[f"raw_blocks.sizes.{number}.size_mm"] = list(block.size_mm)
+    return out
+
+
+def examine_panels(folder: Path, files: Mapping[str, Path], panels: Sequence[str]) -> list[Examined]:
+    """Panels of a divided element by their ids as problems that stand alone; ``files`` of the element's job,
+    by name. Their targets are made when they are planned."""
+    for name, path in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        _link_or_copy(path, folder / name)
+    out = []
+    for panel in panels:
+        path = folder / "panels" / f"{panel}.yaml"
+        source = problem_file.resolved(strict_yaml.read(path).data, path.parent)
+        stored = problem_file.packed(source)
+        text = stored.pop(PROBLEM).decode()
+        out.append(
+            Examined(
+                issues=(),
+                name=str(source["name"]),
+                digest=problem_file.digest(source),
+                processes=tuple(dict.fromkeys(str(one["process"]) for one in source["operations"])),
+                text=text,
+                files={name: hashlib.sha256(content).hexdigest() for name, content in stored.items()},
+            )
+        )
+    return out
 
 
 def _other_faults(document: Document) -> list[Issue]:

@@ -59,6 +59,7 @@ class Team:
                 (folder / "programs").mkdir(parents=True)
                 (folder / "programs" / "main.mod").write_text("MODULE main")
                 (folder / "report.html").write_text("<script>1</script>")
+                (folder / "plan.json").write_text("{}")
                 self._events.append(Finished(name, Done(name, "verified", (NOTE,), {"cycle_s": 1.0}, 0.1)))
             self._open.clear()
         if not self._events:

@@ -8,7 +8,7 @@ from typing import Final
 
 FOLDER: Final = Path(__file__).resolve().parent
 """Where the modules lie."""
-MODULES: Final = ("matrix.js", "orbit.js")
+MODULES: Final = ("matrix.js", "orbit.js", "panels.js")
 """Modules in the order in which they need one another."""
 
 

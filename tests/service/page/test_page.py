@@ -14,14 +14,15 @@ import pytest
 from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.report import view3d
-from planner.service import app
+from planner.service import bundled
 from planner.service.app import PAGE_FOLDER, STATIC
-from planner.service.upload_reader import path_bars, shapes, thinned
+from planner.service.upload_reader import examine_element, path_bars, shapes, thinned
 from tests import small_problem
 from tests.service.support import ROOT as REPOSITORY
 from tests.service.support import TABLE, InProcess
 
-PAGES = ["/", "/ui/new", "/ui/compare", "/ui/login", f"/ui/jobs/{'0' * 32}"]
+PAGES = ["/", "/ui/new", "/ui/elements", "/ui/compare", "/ui/login"]
+PAGES += [f"/ui/{kind}/{'0' * 32}" for kind in ("jobs", "elements")]
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +123,7 @@ def test_bundled_problems_need_a_token_where_others_do(tmp_path: Path) -> None:
     with InProcess(data, require_token=True, examiners=1) as closed:
         for path in (
             "/ui/examples",
+            "/ui/example-elements",
             "/ui/example?name=wing",
             "/ui/example/file?name=cone_spif&file=cone.ply",
         ):
@@ -129,21 +131,36 @@ def test_bundled_problems_need_a_token_where_others_do(tmp_path: Path) -> None:
         assert closed.http.get("/").status_code == 200
 
 
-@pytest.mark.parametrize("name", sorted(app.bundled_entries()))
+@pytest.mark.parametrize("name", sorted(bundled.problems()))
 def test_every_bundled_problem_is_data_with_its_files(name: str) -> None:
-    found = app.bundled_problem(name)
+    found = bundled.problem(name)
+    assert found["problem"]["tandem"] == 1  # a template is none
     assert isinstance(found["problem"]["cell"], dict)
     assert found["problem"]["operations"]
     for file in found["files"]:
-        assert app.bundled_file(name, file).is_file()
-    assert "make_" not in app.bundled_entries()[name]["about"]
+        assert bundled.file(name, file).is_file()
+    assert "make_" not in bundled.problems()[name]["about"]
+
+
+@pytest.mark.parametrize("name", sorted(bundled.elements()))
+def test_every_bundled_element_is_read_out_of_its_files_alone(name: str, tmp_path: Path) -> None:
+    found = bundled.elements()[name]
+    uploads = {one: bundled.file(name, one) for one in found["files"]}
+    (tmp_path / "read").mkdir()
+    read = examine_element(tmp_path / "read", uploads.pop(found["file"]), uploads, 10_000_000, {})
+    assert read.issues == ()
+    assert read.summary["kind"] == found["kind"]
+    assert "tandem element" not in found["about"]
 
 
 def test_bundled_files_are_those_that_problems_name(here: InProcess) -> None:
     for file in ("problem.yaml", "../cells/irb140_ball.yaml", "/etc/passwd", "expect.yaml"):
         answer = here.http.get("/ui/example/file", params={"name": "cone_spif", "file": file})
         assert answer.status_code == 404
+        answer = here.http.get("/ui/example/file", params={"name": "dome_267", "file": file})
+        assert answer.status_code == 404
     assert here.http.get("/ui/example", params={"name": "../planner"}).status_code == 404
+    assert here.http.get("/ui/example", params={"name": "dome_267"}).status_code == 404
 
 
 def test_a_preview_has_the_shapes_and_their_size(here: InProcess) -> None:

@@ -42,6 +42,8 @@ export const STATES = {
   queued: ["Waiting", "wait"],
   running: ["Planning", "run"],
   verified: ["Verified", "ok"],
+  done: ["Divided", "ok"],
+  not_planned: ["Not planned", "off"],
   infeasible: ["No feasible plan", "bad"],
   bad_input: ["Bad input", "bad"],
   unproven: ["Not proven", "bad"],

@@ -1,0 +1,180 @@
+"""The API's routes of building elements. An element is also the job that divides it: its files, events and
+state are those of ``/v1/jobs/ID``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, TypeVar
+
+import anyio.to_thread
+from fastapi import APIRouter, Depends, Query, Request, Response
+from pydantic import BaseModel, ValidationError
+
+from planner.issues import Issue
+from planner.service.models import (
+    Change,
+    Chosen,
+    ElementList,
+    ElementOut,
+    ElementPanels,
+    JobList,
+    JobOut,
+    Marking,
+)
+from planner.service.routes import CURSOR, JOB_ID, PAGE_SIZE, REFUSALS, Caller, Here
+from planner.service.security import MB, RefusedError, too_large
+from planner.service.storage import documented, take_upload
+
+router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=REFUSALS)  # type: ignore[arg-type]
+LONGEST: Final = MB
+"""Bytes of a body that says what to do with an element."""
+Body = TypeVar("Body", bound=BaseModel)
+_FILE: Final = {"type": "object", "description": "an element file as data; see docs/element.md"}
+UPLOADS: Final = {"requestBody": documented(_FILE)}
+"""How the description of the interface tells of a body that is an element."""
+
+
+def own_element(element: str, owner: Caller, here: Here) -> str:
+    """The id of an element, if it is the caller's; raises :class:`RefusedError`, 404."""
+    if not JOB_ID.fullmatch(element) or here.elements.owner(element) != owner:
+        what = f"element {element[:40]!r}: there is none; list the elements"
+        raise RefusedError(404, Issue("service.unknown_job", what))
+    return element
+
+
+OwnElement = Annotated[str, Depends(own_element)]
+
+
+def _described(model: type[BaseModel]) -> dict[str, object]:
+    """How the description of the interface tells of a body that :func:`_body` reads."""
+    schema = model.model_json_schema()
+    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
+
+
+async def _body(request: Request, model: type[Body]) -> Body:
+    """The body of a request; raises :class:`RefusedError`, 413 or 422."""
+    text = bytearray()
+    async for chunk in request.stream():
+        text += chunk
+        if len(text) > LONGEST:
+            raise too_large("the body", LONGEST / MB, "body")
+    try:
+        return model.model_validate_json(bytes(text) or b"{}")
+    except ValidationError as error:
+        issues = []
+        for fault in error.errors():
+            field = ".".join(str(step) for step in fault["loc"]) or "body"
+            issues.append(Issue("service.request", f"{field}: {fault['msg']}; correct it", field=field))
+        raise RefusedError(422, issues) from error
+
+
+@router.post(
+    "/elements",
+    status_code=201,
+    response_model_exclude_none=True,
+    openapi_extra=UPLOADS,
+    summary="Divide a building element",
+)
+async def create(request: Request, owner: Caller, here: Here) -> ElementOut:
+    """Upload an element file as ``problem``, with all ``files`` that it names: meshes, templates, cells."""
+    upload = await take_upload(request, here.storage, owner, here.limits)
+    return await here.in_turn(request, owner, lambda reading: here.elements.create(owner, upload, reading))
+
+
+@router.get("/elements", response_model_exclude_none=True, summary="List your elements")
+def page(
+    owner: Caller,
+    here: Here,
+    limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
+    cursor: CURSOR = None,
+) -> ElementList:
+    """The newest first, a page at a time."""
+    found, following = here.elements.page(owner, cursor, limit)
+    return ElementList(elements=found, next=following)
+
+
+@router.get("/elements/{element}", response_model_exclude_none=True, summary="An element with its panels")
+def get(found: OwnElement, here: Here) -> ElementPanels:
+    """State of the division, of each panel, and how far it is made."""
+    return here.elements.get(found)
+
+
+@router.post(
+    "/elements/{element}/divide",
+    status_code=201,
+    response_model_exclude_none=True,
+    openapi_extra=_described(Change),
+    summary="Divide an element anew, with fields changed",
+)
+async def divide(
+    request: Request,
+    found: OwnElement,
+    owner: Caller,
+    here: Here,
+    instead: Annotated[
+        bool, Query(description="delete the former one if nothing was planned or marked of it")
+    ] = False,
+) -> ElementOut:
+    """Another element, with the marks of this one: ``{"fields": {"panels.hexagons.count": 120}}``."""
+    change = await _body(request, Change)
+    made = await here.in_turn(
+        request, owner, lambda reading: here.elements.change(owner, found, change.fields, reading)
+    )
+    if instead:
+        await anyio.to_thread.run_sync(here.elements.give_up, found)
+    return made
+
+
+@router.post(
+    "/elements/{element}/plan",
+    status_code=201,
+    response_model_exclude_none=True,
+    openapi_extra=_described(Chosen),
+    summary="Plan panels of an element",
+)
+async def plan(request: Request, found: OwnElement, owner: Caller, here: Here) -> JobList:
+    """A job for each panel that is not planned yet, or for those of ``{"panels": ["A01", ...]}``; each is
+    planned like one beside it."""
+    chosen = await _body(request, Chosen)
+    jobs = await here.in_turn(
+        request, owner, lambda reading: here.elements.plan(owner, found, chosen.panels, reading)
+    )
+    return JobList(jobs=jobs)
+
+
+@router.post(
+    "/elements/{element}/mark",
+    response_model_exclude_none=True,
+    openapi_extra=_described(Marking),
+    summary="Mark a panel as cut, glued or broken",
+)
+async def mark(request: Request, found: OwnElement, owner: Caller, here: Here) -> ElementPanels:
+    """As ``tandem element mark`` does: ``{"panel": "A01", "state": "cut"}``. ``told`` says what is next."""
+    given = await _body(request, Marking)
+    await anyio.to_thread.run_sync(here.elements.mark, owner, found, given.panel, given.state)
+    return await anyio.to_thread.run_sync(here.elements.get, found)
+
+
+@router.post(
+    "/elements/{element}/report",
+    status_code=201,
+    response_model_exclude_none=True,
+    summary="Report on what was planned",
+)
+def report(found: OwnElement, owner: Caller, here: Here) -> JobOut:
+    """A job that writes what ``tandem element report`` does: ``element.html``, ``report.csv`` and
+    ``joints.csv``."""
+    return here.elements.report(owner, found)
+
+
+@router.post("/elements/{element}/cancel", response_model_exclude_none=True, summary="Cancel an element")
+def cancel(found: OwnElement, here: Here) -> ElementPanels:
+    """What of it waits or runs is cancelled: its division, its panels, a report."""
+    here.elements.cancel(found)
+    return here.elements.get(found)
+
+
+@router.delete("/elements/{element}", status_code=204, summary="Delete an element")
+def delete(found: OwnElement, here: Here) -> Response:
+    """What of it waits or runs is cancelled; panels that were planned stay as jobs."""
+    here.elements.delete(found)
+    return Response(status_code=204)

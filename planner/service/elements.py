@@ -1,0 +1,352 @@
+"""Building elements of the service: uploaded, divided by the queue's workers, their panels planned as jobs
+like any others, and what became of them.
+
+An element is the job that divides it; its files are what ``tandem element`` writes, and ``progress.csv``
+where panels are marked. The store has which jobs are those of its panels.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import io
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+
+from sqlalchemy import Connection, RowMapping, func, select
+
+from planner.batch.job import ELEMENT, PLANNED, PROBLEM, Done
+from planner.batch.neighbours import like_within
+from planner.element import progress
+from planner.issues import Issue, Severity, TandemError
+from planner.service.jobs import CANCELLED, NewJob, OfElement, job_files, job_out, job_row, put_files, remove
+from planner.service.models import (
+    ELEMENT_JOBS,
+    JOBS,
+    MARKS,
+    OPEN,
+    ElementOut,
+    ElementPanels,
+    JobOut,
+    Mark,
+    PanelOut,
+)
+from planner.service.security import RefusedError
+from planner.service.storage import Blob, Upload
+from planner.service.upload_processes import Examined, Reading
+
+if TYPE_CHECKING:
+    from planner.service.service import Service
+
+DATA: Final = "element.json"
+"""The result of a division that has all of it as data."""
+OF_PLANS: Final = ("plan.json", "plan.npz", "simulated_part.obj")
+"""What a report reads of a panel's result."""
+AGAIN: Final = ("cancelled", "crashed")
+"""Panels whose jobs ended so are planned with those that were not planned yet."""
+KEPT: Final = 8
+"""So many elements' data are remembered."""
+
+
+class _Panel(NamedTuple):
+    """The last job of a panel."""
+
+    job: str
+    like: str | None
+    row: RowMapping
+
+
+class Elements:
+    """The elements of a service."""
+
+    def __init__(self, service: Service) -> None:
+        self._service, self._database = service, service.database
+        self._jobs, self._files = service.jobs, service.files
+        self._data = functools.lru_cache(KEPT)(self._read_data)
+
+    def create(self, owner: str, upload: Upload, reading: Reading) -> ElementOut:
+        """Divide an uploaded element; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
+        return self._divide(owner, upload.problem.sha, upload.files, {}, {}, reading)
+
+    def change(self, owner: str, element: str, fields: Mapping[str, Any], reading: Reading) -> ElementOut:
+        """Divide an element anew with fields replaced, as another one with the marks of this one; raises as
+        :meth:`create`."""
+        files = self._jobs.files(element)
+        prefix = "problem/"
+        given = {name.removeprefix(prefix): blob for name, blob in files.items() if name.startswith(prefix)}
+        document = given.pop(ELEMENT)
+        marks = {MARKS: files[MARKS]} if MARKS in files else {}
+        return self._divide(owner, document.sha, given, fields, marks, reading)
+
+    def _divide(
+        self,
+        owner: str,
+        sha: str,
+        uploads: Mapping[str, Blob],
+        fields: Mapping[str, Any],
+        more: Mapping[str, Blob],
+        reading: Reading,
+    ) -> ElementOut:
+        read = self._service.examine_element(sha, uploads, fields, reading)
+        of = OfElement("division", about=read.summary)
+        files = {**self._service.stored(owner, {ELEMENT: read}, uploads)[ELEMENT], **more}
+        made = self._jobs.create(self._service.new_job(owner, read.name, read, files, of=of))
+        return self._head(made, json.dumps(read.summary), 0)
+
+    def page(self, owner: str, cursor: str | None, count: int) -> tuple[list[ElementOut], str | None]:
+        """Elements of the owner as :meth:`planner.service.jobs.Jobs.page` gives jobs."""
+        found, following = self._jobs.page(owner, (), cursor, count, "division")
+        own = [one.id for one in found]
+        about = select(ELEMENT_JOBS.c.job, ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job.in_(own))
+        planned = (
+            select(ELEMENT_JOBS.c.element, func.count(ELEMENT_JOBS.c.panel.distinct()))
+            .where(ELEMENT_JOBS.c.element.in_(own), ELEMENT_JOBS.c.role == "panel")
+            .group_by(ELEMENT_JOBS.c.element)
+        )
+        with self._database.read() as db:
+            texts = dict(row.tuple() for row in db.execute(about))
+            counts: dict[str, int] = dict(row.tuple() for row in db.execute(planned))
+        return [self._head(one, texts.get(one.id, "{}"), counts.get(one.id, 0)) for one in found], following
+
+    def owner(self, element: str) -> str | None:
+        """Whose element it is; None where there is none of that id, or it is being deleted."""
+        asked = (
+            select(JOBS.c.owner)
+            .join_from(JOBS, ELEMENT_JOBS, JOBS.c.id == ELEMENT_JOBS.c.job)
+            .where(JOBS.c.id == element, ELEMENT_JOBS.c.role == "division", JOBS.c.cancel <= CANCELLED)
+        )
+        with self._database.read() as db:
+            found: str | None = db.execute(asked).scalar()
+        return found
+
+    def get(self, element: str) -> ElementPanels:
+        """An element with its panels; raises :class:`RefusedError`, 404."""
+        _, job = self._jobs.get(element)
+        with self._database.read() as db:
+            asked = select(ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job == element)
+            about = str(db.execute(asked).scalar_one())
+            planned = _panels(db, element)
+            report = _report(db, element)
+            files = job_files(db, element)
+        head = self._head(job, about, len(planned)).model_dump()
+        if DATA not in files:
+            return ElementPanels(**head)
+        found, told = self._progress(files)
+        panels = [_panel(row, planned.get(str(row["id"])), found) for row in found.data["panels"]]
+        blocks = {
+            one["id"]: block["id"]
+            for block in (found.data.get("blocks") or {}).get("blocks", ())
+            for one in block["panels"]
+        }
+        panels = [one.model_copy(update={"block": blocks.get(one.id, "")}) for one in panels]
+        minutes: Counter[str] = Counter()
+        for one in panels:
+            minutes.update(one.cut_min)
+        return ElementPanels(
+            **head,
+            panels=panels,
+            counts=dict(Counter([*(one.state for one in panels), *(one.mark for one in panels if one.mark)])),
+            cut_h={arm: round(total / 60.0, 3) for arm, total in minutes.items()},
+            told=told,
+            report=report,
+        )
+
+    def plan(self, owner: str, element: str, chosen: Sequence[str] | None, reading: Reading) -> list[JobOut]:
+        """Plan panels as jobs, those that are chosen or all that are not planned yet, each like one beside
+        it; raises :class:`RefusedError`, 404, 413, 422, 429, 499 or 507."""
+        name, files = self._divided(element)
+        data = self._data(files[DATA].sha)
+        with self._database.read() as db:
+            before = _panels(db, element)
+        known = [str(row["id"]) for row in data["panels"]]
+        wanted = _wanted(known, before, chosen)
+        if not wanted:
+            return []
+        parts = {f: b for f, b in files.items() if f.startswith(("problem/", "panels/"))}
+        read = dict(zip(wanted, self._service.examine_panels(parts, wanted, reading), strict=True))
+        stored = self._service.stored(owner, read, parts, PROBLEM)
+        after = like_within(data, [one for one in known if one in before or one in read])
+        made: dict[str, NewJob] = {}
+        keys = {one: panel.row["key"] for one, panel in before.items()}
+        for one in _in_turn(wanted, after):
+            like = after.get(one)
+            like_job = None if like is None else made[like].id if like in made else before[like].job
+            of = OfElement("panel", element, one, like_job)
+            key = "" if like is None else made[like].key if like in made else keys[like]
+            made[one] = self._service.new_job(
+                owner, f"{name}-{one}", read[one], stored[one], of=of, after=key
+            )
+        return self._jobs.create_all(list(made.values()))
+
+    def cancel(self, element: str) -> None:
+        """Cancel what of an element waits or runs: its division, panels, and a report."""
+        own = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.element == element)
+        asked = select(JOBS.c.id).where(JOBS.c.id.in_(own), JOBS.c.state.in_(OPEN))
+        with self._database.read() as db:
+            found = list(db.execute(asked.order_by(JOBS.c.created.desc())).scalars())
+        for job in found:
+            self._jobs.cancel(job)
+
+    def delete(self, element: str) -> None:
+        """Cancel and delete an element; what was planned of it stays."""
+        self.cancel(element)
+        self._jobs.cancel(element, also_delete=True)
+
+    def give_up(self, element: str) -> None:
+        """Delete an element of which nothing was made: no panel was planned or marked. One that was deleted
+        meanwhile is gone as well."""
+        with self._database.read() as db:
+            used = _panels(db, element) or MARKS in job_files(db, element)
+        if used:
+            return
+        try:
+            self.delete(element)
+        except RefusedError as error:
+            if error.status != 404:
+                raise
+
+    def mark(self, owner: str, element: str, panel: str, state: Mark | Literal["open"]) -> None:
+        """Mark a panel as ``tandem element mark`` does; raises :class:`RefusedError`, 404, 422 or 507."""
+        self._divided(element)
+        with self._database.write() as db:
+            self._database.one_at_a_time(db, element)
+            files = job_files(db, element)
+            try:
+                found = progress.marked(self._progress(files)[0], panel, state)
+            except TandemError as error:
+                raise RefusedError(422, error.issues) from error
+            text = io.BytesIO(progress.text(found).encode())
+            put_files(db, element, {MARKS: self._service.storage.put(owner, [text])[0]})
+
+    def report(self, owner: str, element: str) -> JobOut:
+        """Begin the report on what was planned; raises :class:`RefusedError`, 404, 429 or 507."""
+        name, files = self._divided(element)
+        with self._database.write() as db:
+            panels = _panels(db, element)
+            ended = {one: panel for one, panel in panels.items() if panel.row["state"] not in OPEN}
+            if not ended:
+                what = f"element {name}: no panel was planned to its end; plan panels, and ask again"
+                raise RefusedError(404, Issue("service.unknown_file", what))
+            given = {f"problem/element/{f}": b for f, b in files.items() if not f.startswith("problem/")}
+            for one, panel in ended.items():
+                own = job_files(db, panel.job)
+                given |= {f"problem/run/{one}/{f}": own[f] for f in OF_PLANS if f in own}
+            old = _report(db, element)
+            if old is not None and old.state not in OPEN:
+                remove(db, old.id)
+        text = json.dumps([_done(one, panel.row).to_dict() for one, panel in ended.items()]).encode()
+        (listed,) = self._service.storage.put(owner, [io.BytesIO(text)])
+        given[f"problem/{PLANNED}"] = listed
+        rows = json.dumps(sorted((file, blob.sha) for file, blob in given.items()))
+        digest = hashlib.sha256(rows.encode()).hexdigest()
+        of = OfElement("report", element)
+        return self._jobs.create(self._service.new_job(owner, name, Examined((), name, digest), given, of=of))
+
+    def _divided(self, element: str) -> tuple[str, dict[str, Blob]]:
+        """Name and files of an element that is divided; raises :class:`RefusedError`, 404."""
+        _, job = self._jobs.get(element)
+        files = self._jobs.files(element)
+        if DATA not in files:
+            what = f"element {job.name} is {job.state}, not divided; "
+            what += "ask again when it is" if job.state in OPEN else "see its issues, and change it"
+            raise RefusedError(404, Issue("service.unknown_file", what))
+        return job.name, files
+
+    def _read_data(self, sha: str) -> Mapping[str, Any]:
+        found: dict[str, Any] = json.loads(self._files.read(sha))
+        return found
+
+    def _progress(self, files: Mapping[str, Blob]) -> tuple[progress.Progress, list[str]]:
+        """How far an element is made, and that in lines."""
+        with tempfile.TemporaryDirectory(dir=self._service.scratch, prefix="element-") as folder:
+            out = Path(folder)
+            for name in (DATA, MARKS, "stock.csv"):
+                if name in files:
+                    (out / name).symlink_to(self._files.path(files[name].sha).resolve())
+            found = progress.read(out)
+            said = [*progress.told(found, out), *(issue.message for issue in progress.issues(found))]
+        return found, said
+
+    @staticmethod
+    def _head(job: JobOut, about: str, planned: int) -> ElementOut:
+        known = json.loads(about)
+        return ElementOut(**job.model_dump(), kind=known["kind"], fields=known["fields"], planned=planned)
+
+
+def _panels(db: Connection, element: str) -> dict[str, _Panel]:
+    """The last job of each panel that was planned, by its id."""
+    asked = (
+        select(JOBS, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like)
+        .join_from(ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.job == JOBS.c.id)
+        .where(ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "panel", JOBS.c.cancel <= CANCELLED)
+        .order_by(JOBS.c.created, JOBS.c.id)
+    )
+    return {row["panel"]: _Panel(row["id"], row["like"], row) for row in db.execute(asked).mappings()}
+
+
+def _report(db: Connection, element: str) -> JobOut | None:
+    own = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "report")
+    found = db.execute(select(JOBS.c.id).where(JOBS.c.id.in_(own)).order_by(JOBS.c.created.desc())).scalar()
+    return None if found is None else job_out(job_row(db, found, deleted_too=True))
+
+
+def _panel(row: Mapping[str, Any], planned: _Panel | None, found: progress.Progress) -> PanelOut:
+    name = str(row["id"])
+    known: dict[str, Any] = {}
+    if planned is not None:
+        job = planned.row
+        issues = [Issue.from_dict(one) for one in json.loads(job["issues"])]
+        wrong = [one for one in issues if one.severity is Severity.ERROR]
+        known = {"job": planned.job, "state": job["state"], "stage": job["stage"]}
+        known["cycle_s"] = json.loads(job["metrics"]).get("cycle_s")
+        known["issue"] = wrong[0] if wrong and job["state"] != "verified" else None
+    return PanelOut(
+        id=name,
+        order=int(row["order"]) if "order" in row else None,
+        block_mm=[float(row[f"block_{axis}_mm"]) for axis in "xyz"],
+        cut_min={str(arm): float(value) for arm, value in row.get("cut_min", {}).items()},
+        mark=found.state(name),
+        **known,
+    )
+
+
+def _done(panel: str, row: RowMapping) -> Done:
+    """How a panel's job ended."""
+    issues = tuple(Issue.from_dict(one) for one in json.loads(row["issues"]))
+    return Done(panel, row["state"], issues, json.loads(row["metrics"]), row["seconds"] or 0.0)
+
+
+def _wanted(known: Sequence[str], before: Mapping[str, _Panel], chosen: Sequence[str] | None) -> list[str]:
+    """Panels to be planned, in the element's order, none twice at once; raises :class:`RefusedError`, 422,
+    for ids that it does not have."""
+    if chosen is None:
+        return [one for one in known if one not in before or before[one].row["state"] in AGAIN]
+    strange = sorted(set(chosen) - set(known))
+    if strange:
+        what = (
+            f"panels: got {', '.join(one[:32] for one in strange[:5])}, the element has {len(known)} panels "
+        )
+        what += f"from {known[0]} to {known[-1]}; see its list"
+        raise RefusedError(422, Issue("service.request", what, field="panels"))
+    waiting = {one for one, panel in before.items() if panel.row["state"] in OPEN}
+    return [one for one in known if one in set(chosen) - waiting]
+
+
+def _in_turn(wanted: Sequence[str], after: Mapping[str, str]) -> list[str]:
+    """Panels, each after the one that it is planned like."""
+    out: dict[str, None] = {}
+
+    def put(one: str) -> None:
+        chain = [one]
+        while (like := after.get(chain[-1])) is not None and like in todo and like not in out:
+            chain.append(like)
+        out.update(dict.fromkeys(reversed(chain)))
+
+    todo = set(wanted)
+    for one in wanted:
+        put(one)
+    return list(out)

@@ -1,0 +1,344 @@
+// One building element: divided as its sliders say, its panels as jobs, and the list that is ticked off.
+import { fileOf, json, post, Refused, remove, Unreachable } from "./api.js";
+import { ask } from "./ask.js";
+import { badge, banner, tell } from "./common.js";
+import { $, announce, h, icon, later, show } from "./dom.js";
+import { atFields, goTo, issueItem, placeOf, sorted } from "./issues.js";
+import { COLOURS, PanelView } from "./panel_view.js";
+import { Sliders } from "./sliders.js";
+import { ago, bytes, duration, isOpen, number } from "./words.js";
+
+const SOON = 1200;
+const EACH = 2; // ms more for each panel that an answer has
+const SELDOM = 5000;
+const SHOWN = 40;
+const MARKS = { cut: "Cut", glued: "Glued", broken: "Broken" };
+const GROUPS = { all: "All", not_planned: "Not planned", open: "Waiting", verified: "Verified", refused: "Refused", uncut: "To be cut", cut: "Cut", glued: "Glued", broken: "Broken" };
+const TITLES = { "element.html": "Page of the element, to keep and to print", "labels.svg": "Labels at 1:1", "panels.csv": "Table of panels", "panels.svg": "Drawing of panels", "element.obj": "Panels in 3D", "blocks.svg": "Cut drawings of raw blocks", "blocks.csv": "Table of raw blocks", "stock.csv": "What is left over", "progress.csv": "What is cut, glued and broken", "element.json": "All of it as data" };
+
+let id = $("element").dataset.id;
+let element = null; // as the service has it
+let data = null; // element.json of what is drawn
+let drawn = ""; // whose data those are
+let asked = 0; // requests for the element, the newest of which counts
+let taken = 0;
+let sending = false;
+let planning = false; // jobs are being made
+let refused = []; // what the last change was refused for
+let group = "all";
+let chosen = "";
+let count = SHOWN;
+let shownList = "";
+let timer = 0;
+let gone = false;
+let lost = false; // the service was out of reach
+
+const path = () => `/v1/elements/${encodeURIComponent(id)}`;
+const plural = (n, one) => `${n.toLocaleString("en-GB")} ${one}${n === 1 ? "" : "s"}`;
+const send = (what, body) => post(`${path()}/${what}`, { body: JSON.stringify(body) });
+const divided = () => element.state === "done";
+const stateOf = (panel) => (isOpen(panel.state) ? "open" : panel.state === "not_planned" || panel.state === "cancelled" ? "not_planned" : panel.state === "verified" ? "verified" : "refused");
+const kindOf = (panel) => panel.mark ?? stateOf(panel);
+const inGroup = (panel, name) => name === "all" || (name in MARKS ? panel.mark === name : name === "uncut" ? !panel.mark : stateOf(panel) === name);
+
+const viewer = new PanelView($("canvas"), $("labels"), (panel) => choose(panel));
+const sliders = new Sliders($("fields"), () => {
+  refused = [];
+  drawVerdict();
+  soon();
+});
+const soon = later(350, () => divide());
+
+// Asks for the element; an answer that an earlier request comes with late is past.
+async function refresh() {
+  const [own, of] = [++asked, id];
+  const found = await json(path());
+  if (own < taken || of !== id) return;
+  taken = own;
+  element = found;
+  sliders.take(element.fields ?? {}, element.kind, false);
+  await drawData();
+  draw();
+}
+
+// The drawing of a division, once for each; of one that is refused, the former one stays.
+async function drawData() {
+  if (!divided() || drawn === id) return;
+  const of = id;
+  const found = await json(fileOf(of, "element.json"));
+  const files = (await json(`/v1/jobs/${of}/files`)).files;
+  if (of !== id) return;
+  const before = data;
+  [data, drawn, shownList] = [found, of, ""];
+  viewer.show(data, before !== null);
+  show($("view-empty"), !viewer.works);
+  if (!viewer.works) $("view-empty").textContent = "This browser draws no 3D (WebGL 2); the list below has all panels.";
+  drawFiles(files);
+  announce(`Divided into ${plural(data.panels.length, "panel")}`);
+}
+
+function draw() {
+  show($("element"), true);
+  document.title = `${element.name} · Tandem`;
+  $("name").textContent = element.name;
+  badge(element.state, $("state"));
+  const panels = element.panels ?? [];
+  $("facts").textContent = [divided() ? plural(panels.length, "panel") : null, element.kind, `made ${ago(element.created)}`].filter(Boolean).join(" · ");
+  const left = panels.filter((panel) => stateOf(panel) === "not_planned").length;
+  $("plan").disabled = !left || planning;
+  $("plan").textContent = planning ? "Making jobs …" : left && left < panels.length ? `Make jobs of the other ${left}` : left ? `Make jobs of all ${left}` : "All panels have jobs";
+  const open = panels.filter((panel) => isOpen(panel.state)).length;
+  const reporting = element.report && isOpen(element.report.state);
+  $("report").disabled = reporting || !panels.some((panel) => panel.job && !isOpen(panel.state));
+  $("report").textContent = reporting ? "The report is being written …" : "Report on what is planned";
+  show($("cancel"), open > 0 || isOpen(element.state));
+  const made = panels.some((panel) => panel.job || panel.mark);
+  show($("keeps"), made);
+  $("keeps").textContent = made ? "Panels of it are planned or marked. A change makes another element beside this one; marks go along, jobs stay here." : "";
+  drawVerdict();
+  drawView();
+  drawFoam();
+  drawList();
+}
+
+// What the division comes to, and what stands in its way, at its fields.
+function drawVerdict() {
+  const issues = refused.length ? refused : element.issues ?? [];
+  const wrong = refused.length > 0 || (!divided() && !isOpen(element.state));
+  const moved = Object.keys(sliders.changes()).length > 0;
+  const busy = isOpen(element.state) || sending || (moved && !refused.length);
+  const say = (kind, ...text) => {
+    $("verdict").className = `verdict-line ${kind}`;
+    $("verdict").replaceChildren(...text);
+  };
+  if (refused.length) say("bad", icon("cross"), "Refused as it is");
+  else if (busy) say("busy", element.state === "queued" && element.ahead ? `Waiting; ${plural(element.ahead, "job")} before it` : "Dividing …");
+  else if (wrong) say("bad", icon("cross"), element.state === "cancelled" ? "Stopped before it was divided" : "It cannot be divided so");
+  else say(issues.length ? "warn" : "ok", icon(issues.length ? "warning" : "check"), `${plural((element.panels ?? []).length, "panel")}${issues.length ? `, with ${plural(issues.length, "remark")}` : ""}`);
+  $("canvas").parentElement.classList.toggle("past", busy || drawn !== id);
+  const key = JSON.stringify([issues, busy]);
+  if ($("issues").dataset.shown === key) return;
+  $("issues").dataset.shown = key;
+  if (busy) return;
+  const homeless = atFields(issues);
+  $("issues").replaceChildren(...sorted(homeless).map((issue) => issueItem(issue, placeOf(issue.field) ? { edit: goTo } : {})));
+}
+
+function drawView() {
+  const panels = element.panels ?? [];
+  const found = panels.find((panel) => panel.id === chosen);
+  viewer.colourBy(new Map(panels.map((panel) => [panel.id, kindOf(panel)])), chosen);
+  $("size").textContent = data ? plural(data.panels.length, "panel") : "";
+  $("said").textContent = found ? `${found.id}: ${words(found)}` : drawn && drawn !== id ? "As it was divided before" : "";
+  $("canvas").setAttribute("aria-label", `3D view of ${data ? plural(data.panels.length, "panel") : "nothing yet"}${found ? `; ${found.id} is chosen` : ""}`);
+}
+
+const stateWords = (panel) => ({ open: panel.state === "running" ? `planning${panel.stage ? `, ${panel.stage}` : ""}` : "waiting", not_planned: panel.state === "cancelled" ? "cancelled" : "not planned", verified: "verified", refused: "refused" })[stateOf(panel)];
+const words = (panel) => [panel.mark, stateWords(panel), `block ${panel.block_mm.map((v) => number(v)).join(" × ")} mm`].filter(Boolean).join(", ");
+
+// What an order of foam rests on: blocks, robot hours, panels that are not proven.
+function drawFoam() {
+  const panels = element.panels ?? [];
+  show($("foam"), panels.length > 0);
+  if (!panels.length) return;
+  const hours = Object.entries(element.cut_h ?? {}).map(([arm, value]) => `${number(value, 3)} h of the arm ${arm}`).join(" and ");
+  const proven = panels.filter((panel) => panel.state === "verified");
+  const bad = panels.filter((panel) => stateOf(panel) === "refused");
+  const cycle = proven.reduce((sum, panel) => sum + (panel.cycle_s ?? 0), 0);
+  const nest = drawn === id ? data.blocks : null;
+  const sizes = new Map();
+  for (const block of nest?.blocks ?? []) {
+    const size = `${block.size_mm.map((v) => number(v)).join(" × ")} mm${block.left_over ? ", left over" : ""}`;
+    sizes.set(size, (sizes.get(size) ?? 0) + 1);
+  }
+  const named = (some) => `${some.slice(0, 8).map((panel) => `${panel.id}${panel.issue ? ` (${panel.issue.code})` : ""}`).join(", ")}${some.length > 8 ? ` and ${some.length - 8} more` : ""}`;
+  const lines = [
+    ["", `Robot hours: ${hours ? `the cuts alone take about ${hours}: an estimate` : "no estimate, since the jobs state no feed"}${proven.length ? `; the ${plural(proven.length, "proven panel")} take ${duration(cycle)} with their ways` : ""}.`],
+    nest ? ["", `Foam: ${[...sizes].map(([size, n]) => `${n} of ${size}`).join("; ")}; ${number(100 * nest.yield_volume, 2)} % of it becomes panels.`] : null,
+    bad.length ? ["bad", `Refused: ${plural(bad.length, "panel")}, ${named(bad)}. Order no foam for them.`] : null,
+    proven.length < panels.length ? ["warn", `Proven: ${proven.length} of ${panels.length}. What is not proven may still be refused; plan it before its foam is ordered.`] : ["ok", `Proven: all ${panels.length} panels.`],
+  ].filter(Boolean);
+  $("foam-said").replaceChildren(...lines.map(([kind, text]) => h("li", { class: kind }, icon(kind === "ok" ? "check" : kind === "bad" ? "cross" : kind === "warn" ? "warning" : "note"), h("span", {}, text))));
+}
+
+function drawFilters(panels) {
+  const names = Object.keys(GROUPS).filter((name) => name === "all" || name === group || panels.some((panel) => inGroup(panel, name)));
+  const focus = document.activeElement?.closest?.("#filters") ? document.activeElement.dataset.key : null;
+  $("filters").replaceChildren(...names.map((name) => h("button", { type: "button", class: "chip", "aria-pressed": String(name === group), data: { key: name }, onclick: () => pick(name) }, name in COLOURS ? h("i", { class: `swatch kind ${name}` }) : null, `${GROUPS[name]} ${panels.filter((panel) => inGroup(panel, name)).length}`)));
+  if (focus) $("filters").querySelector(`[data-key="${focus}"]`)?.focus();
+}
+
+function pick(name) {
+  [group, count] = [name, SHOWN];
+  drawList();
+}
+
+const byText = new Intl.Collator("en", { numeric: true }).compare;
+function wanted(panels) {
+  const text = $("find").value.trim().toLowerCase();
+  const some = panels.filter((panel) => inGroup(panel, group) && panel.id.toLowerCase().includes(text));
+  const order = $("order").value;
+  if (order === "order") some.sort((a, b) => (a.order ?? 0) - (b.order ?? 0));
+  if (order === "block") some.sort((a, b) => byText(a.block ?? "", b.block ?? ""));
+  return some;
+}
+
+function drawList() {
+  const panels = element.panels ?? [];
+  show($("panels-card"), panels.length > 0);
+  const some = wanted(panels);
+  const key = JSON.stringify([some.slice(0, count), chosen, group, panels.length, element.counts, element.told]);
+  if (key === shownList) return;
+  shownList = key;
+  drawFilters(panels);
+  $("told").replaceChildren(...(element.told ?? []).map((line) => h("li", {}, line)));
+  show($("no-panels"), !some.length);
+  show($("more"), some.length > count);
+  $("more").textContent = `Show more panels (${some.length - count} are left)`;
+  const focus = document.activeElement?.dataset?.key;
+  $("panels").replaceChildren(...some.slice(0, count).map(row));
+  if (focus) $("panels").querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus({ preventScroll: true });
+}
+
+const STATE_KIND = { open: "run", not_planned: "", verified: "ok", refused: "bad" };
+function row(panel) {
+  const [state, own] = [stateOf(panel), panel.id];
+  const done = panel.mark ? `mark-${panel.mark}` : "";
+  const facts = [panel.order ? `${panel.order}. to be put up` : null, panel.block ? `from ${panel.block}` : null, panel.block_mm.map((v) => number(v)).join(" × ") + " mm", panel.cycle_s ? duration(panel.cycle_s) : null];
+  return h("li", { class: `panel ${own === chosen ? "chosen" : ""} ${done}`, data: { panel: own } },
+    h("div", { class: "who" }, h("button", { type: "button", class: "link id", "aria-pressed": String(own === chosen), "aria-label": `Show panel ${own} in the drawing`, data: { key: `show-${own}` }, onclick: () => choose(own === chosen ? "" : own, false) }, own), h("span", { class: "sub" }, facts.filter(Boolean).join(" · "))),
+    h("div", { class: "what" },
+      h("span", { class: `badge ${STATE_KIND[state]}` }, h("i", { "aria-hidden": "true" }), stateWords(panel).replace(/^./, (c) => c.toUpperCase())),
+      panel.job ? h("a", { href: `/ui/jobs/${panel.job}`, "aria-label": `Job of ${own}`, data: { key: `job-${own}` } }, "job") : null,
+      panel.state === "verified" ? h("a", { href: `/v1/jobs/${panel.job}/programs.zip`, "aria-label": `Programs of ${own}`, data: { key: `programs-${own}` } }, "programs") : null,
+      panel.job && !["refused", "not_planned"].includes(state) ? null : h("button", { type: "button", class: "small", "aria-label": `Make a job of ${own}${panel.job ? " again" : ""}`, data: { key: `plan-${own}` }, onclick: () => plan([own]) }, panel.job ? "Plan again" : "Make job"),
+      panel.issue ? h("p", { class: "why" }, h("b", {}, panel.issue.code), " ", panel.issue.message, panel.issue.hint ? h("span", { class: "soft" }, ` What to do: ${panel.issue.hint}`) : null) : null,
+    ),
+    h("div", { class: "tick", role: "group", "aria-label": `${own} at the robot` }, Object.entries(MARKS).map(([mark, word]) => h("button", { type: "button", class: `mark-button ${mark}`, "aria-pressed": String(panel.mark === mark), "aria-label": `${own} ${word.toLowerCase()}`, data: { key: `${mark}-${own}` }, onclick: () => tick(panel, mark) }, panel.mark === mark ? icon(mark === "broken" ? "cross" : "check") : null, word))),
+  );
+}
+
+// A panel is chosen in the drawing or in the list; from the drawing, the list goes to it.
+function choose(panel, scroll = true) {
+  chosen = panel;
+  if (!element) return;
+  if (panel && scroll) {
+    if (!wanted(element.panels ?? []).some((one) => one.id === panel)) {
+      group = "all";
+      $("find").value = "";
+    }
+    count = Math.max(count, wanted(element.panels ?? []).findIndex((one) => one.id === panel) + 1);
+  }
+  drawView();
+  drawList();
+  if (panel && scroll) $("panels").querySelector(`[data-panel="${CSS.escape(panel)}"]`)?.scrollIntoView({ block: "nearest" });
+  if (panel) announce($("said").textContent);
+}
+
+function drawFiles(files) {
+  const own = Object.keys(TITLES).map((name) => files.find((file) => file.name === name)).filter(Boolean);
+  show($("files-card"), own.length > 0);
+  const opens = (name) => (name.endsWith(".html") || name.endsWith(".svg") ? { target: "_blank", rel: "noopener" } : { download: "" });
+  const item = (job, file, title) => h("li", {}, icon("file"), h("a", { href: fileOf(job, file.name) + (opens(file.name).target ? "" : "?download=true"), ...opens(file.name) }, title), h("span", { class: "soft" }, `${file.name}, ${bytes(file.size)}`));
+  $("files").replaceChildren(...own.map((file) => item(id, file, TITLES[file.name])));
+}
+
+function drawReport() {
+  const report = element?.report;
+  $("files").querySelector(".of-report")?.remove();
+  if (report?.state === "done") $("files").prepend(h("li", { class: "of-report" }, icon("check"), h("a", { href: fileOf(report.id, "element.html"), target: "_blank", rel: "noopener" }, "Report on the element: what is proven, joints, robot hours"), h("span", { class: "soft" }, `element.html, ${ago(report.created)}`)));
+}
+
+// Divides anew with what the sliders say. One request at a time: what is moved meanwhile goes out with the next.
+async function divide() {
+  if (sending) return;
+  sending = true;
+  try {
+    banner("");
+    for (let fields = sliders.changes(); Object.keys(fields).length; fields = sliders.changes()) {
+      drawVerdict();
+      const made = await (await send("divide?instead=true", { fields })).json();
+      id = made.id;
+      taken = ++asked;
+      element = { panels: [], ...made };
+      sliders.take(made.fields, made.kind, false);
+      history.replaceState(null, "", `/ui/elements/${id}`);
+    }
+  } catch (error) {
+    if (error instanceof Refused && error.status === 422) refused = error.issues;
+    else failed(error);
+  } finally {
+    sending = false;
+  }
+  if (gone) return;
+  draw();
+  again(0);
+}
+
+async function plan(panels) {
+  if (planning) return;
+  planning = true;
+  banner("");
+  draw();
+  await send("plan", panels ? { panels } : {}).then(refresh).catch(failed);
+  planning = false;
+  if (gone) return;
+  draw();
+  again(0);
+}
+
+// A mark that is set already is taken away: a tap may be wrong.
+async function tick(panel, mark) {
+  const state = panel.mark === mark ? "open" : mark;
+  banner("");
+  await send("mark", { panel: panel.id, state }).then(refresh).catch(failed);
+  announce(`${panel.id} is ${state === "open" ? "open again" : state}`);
+}
+
+function failed(error) {
+  lost = error instanceof Unreachable;
+  gone ||= error instanceof Refused && error.issues[0]?.code === "service.unknown_job";
+  if (!gone || !element) return tell(error);
+  clearTimeout(timer);
+  banner("This element is there no more: it was divided anew, or deleted, in another window. The list of elements has what there is.");
+  for (const control of document.querySelectorAll("#element button:not(.id), #element input, #element select")) control.disabled = true;
+}
+
+// Keeps up: soon where something is under way, else seldom, for others may tick panels off.
+function again(wait) {
+  clearTimeout(timer);
+  const under = element && (isOpen(element.state) || (element.report && isOpen(element.report.state)) || (element.panels ?? []).some((panel) => isOpen(panel.state)));
+  timer = setTimeout(async () => {
+    try {
+      if (!document.hidden && !sending) {
+        await refresh();
+        drawReport();
+        if (lost) banner("");
+        lost = false;
+      }
+    } catch (error) {
+      failed(error);
+    }
+    if (!gone) again();
+  }, wait ?? (under ? SOON + EACH * (element.panels ?? []).length : SELDOM));
+}
+
+$("cancel").prepend(icon("stop"));
+$("delete").prepend(icon("bin"));
+$("plan").addEventListener("click", () => plan());
+$("report").addEventListener("click", () => post(`${path()}/report`).then(refresh).then(() => again()).catch(failed));
+$("cancel").addEventListener("click", () => post(`${path()}/cancel`).then(refresh).catch(failed));
+$("delete").addEventListener("click", async () => {
+  const marks = (element.panels ?? []).filter((panel) => panel.mark).length;
+  const text = `The division, its files and reports are deleted${marks ? `, and what ${plural(marks, "marked panel")} are` : ""}. Panels that were planned stay as jobs.`;
+  if (await ask(text, "Delete")) await remove(path()).then(() => location.assign("/ui/elements"), failed);
+});
+$("find").addEventListener("input", () => pick(group));
+$("order").addEventListener("change", () => pick(group));
+$("more").addEventListener("click", () => {
+  count += SHOWN;
+  drawList();
+});
+addEventListener("visibilitychange", () => !document.hidden && again(0));
+await refresh().then(drawReport).catch(failed);
+if (!gone) again();

@@ -1,0 +1,120 @@
+// Building elements: a new one, from files or a bundled one; and those there are.
+import { blob, json, post, Refused, upload } from "./api.js";
+import { badge, banner, tell } from "./common.js";
+import { $, announce, h, show } from "./dom.js";
+import { issueItem, sorted } from "./issues.js";
+import { ago, isOpen } from "./words.js";
+import { readYaml } from "./yaml.js";
+
+const EVERY = 2000;
+let elements = new Map();
+let next = null;
+let examples = {};
+let sending = false;
+
+async function load(cursor = null) {
+  const page = await json(`/v1/elements?limit=50${cursor ? `&cursor=${cursor}` : ""}`);
+  if (cursor) for (const one of page.elements) elements.set(one.id, one);
+  else elements = new Map([...page.elements.map((one) => [one.id, one]), ...[...elements].slice(50)]);
+  if (cursor || elements.size <= 50) next = page.next ?? null;
+  show($("table"), elements.size > 0);
+  show($("empty"), !elements.size);
+  show($("older"), Boolean(next));
+  const focus = document.activeElement?.dataset.key;
+  $("rows").replaceChildren(...[...elements.values()].map(row));
+  if (focus) document.querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus();
+  banner("");
+}
+
+function row(one) {
+  const count = one.fields?.["panels.hexagons.count"];
+  return h("tr", {},
+    h("td", {}, h("a", { href: `/ui/elements/${one.id}`, class: "job-name", data: { key: one.id } }, one.name), h("span", { class: "sub" }, one.id.slice(0, 8))),
+    h("td", {}, badge(one.state), one.state === "running" ? h("span", { class: "sub" }, one.stage ?? "") : null),
+    h("td", { class: "wide" }, `${count ? `${count} ` : ""}${one.kind ?? ""}`),
+    h("td", { class: "n wide" }, one.planned ? String(one.planned) : ""),
+    h("td", {}, h("time", { dateTime: one.created, title: new Date(one.created).toLocaleString("en-GB") }, ago(one.created))));
+}
+
+async function again() {
+  try {
+    if (!document.hidden && ([...elements.values()].some((one) => isOpen(one.state)) || !$("banner").hidden)) await load();
+  } catch (error) {
+    tell(error);
+  } finally {
+    setTimeout(again, EVERY);
+  }
+}
+
+function busy(text) {
+  show($("busy"), Boolean(text));
+  $("busy").textContent = text;
+  sending = Boolean(text);
+  $("go").disabled = sending || !$("example").value;
+}
+
+// Sends an element; the page of it shows how it is divided.
+async function send(element, files) {
+  if (sending) return;
+  $("issues").replaceChildren();
+  banner("");
+  try {
+    busy("Reading the element …");
+    const made = await (await post("/v1/elements", { body: upload(element, await files()) })).json();
+    location.assign(`/ui/elements/${made.id}`);
+  } catch (error) {
+    busy("");
+    if (!(error instanceof Refused)) return tell(error);
+    $("issues").replaceChildren(...sorted(error.issues).map((issue) => issueItem(issue)));
+    announce(`The element is refused: ${error.issues.length} thing${error.issues.length > 1 ? "s" : ""} to correct`);
+  }
+}
+
+// The element file among those that were chosen: the one that says so.
+async function take(list) {
+  if (!list.length) return;
+  const own = [];
+  for (const file of list) {
+    if (!/\.(ya?ml|json)$/i.test(file.name)) continue;
+    const data = await file.text().then(readYaml).catch(() => null);
+    if (data === null ? list.length === 1 : "element" in data) own.push(file);
+  }
+  if (own.length !== 1) return banner(own.length ? `${own.map((file) => file.name).join(" and ")} are element files; choose one, with the files that it names` : "None of these is an element file, which begins with element: 1; choose it, and all files that it names with it");
+  await send(own[0], async () => list.filter((file) => file !== own[0]).map((file) => [file.name, file]));
+}
+
+async function begin() {
+  examples = await json("/ui/example-elements");
+  const option = ([name, one]) => h("option", { value: name }, `${name} (${one.kind})`);
+  $("example").replaceChildren(h("option", { value: "" }, "choose one"), ...Object.entries(examples).map(option));
+}
+
+$("example").addEventListener("change", () => {
+  $("about").textContent = examples[$("example").value]?.about ?? "";
+  busy("");
+});
+$("go").addEventListener("click", async () => {
+  const name = $("example").value;
+  const one = examples[name];
+  const get = (file) => blob(`/ui/example/file?name=${encodeURIComponent(name)}&file=${encodeURIComponent(file)}`);
+  try {
+    const files = await Promise.all(one.files.map(async (file) => [file, await get(file)]));
+    const own = new File([files.find(([file]) => file === one.file)[1]], one.file);
+    await send(own, async () => files.filter(([file]) => file !== one.file));
+  } catch (error) {
+    tell(error);
+  }
+});
+$("choose").addEventListener("click", () => $("files").click());
+$("files").addEventListener("change", () => take([...$("files").files]).then(() => ($("files").value = "")));
+for (const name of ["dragover", "drop"])
+  addEventListener(name, (event) => {
+    event.preventDefault();
+    $("drop").classList.toggle("over", name === "dragover");
+    if (name === "drop") take([...event.dataTransfer.files]);
+  });
+addEventListener("dragleave", () => $("drop").classList.remove("over"));
+$("older").addEventListener("click", () => load(next).catch(tell));
+
+await Promise.all([begin(), load()]).catch(tell);
+setTimeout(again, EVERY);

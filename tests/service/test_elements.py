@@ -1,0 +1,475 @@
+"""Building elements over HTTP: uploaded and divided by a worker, and anew; panels as jobs, marks, reports;
+and every refusal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from planner.batch.job import ELEMENT, PLANNED, Done, Event, Finished, Job
+from planner.batch.run import solve
+from planner.issues import Issue
+from planner.service.security import Auth, Limits
+from tests.element.shells import cap, shell
+from tests.element.test_saw_jobs import SAW
+from tests.service.support import ROOT, InProcess, Team, codes
+
+NO_REACH = Issue("motion.no_reach", "a target of the pretended plan is too far")
+COUNT = 24
+SHELL = {"count": COUNT, "off_surface_mm": 60}
+SMALL = Limits(open_jobs=3, files=8, upload_mb=8, mesh_mb=1)
+
+
+class Dividing(Team):
+    """Divides and reports as a worker does, in this process; only pretends to plan panels."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.given: dict[str, dict[str, bytes]] = {}
+        self.no_reach: set[str] = set()
+        self._waiting: dict[str, tuple[Job, Path]] = {}
+
+    def start(self, job: Job, folder: Path) -> None:
+        self.given[job.name] = dict(job.files)
+        if job.files.keys() & {ELEMENT, PLANNED}:
+            self.started.append(job.name)
+            self._waiting[job.name] = (job, folder)
+        elif job.name.rpartition("-")[0] in self.no_reach:
+            self._events.append(Finished(job.name, Done(job.name, "infeasible", (NO_REACH,))))
+        else:
+            super().start(job, folder)
+
+    def cancel(self, name: str) -> bool:
+        if name in self._waiting:
+            del self._waiting[name]
+            self._events.append(Finished(name, Done(name, "cancelled")))
+            return True
+        return super().cancel(name)
+
+    def events(self, timeout_s: float) -> Iterator[Event]:
+        while self._waiting and not self.hold.is_set():
+            name, (job, folder) = self._waiting.popitem()
+            source = folder.parent / "source"
+            for file, content in job.files.items():
+                (source / file).parent.mkdir(parents=True, exist_ok=True)
+                (source / file).write_bytes(content)
+            done = solve(name, source, folder, {}, lambda stage, share: None, lambda issues: None)
+            self._events.append(Finished(name, done))
+        yield from super().events(timeout_s)
+
+
+class Elements(InProcess):
+    """A service whose team divides."""
+
+    def __init__(self, data: Path, limits: Limits | None = None, **options: Any) -> None:
+        super().__init__(data, limits, **options)
+        self.team = self.dividing = Dividing()
+
+    def upload(self, folder: Path, **changes: Any) -> Any:
+        """Upload a small shell with its template and its cell, as files of their own."""
+        path = shell(folder, cap(n=9), SHELL, **changes)
+        template = yaml.safe_load((folder / "held.yaml").read_text())
+        cell = Path(template["cell"])
+        files = [("problem", ("element.yaml", path.read_bytes()))]
+        files += [("files", ("shell.obj", (folder / "shell.obj").read_bytes()))]
+        files += [("files", ("held.yaml", yaml.safe_dump({**template, "cell": f"../{cell.name}"})))]
+        files += [("files", (cell.name, cell.read_bytes()))]
+        return self.http.post("/v1/elements", files=files)
+
+    def divided(self, element: str) -> dict[str, Any]:
+        """The element when its division has ended."""
+        self.ended(element)
+        found: dict[str, Any] = self.http.get(f"/v1/elements/{element}").json()
+        return found
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Elements]:
+    with Elements(tmp_path_factory.mktemp("service") / "data", SMALL, examiners=1, workers=4) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def dome(here: Elements, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    answer = here.upload(tmp_path_factory.mktemp("shell"), name="dome")
+    assert answer.status_code == 201, answer.text
+    return here.divided(answer.json()["id"])
+
+
+def test_an_element_is_uploaded_and_divided(here: Elements, dome: dict[str, Any]) -> None:
+    assert (dome["state"], dome["name"], dome["kind"]) == ("done", "dome", "hexagons")
+    assert dome["fields"] == {
+        "panels.hexagons.count": COUNT,
+        "panels.hexagons.off_surface_mm": 60.0,
+        "thickness_mm": 150.0,
+        "blocks.0.size_mm": [1200.0, 1000.0, 150.0],
+    }
+    assert len(dome["panels"]) == COUNT
+    assert dome["counts"] == {"not_planned": COUNT}
+    assert sorted(one["order"] for one in dome["panels"]) == list(range(1, COUNT + 1))
+    assert dome["cut_h"]["left"] > 0
+    names = {one["name"] for one in here.http.get(f"/v1/jobs/{dome['id']}/files").json()["files"]}
+    assert {"element.html", "element.json", "panels.csv", "labels.svg", "problem/element.yaml"} <= names
+    page = here.http.get(f"/v1/jobs/{dome['id']}/files/element.html")
+    assert "sandbox" in page.headers["content-security-policy"]
+    listed = here.http.get("/v1/elements").json()["elements"]
+    assert dome["id"] in [one["id"] for one in listed]
+    assert dome["id"] not in [one["id"] for one in here.http.get("/v1/jobs?limit=200").json()["jobs"]]
+
+
+def test_fields_are_changed_by_dividing_anew(here: Elements, dome: dict[str, Any]) -> None:
+    change = {
+        "fields": {"panels.hexagons.count": 30, "thickness_mm": 120, "blocks.0.size_mm": [1300, 1300, 120]}
+    }
+    answer = here.http.post(f"/v1/elements/{dome['id']}/divide", json=change)
+    assert answer.status_code == 201, answer.text
+    other = here.divided(answer.json()["id"])
+    assert len(other["panels"]) == 30
+    assert {one["block_mm"][2] for one in other["panels"]} == {120.0}
+    assert other["fields"]["panels.hexagons.count"] == 30
+    back = {
+        "fields": {
+            "panels.hexagons.count": COUNT,
+            "thickness_mm": 150.0,
+            "blocks.0.size_mm": [1200, 1000, 150],
+        }
+    }
+    before = len(here.team.started)
+    again = here.http.post(f"/v1/elements/{other['id']}/divide?instead=true", json=back).json()
+    assert here.http.get(f"/v1/elements/{other['id']}").status_code == 404
+    assert len(here.divided(again["id"])["panels"]) == COUNT
+    assert len(here.team.started) - before <= 1
+    third = here.http.post(f"/v1/elements/{again['id']}/divide", json=back).json()
+    assert (third["state"], third["from_store"]) == ("done", True)
+
+
+def test_a_new_division_takes_the_place_of_one_that_runs(here: Elements, dome: dict[str, Any]) -> None:
+    here.team.hold.set()
+    try:
+        change = {"fields": {"panels.hexagons.count": 25}}
+        first = here.http.post(f"/v1/elements/{dome['id']}/divide", json=change).json()["id"]
+        while here.http.get(f"/v1/elements/{first}").json()["state"] != "running":
+            pass
+        change = {"fields": {"panels.hexagons.count": 26}}
+        second = here.http.post(f"/v1/elements/{first}/divide?instead=true", json=change).json()["id"]
+        assert here.http.get(f"/v1/elements/{first}").status_code == 404
+    finally:
+        here.team.hold.clear()
+    assert len(here.divided(second)["panels"]) == 26
+
+
+def test_panels_are_planned_as_jobs_each_like_one_beside_it(here: Elements, tmp_path: Path) -> None:
+    element = here.divided(here.upload(tmp_path, name="planned").json()["id"])
+    address = f"/v1/elements/{element['id']}"
+    some = [one["id"] for one in element["panels"][:3]]
+    answer = here.http.post(f"{address}/plan", json={"panels": some})
+    assert answer.status_code == 201, answer.text
+    jobs = answer.json()["jobs"]
+    assert sorted(one["name"] for one in jobs) == [f"planned-{one}" for one in sorted(some)]
+    for one in jobs:
+        assert here.ended(one["id"])["state"] == "verified"
+    found = here.http.get(address).json()
+    assert found["counts"] == {"verified": 3, "not_planned": COUNT - 3}
+    assert {one["id"]: one["job"] for one in found["panels"] if "job" in one}.keys() == set(some)
+    rest = here.http.post(f"{address}/plan", json={}).json()["jobs"]
+    assert len(rest) == COUNT - 3
+    for one in rest:
+        here.ended(one["id"])
+    assert here.http.get(address).json()["counts"] == {"verified": COUNT}
+    assert here.http.post(f"{address}/plan", json={}).json()["jobs"] == []
+    like = {
+        name.rpartition("-")[0]
+        for name, files in here.dividing.given.items()
+        if "like/problem/problem.yaml" in files and "like/plan.json" in files
+    }
+    assert {one["name"] for one in rest} <= like
+    assert not {f"planned-{one}" for one in some} <= like  # one was first
+
+
+def test_an_elements_panels_count_as_one_job_that_waits(here: Elements, dome: dict[str, Any]) -> None:
+    here.team.hold.set()
+    try:
+        assert here.http.post(f"/v1/elements/{dome['id']}/plan", json={}).status_code == 201
+        waiting = here.http.get("/v1/jobs?state=queued&limit=200").json()["jobs"]
+        assert len(waiting) > SMALL.open_jobs
+        assert here.post().status_code == 201
+        states = here.http.post(f"/v1/elements/{dome['id']}/cancel").json()["counts"]
+        assert states["cancelled"] >= COUNT - 2
+    finally:
+        here.team.hold.clear()
+    for one in here.http.get("/v1/jobs?limit=200").json()["jobs"]:
+        here.ended(one["id"])
+
+
+def test_panels_are_marked_as_by_the_command(here: Elements, tmp_path: Path) -> None:
+    element = here.divided(here.upload(tmp_path, name="marked").json()["id"])
+    address = f"/v1/elements/{element['id']}"
+    first, second = (one["id"] for one in element["panels"][:2])
+    here.http.post(f"{address}/mark", json={"panel": first, "state": "glued"})
+    found = here.http.post(f"{address}/mark", json={"panel": second, "state": "broken"}).json()
+    assert {one["id"]: one["mark"] for one in found["panels"] if "mark" in one} == {
+        first: "glued",
+        second: "broken",
+    }
+    assert found["told"][0] == "marked: of 24 panels 1 are glued, 0 cut, 1 broken, 22 to be cut"
+    assert any(line.startswith(f"{second} again") for line in found["told"])
+    rows = here.http.get(f"/v1/jobs/{element['id']}/files/progress.csv").text.splitlines()
+    assert rows[0] == "id,state,block_mm"
+    assert rows[1].startswith(f"{first},glued,")
+    wrong = here.http.post(f"{address}/mark", json={"panel": "Z99", "state": "cut"})
+    assert (wrong.status_code, codes(wrong)) == (422, [("element.mark", "panel")])
+    wrong = here.http.post(f"{address}/mark", json={"panel": first, "state": "lost", "more": 1})
+    assert codes(wrong) == [("service.request", "state"), ("service.request", "more")]
+    for panel in (first, first):  # taken away twice is taken away
+        back = here.http.post(f"{address}/mark", json={"panel": panel, "state": "open"}).json()
+        assert [one["id"] for one in back["panels"] if "mark" in one] == [second]
+    here.http.post(f"{address}/mark", json={"panel": first, "state": "glued"})
+    again = here.http.post(f"{address}/divide?instead=true", json={"fields": {}}).json()["id"]
+    assert here.divided(again)["counts"] == {"not_planned": COUNT, "glued": 1, "broken": 1}
+    assert here.http.get(address).status_code == 200
+    other = here.upload(tmp_path, name="marked").json()["id"]
+    assert "glued" not in here.divided(other)["counts"]
+
+
+def test_a_report_tells_what_became_of_the_panels(here: Elements, tmp_path: Path) -> None:
+    element = here.divided(here.upload(tmp_path, name="told").json()["id"])
+    address = f"/v1/elements/{element['id']}"
+    early = here.http.post(f"{address}/report")
+    assert (early.status_code, codes(early)) == (404, [("service.unknown_file", None)])
+    panel = element["panels"][0]["id"]
+    here.dividing.no_reach.add(f"told-{panel}")
+    (job,) = here.http.post(f"{address}/plan", json={"panels": [panel]}).json()["jobs"]
+    assert here.ended(job["id"])["state"] == "infeasible"
+    row = next(one for one in here.http.get(address).json()["panels"] if one["id"] == panel)
+    assert (row["state"], row["issue"]["code"]) == ("infeasible", "motion.no_reach")
+    report = here.http.post(f"{address}/report").json()
+    assert here.ended(report["id"])["state"] == "done"
+    found = here.http.get(address).json()
+    assert found["report"]["id"] == report["id"]
+    page = here.http.get(f"/v1/jobs/{report['id']}/files/element.html").text
+    assert "motion.no_reach" in page
+    rows = here.http.get(f"/v1/jobs/{report['id']}/files/report.csv").text
+    assert f"{panel},infeasible" in rows
+    assert report["id"] not in [one["id"] for one in here.http.get("/v1/jobs?limit=200").json()["jobs"]]
+    assert here.http.delete(address).status_code == 204
+    assert here.http.get(f"/v1/jobs/{report['id']}").status_code == 404
+    assert here.http.get(f"/v1/jobs/{job['id']}").status_code == 200
+
+
+def test_panels_stand_alone_with_what_their_template_names(here: Elements, tmp_path: Path) -> None:
+    path = shell(tmp_path, cap(n=9), SHELL, name="alone")
+    template = yaml.safe_load((tmp_path / "held.yaml").read_text())
+    cell = yaml.safe_load(Path(template["cell"]).read_text())
+    mesh = {"kind": "mesh", "file": "post.obj", "unit": "mm"}
+    cell["obstacles"].append({"name": "post", "shapes": [mesh]})
+    template["cell"] = cell
+    files = [
+        ("problem", ("element.yaml", path.read_bytes())),
+        ("files", ("shell.obj", (tmp_path / "shell.obj").read_bytes())),
+        ("files", ("post.obj", b"v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")),
+        ("files", ("held.yaml", yaml.safe_dump(template))),
+    ]
+    element = here.divided(here.http.post("/v1/elements", files=files).json()["id"])
+    assert element["state"] == "done"
+    (job,) = here.http.post(
+        f"/v1/elements/{element['id']}/plan", json={"panels": [element["panels"][0]["id"]]}
+    ).json()["jobs"]
+    here.ended(job["id"])
+    given = here.dividing.given[f"{job['name']}-{job['id'][:12]}"]
+    problem = yaml.safe_load(given["problem.yaml"])
+    name = problem["cell"]["obstacles"][-1]["shapes"][0]["file"]
+    assert given[name].startswith(b"v 0 0 0")
+    assert not any(str(tmp_path.parent) in content.decode("utf-8", "replace") for content in given.values())
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "field"),
+    [
+        ({"thickness_mm": -1}, "problem.field", "thickness_mm"),
+        ({"name": "<b>x</b>"}, "problem.field", "name"),
+        ({"jobs": [{"problem": "../other.yaml"}]}, "service.not_uploaded", "jobs.0.problem"),
+        ({"surface": {"mesh": {"file": "/etc/passwd"}}}, "service.not_uploaded", "surface.mesh.file"),
+    ],
+)
+def test_what_cannot_be_read_is_refused(
+    here: Elements, tmp_path: Path, changes: dict[str, Any], code: str, field: str
+) -> None:
+    answer = here.upload(tmp_path, **changes)
+    assert answer.status_code == 422
+    assert (code, field) in codes(answer)
+    assert str(tmp_path) not in answer.text
+
+
+def test_what_cannot_be_divided_ends_with_its_issues(here: Elements, tmp_path: Path) -> None:
+    answer = here.upload(tmp_path, name="thin", blocks=[{"size_mm": [300, 300, 150]}])
+    found = here.divided(answer.json()["id"])
+    assert found["state"] == "bad_input"
+    assert found["issues"][0]["code"] == "element.block"
+    assert found["panels"] == []
+    refused = here.http.post(f"/v1/elements/{found['id']}/plan", json={})
+    assert (refused.status_code, codes(refused)) == (404, [("service.unknown_file", None)])
+
+
+def test_raw_blocks_have_jobs_with_what_their_template_names(here: Elements, tmp_path: Path) -> None:
+    saw = {**SAW, "cell": "../irb4600_bow.yaml"}
+    raw = {"sizes": [{"size_mm": [2400, 1200, 170], "foam": "eps_a120"}], "kerf_mm": 2}
+    path = shell(tmp_path, cap(n=9), SHELL, name="sawn", raw_blocks=raw, cut_blocks={"problem": "saw.yaml"})
+    cells = ROOT / "problems" / "cells"
+    held = yaml.safe_load((tmp_path / "held.yaml").read_text()) | {"cell": "two_irb4600_bow_gripper.yaml"}
+    files = [
+        ("problem", ("element.yaml", path.read_bytes())),
+        ("files", ("shell.obj", (tmp_path / "shell.obj").read_bytes())),
+        ("files", ("held.yaml", yaml.safe_dump(held))),
+        ("files", ("two_irb4600_bow_gripper.yaml", (cells / "two_irb4600_bow_gripper.yaml").read_bytes())),
+        ("files", ("irb4600_bow.yaml", (cells / "irb4600_bow.yaml").read_bytes())),
+    ]
+    missing = here.http.post("/v1/elements", files=files)
+    assert (missing.status_code, codes(missing)) == (422, [("service.not_uploaded", "cut_blocks.problem")])
+    files.append(("files", ("saw.yaml", yaml.safe_dump(saw))))
+    found = here.divided(here.http.post("/v1/elements", files=files).json()["id"])
+    assert found["state"] == "done"
+    assert found["fields"]["raw_blocks.sizes.0.size_mm"] == [2400.0, 1200.0, 170.0]
+    names = [one["name"] for one in here.http.get(f"/v1/jobs/{found['id']}/files").json()["files"]]
+    jobs = [name for name in names if name.startswith("blocks/")]
+    problem = yaml.safe_load(here.http.get(f"/v1/jobs/{found['id']}/files/{jobs[0]}").text)
+    assert problem["cell"]["arms"][0]["robot"] == "irb4600_40"
+
+
+@pytest.mark.parametrize("name", ["../shell.obj", "/etc/shell.obj", "..\\shell.obj", "a/../../shell.obj"])
+def test_names_of_uploads_lead_nowhere(here: Elements, tmp_path: Path, name: str) -> None:
+    """A surface of such a name is refused, or found by its last step: nothing is read or written beside."""
+    path = shell(tmp_path, cap(n=9), SHELL, name="named", surface={"mesh": {"file": name, "unit": "mm"}})
+    template = yaml.safe_load((tmp_path / "held.yaml").read_text())
+    cell = yaml.safe_load(Path(template["cell"]).read_text())
+    files = [
+        ("problem", ("element.yaml", path.read_bytes())),
+        ("files", (name, (tmp_path / "shell.obj").read_bytes())),
+        ("files", ("held.yaml", yaml.safe_dump({**template, "cell": cell}))),
+    ]
+    before = sorted(here.service.options.data.parent.rglob("shell.obj"))
+    answer = here.http.post("/v1/elements", files=files)
+    if answer.status_code != 422:
+        assert here.divided(answer.json()["id"])["state"] == "done"
+    assert sorted(here.service.options.data.parent.rglob("shell.obj")) == before
+
+
+def test_an_element_is_deleted_while_it_is_divided(here: Elements, dome: dict[str, Any]) -> None:
+    here.team.hold.set()
+    try:
+        change = {"fields": {"panels.hexagons.count": 27}}
+        made = here.http.post(f"/v1/elements/{dome['id']}/divide", json=change).json()["id"]
+        while here.http.get(f"/v1/elements/{made}").json()["state"] != "running":
+            pass
+        assert here.http.delete(f"/v1/elements/{made}").status_code == 204
+        for ask in (
+            here.http.get(f"/v1/elements/{made}"),
+            here.http.delete(f"/v1/elements/{made}"),
+            here.http.post(f"/v1/elements/{made}/divide", json=change),
+            here.http.post(f"/v1/elements/{made}/mark", json={"panel": "A01", "state": "cut"}),
+        ):
+            assert (ask.status_code, codes(ask)) == (404, [("service.unknown_job", None)])
+    finally:
+        here.team.hold.clear()
+    assert len(here.http.get(f"/v1/elements/{dome['id']}").json()["panels"]) == COUNT
+
+
+def test_two_who_change_one_element_each_have_an_answer(here: Elements, tmp_path: Path) -> None:
+    """The slower one has an element of its own, or is told that there is none any more; then it made none."""
+    element = here.divided(here.upload(tmp_path, name="shared").json()["id"])["id"]
+    address = f"/v1/elements/{element}/divide?instead=true"
+    counts = (28, 29)
+    with ThreadPoolExecutor(2) as both:
+        answers = list(
+            both.map(
+                lambda count: here.http.post(address, json={"fields": {"panels.hexagons.count": count}}),
+                counts,
+            )
+        )
+    assert {one.status_code for one in answers} <= {201, 404}
+    made = [(n, one.json()["id"]) for n, one in zip(counts, answers, strict=True) if one.is_success]
+    listed = here.http.get("/v1/elements?limit=200").json()["elements"]
+    assert {one["id"] for one in listed if one["name"] == "shared"} == {other for _, other in made}
+    assert made
+    for count, other in made:
+        assert len(here.divided(other)["panels"]) == count
+    assert here.http.get(f"/v1/elements/{element}").status_code == 404
+
+
+def test_bad_requests_are_told_by_field(here: Elements, dome: dict[str, Any]) -> None:
+    address = f"/v1/elements/{dome['id']}"
+    wrong = here.http.post(f"{address}/divide", json={"fields": {"nothing.at..all": 1}})
+    assert (wrong.status_code, codes(wrong)) == (422, [("service.request", "nothing.at..all")])
+    wrong = here.http.post(f"{address}/divide", json={"fields": {"panels.hexagons.count": "many"}})
+    assert codes(wrong) == [("problem.field", "panels.hexagons.count")]
+    for count in (1, 100_000):
+        wrong = here.http.post(f"{address}/divide", json={"fields": {"panels.hexagons.count": count}})
+        assert (wrong.status_code, codes(wrong)) == (422, [("problem.field", "panels.hexagons.count")])
+    wrong = here.http.post(f"{address}/divide", json={"fields": {"surface.mesh.file": "/etc/passwd"}})
+    assert codes(wrong) == [("service.not_uploaded", "surface.mesh.file")]
+    wrong = here.http.post(f"{address}/plan", json={"panels": ["A01", "<b>"]})
+    assert (wrong.status_code, codes(wrong)) == (422, [("service.request", "panels")])
+    wrong = here.http.post(f"{address}/plan", content=b'{"panels": [' + b'"A",' * 400_000)
+    assert (wrong.status_code, codes(wrong)) == (413, [("service.too_large", "body")])
+    wrong = here.http.post(f"{address}/plan", content=b"no JSON")
+    assert codes(wrong) == [("service.request", "body")]
+
+
+def test_other_peoples_elements_are_404(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    with Elements(data, examiners=1) as made:
+        auth = Auth(made.service.database)
+        ann, bob = ({"Authorization": f"Bearer {auth.make(name)}"} for name in ("ann", "bob"))
+        made.http.headers.update(ann)
+        element = made.upload(tmp_path / "shell").json()["id"]
+        assert made.divided(element)["state"] == "done"
+        job = made.ended(made.post().json()["id"])["id"]
+        made.http.headers.update(bob)
+        for ask in (
+            made.http.get(f"/v1/elements/{element}"),
+            made.http.post(f"/v1/elements/{element}/divide", json={"fields": {}}),
+            made.http.post(f"/v1/elements/{element}/plan", json={}),
+            made.http.post(f"/v1/elements/{element}/mark", json={"panel": "A01", "state": "cut"}),
+            made.http.post(f"/v1/elements/{element}/report"),
+            made.http.post(f"/v1/elements/{element}/cancel"),
+            made.http.delete(f"/v1/elements/{element}"),
+            made.http.get("/v1/elements/..%2f"),
+        ):
+            assert ask.status_code == 404
+        assert made.http.get("/v1/elements").json() == {"elements": []}
+        assert made.http.get(f"/v1/jobs/{element}/files/element.html").status_code == 403
+        made.http.headers.update(ann)
+        assert made.http.get(f"/v1/elements/{job}").status_code == 404  # a job is no element
+
+
+def test_a_division_survives_a_restart(tmp_path: Path) -> None:
+    with Elements(tmp_path / "data", examiners=1) as first:
+        first.team.hold.set()
+        element = first.upload(tmp_path / "shell").json()["id"]
+        while first.http.get(f"/v1/elements/{element}").json()["state"] != "running":
+            pass
+        first.service.runner.stop()  # told to stop in the middle
+    with Elements(tmp_path / "data", examiners=1) as second:
+        found = second.divided(element)
+        assert (found["state"], found["attempts"], len(found["panels"])) == ("done", 1, COUNT)
+
+
+def test_a_template_may_stand_in_the_element_file(tmp_path: Path) -> None:
+    from planner.batch.division import divide
+    from planner.element import element_file
+
+    path = shell(tmp_path, cap(n=9), SHELL)
+    apart = divide(element_file.read(path), lambda stage, share: None)
+    data = yaml.safe_load(path.read_text())
+    data["jobs"] = [{"problem": yaml.safe_load((tmp_path / "held.yaml").read_text())}]
+    path.write_text(yaml.safe_dump(data))
+    inside = divide(element_file.read(path), lambda stage, share: None)
+    panels = [name for name in apart.files if name.startswith("panels/")]
+    assert len(panels) == COUNT
+    assert all(inside.files[name] == apart.files[name] for name in panels)
+    assert json.loads(inside.files["element.json"])["panels"][0]["job"] == "jobs.0"
