@@ -37,11 +37,14 @@ class ElementRequest:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
     """folder for panels/, panels.csv, panels.svg, element.html, element.obj, labels.svg, element.json, and
     where raw blocks are stated blocks.csv, blocks.svg, stock.csv and, with cut_blocks, blocks/"""
+    resume: bool = False
+    """keep the folder as it is where it holds this very element, its surface moved by 1e-5 mm at most; else
+    say how many problems stayed as they were"""
 
 
 def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     """Divide, write and print; what is to be said. Raises ``TandemError``."""
-    from planner.element import element_file, element_page, labels, output, run_report
+    from planner.element import element_file, element_page, kept, labels, output, run_report
 
     start = time.perf_counter()
     claim_folder(request.output, output.OWNED, keep=request.file)
@@ -49,6 +52,11 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     raw = element.file.raw_blocks
     if raw is not None and raw.stock is not None:
         claim_folder(request.output, output.OWNED, keep=request.file.parent / raw.stock)
+    before = kept.problems_in(request.output) if request.resume else {}
+    if request.resume and kept.holds(request.output, element, request.file):
+        data = json.loads((request.output / "element.json").read_text("utf-8"))
+        out.print(f"{element.file.name}: as before, {len(data['panels'])} panels", markup=False)
+        return tuple(Issue.from_dict(one) for one in data["issues"])
     if isinstance(element, element_file.HexagonElement):
         files, told, said = _hexagons(element)
     elif isinstance(element, element_file.WallElement):
@@ -60,8 +68,12 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     data = json.loads(files["element.json"])
     files["element.html"] = element_page.element_page(run_report.unplanned(data), files.get("blocks.svg"))
     files["labels.svg"] = labels.label_sheets(data)
-    write_folder(request.output, files, output.OWNED)
+    made_from = kept.made_from(element, request.file, files)
+    write_folder(request.output, {**files, kept.FILE: made_from}, output.OWNED)
     out.print(f"{element.file.name}: {said}", markup=False)
+    if before:
+        same, count = kept.stayed(before, files)
+        out.print(f"{same} of {count} problems are as before: tandem batch --resume plans the others")
     seconds = time.perf_counter() - start
     out.print(f"divided in {seconds:.1f} s; see {request.output / 'element.html'}", markup=False)
     return told
