@@ -302,6 +302,7 @@ def panel_rows(found: ElementRun) -> str:
                 },
                 "off_written_95_mm": round(float(np.percentile(np.abs(off), 95.0)), 4) if len(off) else "",
                 "off_written_largest_mm": round(float(np.abs(off).max()), 4) if len(off) else "",
+                **{name: panel.panel[name] for name in ("backs_apart_mm",) if name in panel.panel},
                 "issue": panel.code,
                 "message": panel.message,
             }
