@@ -329,18 +329,19 @@ def figure_text(name: str, value: float | None) -> str:
 
 
 def csv_table(rows: Sequence[Row]) -> str:
-    """The summary as CSV (RFC 4180), figures in full: name, origin, state, issue codes, those that the
-    problem accepts, varied fields, figures, planning time [s], first error or warning."""
+    """The summary as CSV (RFC 4180), figures in full: name, origin, state, issue codes with that of the
+    message first, those that the problem accepts, varied fields, figures, planning time [s], first error or
+    warning."""
     paths = varied_fields(rows)
     stream = io.StringIO()
     writer = csv.writer(stream)
     heads = ["name", "origin", "state", "issues", "accepted", *paths, *FIGURES, "planning_s", "message"]
     writer.writerow(heads)
     for row in rows:
-        codes = " ".join(dict.fromkeys(issue.code for issue in row.done.issues))
+        said = gravest_issue(row.done)
+        codes = " ".join(dict.fromkeys(i.code for i in (*((said,) if said else ()), *row.done.issues)))
         values = [value_text(row.item.varied[p]) if p in row.item.varied else "" for p in paths]
         figures = [_full(row.done.metrics.get(name)) for name in FIGURES]
-        said = gravest_issue(row.done)
         message = said.message if said is not None else ""
         taken = " ".join(accepted(row.done.issues))
         cells = [row.item.name, row.item.origin, row.done.state, codes, taken, *values, *figures]

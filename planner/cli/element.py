@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import time
 from pathlib import Path
 from typing import Annotated, Literal
@@ -29,12 +30,15 @@ class ElementRequest:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
     """folder for panels/, panels.csv, panels.svg, element.html, element.obj, labels.svg, element.json, and
     where raw blocks are stated blocks.csv, blocks.svg, stock.csv and, with cut_blocks, blocks/"""
+    resume: bool = False
+    """keep the folder as it is where it holds this very element, its surface moved by 1e-5 mm at most; else
+    say how many problems stayed as they were"""
 
 
 def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     """Divide, write and print; what is to be said. Raises ``TandemError``."""
     from planner.batch.division import divide
-    from planner.element import element_file, output
+    from planner.element import element_file, kept, output
 
     start = time.perf_counter()
     claim_folder(request.output, output.OWNED, keep=request.file)
@@ -42,9 +46,18 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     raw = element.file.raw_blocks
     if raw is not None and raw.stock is not None:
         claim_folder(request.output, output.OWNED, keep=request.file.parent / raw.stock)
+    before = kept.problems_in(request.output) if request.resume else {}
+    if request.resume and kept.holds(request.output, element, request.file):
+        data = json.loads((request.output / "element.json").read_text("utf-8"))
+        out.print(f"{element.file.name}: as before, {len(data['panels'])} panels", markup=False)
+        return tuple(Issue.from_dict(one) for one in data["issues"])
     made = divide(element, lambda stage, fraction: None)
-    write_folder(request.output, made.files, output.OWNED)
+    made_from = kept.made_from(element, request.file, made.files)
+    write_folder(request.output, {**made.files, kept.FILE: made_from}, output.OWNED)
     out.print(f"{element.file.name}: {made.said}", markup=False)
+    if before:
+        same, count = kept.stayed(before, made.files)
+        out.print(f"{same} of {count} problems are as before: tandem batch --resume plans the others")
     seconds = time.perf_counter() - start
     out.print(f"divided in {seconds:.1f} s; see {request.output / 'element.html'}", markup=False)
     return made.issues

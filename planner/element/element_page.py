@@ -392,7 +392,15 @@ def _sizes(found: ElementRun) -> tuple[Grid, ...]:
     off = [float(panel.panel["off_surface_mm"]) for panel in found.panels if "off_surface_mm" in panel.panel]
     if off:
         figures.append(Figure("Off the surface", bars(np.array(off), "farthest of a panel [mm]")))
+    if _backs_apart(found):
+        apart = np.array([float(panel.panel["backs_apart_mm"]) for panel in found.panels])
+        figures.append(Figure("Backs of neighbours apart", bars(apart, "at a corner of a panel [mm]")))
     return (Grid(tuple(figures), "three"),)
+
+
+def _backs_apart(found: ElementRun) -> bool:
+    """Whether backs of neighbours end apart at corners, as those of quads do."""
+    return any(float(panel.panel.get("backs_apart_mm", 0.0)) > 0.0 for panel in found.panels)
 
 
 def _blocks(found: ElementRun, drawing: str | None) -> tuple[Block, ...]:
@@ -474,7 +482,8 @@ def _list(found: ElementRun) -> Table:
     arms = tuple(found.arm_seconds())
     wired = any("wire" in panel.panel for panel in found.panels)
     heads = ["panel", "size mm", "edges", "weight kg", "block mm", "raw block", "off surface mm"]
-    heads += ["wire"] * wired
+    apart = _backs_apart(found)
+    heads += ["backs apart mm"] * apart + ["wire"] * wired
     heads += ["state", *(f"{arm} min" for arm in arms), "why not"] if found.planned else ["to cut min"]
     rows = []
     for panel in found.panels:
@@ -489,6 +498,8 @@ def _list(found: ElementRun) -> Table:
             cut_from.get(panel.name, ""),
             round(float(own["off_surface_mm"]), 2) if "off_surface_mm" in own else None,
         ]
+        if apart:
+            row.append(round(float(own["backs_apart_mm"]), 2))
         if wired:
             row.append(f"{own['wire']}, along {own['wire_along']}")
         if found.planned:

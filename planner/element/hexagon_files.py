@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from planner.element.assembly import Assembly, Body, rests_on, ring_slab
 from planner.element.element_file import HexagonElement, Template
@@ -33,6 +34,8 @@ from planner.issues import Issue, Severity
 
 LEVEL: Final = 5.0 * DEG
 """Panels that lean by less than this [rad] have no side that is up."""
+SAME_CORNER: Final = 1e-6
+"""Corners of fronts that are nearer than this [m] are one."""
 RING_DIGITS: Final = 6
 """Decimals of outlines in mm in ``element.json``: those in the files of panels have more."""
 
@@ -51,8 +54,10 @@ def folder(
     own = [_panel_block(element, panel) for panel in panels]
     up = assembly(panels)
     rows = [
-        {**row(element, panel, block, one.file), **columns}
-        for panel, block, one, columns in zip(panels, own, templates, up.columns(), strict=True)
+        {**row(element, panel, block, one.file), "backs_apart_mm": round(apart / MM, 3) + 0.0, **columns}
+        for panel, block, one, apart, columns in zip(
+            panels, own, templates, backs_apart(panels).tolist(), up.columns(), strict=True
+        )
     ]
     files = {}
     for panel, template in zip(panels, templates, strict=True):
@@ -65,6 +70,25 @@ def folder(
     return finished(
         element, files, data, own, (*_count(element, panels), *_concave(element, panels), *up.issues(CLEAR))
     )
+
+
+def backs_apart(panels: Sequence[HexagonPanel]) -> FloatArray:
+    """How far apart (P,) [m] the back of each panel and those of others end at most, at corners that are not
+    on the rim. Three planes moved by one have a point in common; where four panels meet, their backs end at
+    different heights of the line that goes through the corner."""
+    number, fronts, backs = [], [], []
+    for k, panel in enumerate(panels):
+        inner = [i for i, name in enumerate(panel.beyond) if name and panel.beyond[i - 1]]
+        number += [k] * len(inner)
+        fronts.append(transform(panel.pose, panel.top[inner]))
+        backs.append(transform(panel.pose, panel.bottom[inner]))
+    here, back = np.array(number, dtype=np.intp), np.concatenate(backs)
+    one, other = cKDTree(np.concatenate(fronts)).query_pairs(SAME_CORNER, output_type="ndarray").T
+    way = np.linalg.norm(back[one] - back[other], axis=1)
+    out = np.zeros(len(panels))
+    for side in (one, other):
+        np.maximum.at(out, here[side], way)
+    return out
 
 
 def assembly(panels: tuple[HexagonPanel, ...]) -> Assembly:

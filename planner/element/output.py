@@ -15,12 +15,14 @@ import numpy as np
 import shapely
 
 from planner.catalogue.materials import foam
+from planner.element import kept
 from planner.element.assembly import BESIDE, GIVE, Assembly, Body, rests_on
 from planner.element.elastic import ElasticPanel, Joint, joints
 from planner.element.element_file import ElasticElement
 from planner.element.jobs import block_mm, chosen_templates, cut_minutes, ids, panel_files
 from planner.element.nest import PanelBlock
 from planner.element.nested_output import finished
+from planner.element.surface import RIM
 from planner.geometry.arrays import FloatArray, IntArray, transform
 from planner.geometry.assembly import NONE, Slab, bodies_beyond, put_up
 from planner.geometry.mesh import face_areas
@@ -40,6 +42,7 @@ OWNED: Final = (
     "blocks.csv",
     "blocks.svg",
     "stock.csv",
+    kept.FILE,
 )
 """What the folder of an element holds; anything else in it is left alone."""
 JOINT_SHARE: Final = 95.0
@@ -98,17 +101,21 @@ def _over(flat: FloatArray, faces: IntArray, values: FloatArray, places: FloatAr
     """Values (V, K) of a mesh over the plane, with vertices ``flat`` (V, 2), at places (N, 2) in it: by its
     own triangles, which stay the same where it moves a little."""
     corners = flat[faces]
-    tree = shapely.STRtree(shapely.polygons(corners))
-    at, face = tree.query(shapely.points(places), predicate="intersects")
+    tree, points = shapely.STRtree(shapely.polygons(corners)), shapely.points(places)
+    at, face = tree.query(points, predicate="intersects")
     order = np.lexsort((face, at))
     at, first = np.unique(at[order], return_index=True)
-    if len(at) < len(places):
+    own = np.full(len(places), NONE)
+    own[at] = face[order][first]
+    bare = np.flatnonzero(own == NONE)
+    found, near = tree.query_nearest(points[bare], max_distance=2.0 * RIM, all_matches=False)
+    if len(found) < len(bare):
         raise ValueError("a panel does not lie over its rectangle")
-    face = face[order][first]
-    first_corner, one, two = corners[face].transpose(1, 0, 2)
+    own[bare[found]] = near
+    first_corner, one, two = corners[own].transpose(1, 0, 2)
     sides = np.stack([one - first_corner, two - first_corner], axis=-1)
     share = np.linalg.solve(sides, (places - first_corner)[..., None])
-    a, b, c = values[faces[face]].transpose(1, 0, 2)
+    a, b, c = values[faces[own]].transpose(1, 0, 2)
     return np.asarray(a + share[:, 0] * (b - a) + share[:, 1] * (c - a))
 
 

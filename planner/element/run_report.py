@@ -20,6 +20,7 @@ from planner import plans
 from planner.element.output import table
 from planner.element.run_joints import CutFace, CutJoint, cut_faces, cut_joint
 from planner.element.side_joints import CutSide, cut_sides, side_joint
+from planner.element.wall_joints import cut_surfaces, wall_joint
 from planner.files import is_file
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
@@ -207,7 +208,7 @@ def read_run(out: Path, run: Path) -> ElementRun:
         raise _missing(run / "summary.csv", "tandem batch OUT/panels -o RUN writes it")
     data = json.loads((out / "element.json").read_text("utf-8"))
     if "joints" not in data or not all("outline_mm" in panel for panel in data["panels"]):
-        what = f"{out} was written without joints or outlines of its panels; ruled walls and strips have none"
+        what = f"{out} was written without joints or outlines of its panels; puzzle pieces have none"
         hint = (
             f"verdicts are in {run / 'summary.csv'}; divide another element again: tandem element "
             "FILE -o OUT; panels that stay need no new plan"
@@ -224,7 +225,9 @@ def read_run(out: Path, run: Path) -> ElementRun:
         one, other = (known[str(name)] for name in joint["panels"])
         names = one.name, other.name
         cut = None
-        if one.faces and other.faces and "sides" in joint:
+        if one.faces and other.faces and "front_mm" in joint:
+            cut = wall_joint(names, joint, one.faces, other.faces)
+        elif one.faces and other.faces and "sides" in joint:
             i, k = joint["sides"]
             cut = side_joint(names, one.sides[i], other.sides[k])
         elif one.faces and other.faces:
@@ -284,7 +287,8 @@ def _panel(
     if "front_mm" in panel:
         sides = cut_sides(out, run, panel, thickness)
         return PanelRun(panel, PROVEN, code, row["message"], seconds, sides, sides)
-    return PanelRun(panel, PROVEN, code, row["message"], seconds, cut_faces(out, run, panel))
+    faces = cut_surfaces(out, run, panel) if "from_share" in panel else cut_faces(out, run, panel)
+    return PanelRun(panel, PROVEN, code, row["message"], seconds, faces)
 
 
 def panel_rows(found: ElementRun) -> str:
@@ -302,6 +306,7 @@ def panel_rows(found: ElementRun) -> str:
                 },
                 "off_written_95_mm": round(float(np.percentile(np.abs(off), 95.0)), 4) if len(off) else "",
                 "off_written_largest_mm": round(float(np.abs(off).max()), 4) if len(off) else "",
+                **{name: panel.panel[name] for name in ("backs_apart_mm",) if name in panel.panel},
                 "issue": panel.code,
                 "message": panel.message,
             }

@@ -247,6 +247,11 @@ def _plane(job: SawJob, number: int, place: float) -> dict[str, Any]:
     else:
         wire, way = 1 - job.axis, 2
     begin, end = (high[way], low[way]) if way == 2 else (low[way], high[way])
+    sides = (low[wire], high[wire])
+    # the normal is that of the way times the wire; y times x and x times z point down
+    flipped = job.axis == 1 or (job.axis == 2 and wire == 0)
+    if flipped and way == 2:  # flip would turn the way too: from below, between the beams
+        sides, flipped = sides[::-1], False
 
     def ruling_ends(side: float) -> dict[str, Any]:
         points = []
@@ -256,12 +261,10 @@ def _plane(job: SawJob, number: int, place: float) -> dict[str, Any]:
             points.append([_mm(v) for v in point])
         return {"polyline_mm": points}
 
-    # the normal is that of the way times the wire; y times x and x times z point down
-    flipped = job.axis == 1 or (job.axis == 2 and wire == 0)
     return {
         "name": f"cut{number}",
         **({"flip": True} if flipped else {}),
         "match": "parameter",
-        "start": ruling_ends(low[wire]),
-        "end": ruling_ends(high[wire]),
+        "start": ruling_ends(sides[0]),
+        "end": ruling_ends(sides[1]),
     }

@@ -4,7 +4,7 @@ table and a drawing of its panels, and all as data."""
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -26,13 +26,17 @@ from planner.element.output import outline, table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
 from planner.element.strips import Divided
 from planner.element.wall_assembly import Stand, assembly
-from planner.element.wall_panels import SIDES, WallPanel, numbers
-from planner.geometry.arrays import FloatArray
+from planner.element.wall_panels import SIDES, WallPanel, face_rulings, numbers
+from planner.geometry.arrays import FloatArray, lengths
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue
 
 TURN: Final = np.array([[0.0, 1.0], [-1.0, 0.0]])
 """Places (u, t) of a wall as seen from the front: its rulings from right to left, u up."""
+JOINT_POINTS: Final = 13
+"""Points of each line of a joint in ``element.json``."""
+JOINT_DIGITS: Final = 6
+"""Their decimals in mm."""
 SHADED: Final = 1.0
 """A back that is so far off [mm] is drawn darkest."""
 
@@ -154,8 +158,47 @@ def _folder(
         **more,
         "panels": data,
     }
-    said = () if any(panel.piece.way_in is not None for panel in panels) else up.issues(GIVE)
-    return finished(element, files, whole, blocks, said)
+    if any(panel.piece.way_in is not None for panel in panels):  # lobes are no joints of two lines
+        return finished(element, files, whole, blocks, ())
+    whole["joints"] = list(_joints(panels, laid, stands, names, element.file.thickness_mm * MM))
+    return finished(element, files, whole, blocks, up.issues(GIVE))
+
+
+def _joints(
+    panels: Sequence[WallPanel],
+    laid: Sequence[Laid],
+    stands: Sequence[Stand],
+    names: Sequence[str],
+    thickness: float,
+) -> Iterator[dict[str, Any]]:
+    """Where two panels meet: their sides there, how long it is, and points of its lines in front and at the
+    back, in pairs."""
+    for panel, own, stand, name in zip(panels, laid, stands, names, strict=True):
+        piece, wall = panel.piece, stand.wall
+        low, high = np.min(own.ring, axis=0), np.max(own.ring, axis=0)
+        ends = zip(own.ring, (*own.ring[1:], own.ring[0]), own.beyond, strict=True)
+        for (x, y), (x_end, y_end), beyond in ends:
+            if beyond is None or beyond < name:
+                continue
+            if x == x_end:
+                side, other = ("right", "left") if x == high[0] else ("left", "right")
+                first, last = stand.ways(np.array([min(y, y_end), max(y, y_end)]) * MM).tolist()
+                ways = np.linspace(first, last, JOINT_POINTS)
+                lines = face_rulings(wall, thickness, ways, piece.across)
+                front, back = (line[int(side == "left")] for line in lines)
+            else:
+                side, other = ("bottom", "top") if y == low[1] else ("top", "bottom")
+                ways = np.array([piece.along[int(side == "top")]])
+                share = np.linspace(0.0, 1.0, JOINT_POINTS)[:, None]
+                lines = face_rulings(wall, thickness, ways, piece.across)
+                front, back = (a + share * (b - a) for (a,), (b,) in lines)
+            yield {
+                "panels": [name, beyond],
+                "sides": [side, other],
+                "length_mm": round(float(lengths(np.diff(front, axis=0)).sum()) / MM, 3),
+                "front_mm": np.round(front / MM, JOINT_DIGITS).tolist(),
+                "back_mm": np.round(back / MM, JOINT_DIGITS).tolist(),
+            }
 
 
 def panel_block(element: Element, panel: WallPanel, name: str) -> PanelBlock:

@@ -430,7 +430,7 @@ def _first_that_works(
             return place, _plan(problem, stand, models, place, tell, at, begin)
         except TandemError as error:
             reasons = reasons or list(error.issues)
-    raise TandemError([_unplaced(trace, stand), *reasons])
+    raise TandemError([_unplaced(trace, stand, tried, reasons), *reasons])
 
 
 def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> None:
@@ -464,10 +464,11 @@ def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, 
     places, trace = _search(problem, stand).run(stand.each(models))
     tried, reasons = _tried(problem, stand, models, places, trace, at)
     for place in tried:
-        reasons = _no_path(problem, stand, models, place, at)
-        if not reasons:
+        found = _no_path(problem, stand, models, place, at)
+        if not found:
             return place, []
-    return None, [_unplaced(trace, stand), *reasons]
+        reasons = reasons or found
+    return None, [_unplaced(trace, stand, tried, reasons), *reasons]
 
 
 def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list[Issue]:
@@ -602,32 +603,43 @@ def _tried(
     return [], reasons
 
 
-def _unplaced(trace: Trace, stand: Stand) -> Issue:
+def _unplaced(trace: Trace, stand: Stand, tried: Sequence[Place], reasons: Sequence[Issue]) -> Issue:
+    """``motion.no_placement``. ``tried``: the places that were planned, none to the end; ``reasons``: what is
+    told beside it, at the first of them or at the freest place."""
     stock = stand.setups[0].stock
-    room = ""
-    if stock.pedestal is not None and stock.pedestal.kind == "table":
-        room = "let the block stand on a pedestal, beside which tools can pass (support: pedestal); "
-    elif stock.support and stock.sheet is None and stock.held_by is None:
-        room = "make the support longer, since it has to reach the floor; "
     best = int(np.argmax(trace.score))
-    x, y, z = 1e3 * trace.positions[best]
+    at = trace.positions[best]
     reachable = int((trace.score > 0).sum())
-    free = ""
-    if trace.freest:
-        share, freest = trace.freest[0]
-        x, y, z = 1e3 * freest.stock[:3, 3]
-        free = f", with free postures for {share:.0%} of a few targets"
-        room += "mend what is in the way there, which is told as well (a longer wire or tool or a smaller "
-        room += "block where a tool or a wrist meets it); "
+    found = f"{len(trace.score)} places tried, {reachable} of them reachable with all margins"
+    if tried and reasons:
+        x, y, z = tried[0].stock[:3, 3] / MM
+        found += f", {len(tried)} of these planned, none to the end: at {x:.0f}, {y:.0f}, {z:.0f} mm there "
+        found += f"was {reasons[0].code}"
+        hint = f"mend what is told of that place as well ({reasons[0].code}); or "
+    else:
+        hint = ""
+        if stock.pedestal is not None and stock.pedestal.kind == "table":
+            hint = "let the block stand on a pedestal, beside which tools can pass (support: pedestal); "
+        elif not reachable and stock.support and stock.sheet is None and stock.held_by is None:
+            hint = "make the support longer, since it has to reach the floor; "
+        free = ""
+        if trace.freest:
+            share, freest = trace.freest[0]
+            at, free = freest.stock[:3, 3], f", with free postures for {share:.0%} of a few targets"
+        if trace.freest and reasons:
+            hint += (
+                "mend what is in the way there, which is told as well (a longer wire or tool or a smaller "
+            )
+            hint += "block where a tool or a wrist meets it); "
+        x, y, z = at / MM
+        found += f", the best at {x:.0f}, {y:.0f}, {z:.0f} mm{free}"
     return Issue(
         "motion.no_placement",
-        f"no place of the stock was found for the whole job: {len(trace.score)} places tried, "
-        f"{reachable} of them "
-        f"reachable with all margins, the best at {x:.0f}, {y:.0f}, {z:.0f} mm{free}",
+        f"no place of the stock was found for the whole job: {found}",
         field="stock.place",
         value=float(np.rad2deg(trace.score[best])) if reachable else None,
         unit="deg" if reachable else None,
-        hint=f"{room}use larger arms, move the bases nearer or let them move (base: auto), or split the job",
+        hint=f"{hint}use larger arms, move the bases nearer or let them move (base: auto), or split the job",
     )
 
 

@@ -338,14 +338,14 @@ def test_exit_codes(states: tuple[State, ...], code: int) -> None:
 
 def test_tables_hold_what_people_wrote_as_text(tmp_path: Path) -> None:
     issues = (
-        Issue("mesh.unit", "=1+1 <b>", Severity.WARNING),
+        Issue("kerf.doubt", "=1+1 <b>", Severity.WARNING),
         Issue("mesh.unit", '@cmd, "quoted"\nline'),
         Issue("mesh.empty", "note", Severity.NOTE),
     )
     rows = [row("infeasible", issues=issues, metrics={"cycle_s": 1.25, "targets": 4.0}), row(name="b")]
     first, second = csv.DictReader(io.StringIO(compare.csv_table(rows), newline=""))
     assert first["message"] == '\'@cmd, "quoted"\nline'
-    assert first["issues"] == "mesh.unit mesh.empty"
+    assert first["issues"] == "mesh.unit kerf.doubt mesh.empty"  # that of the message first
     assert (first["cycle_s"], first["targets"], first["settings.seed"]) == ("1.25", "4", "3")
     assert second["cycle_s"] == ""
     assert compare.issue_counts(rows[0]) == "1 error, 1 warning, 1 note"

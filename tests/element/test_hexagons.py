@@ -114,6 +114,7 @@ def test_neighbours_have_the_same_side_as_their_files_say(dome: dict[str, Writte
             whole += bool(same.all())
     assert shared > 690
     assert whole > 600
+    assert {panel.row["backs_apart_mm"] for panel in dome.values()} == {0.0}
 
 
 def test_solids_are_disjoint_and_fill_their_union_and_volumes_are_those_of_the_table(

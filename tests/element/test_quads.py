@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 import shapely
 
+from planner.cli.batch import Batch, run_batch
+from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
 from planner.geometry.mesh import TriangleMesh, merge
 from tests.element.shells import THICK, Written, patch, saddle, shell, written
 from tests.element.test_hexagons import divided, off_plane, refusals, require_convex_panel, sides, told
@@ -62,6 +65,7 @@ def test_panels_are_planar_do_not_cross_and_keep_the_limits(quads: Any) -> None:
 def test_neighbours_have_one_plane_between_them_and_backs_end_nearly_alike(quads: Any) -> None:
     panels = quads[1]
     met = 0
+    apart = dict.fromkeys(panels, 0.0)
     for name, panel in panels.items():
         for i, other in enumerate(panel.row["neighbours"]):
             if other is None or other < name:
@@ -78,9 +82,15 @@ def test_neighbours_have_one_plane_between_them_and_backs_end_nearly_alike(quads
                 # one line from front to back, of two lengths: four planes moved by one have no common point
                 step = np.linalg.norm(here[back] - there[back])
                 assert step < 3.0
+                for one in (name, other):
+                    apart[one] = max(apart[one], float(step))
                 way = here[back] - here[front]
                 assert np.linalg.norm(np.cross(way, there[back] - there[front])) / np.linalg.norm(way) < 1e-6
     assert met > 1.3 * len(panels)
+    stated = {name: panel.row["backs_apart_mm"] for name, panel in panels.items()}
+    assert max(stated.values()) > 0.1
+    for name, own in apart.items():  # those across a corner count too
+        assert own - 2e-3 <= stated[name] <= 2.0 * max(apart.values()) + 2e-3
 
 
 def at_rim(panel: Written, side: int, end: int) -> bool:
@@ -155,3 +165,26 @@ def test_a_surface_that_cannot_be_laid_out_is_refused_with_a_place(tmp_path: Pat
     assert issue.code == "element.surface"
     assert re.search(r"near \(-?\d+, -?\d+, -?\d+\) mm", issue.message)
     assert "shape: hexagon" in str(issue.hint)
+
+
+@pytest.mark.long
+def test_two_quads_are_planned_proven_and_meet(tmp_path: Path) -> None:
+    """From the surface to the joint between the parts as cut."""
+    out, run = tmp_path / "out", tmp_path / "run"
+    run_element(ElementRequest(shell(tmp_path, saddle(), {"shape": "quad"}), out))
+    panels = {row["id"]: row for row in csv.DictReader((out / "panels.csv").open())}
+    inner = {name for name, row in panels.items() if row["sides"] == "4" and "-" not in row["neighbours"]}
+    pair = next((a, b) for a in sorted(inner) for b in panels[a]["neighbours"].split() if b in inner)
+    files = tuple(out / "panels" / f"{name}.yaml" for name in pair)
+    assert run_batch(Batch(files, run, workers=1, reports="failed")) == 0
+    run_element_report(ElementReport(out, run))
+    joints = {
+        frozenset((row["panel"], row["other"])): row for row in csv.DictReader((out / "joints.csv").open())
+    }
+    joint = joints[frozenset(pair)]
+    assert max(float(joint["step_95_mm"]), float(joint["gap_95_mm"])) <= 0.2
+    assert max(float(joint["step_largest_mm"]), float(joint["gap_largest_mm"])) <= 0.5
+    rows = {row["id"]: row for row in csv.DictReader((out / "report.csv").open())}
+    assert [rows[name]["state"] for name in pair] == ["verified", "verified"]
+    assert all(rows[name]["backs_apart_mm"] == panels[name]["backs_apart_mm"] for name in panels)
+    assert "backs apart mm" in (out / "element.html").read_text()

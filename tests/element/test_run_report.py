@@ -14,12 +14,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from planner import plans
 from planner.cli import command_line
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
 from planner.issues import Issue, TandemError
 from tests.element.shells import Written, shell, written
+from tests.element.test_strips import file as strips_file
+from tests.element.test_strips import sheet, wave
+from tests.element.test_walls import PUZZLE, wall
 from tests.element.walls import element
 from tests.test_plans import some_plan
 
@@ -303,3 +307,86 @@ def test_what_a_wire_leaves_between_corners_counts_and_parts_of_others_are_refus
     del bare["panels"][0]["outline_mm"]
     (tmp_path / "element.json").write_text(json.dumps(bare))
     assert "without joints or outlines" in refusal(tmp_path, tmp_path).message
+
+
+def cut_walls(out: Path, run: Path, off: Mapping[str, float], without: str = "") -> None:
+    """Results of a batch of a wall: each panel's faces and sides cut ``off`` [mm] outwards."""
+    rows = [["name", "state", "issues", "message"]]
+    for name, by in off.items():
+        problem = yaml.safe_load((out / "panels" / f"{name}.yaml").read_text())
+        lines = []
+        for one in problem["part"]["ruled"]:
+            start, end = (np.array(one[side]["polyline_mm"]) for side in ("start", "end"))
+            fine = np.linspace(0, len(start) - 1, 12 * (len(start) - 1) + 1)  # twisted as the wire leaves it
+            start, end = (
+                np.stack([np.interp(fine, range(len(line)), c) for c in line.T], axis=1)
+                for line in (start, end)
+            )
+            share = np.linspace(0.0, 1.0, 12)[:, None, None]
+            grid = (1.0 - share) * start + share * end
+            normal = np.cross(np.gradient(grid, axis=1), np.broadcast_to(end - start, grid.shape))
+            normal /= np.linalg.norm(normal, axis=2, keepdims=True) * (-1.0 if one.get("flip") else 1.0)
+            if one["name"] != without:
+                moved = (grid + by * normal).reshape(-1, 3)
+                lines += [f"o cut_{one['name']}", *(f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in moved)]
+        (run / name).mkdir(parents=True)
+        (run / name / "simulated_part.obj").write_text("\n".join(lines) + "\n")
+        plans.save(some_plan(), run / name)
+        rows.append([name, "verified", "", ""])
+    with (run / "summary.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+
+
+def twisted(folder: Path) -> Path:
+    return wall(folder)
+
+
+def bent(folder: Path) -> Path:
+    return strips_file(folder, sheet(wave))
+
+
+@pytest.mark.parametrize("make", [twisted, bent])
+def test_joints_of_walls_and_strips_are_those_of_the_parts_as_cut(make: Any, tmp_path: Path) -> None:
+    """Sides that are cut too far out overlap by both; fronts stand apart by the difference."""
+    out = tmp_path / "out"
+    run_element(ElementRequest(make(tmp_path), out))
+    data = data_of(out)
+    names = [panel["id"] for panel in data["panels"]]
+    met = {frozenset((p["id"], one)) for p in data["panels"] for one in p["neighbours"] if one}
+    assert {frozenset(joint["panels"]) for joint in data["joints"]} == met
+    off = {name: 0.05 * (k % 4) for k, name in enumerate(names[:-1])}
+    cut_walls(out, tmp_path / "run", off)
+    run_element_report(ElementReport(out, tmp_path / "run"))
+    rows = list(csv.DictReader((out / "joints.csv").open()))
+    assert len(rows) == len(data["joints"])
+    for row in rows:
+        pair = row["panel"], row["other"]
+        if names[-1] in pair:
+            assert row["gap_95_mm"] == ""
+            continue
+        a, b = (off[name] for name in pair)
+        assert float(row["gap_largest_mm"]) == pytest.approx(a + b, abs=2e-3)
+        assert float(row["step_largest_mm"]) == pytest.approx(abs(a - b), abs=2e-3)
+    report = {row["id"]: row for row in csv.DictReader((out / "report.csv").open())}
+    for name, by in off.items():
+        assert float(report[name]["off_written_95_mm"]) == pytest.approx(by, abs=0.01)
+    cut_walls(out, tmp_path / "bare", off, without="right")
+    run_element_report(ElementReport(out, tmp_path / "bare"))
+    rights = {frozenset(joint["panels"]) for joint in data["joints"] if "right" in joint["sides"]}
+    for row in csv.DictReader((out / "joints.csv").open()):
+        bare = frozenset((row["panel"], row["other"])) in rights or names[-1] in (row["panel"], row["other"])
+        assert (row["gap_95_mm"] == "") == bare
+    one, other = (tmp_path / "run" / name / "simulated_part.obj" for name in names[:2])
+    one.write_text(
+        "".join(
+            f"{line}\n" if line[0] == "o" else f"v 900 900 {n}\n"
+            for n, line in enumerate(other.read_text().splitlines())
+        )
+    )
+    assert refusal(out, tmp_path / "run").code == "element.run"
+
+
+def test_puzzle_pieces_have_no_joints_that_are_measured(tmp_path: Path) -> None:
+    run_element(ElementRequest(wall(tmp_path, PUZZLE), tmp_path / "out"))
+    (tmp_path / "summary.csv").write_text("name,state,issues,message\n")
+    assert "puzzle pieces have none" in refusal(tmp_path / "out", tmp_path).message

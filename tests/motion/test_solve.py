@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from planner.catalogue.robots import robot, robot_names
 from planner.geometry.arrays import exp_twist, from_parts
-from planner.issues import TandemError
+from planner.issues import Issue, TandemError
 from planner.motion import diagnosis, operation, placement
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search
@@ -119,7 +120,9 @@ def test_no_place_at_all_is_told_with_the_best_tried(targets: Targets) -> None:
     cell = two_arms(6.0)
     with pytest.raises(TandemError) as caught:
         solve(problem(cell, targets, None), [targets])
-    assert caught.value.issues[0].code == "motion.no_placement"
+    (issue,) = caught.value.issues
+    assert issue.code == "motion.no_placement"
+    assert "told as well" not in str(issue.hint)  # nothing else is
     assert check(problem(cell, targets, None), [targets])[0].code == "motion.no_placement"
 
 
@@ -136,6 +139,21 @@ def test_what_is_in_the_way_at_the_freest_place_is_told(targets: Targets) -> Non
     assert "free postures for" in unplaced.message
     assert {issue.code for issue in reasons} == {"motion.collision"}
     assert all("left/tool with stock" in issue.message for issue in reasons)
+
+
+def test_what_ends_the_plans_at_places_that_are_free_is_told(
+    monkeypatch: pytest.MonkeyPatch, targets: Targets
+) -> None:
+    def stuck(*_: object) -> None:
+        raise TandemError(Issue("motion.entry", "arm left has no free way from home"))
+
+    monkeypatch.setattr("planner.motion.solve.plan_operation", stuck)
+    with pytest.raises(TandemError) as caught:
+        solve(problem(two_arms(1.8), targets, None), [targets])
+    unplaced, entry = caught.value.issues
+    assert (unplaced.code, entry.code) == ("motion.no_placement", "motion.entry")
+    assert re.search(r"6 of these planned, none to the end: .* there was motion.entry", unplaced.message)
+    assert str(unplaced.hint).startswith("mend what is told of that place as well (motion.entry)")
 
 
 def test_places_that_face_another_way_are_searched_where_the_best_collide(
