@@ -373,12 +373,13 @@ class SawTemplate(Template):
 @dataclasses.dataclass(frozen=True)
 class Element:
     """An element file of any kind, with its templates; ``stock``: what is left over of earlier elements;
-    ``saw``: the template for raw blocks."""
+    ``saw``: the template for raw blocks; ``notes`` of what its surface was read from."""
 
     file: ElementFile
     templates: tuple[Template, ...]
     stock: tuple[LeftOver, ...]
     saw: SawTemplate | None
+    notes: tuple[Issue, ...] = dataclasses.field(default=(), kw_only=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -473,29 +474,32 @@ def read(path: Path) -> ElasticElement | HexagonElement | WallElement | StripsEl
         raise TandemError(issues)
     walls = spec.panels.boxes or spec.panels.puzzle
     if walls is not None and spec.surface.ruled is not None:
-        return WallElement(spec, tuple(templates), stock, saw, walls, _wall(spec.surface.ruled, folder))
+        wall, notes = _wall(spec.surface.ruled, folder)
+        return WallElement(spec, tuple(templates), stock, saw, walls, wall, notes=notes)
     strips = spec.panels.strips
     if strips is not None:
-        patch, _ = surface_patch(spec.surface, folder, "surface")
-        return StripsElement(spec, tuple(templates), stock, saw, strips, patch)
-    mesh, _, _ = surface(spec.surface, folder, "surface")
+        patch, told = surface_patch(spec.surface, folder, "surface")
+        return StripsElement(spec, tuple(templates), stock, saw, strips, patch, notes=tuple(told))
+    mesh, _, told = surface(spec.surface, folder, "surface")
     check_size(mesh, "surface")
     plane = spec.surface.plane
     stated = (None, None) if plane is None else (np.array(plane.normal), np.array(plane.along))
     elastic, hexagons = spec.panels.elastic, spec.panels.hexagons
     if hexagons is not None:
-        return HexagonElement(spec, tuple(templates), stock, saw, hexagons, mesh, axes(mesh, *stated))
+        view = axes(mesh, *stated)
+        return HexagonElement(spec, tuple(templates), stock, saw, hexagons, mesh, view, notes=tuple(told))
     if elastic is None:
         raise ValueError("panels of no kind")
     own = stand(mesh, spec.thickness_mm * MM, *stated)
     cells = elastic.cells or _cells(own)
+    rules = _rules(spec, elastic, wires)
     return ElasticElement(
-        spec, tuple(templates), stock, saw, elastic, own, cells, _rules(spec, elastic, wires), wires
+        spec, tuple(templates), stock, saw, elastic, own, cells, rules, wires, notes=tuple(told)
     )
 
 
-def _wall(spec: RuledFile, folder: Path) -> RuledWall:
-    ruled, _ = build_ruled(spec, folder, "surface.ruled")
+def _wall(spec: RuledFile, folder: Path) -> tuple[RuledWall, tuple[Issue, ...]]:
+    ruled, notes = build_ruled(spec, folder, "surface.ruled")
     gap = np.linalg.norm([ruled.start[-1] - ruled.start[0], ruled.end[-1] - ruled.end[0]], axis=1).max()
     if ruled.closed or gap < CLOSED:
         raise _no_wall("the wall is closed: its last ruling is its first one; give it in two halves")
@@ -505,7 +509,7 @@ def _wall(spec: RuledFile, folder: Path) -> RuledWall:
         raise _no_wall(
             f"the wall has an edge near ({at}) mm; give the parts beside it as elements of their own"
         )
-    return ruled_wall(ruled, NODE_STEP)
+    return ruled_wall(ruled, NODE_STEP), tuple(notes)
 
 
 def _no_wall(what: str) -> TandemError:

@@ -72,7 +72,7 @@ def finished(
     """An element's ``files``, those of its nest, and ``element.json`` with its ``data``, nest and issues; and
     all that is to be said. Raises ``TandemError``: ``element.raw_block``."""
     of_blocks, said, blocks = nested_folder(element, panels)
-    told = (*issues, *said)
+    told = (*element.notes, *issues, *said)
     whole = {**data, **blocks, "issues": [issue.to_dict() for issue in told]}
     return {**files, "element.json": json.dumps(whole, indent=1) + "\n", **of_blocks}, told
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rhino3dm
 import trimesh
 import yaml
 
@@ -21,6 +22,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, TandemError
 from tests.element.test_walls import SIDES, Written, written
 from tests.element.walls import ROOT, refused, write_obj
+from tests.rhino_files import Model
 
 THICK = 30.0
 LONG, WIDE = 0.4, 0.3
@@ -425,3 +427,28 @@ def test_the_faces_of_a_panel_are_planned_and_proven(canopy: dict[str, str], tmp
     (tmp_path / "P05.yaml").write_text(yaml.safe_dump(data))
     outcome = pipeline.plan(pipeline.load(tmp_path / "P05.yaml"))
     assert outcome.verified, outcome.issues
+
+
+def test_a_face_of_a_rhino_file_is_divided_and_its_unit_told(tmp_path: Path) -> None:
+    made = rhino3dm.NurbsSurface.Create(3, False, 4, 4, 4, 4)
+    for u, v in itertools.product(range(4), range(4)):
+        made.Points[u, v] = rhino3dm.Point4d(0.4 * u, 0.2 * v, 0.05 * np.sin(u) * np.cos(v), 1.0)
+    for knots in (made.KnotsU, made.KnotsV):
+        knots.CreateUniformKnots(1.0)
+    model = Model("Meters")
+    model.layer("skin")
+    model.add(made, "skin")
+    model.write(tmp_path / "skin.3dm")
+    data = yaml.safe_load((ROOT / "problems" / "strips" / "element.yaml").read_text())
+    data["surface"] = {"rhino": {"file": "skin.3dm", "layer": "skin", "chord_mm": 0.1}}
+    template = (ROOT / "problems" / "strips" / "panel.yaml").read_text()
+    (tmp_path / "panel.yaml").write_text(template.replace("../cells", str(ROOT / "problems" / "cells")))
+    (tmp_path / "element.yaml").write_text(yaml.safe_dump(data))
+    element = element_file.read(tmp_path / "element.yaml")
+    assert isinstance(element, element_file.StripsElement)
+    assert [note.code for note in element.notes] == ["part.rhino_unit", "part.rhino_facets"]
+    found = strips.divide_strips(element)
+    files, told = wall_files.strips_folder(element, found)
+    assert "in meters" in told[0].message
+    assert json.loads(files["element.json"])["issues"][0]["code"] == "part.rhino_unit"
+    assert np.ptp(element.patch.mesh.vertices, axis=0)[:2] == pytest.approx([1.2, 0.6])
