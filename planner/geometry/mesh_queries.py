@@ -183,6 +183,8 @@ PLANE_RINGS: Final = ((0.0, 24), (30.0, 16), (60.0, 8))
 """Elevations [deg] above and below the x-y plane, and how many planes each has around."""
 FEW_CORNERS: Final = 80
 """A hull with so few corners is taken as it is."""
+FLAT_SHARE: Final = 1e-9
+"""Points that are thinner than this share of their size lie in one plane."""
 
 
 def outer_hull(points: FloatArray) -> TriangleMesh:
@@ -193,10 +195,11 @@ def outer_hull(points: FloatArray) -> TriangleMesh:
     """
     import trimesh  # slow to import
 
-    try:
-        hull = trimesh.convex.convex_hull(points)
-    except Exception as error:  # qhull tells flat points by an error of its own
-        raise ValueError("the points lie in one plane, and no solid holds them tightly") from error
+    # trimesh jogs flat points until they have a hull, where packages that it may do without are at hand
+    size = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if len(size) < 3 or size[-1] <= FLAT_SHARE * size[0]:
+        raise ValueError("the points lie in one plane, and no solid holds them tightly")
+    hull = trimesh.convex.convex_hull(points)
     if len(hull.vertices) <= FEW_CORNERS:
         return TriangleMesh(np.asarray(hull.vertices), np.asarray(hull.faces, dtype=np.int64))
     ways = _directions()

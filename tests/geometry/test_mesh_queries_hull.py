@@ -29,5 +29,8 @@ def test_a_round_solid_is_held_by_few_corners() -> None:
 
 
 def test_flat_points_are_refused() -> None:
-    with pytest.raises(ValueError, match="plane"):
-        outer_hull(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]))
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    turned = square @ np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0] + [5.0, -3.0, 2.0]
+    for points in (square, turned, np.repeat(turned, 30, axis=0), square[:3], square[[0, 1, 1, 0, 1]]):
+        with pytest.raises(ValueError, match="plane"):
+            outer_hull(points)

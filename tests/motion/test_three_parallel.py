@@ -48,7 +48,7 @@ def test_every_branch_reaches_the_pose_and_one_is_the_posture_asked_for(solved):
 def test_there_are_as_many_branches_as_eaik_finds(solved):
     """EAIK (BSD-3) knows the arm as one with three inner parallel axes; what it marks as least squares is no
     solution."""
-    peer = pytest.importorskip("eaik.IK_DH")
+    peer = pytest.importorskip("eaik.IK_DH", reason="EAIK is not installed (pip install --no-deps EAIK)")
     _, flange, found = solved
     d, a, alpha = np.array(urdf_text.UR10E_DH).T
     arm = peer.DhRobot(alpha, a, d)

@@ -89,7 +89,7 @@ def test_a_solution_that_the_chain_does_not_lead_back_from_does_not_count():
     assert np.isfinite(inverse_kinematics.solve(machine, pose, branch)).all()
     for field in ("a1", "a2", "b", "c1", "c2", "c3", "c4"):
         shape = dataclasses.replace(machine.shape, **{field: getattr(machine.shape, field) + 1e-7})
-        wrong = dataclasses.replace(machine, shape=shape)
+        wrong = dataclasses.replace(machine, spherical=shape)
         assert np.isnan(inverse_kinematics.solve(wrong, pose, branch)).all(axis=1).mean() > 0.9
 
 
