@@ -29,7 +29,7 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from os import PathLike, fspath
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
@@ -43,10 +43,12 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
 
-API: Final = 2
+API: Final = 3
 """Number of the service's interface that this client was made for."""
 LINKS_API: Final = 2
 """The interface from which on there are links."""
+DESK_API: Final = 3
+"""The interface from which on there are motions as data, and elements."""
 PLANNED: Final = ("verified", "unproven")
 """States of jobs that have a plan."""
 OPEN: Final = ("queued", "running")
@@ -239,6 +241,40 @@ class Client:
         with zipfile.ZipFile(io.BytesIO(self._request(_of(job, "/programs.zip")))) as archive:
             return {name: archive.read(name).decode("utf-8") for name in archive.namelist()}
 
+    def motion(self, job: str) -> dict[str, Any]:
+        """The motion of a planned job as data: planes at the TCPs [mm], joints by name [deg], times [s]."""
+        self._want(DESK_API, "the motion as data")
+        return self._read_json(self.file(job, "motion.json"))
+
+    def meshes(self, job: str, name: str = "simulated_part.obj") -> dict[str, Mesh]:
+        """The meshes in an OBJ file of a job by their names, with vertices in mm: what the tools leave, in
+        the frame of the block; the panels of an element are in ``element.obj``."""
+        try:
+            return _meshes(self.file(job, name).decode("utf-8"))
+        except (ValueError, IndexError) as error:
+            raise self._answer(self._url, f"gives {name}, which is no mesh: {error}") from error
+
+    def divide(self, element: Any, files: Mapping[str, Content] | None = None) -> str:
+        """Send a building element to be divided into panels; its id, which is also that of a job to wait for.
+
+        An element is said as a problem is: a dict, the path of a file, or its text.
+        """
+        self._want(DESK_API, "elements")
+        return str(self._upload("/v1/elements", element, files)["id"])
+
+    def element(self, element: str) -> dict[str, Any]:
+        """An element with its ``panels``: order, block, job and state of each."""
+        self._want(DESK_API, "elements")
+        return self._json(_of(element, kind="elements"))
+
+    def plan_panels(self, element: str, panels: Sequence[str] | None = None) -> list[str]:
+        """Plan panels of an element, or all that are not planned yet; the ids of their jobs."""
+        self._want(DESK_API, "elements")
+        body = json.dumps({} if panels is None else {"panels": list(panels)}).encode()
+        kind = {"Content-Type": "application/json"}
+        made = self._read_json(self._request(_of(element, "/plan", "elements"), body, kind, "POST"))
+        return [str(one["id"]) for one in made["jobs"]]
+
     def report_url(self, job: str, seconds: int = 3600) -> str:
         """The address of a job's report, which a browser opens without a token for so long."""
         return self.link(job, "report.html", seconds)
@@ -393,9 +429,9 @@ def _left(until: float) -> float:
     return max(until - time.monotonic(), 0.01)
 
 
-def _of(job: str, what: str = "") -> str:
-    """The path of a job."""
-    return f"/v1/jobs/{urllib.parse.quote(job, safe='')}{what}"
+def _of(job: str, what: str = "", kind: str = "jobs") -> str:
+    """The path of a job, or an element."""
+    return f"/v1/{kind}/{urllib.parse.quote(job, safe='')}{what}"
 
 
 def _multipart(problem: bytes, files: Mapping[str, bytes]) -> tuple[bytes, str]:
@@ -520,6 +556,27 @@ def _obj(mesh: Any, field: str) -> bytes:
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points]
     lines += ["f " + " ".join(str(one + 1) for one in face) for face in corners]
     return "\n".join([*lines, ""]).encode("ascii")
+
+
+def _meshes(text: str) -> dict[str, Mesh]:
+    """The objects of an OBJ file by name, each with the vertices that it uses, and its faces."""
+    points: list[tuple[float, float, float]] = []
+    faces: dict[str, list[list[int]]] = {}
+    name = "mesh"
+    for line in text.splitlines():
+        words = line.split()
+        if words[:1] == ["v"]:
+            points.append((float(words[1]), float(words[2]), float(words[3])))
+        elif words[:1] == ["f"]:
+            face = [int(word.partition("/")[0]) for word in words[1:]]
+            faces.setdefault(name, []).append([one - 1 if one > 0 else len(points) + one for one in face])
+        elif words[:1] in (["o"], ["g"]):
+            name = " ".join(words[1:])
+    found: dict[str, Mesh] = {}
+    for name, rows in faces.items():
+        own = {old: new for new, old in enumerate(sorted({one for row in rows for one in row}))}
+        found[name] = [points[old] for old in own], [[own[one] for one in row] for row in rows]
+    return found
 
 
 def _index(value: Any) -> int:

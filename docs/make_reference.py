@@ -18,6 +18,7 @@ from planner.forming import operation as forming
 from planner.hotwire import operation
 from planner.milling import operation as milling_operation
 from planner.reading import (
+    axes,
     cell,
     controller,
     loads,
@@ -28,6 +29,7 @@ from planner.reading import (
     rhino,
     robot_file,
     sheet,
+    step,
     stock,
 )
 from planner.reading import part as part_file
@@ -58,6 +60,8 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`start` and `end` of `part.ruled`", "", part_ruled.GuideFile),
     ("`dxf` of a guide", "", part_ruled.DxfFile),
     ("`rhino` of `part.ruled`, each", "", rhino.RhinoRuledFile),
+    ("`step` of `part.ruled`, each", "", step.StepRuledFile),
+    ("`step` of `part.front`, `part.back` and `part.strips`", "", step.StepFaceFile),
     ("`rhino` of a guide and of `part.plate`", "", rhino.RhinoFile),
     ("`rhino` of `part.front`, `part.back` and `part.strips`", "", rhino.RhinoFaceFile),
     ("`part.wing`", "", part_ruled.WingFile),
@@ -79,6 +83,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`adsif` of `forming`", "", forming.Adsif),
     ("`die` of `forming`", "", forming.Die),
     ("`springback` of `forming`", "", forming.Springback),
+    ("`scan` of `springback`", "", forming.PartScan),
     ("`force_by` of `forming`", "", forming.ForceBy),
     ("`level` of `forming`", "", forming.Level),
     ("Process `milling`", "milling", milling_operation.Milling),
@@ -91,6 +96,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`free` of `targets`, each", "", poses.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell.CellFile),
     ("`cell.arms`, each", "", cell.ArmFile),
+    ("`track` of an arm", "", axes.TrackFile),
     ("`robot` of an arm, one of your own", "", robot_file.OwnRobotFile),
     ("`meshes` of `robot`, each", "", robot_file.LinkMeshFile),
     ("`stiffness` of an arm", "", cell.StiffnessFile),

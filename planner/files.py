@@ -31,6 +31,7 @@ RESULT = (
     "problem",
     "plan.npz",
     "plan.json",
+    "motion.json",
     "proof.json",
     "report.html",
     "replay.html",

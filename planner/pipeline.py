@@ -86,10 +86,10 @@ class Outcome:
         return accepted(self.plan.issues)
 
     def save(self, folder: str | Path, progress: Progress | None = None, pages: bool = True) -> None:
-        """Write the result folder: programs only if verified, plan, report, replay, simulated part. Without
-        ``pages`` neither report nor replay, which :func:`write_pages` makes of the folder."""
+        """Write the result folder: programs only if verified, plan, motion, report, replay, simulated part.
+        Without ``pages`` neither report nor replay, which :func:`write_pages` makes of the folder."""
         from planner import plans
-        from planner.report import output
+        from planner.report import motion_file, output
 
         tell = progress or _silent
         tell("report", 0.0)
@@ -97,18 +97,20 @@ class Outcome:
         if pages:
             files |= output.pages(self.problem, self.plan, self.proof, self.pictures)
         files |= plans.dump(self.plan)
+        files["motion.json"] = motion_file.text(self.problem, self.plan)
         files |= {f"problem/{name}": text for name, text in problem_file.bundle(self.problem).items()}
         files |= {f"programs/{name}": text for name, text in self.programs.items()}
         write_folder(Path(folder), files, RESULT)
         tell("report", 1.0)
 
-    def show(self, browser: bool = True) -> Viewer:
-        """The replay in Meshcat on this machine: a notebook shows what this returns; ``browser`` opens a tab,
-        too. Raises ``TandemError`` (``report.replay_failed``) where Meshcat cannot start."""
-        from planner.report import output
+    def show(self, browser: bool | None = None) -> Viewer:
+        """The replay. A notebook shows what this returns in its cell, with the time bar, and keeps it; else
+        Meshcat on this machine has it, and a tab of the browser opens, unless ``browser`` says otherwise.
+        Raises ``TandemError`` (``report.replay_failed``) where Meshcat cannot start."""
+        from planner.report import output, replay
 
-        viewer = output.show(self.problem, self.plan)
-        if browser:
+        viewer = output.show(self.problem, self.plan, self.proof)
+        if not replay.in_notebook() if browser is None else browser:
             webbrowser.open(viewer.url)
         return viewer
 
@@ -219,10 +221,10 @@ def plan(
 def former(folder: str | Path) -> Former:
     """The plan in a result folder, which another one may be planned like. Raises ``TandemError``
     (``plan.missing_file``, ``plan.damaged``, ``plan.schema``, or what is wrong with the problem in it)."""
-    from planner import plans
     from planner.motion.former import Former
 
-    return Former(plans.load(folder), load_result(folder))
+    problem, made = _planned_result(folder)
+    return Former(made, problem)
 
 
 def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before: Former | None) -> Outcome:
@@ -242,6 +244,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
     if refused:
         raise TandemError(refused)
     made = solve.solve(problem, targets, tell, begin, before)
+    problem = problem.stationed(made.stations)
     driven = zip(jobs, made.operations, strict=True)
     slow = [issue for job, motion in driven for issue in job.driven(motion.targets, motion.time)]
     if has_errors(slow):
@@ -346,7 +349,7 @@ def _proven(problem: Problem, programs: Mapping[str, str], begin: Begin) -> Proo
     return prove.prove(problem, processes.claims(problem), programs, begin)
 
 
-_PROGRAM_SUFFIXES = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src", ".dat", ".sub"})
+_PROGRAM_SUFFIXES = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src", ".dat", ".sub", ".script"})
 """Suffixes of files that a controller reads as programs."""
 
 
@@ -400,14 +403,21 @@ def load_result(folder: str | Path) -> Problem:
     return load(Path(folder) / "problem" / "problem.yaml")
 
 
+def _planned_result(folder: str | Path) -> tuple[Problem, Plan]:
+    """Problem and plan of a result folder, arms on tracks at the plan's stations."""
+    from planner import plans
+
+    made = plans.load(folder)  # first: what a folder that is no plan lacks is the plan
+    return load_result(folder).stationed(made.stations), made
+
+
 def write_pages(folder: str | Path, processes: int = 1) -> Proof:
     """Write report and replay into a result folder, of its problem, its plan and the proof of its programs,
     which is made anew and given back; ``processes`` as for :func:`plan`. Raises ``TandemError`` for what is
     missing or damaged there."""
-    from planner import plans
     from planner.report import output
 
-    problem, made = load_result(folder), plans.load(folder)
+    problem, made = _planned_result(folder)
     proof = verify(problem, read_programs(folder), processes)
     for name, text in output.pages(problem, made, proof).items():
         write_whole(Path(folder) / name, text)
@@ -421,14 +431,13 @@ def export(folder: str | Path, output: Path, seconds: float = 0.0) -> Path:
     Raises ``TandemError``: ``problem.field`` for another ending or a time that the plan does not have,
     ``part.extra_missing``, ``output.folder``, and for what is missing or damaged in the folder.
     """
-    from planner import plans
     from planner.report import cad_export
     from planner.report.output import cell_model
 
     if output.suffix.lower() not in cad_export.KINDS:
         what = f"-o: got {output.name}, allowed are files that end in {' or '.join(cad_export.KINDS)}"
         raise TandemError(Issue("problem.field", what, field="output"))
-    problem, made = load_result(folder), plans.load(folder)
+    problem, made = _planned_result(folder)
     at = cad_export.moment(problem, made, seconds)
     cut = cad_export.simulated(Path(folder) / "simulated_part.obj")
     shapes = cad_export.shapes(cell_model(problem, made, at.setup), problem, made, at, cut)

@@ -92,7 +92,8 @@ MOST_SAMPLES: Final = 10_000_000
 @dataclasses.dataclass(frozen=True)
 class Plan:
     """Plans of all operations of a problem. ``places``: the stock's pose (4, 4) in the world in each setup,
-    for a held block the pose about which its holder moves it; ``bases`` {arm: (4, 4)} are in the world.
+    for a held block the pose about which its holder moves it; ``bases`` {arm: (4, 4)} are in the world, of
+    arms that stand on no track; ``stations`` {index of an operation: {arm: value [m]}} of those that do.
     """
 
     problem_name: str
@@ -103,6 +104,7 @@ class Plan:
     operations: tuple[OperationPlan, ...]
     metrics: Mapping[str, Any] = dataclasses.field(repr=False)
     issues: tuple[Issue, ...] = ()
+    stations: Mapping[int, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
     @property
     def stock_pose(self) -> FloatArray:

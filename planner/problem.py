@@ -16,7 +16,7 @@ import numpy as np
 from planner.catalogue.materials import Foam, SheetMetal
 from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.claims.claim import ForceFrame
-from planner.claims.vocabulary import Handshake
+from planner.claims.vocabulary import KEEP_OFF, Handshake
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape
 from planner.geometry.units import DEG
 from planner.issues import Issue
@@ -50,13 +50,36 @@ class Force:
 
 
 @dataclasses.dataclass(frozen=True)
+class LinearTrack:
+    """A linear axis that an arm's base stands on: with its value v [m] the base is moved by v times ``axis``
+    (3,), a unit vector of the world. ``low`` to ``high`` [m] is its range, ``speed`` [m/s] and
+    ``acceleration`` [m/s2] are its own; ``unit`` is its mechanical unit's name, ``home`` [m] where it stands
+    before a program begins."""
+
+    axis: FloatArray
+    low: float
+    high: float
+    speed: float
+    acceleration: float
+    unit: str
+    home: float
+
+    def moved(self, base: FloatArray, value: float) -> FloatArray:
+        """A base (4, 4) of value 0, at another value [m]."""
+        out = np.array(base, dtype=np.float64)
+        out[:3, 3] += value * self.axis
+        return out
+
+
+@dataclasses.dataclass(frozen=True)
 class Arm:
     """One robot of a cell: catalogue name, base pose (4, 4) in the world, tool, home joints (6,) [rad].
 
     ``base_auto``: the base may be moved by the placement search. ``stiffness``: of its joints, as its file
     states them, else as the catalogue has them, None for neither; ``sag``: how what that makes is
     compensated, None where it is not. ``given``: the robot's data where a file of the user's own has it,
-    which ``robot`` then names, None for one of the catalogue.
+    which ``robot`` then names, None for one of the catalogue. ``track``: what its base rides on; an arm of a
+    cell has the ``base`` of value 0, one of a setup that of the ``station`` [m] where it stands.
     """
 
     name: str
@@ -68,6 +91,14 @@ class Arm:
     stiffness: JointStiffness | None = None
     sag: SagCompensation | None = None
     given: RobotData | None = None
+    track: LinearTrack | None = None
+    station: float | None = None
+
+    def at_station(self, value: float) -> Arm:
+        """The arm of a cell where its track has this value [m]; raises ``ValueError`` for one without."""
+        if self.track is None:
+            raise ValueError(f"arm {self.name} stands on no track")
+        return dataclasses.replace(self, base=self.track.moved(self.base, value), station=value)
 
     @property
     def data(self) -> RobotData:
@@ -158,7 +189,7 @@ class Controller:
     ``sync``: one MultiMove controller for all arms, or one for each arm that meet by ``handshake``; tasks and
     units of two controllers may have the same names. ``dialect``: the KRL of KUKA arms; ``path``: how they go
     from target to target, straight one by one or in spline blocks. ``io``: {arm: {signal: number}} of the
-    inputs and outputs of KUKA controllers, which know no names. ``robotware``: main version of ABB's
+    inputs and outputs of KUKA and UR controllers, which know no names. ``robotware``: main version of ABB's
     controllers. ``robots``: names of the robots in their configuration, the units' unless stated.
     ``options`` that are installed, None where the cell does not say.
     """
@@ -183,7 +214,7 @@ class Controller:
         return self.robots[place] if self.robots else self.units[place]
 
     def number(self, arm: str, signal: str) -> int | None:
-        """The number of a signal on the controller of a KUKA arm; None if the cell states none."""
+        """The number of a signal on the controller of a KUKA or UR arm; None if the cell states none."""
         numbers = {name.lower(): value for name, value in self.io.get(arm, {}).items()}
         return numbers.get(signal.lower())
 
@@ -393,7 +424,8 @@ class Problem:
     said, with the cell inside and file names made absolute, so that it can be carried along. ``accept``:
     codes of errors that the user takes upon himself. ``notes``: what was chosen on the way from the file.
     ``forces`` {index of an operation: {arm: force}}: what the work exerts on tools; those of operations of
-    one setup are alike.
+    one setup are alike. ``stations`` {index of an operation: {arm: value [m] of its track}}: where arms on
+    tracks stand in it; where nothing is said they stay, at first at home.
     """
 
     name: str
@@ -409,6 +441,11 @@ class Problem:
     accept: tuple[str, ...] = ()
     notes: tuple[Issue, ...] = ()
     forces: Mapping[int, Mapping[str, Force]] = dataclasses.field(default_factory=dict)
+    stations: Mapping[int, Mapping[str, float]] = dataclasses.field(default_factory=dict)
+
+    def stationed(self, stations: Mapping[int, Mapping[str, float]]) -> Problem:
+        """The same with arms on tracks at stations, as :attr:`stations` has them."""
+        return dataclasses.replace(self, stations=stations) if stations else self
 
     def force_on(self, arm: str, setup: Setup) -> Force | None:
         """What the work of a setup exerts on the tool of an arm, None where nothing is stated."""
@@ -417,7 +454,12 @@ class Problem:
 
     @property
     def setups(self) -> tuple[Setup, ...]:
-        """How the cell stands for the operations, in order; a change starts a new setup."""
+        """How the cell stands for the operations, in order; a change starts a new setup.
+
+        Where an arm stands on a track each operation is a setup, and the operator keeps off the tracks: so
+        setups do not hang on where arms stand.
+        """
+        tracked = {arm.name: arm.track.home for arm in self.cell.arms if arm.track is not None}
         cell, stock, left = self.cell, self.stock, self.stock
         out: list[Setup] = []
         for index, operation in enumerate(self.operations):
@@ -425,9 +467,12 @@ class Problem:
             if change is not None:
                 arms = tuple(dataclasses.replace(a, tool=change.tools.get(a.name, a.tool)) for a in cell.arms)
                 cell, left = dataclasses.replace(cell, arms=arms), dataclasses.replace(left, **change.stock)
-            if not out or change is not None:
-                stock = left
-                out.append(Setup(len(out) + 1, cell, stock, (index,), change.steps if change else ()))
+            if not out or change is not None or tracked:
+                stock, steps = left, change.steps if change else ()
+                tracked |= self.stations.get(index, {})
+                stands = dataclasses.replace(cell, arms=tuple(_standing(arm, tracked) for arm in cell.arms))
+                steps += tuple(_keep_off(arm) for arm in stands.arms if arm.track is not None)
+                out.append(Setup(len(out) + 1, stands, stock, (index,), steps))
             else:
                 out[-1] = dataclasses.replace(out[-1], operations=(*out[-1].operations, index))
             left = operation.leaves(left)
@@ -436,3 +481,13 @@ class Problem:
     def setup_of(self, index: int) -> Setup:
         """The setup of an operation, by its index."""
         return next(setup for setup in self.setups if index in setup.operations)
+
+
+def _standing(arm: Arm, stations: Mapping[str, float]) -> Arm:
+    return arm.at_station(stations[arm.name]) if arm.name in stations else arm
+
+
+def _keep_off(arm: Arm) -> str:
+    """What the operator does before a track goes to a station."""
+    unit = arm.track.unit if arm.track is not None else ""
+    return KEEP_OFF.filled(arm=arm.name, unit=unit, value=f"{1e3 * (arm.station or 0.0):.3f}")

@@ -35,6 +35,7 @@ from planner.hotwire import operation as hotwire
 from planner.issues import Issue, TandemError
 from planner.milling import operation as milling
 from planner.reading import (
+    axes,
     cell,
     controller,
     loads,
@@ -45,6 +46,7 @@ from planner.reading import (
     rhino,
     robot_file,
     sheet,
+    step,
     stock,
     strict_yaml,
     values,
@@ -194,6 +196,9 @@ class LinkMesh(Section, model=robot_file.LinkMeshFile): ...
 class OwnRobot(Section, model=robot_file.OwnRobotFile): ...
 
 
+class Track(Section, model=axes.TrackFile): ...
+
+
 class Arm(Section, model=cell.ArmFile): ...
 
 
@@ -291,6 +296,12 @@ class RhinoRuled(Section, model=rhino.RhinoRuledFile): ...
 class RhinoFace(Section, model=rhino.RhinoFaceFile): ...
 
 
+class StepRuled(Section, model=step.StepRuledFile): ...
+
+
+class StepFace(Section, model=step.StepFaceFile): ...
+
+
 class Airfoil(Section, model=part_ruled.SectionFile): ...
 
 
@@ -366,6 +377,9 @@ class Die(Section, model=forming.Die): ...
 
 
 class Springback(Section, model=forming.Springback): ...
+
+
+class PartScan(Section, model=forming.PartScan): ...
 
 
 class ForceBy(Section, model=forming.ForceBy): ...

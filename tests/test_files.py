@@ -11,7 +11,7 @@ from planner import files, pipeline
 from planner.align import probing
 from planner.forming.paths import adsif_response
 from planner.forming.springback import clamp_calibration
-from planner.geometry import mesh, wing
+from planner.geometry import mesh_files, wing
 from planner.issues import TandemError
 from planner.loops import loop_plan, machine, plant
 from planner.loops.loop_plan import LoopPlan
@@ -68,7 +68,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "adsif": adsif_response.table_text,
     "points": lambda path: probing.read(path, ("left", "right")),
     "problem": pipeline.load,
-    "mesh": lambda path: mesh.read_mesh(path, 1e-3),
+    "mesh": lambda path: mesh_files.read_mesh(path, 1e-3),
     "airfoil": lambda path: wing.read_airfoil(path, "part"),
 }
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import html
 import json
 import re
 import shutil
 import subprocess
 import sys
+import types
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 import planner
 from planner import spec
-from planner.geometry.mesh import read_mesh
+from planner.geometry.mesh_files import read_mesh
 from planner.reading import strict_yaml
 from tests import small_problem
 from tests.test_docs import reference
@@ -441,6 +443,16 @@ def test_an_outcome_is_shown_in_a_browser(
     monkeypatch.setattr("webbrowser.open", opened.append)
     viewer = outcome.show()
     assert opened == [viewer.url]
-    assert viewer.url in viewer._repr_html_()
+    assert html.escape(viewer.page) in viewer._repr_html_()
+    assert "<div id='bar'>" in viewer.page
     assert viewer.meshcat.HasPath("/cell/left/tool")
     assert "INFO" not in capfd.readouterr().err
+    outcome.show(browser=False)
+    kernel = types.SimpleNamespace(get_ipython=lambda: types.SimpleNamespace(kernel=object()))
+    monkeypatch.setitem(sys.modules, "IPython", kernel)  # type: ignore[arg-type]
+    outcome.show()
+    assert len(opened) == 1, "a notebook shows it in its cell"
+    outcome.show(browser=True)
+    kernel.get_ipython = lambda: object()  # the shell at a terminal has no cells
+    outcome.show()
+    assert len(opened) == 3

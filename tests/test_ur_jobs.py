@@ -1,7 +1,10 @@
 """Jobs of a UR10e from its URDF: poses, a wing cut with a straight hot wire, curves milled into a panel.
-Paths are held against the maker's table. No program of theirs is written yet."""
+Paths are held against the maker's table, programs are proven, and their figures are read again here."""
 
 from __future__ import annotations
+
+import re
+import shutil
 
 import numpy as np
 import pytest
@@ -9,7 +12,7 @@ import yaml
 
 from planner import pipeline, processes
 from planner.catalogue.robots import data_dir
-from planner.geometry.arrays import exp_rotation, to_quaternion
+from planner.geometry.arrays import exp_rotation, from_rpy, to_quaternion
 from planner.issues import TandemError, has_errors
 from planner.motion import solve
 from planner.motion.planning_scene import FULL_TURN, Scene
@@ -32,7 +35,7 @@ def laid(folder, source):
 def bundled(name, cell):
     source = yaml.safe_load((PROBLEMS / name / "problem.yaml").read_text("utf-8"))
     source["cell"] = yaml.safe_load((PROBLEMS / "cells" / cell).read_text("utf-8"))
-    source["cell"].pop("controller")
+    source["cell"]["controller"] = {"io": {"robot": {"doWirePower": 3, "doSpindle": 8}}}
     return source
 
 
@@ -67,9 +70,9 @@ def poses(turns=0.0, count=41):
     return source, "\n".join(rows) + "\n"
 
 
-def planned(problem):
+def planned(problem, plan=None):
     """The one operation of a plan, its TCP poses as targets and in the world by the maker's table."""
-    plan = solve.solve(problem, [job.targets() for job in processes.jobs(problem)])
+    plan = plan or solve.solve(problem, [job.targets() for job in processes.jobs(problem)])
     (own,) = plan.operations
     (arm,) = own.q
     scene = Scene.of(problem.cell, (arm,), plan.places[0], problem.settings)
@@ -78,21 +81,14 @@ def planned(problem):
     return own, wanted, one.base @ urdf_text.ur10e_flange(own.q[arm]) @ one.tool.tcp
 
 
-def holds(problem):
-    own, wanted, got = planned(problem)
+def holds(problem, plan=None):
+    own, wanted, got = planned(problem, plan)
     (q,) = own.q.values()
     assert np.abs(got - wanted).max() < 1e-9
     assert np.abs(q).max() < FULL_TURN
     assert (np.diff(own.time) > 0.0).all()
     assert (np.abs(np.diff(q, axis=0)) <= 1.001 * np.diff(own.time)[:, None] * urdf_text.UR10E_SPEED).all()
     return own, q
-
-
-@pytest.mark.parametrize("source", [wing, panel])
-def test_a_wing_and_a_panel_are_planned(tmp_path, source):
-    own, _ = holds(laid(tmp_path, source()))
-    assert own.targets.count > 100
-    assert own.metrics["clearance_mm"] >= 8.0
 
 
 def test_a_tool_that_turns_one_and_a_half_times_winds_axis_6_from_end_to_end(tmp_path):
@@ -109,22 +105,94 @@ def test_a_tool_that_turns_one_and_a_half_times_winds_axis_6_from_end_to_end(tmp
     assert {issue.code for issue in caught.value.issues} <= {"motion.no_path", "motion.joint_limit"}
 
 
-def test_no_program_is_promised_and_check_tells_of_the_reach_all_the_same(tmp_path):
+POSE = re.compile(r"^movel\(pose_trans\(b_stock,p\[(.*)\]\),t=([0-9.]+),r=([0-9.]+)\)$", re.MULTILINE)
+
+
+@pytest.mark.parametrize("source", [wing, panel])
+def test_a_wing_and_a_panel_are_cut_by_programs_that_are_proven(tmp_path, source):
+    """Targets, times and stops of the text are those of the plan; the proof follows from the text alone."""
+    problem = laid(tmp_path, source())
+    made = pipeline.plan(problem)
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    own, _ = holds(problem, made.plan)
+    assert own.targets.count > 100 and own.metrics["clearance_mm"] >= 8.0
+    assert made.proof.issues == ()
+    ((path, text),) = made.programs.items()
+    assert path.startswith("robot/") and path.endswith(".script")
+    rows = [[float(v) for v in (*found[1].split(","), *found.groups()[1:])] for found in _moves(text)]
+    rows = np.array(rows)
+    wanted = own.targets.poses(own.values)["robot"][1:]
+    assert np.abs(rows[:, :3] - wanted[:, :3, 3]).max() < 1e-6
+    assert np.abs(exp_rotation(rows[:, 3:6]) - wanted[:, :3, :3]).max() < 1e-6
+    assert abs(rows[:, 6].sum() - (own.time[-1] - own.time[0])) < 1e-3
+    assert ((rows[:, 7] == 0.0) == own.targets.stop[1:]).all()
+    way = np.linalg.norm(np.diff(wanted[:, :3, 3], axis=0), axis=1)
+    assert (rows[:-1, 7] + rows[1:, 7] < way).all()  # no two blends meet
+
+
+@pytest.mark.long
+def test_a_tool_that_turns_about_its_tip_stops_there(tmp_path):
+    """Corners of the bundled G-code turn the cutter about its tip, where UR has no blend."""
+    folder = tmp_path / "gcode"
+    shutil.copytree(PROBLEMS / "gcode", folder)
+    source = bundled("gcode", "kr60_mill.yaml")
+    source["stock"] |= {"place": {"xyz_mm": [750, 0, 300], "rpy_deg": [0, 0, 90]}, "support": "pedestal"}
+    made = pipeline.plan(laid(folder, source))
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    (own,), (text,) = made.plan.operations, made.programs.values()
+    stops = sum(found[3] == "0.0" for found in _moves(text))
+    assert stops > own.targets.stop.sum() + 10
+
+
+def _moves(text):
+    return POSE.finditer(text.replace("\r\n", "\n"))
+
+
+def test_a_base_link_that_is_turned_as_in_urs_files_gives_the_same_program(tmp_path):
+    """ROS has base_link turned by 180 degrees about z against the base of the controller."""
     source, table = poses()
     small_problem.write(tmp_path, table=table)
-    problem = laid(tmp_path, source)
+    texts = []
+    for degrees in (0, 180):
+        turn = from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, np.deg2rad(degrees)])
+        laid(tmp_path, source)
+        (tmp_path / "ur10e.urdf").write_text(urdf_text.ur10e(turn), "utf-8")
+        one = change(source, "cell.arms.0.base", {"rpy_deg": [0, 0, degrees]})
+        (tmp_path / "problem.yaml").write_text(yaml.safe_dump(one), "utf-8")
+        problem = pipeline.load(tmp_path / "problem.yaml")
+        made = pipeline.plan(problem)
+        assert made.proof.ok
+        (text,) = made.programs.values()
+        rows = dict(row.split(" = ") for row in text.splitlines() if " = " in row)
+        start = np.array([float(v) for v in rows["x_1_start_1"][1:-1].split(",")])
+        tcp = urdf_text.ur10e_flange(start[None])[0] @ problem.cell.arms[0].tool.tcp
+        np.testing.assert_allclose(tcp[:3, 3], [0.65, -0.1, 0.3], atol=1e-6)
+        look = next(row for row in text.splitlines() if row.startswith("if "))
+        texts.append([look, *(rows[name] for name in ("base_frame", "x_home", "t_plain", "b_world"))])
+    assert texts[0] == texts[1]
+
+
+def test_an_arm_without_a_language_is_refused_and_check_tells_of_its_reach_all_the_same(tmp_path):
+    source, table = poses()
+    small_problem.write(tmp_path, table=table)
+    laid(tmp_path, source)
+    source = change(source, "cell.arms.0.robot", ARM | {"family": "generic"})
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(source), "utf-8")
+    problem = pipeline.load(tmp_path / "problem.yaml")
     with pytest.raises(TandemError) as caught:
         pipeline.plan(problem)
     (issue,) = caught.value.issues
     assert (issue.code, issue.arm) == ("post.language", "left")
-    assert "family UR" in issue.message and "ABB (RAPID)" in issue.message
+    assert "family generic" in issue.message and "ABB (RAPID)" in issue.message
     assert [one.code for one in pipeline.check(problem) if has_errors([one])] == ["post.language"]
     (tmp_path / "problem.yaml").write_text(
         yaml.safe_dump(change(source, "cell.arms.0.robot", "irb1200_7_70")), "utf-8"
     )
     assert not has_errors(pipeline.check(pipeline.load(tmp_path / "problem.yaml")))
     (tmp_path / "targets.csv").write_text(table.replace("\n650,", "\n1650,"))
-    found = {one.code for one in pipeline.check(laid(tmp_path, source), advise=False) if has_errors([one])}
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(source), "utf-8")
+    problem = pipeline.load(tmp_path / "problem.yaml")
+    found = {one.code for one in pipeline.check(problem, advise=False) if has_errors([one])}
     assert found == {"post.language", "motion.no_reach"}
 
 

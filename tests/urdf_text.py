@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
+from pathlib import Path
 
 import numpy as np
 
 from planner.catalogue.robots import ParallelParameters, RobotData, robot
 from planner.cell.kinematics import joint_axes, link_frames
 from planner.geometry.arrays import exp_rotation, from_parts, from_rpy, inverse, to_rpy
+from planner.reading.robot_file import OwnRobotFile, robot_of
 
 DRAWN = {
     "box": 'size="{} {} {}"',
@@ -110,6 +113,15 @@ UR10E = dataclasses.replace(
 """The arm by its table, for kinematics alone: it has no file."""
 
 
+def ur10e_data(base=None):
+    """A UR10e as a problem file's ``robot:`` has it, with ``base`` as of :func:`of_robot`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "ur10e.urdf"
+        path.write_text(ur10e(base), encoding="utf-8")
+        stated = {"urdf": path.name, "name": "ur10e", "family": "ur", "payload_kg": 12.5}
+        return robot_of(OwnRobotFile.model_validate(stated), path.parent)
+
+
 def ur10e_flange(q):
     """Poses (B, 4, 4) of a UR10e's flange in its base for joints q (B, 6), link by link of its table."""
     pose = np.broadcast_to(np.eye(4), (len(q), 4, 4))
@@ -137,5 +149,6 @@ def ur10e(base=None, tip=None, limits=((-2.0 * np.pi, 2.0 * np.pi),) * 6):
     points = points @ back[:3, :3].T + back[:3, 3]
     flange = back @ ur10e_flange(np.zeros((1, 6)))[0] @ tip
     bodies = {0: [(kind, size, back @ pose) for kind, size, pose in UR10E_BODIES[0]]}
-    bodies |= {i: UR10E_BODIES[i] for i in range(1, 7)}
+    turn = from_parts(back[:3, :3], np.zeros(3))
+    bodies |= {i: [(kind, size, turn @ pose) for kind, size, pose in UR10E_BODIES[i]] for i in range(1, 7)}
     return arm(axes @ back[:3, :3].T, points, flange, limits, UR10E_SPEED.tolist(), bodies)

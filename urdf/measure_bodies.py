@@ -2,23 +2,26 @@
 
 What it prints is for bodies.yaml. Each link becomes up to four boxes and cylinders along the axes of its
 upright frame (that of the OPW angles, all zero) which hold every point of its meshes and are up to two
-millimetres larger: a piece is cut in two, square to an axis, where that saves most of its box. The meshes
-themselves are not part of Tandem.
+millimetres larger: a piece is cut in two, square to an axis, where that saves most of its box. A balancer,
+which follows joint 2, is held by link 1 wherever it may be. Where axes of the URDF are off those of the
+catalogue, solids are larger by as much. The meshes themselves are not part of Tandem.
 """
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from planner.catalogue import robots
 from planner.cell.kinematics import link_frames
-from planner.geometry.arrays import FloatArray, inverse, transform
-from planner.geometry.mesh import read_mesh
+from planner.geometry.arrays import FloatArray, exp_rotation, from_parts, from_rpy, inverse, transform
+from planner.geometry.mesh_files import read_mesh
 from planner.geometry.units import MM
 from planner.reading.robot_file import OwnRobotFile, mesh_file, read_urdf, robot_of
-from planner.reading.urdf import read_chain
+from planner.reading.urdf import UrdfChain, read_chain
 
 MOST = 4
 """Solids of a link at most."""
@@ -26,6 +29,8 @@ SAVES = 0.08
 """A cut has to save this share of the box round the link."""
 CUTS = np.linspace(0.06, 0.94, 23)
 """Where a piece may be cut, as shares of its length."""
+SWEPT = 91
+"""Angles of joint 2, over its range, at which a balancer is looked at."""
 LINKS = ("base_link", *(f"link_{i}" for i in range(1, 7)))
 
 
@@ -105,34 +110,109 @@ def _middle(points: FloatArray) -> FloatArray:
 
 
 def links(path: Path) -> list[FloatArray]:
-    """Triangles (F, 3, 3) [mm] of the base and of links 1 to 6 of a URDF's arm, in their upright frames."""
+    """Triangles (F, 3, 3) [mm] of the base and of links 1 to 6 of a URDF's arm, in their upright frames;
+    link 1 has its balancers, at each angle of joint 2."""
     chain = read_chain(read_urdf(path), "base_link", "tool0")
-    spec = OwnRobotFile(urdf=path.name, name="arm", family="abb", payload_kg=1.0, left_out=chain.beside)
+    spec = _spec(path, chain)
     frames = link_frames(robot_of(spec, path.parent), np.zeros(6))
     upright = np.concatenate([np.eye(4)[None], frames[:6]])
     out: list[list[FloatArray]] = [[] for _ in LINKS]
     for one in chain.shapes:
-        file = mesh_file(one.file, spec, path)
-        if one.kind != "mesh" or file is None:
-            sys.exit(f"{path}: the {one.kind} {one.file} of {one.link} is no mesh that is there")
-        mesh = read_mesh(file, 1.0)
+        if one.kind != "mesh":
+            sys.exit(f"{path}: a body of {one.link} is no mesh but a {one.kind}")
         index = chain.links.index(one.link)
         pose = inverse(upright[index]) @ chain.zero[index] @ one.pose
-        out[index].append(transform(pose, mesh.vertices * np.array(one.size))[mesh.faces] / MM)
+        out[index].append(_triangles(one.file, one.size, spec, path, pose))
+    out[1] += _balancers(chain, spec, path, inverse(upright[1]))
     return [np.concatenate(triangles) for triangles in out]
+
+
+def off_catalogue(name: str, path: Path) -> float:
+    """How far axes of a URDF are off those of the arm that is built in, at most [mm]."""
+    here = robot_of(_spec(path, read_chain(read_urdf(path), "base_link", "tool0")), path.parent).opw
+    return float(np.linalg.norm(here.steps - robots.robot(name).opw.steps, axis=1).max() / MM)
+
+
+def _spec(path: Path, chain: UrdfChain) -> OwnRobotFile:
+    return OwnRobotFile(urdf=path.name, name="arm", family="abb", payload_kg=1.0, left_out=chain.beside)
+
+
+def _triangles(
+    file: str, scale: tuple[float, ...], spec: OwnRobotFile, path: Path, pose: FloatArray
+) -> FloatArray:
+    """Triangles (F, 3, 3) [mm] of a mesh that a URDF names, at ``pose`` (4, 4)."""
+    there = mesh_file(file, spec, path)
+    if there is None:
+        sys.exit(f"{path}: the mesh {file} is not there")
+    mesh = read_mesh(there, 1.0)
+    return np.asarray(transform(pose, mesh.vertices * np.array(scale))[mesh.faces] / MM)
+
+
+def _balancers(chain: UrdfChain, spec: OwnRobotFile, path: Path, pose: FloatArray) -> list[FloatArray]:
+    """Triangles [mm] of all links that follow joint 2, at ``SWEPT`` of its angles each; ``pose`` (4, 4): the
+    base with axis 1 at zero in the frame wanted."""
+    root, second = ET.fromstring(read_urdf(path)), chain.joints[1]
+    above = {joint.find("child").get("link"): joint for joint in root.findall("joint")}  # type: ignore[union-attr]
+    out = []
+    for link in root.findall("link"):
+        joint = above.get(link.get("name"))
+        follows = None if joint is None else joint.find("mimic")
+        if follows is None or follows.get("joint") != second:
+            continue
+        for q in np.linspace(chain.lower[1], chain.upper[1], SWEPT):
+            here = pose @ _place(above, link.get("name"), second, q)
+            for collision in link.findall("collision"):
+                file = str(collision.find("geometry/mesh").get("filename"))  # type: ignore[union-attr]
+                scale = tuple(_three(collision.find("geometry/mesh"), "scale", "1 1 1"))
+                out.append(_triangles(file, scale, spec, path, here @ _origin(collision)))
+    return out
+
+
+def _place(above: dict[str | None, ET.Element], link: str | None, second: str, q: float) -> FloatArray:
+    """The pose (4, 4) of a link in the base with joint 2 at ``q`` [rad], the others at zero."""
+    if link not in above:
+        return np.eye(4)
+    joint, follows = above[link], above[link].find("mimic")
+    turn = q if joint.get("name") == second else 0.0
+    if follows is not None and follows.get("joint") == second:
+        turn = q * float(follows.get("multiplier", "1")) + float(follows.get("offset", "0"))
+    axis = _three(joint.find("axis"), "xyz", "1 0 0")
+    slides = joint.get("type") == "prismatic"
+    moved = (
+        from_parts(np.eye(3), turn * axis) if slides else from_parts(exp_rotation(turn * axis), np.zeros(3))
+    )
+    parent = joint.find("parent").get("link")  # type: ignore[union-attr]
+    return np.asarray(_place(above, parent, second, q) @ _origin(joint) @ moved)
+
+
+def _origin(element: ET.Element) -> FloatArray:
+    origin = element.find("origin")
+    return from_rpy(_three(origin, "xyz", "0 0 0"), _three(origin, "rpy", "0 0 0"))
+
+
+def _three(element: ET.Element | None, key: str, default: str) -> FloatArray:
+    return np.array([float(v) for v in (default if element is None else element.get(key, default)).split()])
 
 
 def main() -> None:
     """Prints the rows of the arms."""
     for word in sys.argv[1:]:
-        name, _, path = word.partition("=")
+        name, _, file = word.partition("=")
+        path = Path(file)
+        more = int(np.ceil(off_catalogue(name, path) - 1e-3)) if name in robots.robot_names() else 0
         print(f"{name}:")  # noqa: T201
-        for link, triangles in zip(LINKS, links(Path(path)), strict=True):
+        for link, triangles in zip(LINKS, links(path), strict=True):
             rows = [
-                f"[{kind}, {[_plain(v) for v in size]}, {[_plain(v) for v in centre]}]"
+                f"[{kind}, {[_plain(v) for v in _grown(kind, size, more)]}, {[_plain(v) for v in centre]}]"
                 for kind, size, centre in solids(triangles)
             ]
             print(f"  {link}: [{', '.join(rows)}]")  # noqa: T201
+
+
+def _grown(kind: str, size: list[float], more: float) -> list[float]:
+    """The size of a solid with ``more`` [mm] on every side."""
+    sides = [2.0] * 3 if kind == "box" else [1.0, 2.0]
+    return [value + more * side for value, side in zip(size, sides, strict=True)]
 
 
 def _plain(value: float) -> float | int:

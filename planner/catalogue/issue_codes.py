@@ -36,6 +36,7 @@ CODES: Final[dict[str, Code]] = {
     "problem.not_yaml": Code("the problem file is not YAML", given=True),
     "problem.field": Code("a field of the problem file is missing, unknown or out of range", given=True),
     "problem.duplicate_name": Code("two things of the same kind have the same name", given=True),
+    "problem.track": Code("a track where none is written yet", given=True),
     "problem.too_large": Code("a file is larger than what is read", given=True),
     "problem.unknown_robot": Code("a robot that the catalogue does not have", given=True),
     # robots from files
@@ -155,7 +156,10 @@ CODES: Final[dict[str, Code]] = {
     # meshes and parts
     "mesh.unreadable": Code("a mesh file is of a kind that is not read, or is damaged", given=True),
     "mesh.empty": Code("a mesh file has no faces with area", given=True),
-    "mesh.unit": Code("a mesh is implausibly large or small in the unit stated for it", given=True),
+    "mesh.unit": Code(
+        "a mesh is implausibly large or small in its unit, or states another than the problem", given=True
+    ),
+    "mesh.file_unit": Code("the unit in which a mesh file was read that states its own", given=True),
     "mesh.non_manifold": Code("more than two faces of a mesh meet at an edge", given=True),
     "mesh.orientation": Code("neighbouring faces of a mesh have opposite normals", given=True),
     "mesh.closed": Code("a closed mesh is given where one open face is wanted", given=True),
@@ -204,6 +208,13 @@ CODES: Final[dict[str, Code]] = {
     "part.rhino_unit": Code("the unit in which a Rhino file was read", given=True),
     "part.rhino_left_out": Code("objects of a Rhino file were left out, or read in another way", given=True),
     "part.rhino_facets": Code("how far facets are off the face of a Rhino file, as measured", given=True),
+    "part.step": Code(
+        "a STEP or IGES file cannot be read, or has not the one face that is wanted", given=True
+    ),
+    "part.step_unit": Code("the unit in which a STEP or IGES file was read", given=True),
+    "part.step_facets": Code(
+        "how far facets are off the face of a STEP or IGES file, as measured", given=True
+    ),
     "part.edges": Code("the boundaries of front and back cannot be joined by straight edges", given=True),
     "part.patch": Code("a mesh is not a patch with one boundary and four corners", given=True),
     "part.not_ruled": Code("a surface is farther from any ruled one than its tolerance", given=True),
@@ -242,7 +253,9 @@ CODES: Final[dict[str, Code]] = {
     "post.tasks": Code("the controller has no task or unit for an arm, or has too few", given=True),
     "post.language": Code("no programs are written for the controllers of an arm's family", given=True),
     "post.controller": Code("arms cannot move together by the controllers that they have", given=True),
-    "post.signal": Code("a signal has no number on the controller of a KUKA arm", given=True),
+    "post.signal": Code("a signal has no number on the controller of a KUKA or UR arm", given=True),
+    "post.ur_arm": Code("an arm of the family ur is none that a UR controller moves", given=True),
+    "post.blend": Code("a tool turns about its TCP where it may not stop: UR has no blend there"),
     "post.turn_near_zero": Code(
         "an axis is so near to zero that a KUKA controller may pass over its turn bit"
     ),
@@ -336,6 +349,8 @@ CODES: Final[dict[str, Code]] = {
     "verify.rests": Code("a block is not held or borne as it must be"),
     "verify.base_frames": Code("the base frame that a program states is not the problem's"),
     "verify.move_kinds": Code("a move whose path is not known, or ConfL is not as the arm needs it"),
+    "verify.external_axes": Code("a track's unit, a value of it or when it moves is not as it must be"),
+    "verify.track_way": Code("bodies come too near on the way of a track from station to station"),
     "verify.zone_size": Code("a zone takes more than half of the shorter move beside it"),
     "verify.zero_length": Code("a move goes nowhere"),
     "verify.wire_mount": Code("nobody confirms that the wire is mounted, or that it is taken off"),
@@ -555,6 +570,14 @@ CODES: Final[dict[str, Code]] = {
         "what a forming ball does not reach of a part: corners that are tighter than it is"
     ),
     "forming.tool_radius": Code("a forming tool is too large for a place of the face"),
+    # scans of formed parts
+    "scan.file": Code("a scan cannot be read, or has too few points or too many", given=True),
+    "scan.unit": Code("a scan is far larger or smaller than the sheet: a wrong unit", given=True),
+    "scan.flat": Code("too little of the flat around a part is in its scan", given=True),
+    "scan.other_part": Code("a scan shows another part, too little of it, or its mirror image", given=True),
+    "scan.no_marks": Code("a scan came without marks, so its place in the sheet's plane is taken as it is"),
+    "scan.stray": Code("how many points of a scan belong to nothing around them"),
+    "scan.hole": Code("a place of a part that its scan does not show"),
     # the base of the second robot, from points that both probed
     "align.file": Code(
         "a file of probed points cannot be read, or a value in it is missing or out of range", given=True
@@ -602,6 +625,7 @@ CODES: Final[dict[str, Code]] = {
     "gcode.skipped": Code("a code of a G-code file is passed over, as the problem says", given=True),
     # motion
     "motion.no_reach": Code("an arm cannot reach a target"),
+    "motion.station": Code("no value of an arm's track has a path for an operation", given=True),
     "motion.joint_limit": Code("an arm passes a joint limit at a target whatever its freedoms"),
     "motion.singular": Code("an arm comes too near a singular posture at a target whatever its freedoms"),
     "motion.no_path": Code("no choice of branches carries the arms past a target without a jump"),

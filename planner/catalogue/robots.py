@@ -21,6 +21,8 @@ Family = Literal["ABB", "KUKA", "UR", "generic"]
 """Whose controller an arm has, which is what its programs are written for."""
 DataKind = Literal["urdf", "problems"]
 
+JOINTS: Final = tuple(f"joint_{number}" for number in range(1, 7))
+"""Names of the joints in the URDFs that are built in."""
 _PACKAGE: Final = Path(__file__).resolve().parents[1]
 """Folder of the package."""
 
@@ -211,7 +213,8 @@ class RobotFile:
 
     ``zero`` (8, 4, 4): frames of the base, of the links that the joints turn and of the tip, in the base with
     all joints at zero; ``axis`` (6, 3): unit vectors of the axes in the base, through the origins of the
-    links. ``shapes``: what is held apart, of the base and of links 1 to 6, in their frames.
+    links. ``shapes``: what is held apart, of the base and of links 1 to 6, in their frames. ``joints``: names
+    of the joints.
     """
 
     text: str
@@ -220,6 +223,7 @@ class RobotFile:
     zero: FloatArray
     axis: FloatArray
     shapes: tuple[tuple[Shape, ...], ...]
+    joints: tuple[str, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -249,6 +253,11 @@ class RobotData:
     assumed: tuple[str, ...]
     stiffness: JointStiffness | None = None
     file: RobotFile | None = None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints in its URDF."""
+        return JOINTS if self.file is None else self.file.joints
 
     @property
     def opw(self) -> OpwParameters:

@@ -184,6 +184,13 @@ CLEAR: Final = Sentence(
 KRL_READY: Final = Sentence("Is the stock in place and the way of the arm clear?")
 KRL_CLEAR: Final = Sentence("Is the way of the arm to its home clear, and nobody in the cell?")
 
+# ---- tracks ----
+
+KEEP_OFF: Final = Sentence(
+    "Keep off the track {unit}: it takes arm {arm}, folded at its home, to {value} mm once this is confirmed."
+)
+"""Told before a track goes to a station, of which nothing else tells."""
+
 # ---- two controllers ----
 
 EARLIER: Final = Sentence(
@@ -211,6 +218,9 @@ TOGETHER: Final = Sentence("Moves with arm {arm} and waits for it where they mee
 
 FOOT: Final = Sentence("Arm {arm}: $ROBROOT is off zero by %1 mm, %2 deg")
 """Of a KUKA robot; its controller puts the figures in."""
+
+OTHER_ARM: Final = Sentence("Arm {arm}: this controller moves another arm than the planned {model}.")
+"""Of a UR robot, whose controller has its flange elsewhere at home than the plan."""
 
 # ---- error handlers ----
 

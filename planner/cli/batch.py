@@ -11,7 +11,7 @@ import dataclasses
 import hashlib
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from planner.files import FILE_KEYS, is_file
 from planner.issues import Issue, TandemError, accepted
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from planner.batch.compare import JobPair, Pair, Plans
     from planner.batch.job import Event
     from planner.batch.run import Item, Planners, Row
+    from planner.problem import Problem
 
 out = Console(highlight=False)
 err = Console(stderr=True)
@@ -76,14 +77,23 @@ def usable_cores() -> int:
 def run_batch(request: Batch) -> int:
     """Plan, print and write the summary; the exit code. Raises `TandemError` for what cannot begin."""
     from planner.batch import run as batch
-    from planner.batch.job import Finished
     from planner.batch.run import collect
 
     _check(request)
+    done, seconds = _planned(request, lambda: collect(request.problems, request.output))
+    _print(done, request.output, seconds)
+    return batch.exit_code(done)
+
+
+def _planned(request: Batch, wanted: Callable[[], list[Item]]) -> tuple[list[Row], float]:
+    """All that is wanted planned, with progress, and the summary written; the rows, and the time [s]."""
+    from planner.batch import run as batch
+    from planner.batch.job import Finished
+
     start = time.perf_counter()
     rows: dict[str, Row] = {}
     with batch.claimed_folder(request.output):
-        items = collect(request.problems, request.output)
+        items = wanted()
         count = min(request.workers or usable_cores(), len(items))
         items, former = _like(request, items)
         limits = request.timeout, request.memory
@@ -103,8 +113,7 @@ def run_batch(request: Batch) -> int:
                 _write(request, so_far, time.perf_counter() - start)
                 raise
         _write(request, done, time.perf_counter() - start)
-    _print(done, request.output, time.perf_counter() - start)
-    return batch.exit_code(done)
+    return done, time.perf_counter() - start
 
 
 def _like(request: Batch, items: list[Item]) -> tuple[list[Item], Path | None]:
@@ -233,6 +242,71 @@ def _print(rows: Sequence[Row], folder: Path, seconds: float) -> None:
     again = f", {kept} of them finished before" if kept else ""
     where = folder / "summary.html"
     out.print(f"{verified} of {len(rows)} verified{again}; {seconds:.1f} s; see {where}", markup=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """Which robots for this part: plan a problem in its own cell and in each cell of a folder, and rank them.
+
+    First those that are proven, of these those with ample margins, of these the fastest; of the others why.
+    """
+
+    problem: tyro.conf.Positional[Path]
+    """a problem file, or a bundled problem"""
+    cells: Path
+    """folder of cell files (YAML with arms); their arms take the names of the problem's, in their order"""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
+    """folder for a result folder of each cell, summary.csv and summary.html"""
+    workers: int | None = None
+    """worker processes; by default one for each processor"""
+    resume: bool = False
+    """keep what an earlier run finished, and plan the rest"""
+    timeout: float | None = None
+    """longest planning in one cell, in seconds"""
+
+
+def run_fit(request: Fit) -> int:
+    """Plan in all cells, print the ranking and write it; the exit code: whether one is proven. Raises
+    `TandemError`."""
+    from planner import pipeline
+    from planner.batch import fit
+    from planner.batch import run as batch
+
+    problem = pipeline.load(request.problem)
+    about = Batch(
+        (request.problem,), request.output, request.workers, request.resume, request.timeout, reports="failed"
+    )
+    _check(about)
+    rows, seconds = _planned(about, lambda: fit.items(problem, request.cells))
+    rows = fit.ranked(rows, problem.settings)
+    _write(about, rows, seconds)
+    _print_fit(rows, problem, seconds, request.output)
+    return 0 if any(row.done.state == "verified" for row in rows) else batch.exit_code(rows)
+
+
+def _print_fit(rows: Sequence[Row], problem: Problem, seconds: float, folder: Path) -> None:
+    from planner.batch import compare
+
+    names = ("cycle_s", "clearance_mm", "joint_limits_deg", "singularity_deg")
+    cell = Column("cell", overflow="fold")
+    table = Table("", cell, "status", *(compare.FIGURES[name] for name in names))
+    for number, row in enumerate(rows, 1):
+        table.add_row(
+            str(number) if row.done.state == "verified" else "",
+            row.item.name,
+            compare.STATES[row.done.state],
+            *(compare.figure_text(name, row.done.metrics.get(name)) for name in names),
+            style=STATE_STYLE.get(row.done.state, "red"),
+        )
+    out.print(table)
+    for row in rows:
+        issue = compare.gravest_issue(row.done)
+        if row.done.state != "verified" and issue is not None:
+            out.print(f"{row.item.name}: {issue}", markup=False, soft_wrap=True)
+    verified = sum(row.done.state == "verified" for row in rows)
+    where = folder / "summary.html"
+    what = f"{problem.name} is proven in {verified} of {len(rows)} cells; {seconds:.1f} s; see {where}"
+    out.print(what, markup=False)
 
 
 COMPARED_FIGURES = ("cycle_s", "clearance_mm", "path_cost", "planning_s")

@@ -33,6 +33,7 @@ from planner.cli import preparation as align_commands
 from planner.cli import preparation as feature_commands
 from planner.cli import preparation as kerf_commands
 from planner.cli import robots as robot_commands
+from planner.cli import scan as scan_commands
 from planner.cli import service as service_commands
 from planner.cli import statement
 from planner.cli.batch import Difference, differences
@@ -379,12 +380,44 @@ def simulate_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.SimulateLoop]
     return DONE
 
 
+@app.command(name="scan-fit")
+def scan_fit(request: tyro.conf.OmitArgPrefixes[scan_commands.ScanFit]) -> int:
+    """Measure a formed part: how far a scan is off the part that a plan was made for."""
+    _pipeline()
+    try:
+        _print_issues(scan_commands.run_scan_fit(request))
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def adjust(request: tyro.conf.OmitArgPrefixes[scan_commands.Adjust]) -> int:
+    """Form a part again: the problem with each target moved by what a scan of the part has shown."""
+    _pipeline()
+    try:
+        _print_issues(scan_commands.run_adjust(request))
+    except TandemError as error:
+        return _refused(error, _infeasible_code(error))
+    return DONE
+
+
 @app.command
 def batch(request: tyro.conf.OmitArgPrefixes[batch_commands.Batch]) -> int:
     """Plan many problems, each into a folder of its own, with a summary; exit 0 only if all are verified."""
     _pipeline()
     try:
         return batch_commands.run_batch(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+
+
+@app.command
+def fit(request: tyro.conf.OmitArgPrefixes[batch_commands.Fit]) -> int:
+    """Try a job in several cells, and rank them: which robots for this part."""
+    _pipeline()
+    try:
+        return batch_commands.run_fit(request)
     except TandemError as error:
         return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
 

@@ -105,7 +105,7 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     if request.write is not None and request.write.suffix.lower() != ".json":
         what = f"{request.write.name}: a springback file is .json; name it so"
         raise TandemError(Issue("output.folder", what, field="write"))
-    job = _job(problem, request.operation)
+    job = forming_job(problem, request.operation)
     work = job.planned
     forecast.require_mode(work)
     started = time.perf_counter()
@@ -173,7 +173,9 @@ def _write_shifts(
     return ways
 
 
-def _job(problem: Problem, name: str | None) -> FormingJob:
+def forming_job(problem: Problem, name: str | None) -> FormingJob:
+    """The forming operation of a problem of that name, or the first. Raises ``TandemError``
+    (forming.no_sheet) where there is none."""
     from planner import processes
     from planner.forming.job import FormingJob
 
@@ -330,7 +332,7 @@ def run_control(request: ControlRequest, problem: Problem) -> tuple[Issue, ...]:
         what = f"{request.output.name}: a page is .html; name it so"
         raise TandemError(Issue("output.folder", what, field="output"))
     file = machine.read_machine(request.machine)
-    operation = _job(problem, request.operation).operation
+    operation = forming_job(problem, request.operation).operation
     if len(operation.arms) != 2:
         what = f"{operation.name}: mode {operation.mode} has one arm, force control wants a support beside it"
         raise TandemError(Issue("control.machine", what, field="operation", hint="take a mode of two arms"))

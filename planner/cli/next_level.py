@@ -48,7 +48,7 @@ def write_level(
     if path.suffix.lower() not in (".yaml", ".yml"):
         what = f"{path.name}: a problem is .yaml; name it so"
         raise TandemError(Issue("output.folder", what, field="problem"))
-    _require_free(path, problem)
+    require_free(path, problem, "level")
     if number > 0 and before_mm is None:
         what = f"got no shift at which level {number - 1} ended"
         hint = "give --before-mm: the last one of its shifts, or 0 where it had none"
@@ -90,9 +90,9 @@ def write_level(
         return pipeline.save(build(_document(problem, place, stated), processes.readers()), path, True)
 
 
-def _require_free(path: Path, problem: Problem) -> None:
+def require_free(path: Path, problem: Problem, section: str) -> None:
     """Raise ``TandemError`` (output.folder) where ``path`` is a file of the planned problem's own, or another
-    than a level that was written before."""
+    than one with this ``section`` in an operation, which was written before."""
     from planner.reading import strict_yaml
 
     what = ""
@@ -104,10 +104,10 @@ def _require_free(path: Path, problem: Problem) -> None:
         except TandemError:
             operations = None
         some = operations if isinstance(operations, list) else []
-        if not any(isinstance(one, dict) and "level" in one for one in some):
-            what = "is another file, and no level of a part"
+        if not any(isinstance(one, dict) and section in one for one in some):
+            what = f"is another file, and no problem with a {section}"
     if what:
-        hint = "give the level a name of its own"
+        hint = "give it a name of its own"
         raise TandemError(Issue("output.folder", f"{path} {what}", field="problem", hint=hint))
 
 

@@ -320,7 +320,7 @@ def run_features(request: Features) -> tuple[Issue, ...]:
     from planner.forming.features import tree as feature_tree
     from planner.forming.features.tree import LEAST_BUMP, build
     from planner.geometry.arrays import Mesh
-    from planner.geometry.mesh import read_mesh
+    from planner.geometry.mesh_files import read_mesh
     from planner.reading.sheet import smooth_face
 
     if request.output is not None and request.output.suffix.lower() not in OUTPUT_SUFFIXES:

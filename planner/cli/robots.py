@@ -37,7 +37,7 @@ class Add:
     urdf: tyro.conf.Positional[Path]
     """the URDF; of a xacro: xacro FILE.xacro > FILE.urdf"""
     family: str
-    """of its controller: abb for RAPID, kuka for KRL"""
+    """of its controller: abb for RAPID, kuka for KRL, ur for URScript"""
     payload_kg: float
     """what the arm may carry, by the data sheet"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -163,13 +163,13 @@ def _stated(request: Add, name: str, chain: UrdfChain, folder: Path) -> dict[str
 def _meshes(chain: UrdfChain, folder: Path, urdf: Path) -> list[dict[str, str]]:
     """Where meshes of the URDF lie in a folder, each by as much of its path as is there, else by its name;
     for one that is not read (DAE) what was converted, of the same name but for its ending."""
-    from planner.geometry.mesh import MESH_SUFFIXES
+    from planner.geometry.mesh_files import PLAIN_SUFFIXES
 
-    there = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in MESH_SUFFIXES]
+    there = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in PLAIN_SUFFIXES]
     out = []
     for name in dict.fromkeys(one.file for one in chain.shapes if one.kind == "mesh"):
         wanted = Path(name.partition("://")[2] or name)
-        exact = wanted.suffix.lower() in MESH_SUFFIXES
+        exact = wanted.suffix.lower() in PLAIN_SUFFIXES
         steps = wanted.parts if exact else wanted.with_suffix("").parts
         for count in range(len(steps), 0, -1):
             found = [p for p in there if (p if exact else p.with_suffix("")).parts[-count:] == steps[-count:]]

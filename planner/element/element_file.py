@@ -81,8 +81,8 @@ class SurfaceFile(FrontFile):
 
     @model_validator(mode="after")
     def _one(self) -> SurfaceFile:
-        if [self.loft, self.mesh, self.rhino, self.ruled].count(None) != 3:
-            raise ValueError("give one of loft, mesh, rhino and ruled")
+        if [self.loft, self.mesh, self.rhino, self.step, self.ruled].count(None) != 4:
+            raise ValueError("give one of loft, mesh, rhino, step and ruled")
         if self.ruled is not None and self.plane is not None:
             raise ValueError(
                 "plane: a ruled wall is divided along its rulings however it stands; take it out"

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, dots, transform
-from planner.geometry.mesh import read_mesh, vertex_normals
+from planner.geometry.mesh import vertex_normals
+from planner.geometry.mesh_files import read_mesh
 from planner.geometry.rulings import boundaries
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError

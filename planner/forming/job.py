@@ -277,14 +277,14 @@ class FormingJob(Job[Forming]):
         deeper = compensation.shifted(paths, given.ways)
         issues += [
             *compensation.steeper(made, paths, given.ways, given.slope, level),
-            compensation.told(given.ways, given.file, None if level is None else level.number),
+            compensation.told(given.ways, given.file, None if level is None else level.number, given.scan),
         ]
         issues += clamped_issues(made, deeper)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         found = _targets(made, setup, paths, deeper, issues, self.claims())
         shown = {"compensation": compensation.exhibit(given.ways)}
-        if level is None:
+        if level is None and given.scan is None:
             shown["released"] = released.compensated(made, paths, given)
         return dataclasses.replace(found, exhibits={**found.exhibits, **shown})
 

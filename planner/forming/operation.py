@@ -23,7 +23,8 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from planner.geometry.arrays import Shape, from_rpy
-from planner.geometry.mesh import TriangleMesh, read_mesh
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.mesh_files import read_mesh
 from planner.geometry.mesh_queries import outer_hull
 from planner.geometry.units import LENGTH_UNITS
 from planner.problem import Part, Stock
@@ -124,14 +125,22 @@ class Die(Strict):
     ] = None
 
 
+class PartScan(Strict):
+    """Points of a part that was formed before: ``file`` as it was given to `tandem adjust`."""
+
+    file: Annotated[Path, AfterValidator(_from_the_problem_file)]
+
+
 class Springback(Strict):
     """Both tools go deeper by what the sheet comes back by when they let go.
 
-    ``file``: what `tandem springback --write` has written for this very problem. What it shifts the tools by
-    changes along the path by no more than ``slope`` and is nowhere more than ``most_mm``.
+    ``file``: what `tandem springback --write` has written for this very problem, or `tandem adjust` from the
+    ``scan`` of a part that was formed before. What it shifts the tools by changes along the path by no more
+    than ``slope`` and is nowhere more than ``most_mm``.
     """
 
     file: Annotated[Path, AfterValidator(_from_the_problem_file)]
+    scan: PartScan | None = None
     slope: Annotated[float, Field(ge=0.001, le=0.5, description="of the shift along the path, in mm/mm")] = (
         0.05
     )

@@ -1,4 +1,4 @@
-"""Triangle meshes: read from files and checked; the closest places of triangles to points.
+"""Triangle meshes: checked; the closest places of triangles to points.
 
 A wanted surface must be finite, open, one piece and oriented. What a faceted face needs to be asked
 for closest places: small pieces, normals that are smooth except over creases.
@@ -7,27 +7,14 @@ for closest places: small pieces, normals that are smooth except over creases.
 from __future__ import annotations
 
 import dataclasses
-import io
-import re
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.issues import Issue, TandemError
-
-MAX_MESH_BYTES: Final = 100_000_000
-"""Mesh files larger than this [bytes] are refused unread."""
-MESH_SUFFIXES: Final = (".obj", ".stl", ".ply")
-"""Mesh files that are read: Wavefront OBJ, STL, Stanford PLY."""
-SMALLEST_EXTENT: Final = 1e-3
-"""A mesh whose longest side is shorter [m] was stated in a wrong unit."""
-LARGEST_EXTENT: Final = 20.0
-"""A mesh whose longest side is longer [m] was stated in a wrong unit."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,81 +23,6 @@ class TriangleMesh:
 
     vertices: FloatArray
     faces: IntArray
-
-
-def read_mesh(path: Path, unit: float) -> TriangleMesh:
-    """Read an OBJ, STL or PLY file whose lengths are in ``unit`` metres; equal vertices become one.
-
-    Raises ``TandemError`` for a file that is missing, larger than 100 MB, of another kind, unreadable,
-    without faces, with numbers that are not finite, or of a size that says that the unit is wrong.
-    """
-    if not is_file(path):
-        raise _refuse("problem.missing_file", path, f"{no_file(path)}; check the path")
-    size = path.stat().st_size
-    if size > MAX_MESH_BYTES:
-        raise _refuse(
-            "problem.too_large",
-            path,
-            f"{size / 1e6:.0f} MB, up to {MAX_MESH_BYTES / 1e6:.0f} MB are read; export it with fewer facets",
-        )
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise _refuse("mesh.unreadable", path, f"got '{path.suffix}', read are OBJ, STL and PLY; convert it")
-    import trimesh  # half a second that problems without meshes do not wait for
-
-    try:
-        data = path.read_bytes()
-        if path.suffix.lower() == ".obj":
-            data = _counted_from_the_start(data)
-        content = io.BytesIO(data)  # has no folder, so that nothing the file names is opened
-        loaded = trimesh.load(content, path.suffix[1:].lower(), force="mesh", process=False)
-        vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
-        faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
-    except Exception as error:  # readers of damaged files raise anything
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise _refuse("mesh.unreadable", path, f"cannot be read ({reason}); export it again") from error
-    if len(faces) == 0:
-        raise _refuse("mesh.empty", path, "has no faces; export the surface as a mesh of triangles or quads")
-    if not np.isfinite(vertices).all():
-        bad = int(np.nonzero(~np.isfinite(vertices).all(axis=1))[0][0])
-        raise _refuse("problem.not_finite", path, f"vertex {bad} is not finite; repair the file")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise _refuse("mesh.unreadable", path, "a face names a vertex that is not there; export it again")
-    mesh = merge(TriangleMesh(vertices * unit, faces))
-    if len(mesh.faces) == 0:
-        raise _refuse("mesh.empty", path, "all its faces have no area; export it again")
-    extent = float(np.ptp(mesh.vertices, axis=0).max())
-    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
-        raise _refuse(
-            "mesh.unit",
-            path,
-            f"is {extent * 1e3:.4g} mm long in the stated unit, allowed are {SMALLEST_EXTENT * 1e3:g} to "
-            f"{LARGEST_EXTENT * 1e3:g} mm; state the unit that the file was made in",
-        )
-    return mesh
-
-
-def _counted_from_the_start(data: bytes) -> bytes:
-    """An OBJ file without indices that count back from their own line, which trimesh counts from the end of
-    the file."""
-    if re.search(rb"^[ \t]*f[ \t].*-", data, re.MULTILINE) is None:
-        return data
-    count = {b"v": 0, b"vt": 0, b"vn": 0}
-    out = []
-    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
-        words = line.split()
-        if words and words[0] in count:
-            count[words[0]] += 1
-        elif words and words[0] == b"f":
-            corners = [word.split(b"/") for word in words[1:]]
-            line = b"f " + b" ".join(
-                b"/".join(
-                    b"%d" % (so_far + 1 + int(index)) if index.startswith(b"-") else index
-                    for index, so_far in zip(corner, count.values(), strict=False)
-                )
-                for corner in corners
-            )
-        out.append(line)
-    return b"\n".join(out) + b"\n"
 
 
 def merge(mesh: TriangleMesh) -> TriangleMesh:
@@ -261,10 +173,6 @@ def _pieces(mesh: TriangleMesh) -> int:
         coo_array((np.ones(len(a)), (a, b)), shape=(count, count)), directed=False
     )
     return len(np.unique(label[np.unique(mesh.faces)]))
-
-
-def _refuse(code: str, path: Path, what: str) -> TandemError:
-    return TandemError(Issue(code, f"{path.name}: {what}", file=str(path)))
 
 
 _VALENCE: Final = 48

@@ -18,7 +18,7 @@ from planner.cell.bodies import own_shapes
 from planner.geometry.arrays import FloatArray, Shape, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Remedy, TandemError
-from planner.motion import ways
+from planner.motion import stations, ways
 from planner.motion.placement import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
@@ -109,6 +109,8 @@ def advised(
     found = trial.homes(issues[first]) if code in HOME_CODES else trial.moves(issues[first])
     if found is None:
         hint = f"{issues[first].hint}; tried without success: {trial.summary()}" if trial.tried else None
+        rail = stations.advice(problem, targets) if code in PATH_CODES else ""
+        hint = f"{rail}; or {hint or issues[first].hint}" if rail else hint
         told = dataclasses.replace(issues[first], hint=hint or issues[first].hint)
     else:
         told = dataclasses.replace(

@@ -21,7 +21,7 @@ from planner.files import versions
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.units import MM
 from planner.issues import Issue, Remedy, TandemError, aggregate
-from planner.motion import diagnosis, remedies, sag, ways
+from planner.motion import diagnosis, remedies, sag, stations, ways
 from planner.motion.former import Former, place_told, unlike_told
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search, Trace
@@ -115,6 +115,7 @@ def solve(
     :class:`TandemError` with the reasons when there is no plan.
     """
     problem, targets = with_room(problem, targets)
+    problem = _at_stations(problem, targets)
     at = [0]
     try:
         return _solve(problem, targets, progress or _silent, at, begin, former)
@@ -152,7 +153,7 @@ def _solve(
     if former is not None and (why := former.unlike(problem)):
         notes.append(unlike_told(former.problem.name, why))
         former = None
-    bases = {arm.name: arm.base for arm in problem.cell.arms}
+    bases = {arm.name: arm.base for arm in problem.cell.arms if arm.track is None}
     places: list[FloatArray] = []
     operations: list[OperationPlan] = []
     stands = setup_groups(problem, targets)
@@ -178,13 +179,26 @@ def _solve(
         operations=tuple(operations),
         metrics=metrics,
         issues=aggregate(issues),
+        stations=problem.stations,
     )
+
+
+def _at_stations(problem: Problem, targets: Sequence[Targets]) -> Problem:
+    """The problem with arms on tracks at their stations; of bodies that stand in one another nothing is to be
+    concluded, and the plan tells them."""
+    if all(arm.track is None for arm in problem.cell.arms):
+        return problem
+    return stations.stationed(problem, targets)
 
 
 def check(problem: Problem, targets: Sequence[Targets], advise: bool = True) -> list[Issue]:
     """Issues of reach and collision without optimising or timing; empty if every operation has a path.
     ``advise``: changes that may help are tried."""
     problem, targets = with_room(problem, targets)
+    try:
+        problem = _at_stations(problem, targets)
+    except TandemError as error:
+        return list(error.issues)
     bases: Mapping[str, FloatArray] | None = None
     for stand in setup_groups(problem, targets):
         at = [0]

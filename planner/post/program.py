@@ -40,11 +40,13 @@ TIME_DECIMALS = 5
 @dataclasses.dataclass(frozen=True)
 class Joints:
     """The arm goes to the joints ``q`` (6,) [rad, serial], straight in joint space, and stops: alone, or in a
-    synchronised block by the move ``id`` at once with the other arms."""
+    synchronised block by the move ``id`` at once with the other arms. ``station`` [m]: the value of its
+    track, None without one."""
 
     q: FloatArray
     place: str
     id: int | None = None
+    station: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,6 +6,7 @@ holds, as the controller must know it.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 
@@ -149,6 +150,7 @@ class _Builder:
         self.meets = 0 if handshake is None else 1  # the first meeting stands before all operations
         self.blocks = 0
         self.steps: dict[str, list[Step]] = {}
+        self.stands: dict[str, float] = {}
 
     def operation(
         self,
@@ -172,8 +174,11 @@ class _Builder:
             stop = stop | _pauses([written[arm] for arm in numbered], keep)
             stop = meeting_rows(stop, self.handshake.every)
             meets = stop.astype(np.int64)
+        turned = [written[arm][0] for arm in targets.arms if arms[arm].data.family == "UR"]
+        longer = _turns(turned, targets, keep) & ~stop
+        stop = stop | longer
         duration = _durations(plan, keep)
-        if meets.any():
+        if meets.any() or longer.any():
             duration = _stretched(duration, stop, plan, keep, written, arms, self.settings)
         tracks = {
             arm: _track(plan, arms[arm], frames[arm], keep, stop, duration, *written[arm])
@@ -182,13 +187,21 @@ class _Builder:
         segments = tuple(targets.segment[i] for i in keep)
         self.steps = {arm: [] for arm in self.arms}
         self._meet(f"all tasks are ready for operation {plan.name}")
+        before = {arm: self.stands.get(arm, _first_station(arms[arm])) for arm in self.arms}
         homes = {arm: arms[arm].home for arm in self.arms}
         opened = number == setup.operations[0] and bool(setup.steps)
         for arm in self.arms:
             if number == 0 and (opened or arm not in targets.arms):
-                self._alone(arm, [Joints(homes[arm], "entry")], f"{arm} stands at home")
+                home = Joints(homes[arm], "entry", station=before[arm])
+                self._alone(arm, [home], f"{arm} stands at home")
         if opened:
             self._setup(setup)
+        for arm in self.arms:
+            station = arms[arm].station
+            if station is not None and station != before[arm]:
+                there = Joints(homes[arm], "station", station=station)
+                self._alone(arm, [there], f"{arm} stands at its station")
+                self.stands[arm] = station
         for arm, carry in loads.items():
             self.steps[arm].append(carry)
         from_home = number > 0 or opened
@@ -210,6 +223,8 @@ class _Builder:
             for arm in reversed(plan.order):
                 steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
                 self._alone(arm, steps[1:], f"{arm} is home again")
+        for arm in self.arms:
+            self.steps[arm] = [_at_station(step, arms[arm].station) for step in self.steps[arm]]
         ids = np.arange(1, len(keep) + 1)
         return {
             arm: OperationProgram(
@@ -295,6 +310,18 @@ class _Builder:
             if not together:
                 self._meet(f"{targets.arms[0]} has run its moves", float(duration[first:last].sum()))
             self._actions(targets, last - 1, keep)
+
+
+def _first_station(arm: Arm) -> float | None:
+    """Where the track of an arm stands before anything moves, None without one."""
+    return None if arm.track is None else arm.track.home
+
+
+def _at_station(step: Step, station: float | None) -> Step:
+    """A joint move that says nothing of the arm's track is one at its station."""
+    if isinstance(step, Joints) and step.station is None:
+        return dataclasses.replace(step, station=station)
+    return step
 
 
 def _runs(number: int, segments: Sequence[Segment], first: int, last: int, together: bool) -> list[Run]:
@@ -408,6 +435,18 @@ def _pauses(written: Sequence[tuple[FloatArray, FloatArray]], keep: IntArray) ->
         goes = np.any(np.diff(position[stations], axis=0) != 0.0, axis=1)
         still |= ~(goes | np.any(np.diff(quaternion[stations], axis=0) != 0.0, axis=1))
     return np.asarray(still | np.append(still[1:], False))
+
+
+def _turns(written: Sequence[FloatArray], targets: Targets, keep: IntArray) -> BoolArray:
+    """Whether (M,) the kept moves have to stop because the TCP of one of these arms, whose corners are
+    lengths on its way, stands in this move or in the next one; not where work has a least feed."""
+    still = np.zeros(len(keep), dtype=bool)
+    for position in written:
+        way = np.diff(position[np.concatenate([[0], keep])], axis=0)
+        still |= np.linalg.norm(way, axis=1) <= corner_rounding.STANDING_MM
+    fed = targets.feed_min[keep] > 0.0
+    free = ~(fed | np.append(fed[1:], False))
+    return np.asarray((still | np.append(still[1:], False)) & free)
 
 
 def _durations(plan: OperationPlan, keep: IntArray) -> FloatArray:

@@ -27,6 +27,7 @@ from planner.post.rapid import controller_files as rapid_files
 from planner.post.rapid import program as rapid_program
 from planner.post.rapid.syntax import alike, procedure
 from planner.post.steps import build
+from planner.post.urscript import program as ur_program
 from planner.problem import Arm, Problem
 from planner.targets import Targets
 
@@ -50,6 +51,8 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
         if not signals and not wires:
             continue
         name = task.arm.name
+        if task.robot.family == "UR":
+            continue  # its installation is set at the panel
         if task.robot.family == "KUKA":
             made, folder = krl_files.files(controller, name, signals, wires), name
         elif alone:
@@ -78,8 +81,10 @@ def used(problem: Problem, made: Sequence[Targets]) -> list[Arm]:
     return [arm for arm in problem.cell.arms if arm.name in names]
 
 
-LANGUAGES: Final = {"ABB": "RAPID", "KUKA": "KRL"}
+LANGUAGES: Final = {"ABB": "RAPID", "KUKA": "KRL", "UR": "URScript"}
 """Languages of programs by the families of controllers that read them."""
+_BY_NUMBER: Final = ("KUKA", "UR")
+"""Families whose controllers know signals by number alone."""
 
 
 def _unspoken(arms: Sequence[Arm]) -> list[Issue]:
@@ -103,30 +108,47 @@ def speaks_krl(arm: Arm) -> bool:
     return arm.data.family == "KUKA"
 
 
+def speaks_urscript(arm: Arm) -> bool:
+    """Whether an arm's controller is UR's."""
+    return arm.data.family == "UR"
+
+
 def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
     """Why the controllers of this cell cannot do this job, however it is planned: KUKA arms on a controller
-    for both (``post.controller``), signals that KRL has no number for (``post.signal``), families without a
-    language (``post.language``)."""
+    for both, arms of UR beside others (``post.controller``) or that are none (``post.ur_arm``), signals
+    without a number where programs need it (``post.signal``), families without a language
+    (``post.language``)."""
     arms = used(problem, made)
     if unspoken := _unspoken(arms):
         return tuple(unspoken)
     together = len(arms) > 1
+    if together and any(map(speaks_urscript, arms)):
+        names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
+        what = f"{names} cannot work in one job: programs of UR controllers meet no others yet"
+        hint = "plan with one arm of UR alone, or take ABB or KUKA robots for both"
+        return (Issue("post.controller", what, hint=hint),)
     if together and any(map(speaks_krl, arms)) and problem.cell.controller.sync != "handshake":
         names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
         hint = "set controller: {sync: handshake} and wire two outputs each way, or take ABB robots for both"
         return (Issue("post.controller", f"{names} cannot move together: {_ONE_CONTROLLER_HINT}", hint=hint),)
-    issues = []
-    for arm in filter(speaks_krl, arms):
+    issues: list[Issue] = []
+    for arm in arms:
+        if arm.data.family not in _BY_NUMBER:
+            continue
         wanted = _signals(problem, made, arm, together)
         missing = [signal for signal in wanted if problem.cell.controller.number(arm.name, signal) is None]
         if missing:
-            got = (
-                f"arm {arm.name} ({arm.robot}) is to use {', '.join(missing)}, which KRL knows by number only"
-            )
+            listed, language = ", ".join(missing), LANGUAGES[arm.data.family]
+            got = f"arm {arm.name} ({arm.robot}) is to use {listed}, which {language} knows by number only"
             hint = f"state the numbers: controller: {{io: {{{arm.name}: {{{missing[0]}: 1}}}}}}, as they are"
             issues.append(
                 Issue("post.signal", got, field=f"controller.io.{arm.name}", arm=arm.name, hint=hint)
             )
+    for arm in filter(speaks_urscript, arms):
+        try:
+            ur_program.controller_base(arm)
+        except TandemError as error:
+            issues += error.issues
     return tuple(issues)
 
 
@@ -158,7 +180,7 @@ def name_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...
     """Segments that programs cannot tell apart, that two operations of one setup have in common though
     something is claimed of them, and names that RAPID does not take (all ``post.name``). ``made``: the
     targets of each operation."""
-    rapid = not all(map(speaks_krl, used(problem, made)))
+    rapid = not all(speaks_krl(arm) or speaks_urscript(arm) for arm in used(problem, made))
     out: list[Issue] = []
     known: dict[str, Segment] = {}
     for number, targets in enumerate(made):
@@ -215,7 +237,8 @@ def _claimed(claims: Sequence[Claim]) -> set[str]:
 
 def programs(plan: Plan, problem: Problem, margins: Mapping[str, str] | None = None) -> dict[str, str]:
     """Texts of the program files by relative name, such as ``T_ROB1/TandemMain_1.mod``; of two controllers,
-    and of KUKA arms, in folders by arm, such as ``left/TandemMain_1.mod`` or ``left/ruled_wall.src``.
+    and of KUKA's and UR's arms, in folders by arm, such as ``left/TandemMain_1.mod``, ``left/ruled_wall.src``
+    or ``left/ruled_wall.script``.
 
     Each arm gets the language of its controller; files for the controllers themselves are in
     ``controller/``. ``margins``: results of the proof by name, as text; they go into the headers' comments
@@ -260,4 +283,5 @@ def _texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -
     families = {task.robot.family for task in job.tasks}
     out = rapid_program.texts(job, plan, problem, margins) if "ABB" in families else {}
     out |= krl_program.texts(job, plan, problem, margins) if "KUKA" in families else {}
+    out |= ur_program.texts(job, plan, problem, margins) if "UR" in families else {}
     return out | controller_texts(job, plan, problem)

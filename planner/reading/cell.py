@@ -11,10 +11,11 @@ from pydantic import Field, Tag
 
 from planner.catalogue.robots import JointStiffness, RobotData, robot, robot_names
 from planner.geometry.arrays import FloatArray, Shape, from_rpy
-from planner.geometry.mesh import read_mesh
+from planner.geometry.mesh_files import read_mesh
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Obstacle, SagCompensation
+from planner.reading import axes
 from planner.reading.controller import ControllerFile, controllers
 from planner.reading.materials import WiresFile, wires_at_hand
 from planner.reading.robot_file import OwnRobotFile, robot_of
@@ -292,6 +293,9 @@ class ArmFile(Strict):
     compensate_sag: Annotated[
         SagFile | None, Field(description="none: targets are commanded where they are wanted")
     ] = None
+    track: Annotated[
+        axes.TrackFile | None, Field(description="none: the base stands; `base` is that of value 0")
+    ] = None
 
 
 class ObstacleFile(Strict):
@@ -347,12 +351,14 @@ def build(spec: CellFile, folder: Path) -> Cell:
         if sag is not None and stiffness is None:
             raise TandemError(_no_stiffness(arm, number))
         made = Arm(arm.name, data.name, arm.base.matrix(), mounted, home, arm.base_auto, stiffness, sag)
-        arms.append(made if data.file is None else dataclasses.replace(made, given=data))
+        made = made if data.file is None else dataclasses.replace(made, given=data)
+        arms.append(dataclasses.replace(made, track=axes.track(arm.track, made, number)))
     _refuse_alike(arms)
     obstacles = tuple(
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
     controller = controllers(spec.controller, [arm.name for arm in spec.arms])
+    axes.check_units(arms, controller)
     wires = wires_at_hand(spec.wires or ())
     return Cell(spec.name, tuple(arms), obstacles, controller, _grippers(spec), wires)
 

@@ -27,8 +27,12 @@ from planner.problem import (
 )
 from planner.reading.strict_yaml import Name, Strict
 
-SignalNumber = Annotated[int, Field(ge=1, le=4096)]
-"""``n`` of ``$IN[n]`` or ``$OUT[n]``."""
+SignalNumber = Annotated[int, Field(ge=0, le=4096)]
+"""``n`` of ``$IN[n]`` or ``$OUT[n]``, or of UR's digital outputs."""
+UR_OUTPUTS: Final = range(16)
+"""Numbers of a UR controller's digital outputs: 0 to 7 are standard ones, 8 to 15 the configurable ones."""
+OTHER_NUMBERS: Final = range(1, 4097)
+"""Numbers of signals of all other controllers."""
 
 
 class SignalsFile(Strict):
@@ -162,7 +166,8 @@ class ControllerFile(Strict):
     io: Annotated[
         dict[Name, dict[Name, SignalNumber]],
         Field(
-            default_factory=dict, description="numbers of the signals of KUKA controllers, by arm and name"
+            default_factory=dict,
+            description="numbers of the signals of KUKA and UR controllers, by arm and name",
         ),
     ]
     robotware: Annotated[
@@ -339,7 +344,26 @@ def faults(cell: Cell, operations: Sequence[Operation]) -> list[Issue]:
     """Signals that two uses share, names that are too long (both ``problem.field``), and options that are
     missing (``post.option``), each with its field in the problem file."""
     used = [(f"operations.{index}", operation) for index, operation in enumerate(operations)]
-    return [*_signals(cell, used), *_places(cell), *_options(cell.controller, cell, operations)]
+    return [
+        *_signals(cell, used),
+        *_numbers(cell),
+        *_places(cell),
+        *_options(cell.controller, cell, operations),
+    ]
+
+
+def _numbers(cell: Cell) -> list[Issue]:
+    """Signals have numbers that the arm's controller has."""
+    out = []
+    for arm in cell.arms:
+        allowed = UR_OUTPUTS if arm.data.family == "UR" else OTHER_NUMBERS
+        for name, number in cell.controller.io.get(arm.name, {}).items():
+            if number not in allowed:
+                got = f"{name} is number {number} on the {arm.data.family} controller of arm {arm.name}"
+                what = f"{got}; allowed: {allowed.start} to {allowed.stop - 1}"
+                field = f"cell.controller.io.{arm.name}.{name}"
+                out.append(Issue("problem.field", what, field=field, hint="state the number that it has"))
+    return out
 
 
 def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
@@ -377,7 +401,8 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
             use(lock.of(signal).signal, f"the output that {signal} drives", f"{place}.outputs")
     for arm in cell.arms:
         for request, output in lock.outputs.items():
-            if controller.number(arm.name, request) and not controller.number(arm.name, output.signal):
+            stated = controller.number(arm.name, request) is not None and arm.data.family != "UR"
+            if stated and controller.number(arm.name, output.signal) is None:
                 got = (
                     f"{output.signal} has no number on the controller of arm {arm.name}, where {request} has"
                 )

@@ -20,9 +20,10 @@ from planner.geometry.rulings import resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.geometry.wing import Panel, naca, read_airfoil, wing_surface
 from planner.issues import Issue, Severity, TandemError
-from planner.reading import rhino
+from planner.reading import rhino, step
 from planner.reading.drawing import read_dxf
 from planner.reading.rhino import RhinoFile, RhinoRuledFile
+from planner.reading.step import StepRuledFile
 from planner.reading.strict_yaml import Far, FileName, Name, Strict, Unit, Vector
 
 Chord = Annotated[float, Field(ge=5, le=20_000)]
@@ -148,7 +149,8 @@ class GuideFile(Strict):
 
 
 class RuledFile(Strict):
-    """A ruled surface between two guides, ``start`` and ``end``, or a ruled face of a Rhino file.
+    """A ruled surface between two guides, ``start`` and ``end``, or a ruled face of a Rhino, STEP or IGES
+    file.
 
     ``match``: by arc length, by parameter (of splines, or points of polylines one to one), or so that it is
     twisted least; corners are kept together. A closed surface has the part inside, or around it with
@@ -160,6 +162,7 @@ class RuledFile(Strict):
     start: GuideFile | None = None
     end: GuideFile | None = None
     rhino: RhinoRuledFile | None = None
+    step: StepRuledFile | None = None
     closed: bool = False
     match: Literal["arc_length", "parameter", "least_twist"] = "arc_length"
     flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
@@ -167,9 +170,10 @@ class RuledFile(Strict):
 
     @model_validator(mode="after")
     def _sides(self) -> RuledFile:
-        if (self.rhino is None) == (self.start is None) or (self.start is None) != (self.end is None):
-            raise ValueError("give start and end, or rhino in their place")
-        if self.rhino is not None and "match" in self.model_fields_set:
+        given = [self.start, self.rhino, self.step]
+        if given.count(None) != 2 or (self.start is None) != (self.end is None):
+            raise ValueError("give start and end, or rhino or step in their place")
+        if self.start is None and "match" in self.model_fields_set:
             raise ValueError("match is for guides; the rulings of a face are its own")
         if self.closed and self.flip:
             raise ValueError(
@@ -185,8 +189,10 @@ class RuledFile(Strict):
 def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[Issue]]:
     """The surface in the part's frame, within 0.01 mm, and notes.
 
-    Raises ``TandemError``: issues of DXF and Rhino files, ``part.guide``, ``part.corners``.
+    Raises ``TandemError``: issues of DXF, Rhino and STEP files, ``part.guide``, ``part.corners``.
     """
+    if spec.step is not None:
+        return step.ruled(spec.name, spec.step, spec.closed, spec.flip, spec.hole, folder, f"{field}.step")
     if spec.rhino is not None:
         return rhino.ruled(spec.name, spec.rhino, spec.closed, spec.flip, spec.hole, folder, f"{field}.rhino")
     guides: list[Guide] = []

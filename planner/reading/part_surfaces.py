@@ -17,22 +17,32 @@ from planner.geometry import ruled_approximation
 from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import ArcRail, CurveKind, Loft, grid_counts, tessellate
 from planner.geometry.mesh import (
-    LARGEST_EXTENT,
-    SMALLEST_EXTENT,
     TriangleMesh,
     check_surface,
     face_areas,
     offset,
-    read_mesh,
     vertex_normals,
 )
+from planner.geometry.mesh_files import LARGEST_EXTENT, SMALLEST_EXTENT, read_mesh, unit_note
 from planner.geometry.ruled_approximation import Patch, find_rulings, of_mesh, of_surface
 from planner.geometry.rulings import edge_surface, resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, Severity, TandemError
-from planner.reading import rhino
+from planner.reading import rhino, step
+from planner.reading.cad_faces import CadFace
 from planner.reading.rhino import RhinoFaceFile
-from planner.reading.strict_yaml import Angle, Far, FileName, Fraction, Positive, Scale, Strict, Unit, Vector
+from planner.reading.step import StepFaceFile
+from planner.reading.strict_yaml import (
+    Angle,
+    Far,
+    FileName,
+    FileUnit,
+    Fraction,
+    Positive,
+    Scale,
+    Strict,
+    Vector,
+)
 
 _MOST_CELLS = 1_000_000
 """Most cells of a tessellated loft; a face of 1 m in cells of 1 mm has as many."""
@@ -143,45 +153,48 @@ class LoftFile(Strict):
 
 
 class FaceMeshFile(Strict):
-    """An open mesh in an OBJ, STL or PLY file, in a stated unit; ``scale`` multiplies it on top."""
+    """An open mesh in an OBJ, STL or PLY file, in a stated unit, or in a GLB or 3MF file, in its own;
+    ``scale`` multiplies it on top."""
 
     file: FileName
-    unit: Unit
+    unit: FileUnit = None
     scale: Scale = 1.0
     flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
 
 
 class FrontFile(Strict):
-    """The front face: exactly one of ``loft``, ``mesh`` and ``rhino``. Its normal points away from the
-    part."""
+    """The front face: exactly one of ``loft``, ``mesh``, ``rhino`` and ``step``. Its normal points away
+    from the part."""
 
     loft: LoftFile | None = None
     mesh: FaceMeshFile | None = None
     rhino: RhinoFaceFile | None = None
+    step: StepFaceFile | None = None
 
     @model_validator(mode="after")
     def _one(self) -> FrontFile:
-        _only_one(self.loft, self.mesh, self.rhino)
+        _only_one(self.loft, self.mesh, self.rhino, self.step)
         return self
 
 
 def _only_one(*given: object) -> None:
     if sum(one is not None for one in given) != 1:
-        raise ValueError("give exactly one of loft, mesh and rhino")
+        raise ValueError("give exactly one of loft, mesh, rhino and step")
 
 
 class BackFile(Strict):
-    """The back face: the front moved inwards by ``offset_mm``, or a ``mesh`` or a face of a ``rhino`` file of
-    its own."""
+    """The back face: the front moved inwards by ``offset_mm``, or a ``mesh`` or a face of a ``rhino`` or
+    ``step`` file of its own."""
 
     offset_mm: Annotated[float, Field(ge=0.5, le=10_000)] | None = None
     mesh: FaceMeshFile | None = None
     rhino: RhinoFaceFile | None = None
+    step: StepFaceFile | None = None
 
     @model_validator(mode="after")
     def _one(self) -> BackFile:
-        if sum(one is not None for one in (self.offset_mm, self.mesh, self.rhino)) != 1:
-            raise ValueError("give exactly one of offset_mm, mesh and rhino")
+        if sum(one is not None for one in (self.offset_mm, self.mesh, self.rhino, self.step)) != 1:
+            raise ValueError("give exactly one of offset_mm, mesh, rhino and step")
         return self
 
 
@@ -220,13 +233,12 @@ def surface(
     given: FrontFile | BackFile | StripsFile, folder: Path, field: str
 ) -> tuple[TriangleMesh, FloatArray, list[Issue]]:
     """A face from a loft, a mesh or a Rhino file, with the unit normals (V, 3) of its vertices, and notes."""
-    if given.rhino is not None:
-        found = rhino.face(given.rhino, folder, f"{field}.rhino")
-        check_file(found.mesh, field, folder / given.rhino.file)
-        return found.mesh, found.normals, list(found.notes)
+    cad = _cad_face(given, folder, field)
+    if cad is not None:
+        return cad.mesh, cad.normals, list(cad.notes)
     if given.mesh is not None:
         own = read_face(given.mesh, folder, field)
-        return own, vertex_normals(own), []
+        return own, vertex_normals(own), unit_note(folder / given.mesh.file, f"{field}.mesh")
     loft = None if isinstance(given, BackFile) else given.loft
     if loft is None:
         raise ValueError("a face needs a loft, a mesh or a Rhino file")
@@ -243,6 +255,18 @@ def surface(
     if loft.flip:
         normals, faces = -normals, faces[:, ::-1]
     return TriangleMesh(vertices, faces), normals, []
+
+
+def _cad_face(given: FrontFile | BackFile | StripsFile, folder: Path, field: str) -> CadFace | None:
+    """The face of a Rhino, STEP or IGES file, None where there is none of these."""
+    if given.rhino is not None:
+        found, name = rhino.face(given.rhino, folder, f"{field}.rhino"), given.rhino.file
+    elif given.step is not None:
+        found, name = step.face(given.step, folder, f"{field}.step"), given.step.file
+    else:
+        return None
+    check_file(found.mesh, field, folder / name)
+    return found
 
 
 def check_size(front: TriangleMesh, field: str) -> None:
@@ -270,7 +294,7 @@ def check_file(mesh: TriangleMesh, field: str, path: Path) -> None:
 
 def read_face(spec: FaceMeshFile, folder: Path, field: str) -> TriangleMesh:
     """The face of a mesh file. Raises ``TandemError``: issues of mesh files."""
-    mesh = read_mesh(folder / spec.file, LENGTH_UNITS[spec.unit] * spec.scale)
+    mesh = read_mesh(folder / spec.file, None if spec.unit is None else LENGTH_UNITS[spec.unit], spec.scale)
     check_file(mesh, field, folder / spec.file)
     return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) if spec.flip else mesh
 
@@ -308,8 +332,8 @@ class RuledMeshFile(FaceMeshFile):
 
 
 class StripsFile(Strict):
-    """A free-form surface, a ``loft``, or a ``mesh`` or ``rhino`` face with four corners, cut into ruled
-    strips.
+    """A free-form surface, a ``loft``, or a ``mesh``, ``rhino`` or ``step`` face with four corners, cut into
+    ruled strips.
 
     ``across``: the parameter in whose direction the strips follow one another. ``count`` strips, or as few as
     keep within ``tolerance_mm``; ``take`` is the one that this problem cuts, from 1.
@@ -318,6 +342,7 @@ class StripsFile(Strict):
     loft: LoftFile | None = None
     mesh: FaceMeshFile | None = None
     rhino: RhinoFaceFile | None = None
+    step: StepFaceFile | None = None
     across: Literal["u", "v"] = "u"
     count: Annotated[int, Field(ge=1, le=ruled_approximation.MOST_STRIPS)] | None = None
     tolerance_mm: Tolerance = 1.0
@@ -325,7 +350,7 @@ class StripsFile(Strict):
 
     @model_validator(mode="after")
     def _one(self) -> StripsFile:
-        _only_one(self.loft, self.mesh, self.rhino)
+        _only_one(self.loft, self.mesh, self.rhino, self.step)
         return self
 
 
@@ -354,7 +379,7 @@ def build_mesh(spec: RuledMeshFile, folder: Path) -> tuple[Ruled, list[Issue]]:
         limit=limit,
         unit="mm",
     )
-    return ruled, [note]
+    return ruled, [*unit_note(folder / spec.file, "part.mesh"), note]
 
 
 def build_strips(spec: StripsFile, folder: Path) -> tuple[Ruled, list[Issue]]:
@@ -393,14 +418,12 @@ def surface_patch(given: FrontFile | StripsFile, folder: Path, field: str) -> tu
 
     Raises ``TandemError``: issues of mesh and Rhino files, ``part.patch``.
     """
-    if given.rhino is not None:
-        found = rhino.face(given.rhino, folder, f"{field}.rhino")
-        check_file(found.mesh, field, folder / given.rhino.file)
-        check_size(found.mesh, field)
-        if found.surface is None:
-            return of_mesh(found.mesh, f"{field}.rhino"), list(found.notes)
-        of_face = of_surface(found.surface, *found.surface.region, found.mesh, found.turned)
-        return of_face, list(found.notes)
+    cad = _cad_face(given, folder, field)
+    if cad is not None:
+        check_size(cad.mesh, field)
+        if cad.surface is None:
+            return of_mesh(cad.mesh, f"{field}.rhino"), list(cad.notes)
+        return of_surface(cad.surface, *cad.surface.region, cad.mesh, cad.turned), list(cad.notes)
     own, _, notes = surface(given, folder, field)
     check_size(own, field)
     if given.loft is None:

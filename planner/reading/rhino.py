@@ -17,14 +17,11 @@ from pydantic import Field
 
 from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, Ruled
-from planner.geometry.curves import CORNER_ANGLE, Guide, turns
-from planner.geometry.matching import join
 from planner.geometry.mesh import TriangleMesh, vertex_normals
 from planner.geometry.nurbs import NurbsCurve, NurbsSurface, rectangle
-from planner.geometry.placing import backwards, outwards
-from planner.geometry.rulings import resample
 from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, Severity
+from planner.reading.cad_faces import CadFace, Refusals, Way, between_sides, faceted
 from planner.reading.drawing import (
     CAD_INSTALL,
     FLATNESS,
@@ -58,10 +55,6 @@ ON_FACE: Final = 1e-5
 """Edges of a face are off it by this at most [m]."""
 ON_LINE_SHARE: Final = 1e-4
 """Share of a surface's parameters by which an edge along one of its lines may be off that line."""
-CLOSED_WITHIN: Final = 1e-7
-"""Sides of a face whose ends are this near [m] go all round."""
-MOST_CELLS: Final = 1_000_000
-"""Most cells of a face's facets."""
 LAYERS_TOLD: Final = 12
 """Layers that a message names at most."""
 
@@ -144,58 +137,16 @@ def ruled(
     """
     found = _read(spec, folder, field, ("face",))
     surface, reverse = _face(found, spec, field)
-    straight = {key: surface.straight(k) for k, key in enumerate("uv")}
-    if spec.rulings is not None and not straight[spec.rulings]:
-        what = f"its lines along {spec.rulings} are not straight"
-        raise refused("part.not_ruled", found.path, field, what + _instead(straight))
-    ways = [key for key in "uv" if straight[key] and spec.rulings in (None, key)]
-    if not ways:
-        raise refused("part.not_ruled", found.path, field, f"the face{spec.asked()} bends both ways{_FREE}")
-    if len(ways) > 1:
-        what = f"the face{spec.asked()} is straight both ways; say along which the wire lies: rulings: u or v"
-        raise refused("part.not_ruled", found.path, field, what)
-    along = "uv".index(ways[0])
-    start, end = surface.rails(along, FLATNESS)
-    if (along == 0) != reverse:  # tangent x ruling is the face's normal
-        start, end = start[::-1], end[::-1]
-    shut = [float(np.linalg.norm(side[0] - side[-1])) <= CLOSED_WITHIN for side in (start, end)]
-    if all(shut) != closed:
-        what = "goes all round: add closed: true" if all(shut) else "does not go all round: take closed out"
-        raise refused("part.rhino", found.path, field, f"the face{spec.asked()} {what}")
-    if closed:
-        start, end = start[:-1], end[:-1]
-    corner = (turns(start, closed) > CORNER_ANGLE) | (turns(end, closed) > CORNER_ANGLE)
-    parameter = np.arange(len(start)) / (len(start) if closed else len(start) - 1)
-    one, other = (Guide(side, corner, parameter, closed) for side in (start, end))
-    made = join(name, one, other, "parameter", hole)
-    if closed:
-        made = outwards(made)
-    elif flip:
-        made = backwards(made)
-    return resample(made, 0.5e-5, 1.0), list(found.notes)
+    way = Way(spec.rulings, closed, flip, hole)
+    made = between_sides(name, surface, reverse, way, _refusals(found, spec, field))
+    return made, list(found.notes)
 
 
-_FREE: Final = "; take it as front or strips, which may be free-form"
+def _refusals(found: _Found, spec: RhinoFile, field: str) -> Refusals:
+    return Refusals("part.rhino", "part.rhino_facets", found.path, field, f"the face{spec.asked()}")
 
 
-def _instead(straight: dict[str, bool]) -> str:
-    other = [key for key, value in straight.items() if value]
-    return f"; those along {other[0]} are" if other else _FREE
-
-
-@dataclasses.dataclass(frozen=True)
-class RhinoFace:
-    """A face as facets, with the unit normals (V, 3) of its vertices; the surface that they stand for, None
-    of a mesh, and whether its normal is ``turned``; notes."""
-
-    mesh: TriangleMesh
-    normals: FloatArray
-    surface: NurbsSurface | None
-    turned: bool
-    notes: tuple[Issue, ...]
-
-
-def face(spec: RhinoFaceFile, folder: Path, field: str) -> RhinoFace:
+def face(spec: RhinoFaceFile, folder: Path, field: str) -> CadFace:
     """A face or a mesh in SI units; how far facets are off the face is among its notes.
 
     Raises ``TandemError``: as :func:`curves`.
@@ -204,30 +155,10 @@ def face(spec: RhinoFaceFile, folder: Path, field: str) -> RhinoFace:
     if len(found.objects) == 1 and not isinstance(found.objects[0], tuple):
         mesh = _mesh(found.objects[0], found.metres)
         mesh = TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) if spec.flip else mesh
-        return RhinoFace(mesh, vertex_normals(mesh), None, spec.flip, found.notes)
+        return CadFace(mesh, vertex_normals(mesh), None, spec.flip, found.notes)
     surface, reverse = _face(found, spec, field)
-    try:
-        vertices, normals, faces, off = surface.facets(spec.chord_mm * MM, MOST_CELLS)
-    except ValueError as error:
-        what = f"the face{spec.asked()}: {error}; allow a larger chord_mm, or check the file's unit"
-        raise refused("part.rhino", found.path, field, what) from error
-    turned = reverse != spec.flip
-    if turned:
-        normals, faces = -normals, faces[:, ::-1]
-    what = (
-        f"{found.path.name}: {len(faces)} facets are off the face by {off / MM:.2g} mm at most, as measured"
-    )
-    told = Issue(
-        "part.rhino_facets",
-        what,
-        Severity.NOTE,
-        file=str(found.path),
-        field=field,
-        value=off / MM,
-        limit=spec.chord_mm,
-        unit="mm",
-    )
-    return RhinoFace(TriangleMesh(vertices, faces), normals, surface, turned, (*found.notes, told))
+    of = _refusals(found, spec, field)
+    return faceted(surface, reverse != spec.flip, spec.chord_mm, of, found.notes)
 
 
 def _read(spec: RhinoFile, folder: Path, field: str, kinds: Sequence[Kind]) -> _Found:

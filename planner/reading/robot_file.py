@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 from planner.catalogue.robots import ArmForm, Family, OpwParameters, RobotData, RobotFile, RodCoupling
 from planner.files import is_file
 from planner.geometry.arrays import FloatArray, Shape, read_only
-from planner.geometry.mesh import MESH_SUFFIXES, read_mesh
+from planner.geometry.mesh_files import PLAIN_SUFFIXES, read_mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.reading.strict_yaml import Angle, FileName, Name, Strict
@@ -57,7 +57,7 @@ class OwnRobotFile(Strict):
     )
     family: Annotated[
         Literal["abb", "kuka", "ur", "generic"],
-        Field(description="of its controller: RAPID or KRL; no programs for the others yet"),
+        Field(description="of its controller: RAPID, KRL or URScript; no programs for `generic`"),
     ]
     controller: Annotated[
         str | None, Field(max_length=50, description="none: IRC5, KRC4, e-Series, not stated")
@@ -125,7 +125,7 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
         home=home,
         sources=tuple(f"{key}: {source}" for key, source in sorted(spec.sources.items())),
         assumed=tuple(_assumed(spec, chain, found)),
-        file=RobotFile(text, spec.base, chain.tip_link, chain.zero, chain.axis, shapes),
+        file=RobotFile(text, spec.base, chain.tip_link, chain.zero, chain.axis, shapes, chain.joints),
     )
     read_only(data)
     if not float(data.limit_margin(home)) >= 0.0:
@@ -220,7 +220,7 @@ def _shapes(
         file = mesh_file(one.file, spec, path)
         if file is None:
             lost.append(one.file)
-        elif file.suffix.lower() not in MESH_SUFFIXES:
+        elif file.suffix.lower() not in PLAIN_SUFFIXES:
             unread.append(one.file)
         else:
             out[one.link].append(_hull(one, file))

@@ -17,7 +17,8 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from planner.catalogue.materials import sheet_metal
 from planner.geometry.arrays import FloatArray, IntArray, Mesh, Shape, dots, from_parts, from_rpy, transform
-from planner.geometry.mesh import TriangleMesh, check_surface, read_mesh, vertex_normals
+from planner.geometry.mesh import TriangleMesh, check_surface, vertex_normals
+from planner.geometry.mesh_files import read_mesh, unit_note
 from planner.geometry.mesh_queries import outer_hull
 from planner.geometry.mesh_repair import (
     NOISE_BOUND_DEVIATIONS,
@@ -34,7 +35,7 @@ from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Formed, Part, Sheet, Stock
 from planner.reading.cell import PoseFile
-from planner.reading.strict_yaml import FileName, Positive, Strict, Unit
+from planner.reading.strict_yaml import FileName, FileUnit, Positive, Strict
 
 OPENING_CORNERS: Final = 72
 """Corners of a round opening, on the circle."""
@@ -187,7 +188,7 @@ class SheetMeshFile(Strict):
     """
 
     file: FileName
-    unit: Unit
+    unit: FileUnit = None
     face: Literal["top", "middle", "bottom"]
     frame: Literal["sheet", "find"] = "sheet"
     down: Annotated[bool, Field(description="with frame find: the part goes down, away from the top")] = True
@@ -206,7 +207,7 @@ def build(spec: SheetMeshFile, folder: Path, stock: Stock, pose: FloatArray | No
         what = "part.sheet_mesh: there is a block and no sheet; give sheet: instead of stock:"
         raise TandemError(Issue("problem.field", what, field="part.sheet_mesh"))
     path = folder / spec.file
-    mesh = sewn(read_mesh(path, LENGTH_UNITS[spec.unit]))
+    mesh = sewn(read_mesh(path, None if spec.unit is None else LENGTH_UNITS[spec.unit]))
     wrong = check_surface(mesh, "part.sheet_mesh.file", str(path))
     wrong = [issue for issue in wrong if issue.code in ("mesh.non_manifold", "mesh.pieces")]
     if wrong:
@@ -229,7 +230,10 @@ def build(spec: SheetMeshFile, folder: Path, stock: Stock, pose: FloatArray | No
     _require_flat_rim(mesh, rim, RIM_FLATNESS + max(face.tolerance, NOISE_BOUND_DEVIATIONS * noise), path)
     _require_fits(face.meant, sheet, path)
     planned, given = (Mesh(one.vertices, one.faces) for one in (face.meant, mesh))
-    return Part(formed=Formed(planned, given, face.tolerance, stated), notes=face.notes)
+    return Part(
+        formed=Formed(planned, given, face.tolerance, stated),
+        notes=(*unit_note(path, "part.sheet_mesh.file"), *face.notes),
+    )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Discriminator, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, ValidationInfo
 
 from planner.files import FILE_KEYS, is_file, no_file
 from planner.issues import Issue, TandemError
@@ -156,6 +156,8 @@ def parse(raw: bytes, name: str) -> tuple[dict[str, Any], yaml.Node | None]:
         KeyError,
         AttributeError,
     ) as error:  # values of a tag that are not its
+        if "nesting depth" in str(error):  # PyYAML counts too, from 6.0.4 on
+            raise _not_yaml(name, _TOO_DEEPLY_NESTED) from error
         mark = getattr(error, "problem_mark", None)
         detail = getattr(error, "problem", None) or str(error).splitlines()[0]
         line = mark.line + 1 if mark else None
@@ -330,6 +332,24 @@ Positive = Annotated[float, Field(ge=0.01, le=100_000)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Scale = Annotated[float, Field(gt=0, le=100_000)]
 Unit = Literal["mm", "cm", "m", "in", "ft"]
+
+
+def _united(unit: Unit | None, read: ValidationInfo) -> Unit | None:
+    """The unit of the ``file`` above it, which may be left out where files of its kind state their own."""
+    from planner.geometry.mesh_files import UNIT_SUFFIXES  # numpy, which most files that are read do not want
+
+    file = read.data.get("file")
+    if unit is None and file is not None and not file.lower().endswith(UNIT_SUFFIXES):
+        raise ValueError("is required, as unit: mm; only GLB and 3MF files state their own")
+    return unit
+
+
+FileUnit = Annotated[
+    Unit | None,
+    AfterValidator(_united),
+    Field(description="of its lengths; GLB and 3MF files state their own", validate_default=True),
+]
+"""Of files that may state their unit; where one does, the problem need not."""
 Name = Annotated[
     str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$", description="letter first, at most 24 characters")
 ]

@@ -212,9 +212,9 @@ def cell_model(problem: Problem, plan: Plan, setup: Setup | None = None) -> Cell
     return plant.build(own.cell, own.stock, plan.places[own.number - 1], plan.bases)
 
 
-def show(problem: Problem, plan: Plan) -> Viewer:
-    """The replay in a browser, live. Raises ``TandemError`` (``report.replay_failed``)."""
-    return replay.show(cell_model(problem, plan), problem, plan)
+def show(problem: Problem, plan: Plan, proof: Proof | None = None) -> Viewer:
+    """The replay in a browser, live, and as a page. Raises ``TandemError`` (``report.replay_failed``)."""
+    return replay.show(cell_model(problem, plan), problem, plan, proof)
 
 
 def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:

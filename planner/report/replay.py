@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import html
 import json
+import sys
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -243,6 +244,11 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
     Raises :class:`TandemError` (``report.replay_failed``) if Meshcat cannot start.
     """
     meshcat, run = _filmed(model, problem, plan)
+    return _page(meshcat, run, problem, plan, proof)
+
+
+def _page(meshcat: Any, run: Track, problem: Problem, plan: Plan, proof: Proof | None) -> str:
+    """The replay as text, of the Meshcat that shows it."""
     page = str(meshcat.StaticHtml())
     title = f"{problem.name} – Tandem replay"
     bar = time_bar(problem.name, run, _clock(run, proof), plan.duration or None)
@@ -275,20 +281,32 @@ def _filmed(model: CellModel, problem: Problem, plan: Plan) -> tuple[Any, Track]
 
 @dataclasses.dataclass(frozen=True)
 class Viewer:
-    """A plan in a browser at ``url`` for as long as this value lives; a notebook shows it in its cell."""
+    """A plan in a browser at ``url`` for as long as this value lives. A notebook shows it in its cell by
+    ``page``, the replay that a result folder has, which needs neither this process nor a network."""
 
     url: str
     meshcat: Any
+    page: str = dataclasses.field(repr=False)
 
     def _repr_html_(self) -> str:
-        return f'<iframe src="{html.escape(self.url)}" width="100%" height="520" style="border:0"></iframe>'
+        style = 'width="100%" height="560" style="border:0"'
+        return f'<iframe srcdoc="{html.escape(self.page)}" {style}></iframe>'
 
 
-def show(model: CellModel, problem: Problem, plan: Plan) -> Viewer:
-    """The replay in a server of Meshcat on this machine, with its animation under "Animations". Raises as
-    :func:`document`."""
-    meshcat, _ = _filmed(model, problem, plan)
-    return Viewer(str(meshcat.web_url()), meshcat)
+def in_notebook() -> bool:
+    """Whether a kernel of Jupyter runs this, whose cells show values by their HTML."""
+    if "IPython" not in sys.modules:
+        return False
+    import IPython
+
+    return getattr(IPython.get_ipython(), "kernel", None) is not None
+
+
+def show(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> Viewer:
+    """The replay in a server of Meshcat on this machine, with its animation under "Animations", and as a
+    page. Raises as :func:`document`."""
+    meshcat, run = _filmed(model, problem, plan)
+    return Viewer(str(meshcat.web_url()), meshcat, _page(meshcat, run, problem, plan, proof))
 
 
 def _clock(run: Track, proof: Proof | None) -> Clock:
@@ -352,7 +370,7 @@ def _bodies(
 ) -> None:
     """Robots and fixed bodies, tools and blocks of all setups, each shown in the setups that have it."""
     scene = scenes.extract(model)
-    poses = scene.poses(run.q)
+    poses = scenes.ridden(scene, problem.setups, run.setup, scene.poses(run.q))
     for number, piece in enumerate(scene.pieces):
         _object(film, f"/cell/{piece.body}/{number}", piece)
     for body in scene.bodies():

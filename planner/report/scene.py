@@ -187,6 +187,25 @@ def _seen(edge: Shape) -> Shape:
     return dataclasses.replace(edge, size=(max(radius, LEAST_WIRE_RADIUS_M), length))
 
 
+def standing(setup: Setup) -> dict[str, FloatArray]:
+    """Bases (4, 4) in the world of arms that stand on tracks, where they do in a setup."""
+    return {arm.name: arm.base for arm in setup.cell.arms if arm.track is not None}
+
+
+def ridden(
+    scene: Scene, setups: Sequence[Setup], setup: IntArray, poses: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """World poses {body: (T, 4, 4)} of a scene with arms on tracks where they stand in the setups (T,) that
+    are in force."""
+    out = dict(poses)
+    for arm in standing(setups[0]):
+        stands = np.array([one.cell.arm(arm).base[:3, 3] for one in setups])[setup]
+        for body in [body for body in poses if body.startswith(f"{arm}/")]:
+            out[body] = np.array(np.broadcast_to(poses[body], (len(setup), 4, 4)))
+            out[body][:, :3, 3] += stands - scene.model.bases[arm][:3, 3]
+    return out
+
+
 def stand(
     scene: Scene, setup: Setup, place: FloatArray, q: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:

@@ -16,7 +16,7 @@ from planner.claims.forming import SinksHolder
 from planner.geometry.arrays import FloatArray, to_quaternion, to_rpy
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Problem, Setup, Stock
+from planner.problem import Arm, LinearTrack, Problem, Setup, Stock
 from planner.report import exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import kerf_shown, operation_starts
@@ -202,6 +202,8 @@ def controller_checks(problem: Problem, plan: Plan) -> Table:
             rows += [
                 (arm.name, what, wanted, _FILL) for what, wanted in _kuka(problem, plan, arm.name, joined)
             ]
+        elif arm.data.family == "UR":
+            rows += [(arm.name, what, wanted, _FILL) for what, wanted in _ur(problem, plan, arm.name)]
         elif alone or not seen:
             seen = True
             name = arm.name if alone else ", ".join(a.name for a in arms)
@@ -216,11 +218,15 @@ def controller_checks(problem: Problem, plan: Plan) -> Table:
     return markup.table(_CHECK_COLUMNS, rows)
 
 
+_OWN_COMPENSATION = {"KUKA": "model of a positionally accurate robot", "UR": "kinematic calibration"}
+"""What the controllers of a family have to make up for the load by themselves."""
+
+
 def _sag(arm: Arm) -> list[tuple[str, str]]:
     """What makes up for the arm's sag, which must be done once, and by what figures."""
     if arm.sag is None or arm.stiffness is None:
         return []
-    own = "model of a positionally accurate robot" if arm.data.family == "KUKA" else "Absolute Accuracy"
+    own = _OWN_COMPENSATION.get(arm.data.family, "Absolute Accuracy")
     off = f"off ({own}): the program makes up for the load's sag itself"
     on = f"on ({own}): the program makes up for the work's force alone"
     joints = ", ".join(f"{value:.3g}" for value in arm.stiffness.joints)
@@ -261,6 +267,30 @@ def _wired(problem: Problem, arm: str) -> list[tuple[str, str]]:
         (f"{name} is wired", f"{at.device}, bit {at.bit}" if at else "NO DEVICE stated, so the wire is dead")
         for name, at in places
     ]
+
+
+def _ur(problem: Problem, plan: Plan, arm: str) -> list[tuple[str, str]]:
+    controller, out = problem.cell.controller, list[tuple[str, str]]()
+    for signal in _powered(problem, plan, arm):
+        number = controller.number(arm, signal)
+        name = "none" if number is None else f"digital output {number}"
+        if number is not None and number >= STANDARD_OUTPUTS:
+            name = f"configurable output {number - STANDARD_OUTPUTS}"
+        out.append((f"{signal} is {name}, in Installation, I/O", "low when the program does not run"))
+        out.append(("the power falls at a safety stop and with the drives", f"wired so, behind {name}"))
+    out += [
+        ("pose of the flange at home in Base, at the panel", "as the program's get_forward_kin has it"),
+        ("mounting in Installation", "as the arm stands"),
+        ("motion version in Installation", "noted; blends and times may differ by it"),
+        ("local control, no Dashboard client", "nothing but a person closes popups"),
+        ("time from the first movel to the last", "as planned, at 100 % speed: else the feed is another"),
+        ("behind an error or a stop that is given up", "start the program from its beginning"),
+    ]
+    return out
+
+
+STANDARD_OUTPUTS = 8
+"""How many standard digital outputs a UR controller has; the configurable ones are counted behind them."""
 
 
 def _powered(problem: Problem, plan: Plan, arm: str = "") -> list[str]:
@@ -306,11 +336,27 @@ def _abb(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str
             )
         )
     out.append(("SoftES in SYS.cfg (RUNCHN_BOOL)", "selected: arms keep to their path at an emergency stop"))
+    for item in problem.cell.arms:
+        if item.track is not None and arm in ("", item.name):
+            out += _track(item, item.track, controller.robot(problem.cell.arms.index(item)))
     if any(setup.stock.held_by for setup in problem.setups):
         out.append(("ModalPayLoadMode (SYS_MISC)", "1: else GripLoad of the held block counts for nothing"))
     out.append(("CAB_REGAIN_DIST, AUTO", "small: an arm goes back to its path by itself from so far away"))
     out.append(("behind an error or a stop that is given up", "PP to main in all tasks, then start"))
     return out
+
+
+def _track(arm: Arm, track: LinearTrack, robot: str) -> list[tuple[str, str]]:
+    """What the controller's configuration (MOC.cfg) must say of a track."""
+    along = ", ".join(markup.fixed(float(v), 6) for v in track.axis)
+    span = f"{track.low / MM:g} to {track.high / MM:g} mm, at most {track.speed / MM:g} mm/s and "
+    return [
+        (f"mechanical unit {track.unit}", "there, one linear axis, the first external one (eax_a), in mm"),
+        (f"{track.unit}: base frame", f"its values grow along ({along}) of the world"),
+        (f"{track.unit}: joint", f"{span}{track.acceleration / MM:g} mm/s²; home {track.home / MM:g} mm"),
+        (f"{robot}: base frame moved by", f"{track.unit}"),
+        (f"{robot}: base frame", f"that of arm {arm.name} at 0 mm: {_point(arm.base[:3, 3])} mm"),
+    ]
 
 
 def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str, str]]:
@@ -421,13 +467,15 @@ def _listed(phrases: Sequence[Phrase]) -> Phrase:
 
 
 def _controllers(problem: Problem) -> list[tuple[object, object]]:
-    """Tasks of ABB's arms; of KUKA's the dialect, what the controller must have, and numbers of signals."""
+    """Tasks of ABB's arms; of KUKA's the dialect, what the controller must have, and numbers of signals; of
+    UR's the numbers."""
     controller = problem.cell.controller
+    ur = [arm.name for arm in problem.cell.arms if arm.data.family == "UR"]
     krl = [arm.name for arm in problem.cell.arms if arm.data.family == "KUKA"]
     named = [
         f"{arm.name}: {task}"
         for arm, task in zip(problem.cell.arms, controller.tasks, strict=False)
-        if arm.name not in krl
+        if arm.name not in (*krl, *ur)
     ]
     out: list[tuple[object, object]] = [("tasks", ", ".join(named))] if named else []
     dialect = {"krc4": "KRC4, KSS 8.3 on", "krc2": "KRC2"}[controller.dialect]
@@ -436,6 +484,10 @@ def _controllers(problem: Problem) -> list[tuple[object, object]]:
         listed = "".join(f"; {signal} is number {number}" for signal, number in numbers.items())
         blocks = "; spline blocks, not seen on a controller" if controller.path == "spline" else ""
         out.append((f"KRL of {arm}", f"{dialect}; $ROBROOT zero{listed}{blocks}"))
+    for arm in ur:
+        numbers = controller.io.get(arm, {})
+        listed = "".join(f"; {signal} is number {number}" for signal, number in numbers.items())
+        out.append((f"URScript of {arm}", f"one program, not run on a controller yet{listed}"))
     return out
 
 

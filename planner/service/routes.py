@@ -317,7 +317,7 @@ TYPES: Final = {
     ".obj": "model/obj",
     ".npz": "application/octet-stream",
     ".yaml": "application/yaml",
-    **dict.fromkeys((".mod", ".modx", ".pgf", ".src", ".dat"), "text/plain; charset=utf-8"),
+    **dict.fromkeys((".mod", ".modx", ".pgf", ".src", ".dat", ".script"), "text/plain; charset=utf-8"),
 }
 """Content types of the files of a result."""
 SANDBOX: Final = "sandbox allow-scripts allow-downloads allow-popups; frame-ancestors 'self'"

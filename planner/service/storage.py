@@ -283,7 +283,7 @@ def _full(what: str, value: float | None, limit: float | None, hint: str | None 
 
 PLAIN: Final = ("application/json", "application/yaml", "application/x-yaml", "text/yaml")
 """Content types of a body that is the problem itself."""
-MESHES: Final = (".obj", ".stl", ".ply")
+MESHES: Final = (".obj", ".stl", ".ply", ".glb", ".3mf")
 """Endings of files that are meshes, which have a limit of their own."""
 FIELDS: Final = ("problem", "files")
 """Fields of a form that uploads a problem."""

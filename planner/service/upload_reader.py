@@ -18,9 +18,12 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 import os
 import re
 import shutil
+import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -311,6 +314,10 @@ PLY_BYTES: Final = {
 """Bytes of a value of each type in a binary PLY file."""
 PLY_HEAD_BYTES: Final = 1 << 16
 """Bytes in which the head of a PLY file must end."""
+GLB_HEAD_BYTES: Final = 1 << 24
+"""Bytes of the JSON of a GLB file that are looked at."""
+PACKED_BYTES: Final = 400_000_000
+"""Bytes of an unpacked 3MF file at most."""
 _OBJ_FACE: Final = re.compile(rb"^[ \t]*f[ \t][^\r\n]*", re.MULTILINE)
 """A line of an OBJ file that is a face."""
 _OBJ_VERTEX: Final = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
@@ -327,12 +334,16 @@ class MeshSize(NamedTuple):
 
 
 def mesh_size(path: Path, suffix: str) -> MeshSize:
-    """The size of an OBJ, STL or PLY file; zero for other kinds and for what is none."""
+    """The size of an OBJ, STL, PLY, GLB or 3MF file; zero for other kinds and for what is none."""
     kind = suffix.lower()
     if kind == ".obj":
         return _obj(path)
     if kind == ".stl":
         return _stl(path)
+    if kind == ".glb":
+        return _glb(path)
+    if kind == ".3mf":
+        return _packed(path)
     return _ply(path) if kind == ".ply" else MeshSize(0, 0)
 
 
@@ -352,6 +363,45 @@ def _stl(path: Path) -> MeshSize:
     if len(head) < STL_HEAD or STL_HEAD + STL_FACET * facets != path.stat().st_size:
         facets = sum(len(_STL_FACET.findall(part)) for part in _texts(path))
     return MeshSize(facets, 3 * facets)
+
+
+def _glb(path: Path) -> MeshSize:
+    """As its JSON says, meshes that are shown more than once counted once."""
+    with path.open("rb") as stream:
+        length = int.from_bytes(stream.read(16)[12:16], "little")
+        text = stream.read(4 + min(length, GLB_HEAD_BYTES))[4:]
+    try:
+        said = json.loads(text)
+        counts = [int(one["count"]) for one in said["accessors"]]
+        every = [one for mesh in said["meshes"] for one in mesh["primitives"]]
+        vertices = [counts[one["attributes"]["POSITION"]] for one in every]
+        corners = [
+            counts[one["indices"]] if "indices" in one else n for one, n in zip(every, vertices, strict=True)
+        ]
+    except (ValueError, TypeError, KeyError, IndexError):
+        return MeshSize(0, 0)
+    return MeshSize(sum(corners) // 3, sum(vertices))
+
+
+def _packed(path: Path) -> MeshSize:
+    """Of a 3MF file as far as it is unpacked; one that unpacks to more has as many facets as bytes."""
+    facets = vertices = 0
+    try:
+        with zipfile.ZipFile(path) as pack:
+            inside = pack.infolist()
+            if sum(one.file_size for one in inside) > PACKED_BYTES:
+                return MeshSize(PACKED_BYTES, PACKED_BYTES)
+            for one in inside:
+                if one.filename.lower().endswith(".model"):
+                    with pack.open(one) as stream:
+                        tail = b""
+                        while piece := stream.read(LINES):
+                            facets += (tail + piece).count(b"<triangle ") - tail.count(b"<triangle ")
+                            vertices += (tail + piece).count(b"<vertex ") - tail.count(b"<vertex ")
+                            tail = piece[-16:]
+    except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError, zlib.error):
+        return MeshSize(0, 0)
+    return MeshSize(facets, vertices)
 
 
 def _ply(path: Path) -> MeshSize:
@@ -582,6 +632,8 @@ def _archives(uploads: Mapping[str, Path]) -> Iterator[Issue]:
     for name, path in uploads.items():
         with path.open("rb") as stream:
             head = stream.read(512)
+        if Path(base_name(name)).suffix.lower() == ".3mf" and zipfile.is_zipfile(path):
+            continue  # a mesh, whose contents are counted below
         if head.startswith(ARCHIVES) or head[TAR_MAGIC] == b"ustar":
             message = f"{name[:80]!r} is an archive or compressed; unpack it and upload the files themselves"
             yield Issue("service.archive", message, file=name, field="files")

@@ -28,7 +28,7 @@ from planner.claims.claim import (
 )
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
-from planner.problem import Problem, Setup, Stock
+from planner.problem import Arm, Problem, Setup, Stock
 from planner.verify import job as job_text
 from planner.verify import job as setup_text
 from planner.verify.job import JobText, SetupClaims, Spans, Stage, TaskText
@@ -41,6 +41,10 @@ from planner.verify.replay.playback import replay
 
 FEED_SLACK = 1.05
 """The replay's ramps and corners may pass feeds by this factor."""
+
+
+MOST_TRACK = 1e3
+"""Values of a track [m] beyond are none: 9E9 is an axis that is not there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -264,6 +268,9 @@ class Context:
             if task.krl is not None:
                 out[task.arm.name] = task.krl.base
                 continue
+            if task.script is not None:
+                out[task.arm.name] = self._foot(task.arm, task.script.base)
+                continue
             found = [d for d in self.data(task, BASE_FRAME) if d.kind == "pose"]
             literal = found[0].initial if len(found) == 1 else None
             value = None
@@ -272,9 +279,45 @@ class Context:
             out[task.arm.name] = value
         return out
 
+    @staticmethod
+    def _foot(arm: Arm, base: FloatArray | None) -> FloatArray | None:
+        """The base (4, 4) of a UR arm, given that which its controller counts in."""
+        if base is None:
+            return None
+        return np.asarray(base @ inverse(arm_model.machine_of(arm.data).table.base))
+
+    @cached_property
+    def stations(self) -> dict[int, dict[str, float]]:
+        """{index of an operation: {arm: value [m] of its track}}, as targets of the text have them: that of
+        the last move of each setup, whose others :mod:`planner.verify.rules.external_axes` compares."""
+        out: dict[int, dict[str, float]] = {}
+        tracks = {arm.name: arm.track for arm in self.problem.cell.arms if arm.track is not None}
+        if not tracks:
+            return out
+        for number, _, task, moves in self.moves():
+            value = float(moves[-1].target.external[0]) * 1e-3
+            if task.arm.name in tracks and abs(value) < MOST_TRACK:
+                for index in self.setups[int(self.spans.of_stage[number])].operations:
+                    out.setdefault(index, {})[task.arm.name] = value
+        return out
+
+    def based(self, index: int) -> dict[str, FloatArray]:
+        """Base poses (4, 4) of all arms in setup ``index``: those of the text, where the text's targets have
+        tracks stand."""
+        out = dict(self.bases)
+        for arm in self.setups[index].cell.arms:
+            if arm.track is not None and arm.station is not None:
+                out[arm.name] = arm.track.moved(out[arm.name], arm.station)
+        return out
+
+    @cached_property
+    def bases_by_setup(self) -> tuple[dict[str, FloatArray], ...]:
+        """:meth:`based` of each setup."""
+        return tuple(self.based(index) for index in range(len(self.setups)))
+
     @cached_property
     def bases(self) -> dict[str, FloatArray]:
-        """Base poses (4, 4) of all arms: from the text, else from the problem."""
+        """Base poses (4, 4) of all arms, on a track of value 0: from the text, else from the problem."""
         found = self.declared_bases
         out = {}
         for arm in self.problem.cell.arms:
@@ -336,7 +379,9 @@ class Context:
     def motion(self) -> Motion:
         """The replayed motion, of arms that bend where they stand then; only if :attr:`playable`."""
         tools = [{arm.name: arm.tool.tcp for arm in setup.cell.arms} for setup in self.setups]
-        made = replay(self.job, self.bases, [tools[i] for i in self.spans.of_stage])
+        based = self.bases_by_setup
+        of_stage = self.spans.of_stage
+        made = replay(self.job, [based[i] for i in of_stage], [tools[i] for i in of_stage])
         arms = [self._bending(index) for index in range(len(self.setups))]
         if not any(arms):
             return made
@@ -352,7 +397,7 @@ class Context:
             if isinstance(claim, ArmSags):
                 arm = self.setups[index].cell.arm(claim.arm)
                 machine = arm_model.machine_of(arm.data)
-                out[arm.name] = Bent(machine, claim, self.bases[arm.name], arm.tool.tcp, block)
+                out[arm.name] = Bent(machine, claim, self.based(index)[arm.name], arm.tool.tcp, block)
         return out
 
     def runs(self, index: int) -> tuple[tuple[int, ...], ...]:

@@ -24,6 +24,7 @@ from planner.claims.forming import SheetState
 from planner.claims.milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import IntArray
+from planner.issues import TandemError
 from planner.problem import Arm, Problem, Setup
 from planner.verify.krl import reader
 from planner.verify.krl.flow import Signals
@@ -43,6 +44,10 @@ from planner.verify.programs.steps import (
 )
 from planner.verify.rapid.reader import Flow, Limits, flow, read_task
 from planner.verify.rapid.syntax_tree import Module
+from planner.verify.replay.arm_model import machine_of
+from planner.verify.urscript import flow as script_flow
+from planner.verify.urscript import reader as script_reader
+from planner.verify.urscript.reader import ScriptText
 
 
 class Part(NamedTuple):
@@ -116,7 +121,8 @@ Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
 @dataclasses.dataclass(frozen=True, eq=False)
 class TaskText:
     """One task: its arm, its modules, its straight way, its error handlers and UNDO sections, and the
-    procedures (module, name) that ever run. A KRL task has ``krl`` in place of modules, and no sections."""
+    procedures (module, name) that ever run. A KRL task has ``krl`` in place of modules, and no sections; so
+    has one of URScript its ``script``."""
 
     name: str
     unit: str
@@ -128,6 +134,12 @@ class TaskText:
     called: frozenset[tuple[str, str]]
     files: Mapping[str, str]
     krl: KrlText | None = None
+    script: ScriptText | None = None
+
+    @property
+    def rapid(self) -> bool:
+        """Whether the task is RAPID."""
+        return self.krl is None and self.script is None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,15 +194,15 @@ def beside(path: str) -> bool:
 
 
 def task_names(problem: Problem) -> tuple[str, ...]:
-    """What the tasks of the arms are called here: those of two controllers may have one name, and KUKA's have
-    none, so by arm."""
+    """What the tasks of the arms are called here: those of two controllers may have one name, and KUKA's and
+    UR's have none, so by arm."""
     controller = problem.cell.controller
     alone = controller.sync == "handshake"
     tasks = (*controller.tasks, *("" for _ in problem.cell.arms))
     return tuple(
-        arm.name if alone or speaks_krl(arm) else task
+        arm.name if alone or speaks_krl(arm) or speaks_urscript(arm) else task
         for arm, task in zip(problem.cell.arms, tasks, strict=False)
-        if task or alone or speaks_krl(arm)
+        if task or alone or speaks_krl(arm) or speaks_urscript(arm)
     )
 
 
@@ -199,13 +211,26 @@ def speaks_krl(arm: Arm) -> bool:
     return arm.data.family == "KUKA"
 
 
+def speaks_urscript(arm: Arm) -> bool:
+    """Whether the arm's programs are URScript."""
+    return arm.data.family == "UR"
+
+
+def endings(arm: Arm) -> tuple[str, ...]:
+    """Endings of the names of the files of an arm's programs."""
+    if speaks_krl(arm):
+        return (".src", ".dat")
+    return (".script",) if speaks_urscript(arm) else MODULES
+
+
 def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str, dict[str, str]], list[str]]:
     """Files of each task by the task's name in the path, of an arm with a controller of its own by the arm's
     folder, and the files that belong to none."""
     names = task_names(problem)
     found: dict[str, dict[str, str]] = {task: {} for task in names}
-    krl = {name for name, arm in zip(names, problem.cell.arms, strict=False) if speaks_krl(arm)}
-    folders = krl | (set(names) if problem.cell.controller.sync == "handshake" else set())
+    arms = dict(zip(names, problem.cell.arms, strict=False))
+    folders = {name for name, arm in arms.items() if speaks_krl(arm) or speaks_urscript(arm)}
+    folders |= set(names) if problem.cell.controller.sync == "handshake" else set()
     strays: list[str] = []
     for path, text in sorted(programs.items()):
         suffix = PurePosixPath(path).suffix.lower()
@@ -215,7 +240,7 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
         words = [
             task
             for task in found
-            if suffix in ((".src", ".dat") if task in krl else MODULES)
+            if suffix in endings(arms[task])
             and (
                 task.lower() in where
                 if task in folders
@@ -243,7 +268,7 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     for number, arm in enumerate(problem.cell.arms):
         if number >= len(names) or not files[names[number]]:
             continue
-        one = _krl_task if speaks_krl(arm) else _rapid_task
+        one = _krl_task if speaks_krl(arm) else _script_task if speaks_urscript(arm) else _rapid_task
         task, wrong, lost = one(problem, number, names[number], files[names[number]])
         tasks.append(task)
         faults += wrong
@@ -292,6 +317,29 @@ def _krl_task(problem: Problem, number: int, name: str, files: Mapping[str, str]
             lost = wrong.faults
     called = frozenset(("", program) for program in entered)
     return TaskText(name, "", arm, (), steps, {}, {}, called, files, text), text.faults, lost
+
+
+def _script_task(problem: Problem, number: int, name: str, files: Mapping[str, str]) -> _Read:
+    return script_task(problem, problem.cell.arms[number], name, files)
+
+
+def script_task(problem: Problem, arm: Arm, name: str, files: Mapping[str, str]) -> _Read:
+    """The task of an arm of UR, faults of its texts, and why it has no straight way."""
+    controller = problem.cell.controller
+    text = script_reader.read(files, controller.max_bytes)
+    steps, lost = tuple[Step, ...](), tuple[Fault, ...]()
+    if not text.faults and text.program is not None:
+        outputs = {value: signal for signal, value in controller.io.get(arm.name, {}).items()}
+        try:
+            base = arm.base @ machine_of(arm.data).table.base if text.base is None else text.base
+            steps = script_flow.flow(text, base, outputs, arm.name, arm.robot, arm.data.velocity)
+        except FlowError as wrong:
+            lost = wrong.faults
+        except TandemError as wrong:
+            what = wrong.issues[0].message
+            lost = (Fault(1, 1, "urscript.flow", what, text.program.file),)
+    task = TaskText(name, "", arm, (), steps, {}, {}, frozenset(), files, None, text)
+    return task, text.faults, lost
 
 
 def krl_signals(problem: Problem, arm: Arm) -> Signals:

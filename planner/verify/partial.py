@@ -134,7 +134,11 @@ def _runs(problem: Problem, one: Read, count: _Count) -> list[tuple[list[MoveSte
             continue
         key = _key(one, part)
         part = _by_joints(one, part)
-        why = "something that is not read may shift all targets from there on" if shifted else _strange(part)
+        why = (
+            "something that is not read may shift all targets from there on"
+            if shifted
+            else _strange(part, one.arm.track is not None)
+        )
         if why:
             close()
             count.no(key, why)
@@ -170,13 +174,15 @@ def _by_joints(one: Read, move: MoveStep) -> MoveStep:
     return dataclasses.replace(move, kind="MoveAbsJ", target=target)
 
 
-def _strange(move: MoveStep) -> str:
+def _strange(move: MoveStep, tracked: bool) -> str:
     """Why the way of a move is not known, "" where it is."""
     if move.kind not in KNOWN_MOVES:
         return f"the way of {move.kind} between its targets is not known"
     if move.wobj.held or not move.wobj.fixed or not move.tool.held:
         return "its tool or its work object is not the arm's own, or moves"
     outer = move.target.external
+    if tracked:
+        return "its arm stands on a track, which moves that are left out may have moved"
     if (np.abs(outer) > 0.0).any() and (outer < 8.9e9).any():
         return "it moves an external axis"
     if {"conc", "corr", "z"} & set(move.switches):

@@ -37,6 +37,7 @@ from planner.verify.rules import (
     controller_files,
     cut_part,
     dialogue,
+    external_axes,
     forming_claims,
     forming_level,
     forming_part,
@@ -111,6 +112,7 @@ STAGE_RULES: _RuleTable = (
     block_support.rests,
     synchronisation.status,
     moves_and_settings.move_kinds,
+    external_axes.external_axes,
     moves_and_settings.unknown_start,
     moves_and_settings.zone_size,
     moves_and_settings.zero_length,
@@ -157,6 +159,7 @@ OTHER_RULES: tuple[Rule[..., Any], ...] = (
     robot_motion.kinematics,
     clearance.bodies,
     clearance.step_apart,
+    external_axes.track_way,
     clearance.wire_bodies,
 )
 """Rules about any motion that ask the most time; another process may look at the last five of them."""
@@ -269,7 +272,8 @@ class Prover:
         the same). ``last``: stop behind that rule; such a proof never holds."""
         if self._worked_out is None:
             self._worked_out = wanted_ways.worked_out(self.claims)
-        context = chosen_groups(Context(self.problem, self._worked_out[0], programs, self._worked_out[1]))
+        read = Context(self.problem, self._worked_out[0], programs, self._worked_out[1])
+        context = chosen_groups(external_axes.standing(read))
         run = _Run(context)
         for _ in self._steps(context, run):
             if run.long:
@@ -284,12 +288,12 @@ class Prover:
 
     def model(self, context: Context, index: int = 0) -> CellModel:
         """The cell of a setup, by its index, with block and bases where the text has them."""
-        return self._model(context.places, context.bases, index)
+        return self._model(context.places, context.bases_by_setup, index)
 
     def _model(
-        self, places: Sequence[FloatArray | None], bases: Mapping[str, FloatArray], index: int
+        self, places: Sequence[FloatArray | None], based: Sequence[Mapping[str, FloatArray]], index: int
     ) -> CellModel:
-        setup, place = self.problem.setups[index], places[index]
+        setup, place, bases = self.problem.setups[index], places[index], based[index]
         place = np.eye(4) if place is None else place
         if index not in self._models:
             self._models[index] = build(setup.cell, setup.stock, place, bases)
@@ -331,15 +335,16 @@ class Prover:
         yield robot_motion.kinematics(context, models)
         yield clearance.bodies(context, models, begun)
         yield clearance.step_apart(context, models)
+        yield external_axes.track_way(context, models)
 
     def _measured(
         self,
         places: Sequence[FloatArray | None],
-        bases: Mapping[str, FloatArray],
+        based: Sequence[Mapping[str, FloatArray]],
         looks: Sequence[clearance.Looks],
     ) -> Iterator[Measured | None]:
         """What is measured at looks at clearance, with blocks and bases there."""
-        models = functools.cache(functools.partial(self._model, places, bases))
+        models = functools.cache(functools.partial(self._model, places, based))
         yield from clearance.measured(models, looks, self.problem.settings.clearance)
 
     def _of_wires(self, context: Context, wires: tuple[Wire, ...]) -> Iterator[Any]:
@@ -354,7 +359,7 @@ class Prover:
             begin, of_bodies = self.begin, self.begin(self._of_bodies, context)
         else:
             begin, looks = at_once, clearance.looks(context)
-            found = self.begin(self._measured, context.places, context.bases, looks)
+            found = self.begin(self._measured, context.places, context.bases_by_setup, looks)
             of_bodies = self._of_bodies(context, (looks, found))
         forming = run.forming = Forming(context, self.begin, left)
         passes = [swept.Swept.of(one) for one in forming.formed]
@@ -398,6 +403,8 @@ class Prover:
         run.add("verify.clearance", outcome)
         yield
         run.add("verify.step_apart", next(of_bodies))
+        yield
+        run.add("verify.track_way", next(of_bodies))
         yield
         outcome, run.wire_clearance = next(of_wires)
         run.add("verify.wire_clearance", outcome)

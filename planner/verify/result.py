@@ -22,6 +22,7 @@ from planner.verify.krl.parser import without_comments
 from planner.verify.rapid.lexer import Cursor
 from planner.verify.replay.motion import differences
 from planner.verify.rules.wire import feed_speed
+from planner.verify.urscript.parser import without_comments as without_hash_comments
 from planner.verify.wire.wire_motion import Wire
 
 
@@ -220,6 +221,8 @@ def same_program(first: Mapping[str, str], second: Mapping[str, str]) -> bool:
 def _same(name: str, first: str, second: str) -> bool:
     if PurePosixPath(name).suffix.lower() in (".src", ".dat"):
         return without_comments(first) == without_comments(second)
+    if PurePosixPath(name).suffix.lower() == ".script":
+        return without_hash_comments(first) == without_hash_comments(second)
     return _lines(first) == _lines(second) or _words(first) == _words(second)
 
 

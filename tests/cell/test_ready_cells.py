@@ -28,6 +28,7 @@ def test_the_cells_are_there() -> None:
         "irb6640_irb4400_handshake",
         "irb6640_irb4400_small_tools",
         "irb6640_mill",
+        "irb6640_track",
         "kr60_engrave",
         "kr60_mill",
         "two_irb1200",

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from types import ModuleType
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
+import yaml
 
 from planner.catalogue import robots
 from planner.cell import clearance, plant
@@ -31,6 +33,8 @@ def _script(name: str) -> ModuleType:
 
 
 MAKE, MEASURE = _script("make_urdf"), _script("measure_bodies")
+EXTREMES = yaml.safe_load(Path(__file__).with_name("mesh_extremes.yaml").read_text(encoding="utf-8"))
+"""Outermost points of makers' meshes, by arm and link."""
 
 
 @pytest.mark.parametrize("name", robots.robot_names())
@@ -42,6 +46,13 @@ def _solid(solid: object) -> Solid:
     turn = {"z": (0.0, 0.0, 0.0), "y": (np.pi / 2, 0.0, 0.0), "x": (0.0, np.pi / 2, 0.0)}[solid.axis]
     size = tuple(1e-3 * v for v in solid.size)
     return Solid("", Shape(solid.kind, size, from_rpy(1e-3 * np.array(solid.xyz), turn)))
+
+
+def _outside(solids: list, points: np.ndarray) -> np.ndarray:
+    """How far points (P, 3) [mm] are out of the nearest solid [mm]; below zero inside."""
+    made = [_solid(one) for one in solids]
+    each = [signed_distance(s, transform(inverse(s.shape.pose), 1e-3 * points)) for s in made]
+    return 1e3 * np.min(each, axis=0)
 
 
 def _surface(solid: Solid, rng: np.random.Generator) -> np.ndarray:
@@ -70,6 +81,15 @@ def test_what_is_seen_lies_within_the_collision_solids(name: str) -> None:
             assert np.min(each, axis=0).max() < 0.015, (link, item.shape)
 
 
+@pytest.mark.parametrize("name", EXTREMES)
+def test_bodies_hold_the_makers_meshes(name: str) -> None:
+    """Points are rounded to whole millimetres."""
+    bodies = MAKE.measured(robots.robot(name))
+    assert list(EXTREMES[name]) == list(bodies)
+    for link, rows in EXTREMES[name].items():
+        assert _outside(bodies[link][1], np.array(rows, dtype=np.float64)).max() < 0.5 * np.sqrt(3.0), link
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_measured_solids_hold_the_mesh(seed: int) -> None:
     """An upper arm of a round motor and a beam, turned to another side each time."""
@@ -82,9 +102,8 @@ def test_measured_solids_hold_the_mesh(seed: int) -> None:
     whole.vertices = np.roll(whole.vertices, seed, axis=1)
     found = MEASURE.solids(whole.triangles)
     points = trimesh.sample.sample_surface(whole, 3000, seed=seed)[0]
-    made = [_solid(MAKE._solid([kind, extent, centre], 1)) for kind, extent, centre in found]
-    each = [signed_distance(s, transform(inverse(s.shape.pose), 1e-3 * points)) for s in made]
-    assert np.min(each, axis=0).max() < 1e-9
+    made = [MAKE._solid([kind, extent, centre], 1) for kind, extent, centre in found]
+    assert _outside(made, points).max() < 1e-6
     box = np.prod(np.ptp(whole.vertices, axis=0))
     volumes = [np.prod(size) if kind == "box" else np.pi * size[0] ** 2 * size[1] for kind, size, _ in found]
     assert sum(volumes) < 0.6 * box
@@ -117,14 +136,47 @@ def test_a_robot_is_clear_of_itself_at_home_and_in_most_postures(name: str) -> N
     assert share > 0.6
 
 
-@pytest.mark.parametrize("name", MAKE.BUILDS)
+@pytest.mark.parametrize("name", [*EXTREMES, *MAKE.BUILDS])
 def test_a_robot_folded_into_its_foot_is_seen(name: str) -> None:
-    """The 300 mm ball tool inside the base's pedestal."""
+    """The 300 mm ball tool inside the base's solids."""
     robot = robots.robot(name)
     model = plant.build(alone(name), BLOCK, FAR)
     q = np.random.default_rng(3).uniform(robot.lower, robot.upper, (4000, 6))
-    foot = model.tcp({"arm": q})["arm"][:, :3, 3]
-    height, radius = 1e-3 * MAKE.BUILDS[name].foot[2], 1e-3 * MAKE.BUILDS[name].column
-    inside = (np.hypot(foot[:, 0], foot[:, 1]) < 0.9 * radius) & (foot[:, 2] > 0.0) & (foot[:, 2] < height)
+    tip = model.tcp({"arm": q})["arm"][:, :3, 3]
+    by_eye = MAKE.BUILDS.get(name)
+    bodies = MAKE.bodies(robot, by_eye) if by_eye else MAKE.measured(robot)
+    inside = _outside(bodies["base_link"][1], 1e3 * tip) < 0.0
     if inside.any():
         assert not clearance.free(model, {"arm": q[inside]}, 0.0).any()
+
+
+BALANCED = """<robot name="arm">
+  <link name="base_link"/><link name="link_1"/><link name="link_2"/>
+  <link name="cylinder">
+    <collision><origin xyz="0 0 0.1"/><geometry><mesh filename="bar.stl"/></geometry></collision>
+  </link>
+  <joint name="one" type="revolute">
+    <parent link="base_link"/><child link="link_1"/><origin xyz="0 0 0.5"/><axis xyz="0 0 1"/>
+  </joint>
+  <joint name="two" type="revolute">
+    <parent link="link_1"/><child link="link_2"/><origin xyz="0.2 0 0"/><axis xyz="0 1 0"/>
+  </joint>
+  <joint name="three" type="continuous">
+    <parent link="link_2"/><child link="cylinder"/><origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>
+    <mimic joint="two" multiplier="-1"/>
+  </joint>
+</robot>"""
+
+
+def test_a_balancer_is_where_joint_2_takes_it(tmp_path: Path) -> None:
+    """A bar above a hinge on link 2 that turns back by as much: it stays upright, on an arc of 300 mm."""
+    trimesh.creation.box((0.02, 0.04, 0.06)).export(tmp_path / "bar.stl")
+    (tmp_path / "arm.urdf").write_text(BALANCED, encoding="utf-8")
+    chain = SimpleNamespace(joints=("one", "two"), lower=np.array([-1.0, -0.5]), upper=np.array([1.0, 1.0]))
+    spec = SimpleNamespace(meshes=())
+    found = MEASURE._balancers(chain, spec, tmp_path / "arm.urdf", np.eye(4))
+    assert len(found) == MEASURE.SWEPT
+    for triangles, q in zip(found, np.linspace(-0.5, 1.0, MEASURE.SWEPT), strict=True):
+        middle = 0.5 * (triangles.min(axis=(0, 1)) + triangles.max(axis=(0, 1)))
+        assert middle == pytest.approx([200.0 + 300.0 * np.sin(q), 0.0, 600.0 + 300.0 * np.cos(q)], abs=1e-4)
+        assert np.ptp(triangles.reshape(-1, 3), axis=0) == pytest.approx([20.0, 40.0, 60.0], abs=1e-4)

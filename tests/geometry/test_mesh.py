@@ -10,7 +10,8 @@ import pytest
 import trimesh
 
 from planner.geometry import mesh
-from planner.geometry.mesh import TriangleMesh, check_surface, offset, read_mesh, vertex_normals
+from planner.geometry.mesh import TriangleMesh, check_surface, offset, vertex_normals
+from planner.geometry.mesh_files import read_mesh
 from planner.issues import TandemError
 
 

@@ -7,10 +7,26 @@ from typing import Final
 from planner.catalogue.issue_codes import CODES
 
 ELSEWHERE: Final = {
+    "part.step": (
+        "reading/test_step",
+        "test_faces_of_several_bodies_are_told_and_picked",
+    ),
     **dict.fromkeys(
         ("robot.urdf", "robot.chain", "robot.limits"),
         ("reading/test_urdf", "test_bad_files_are_refused_in_words_and_what_is_advised_helps"),
     ),
+    **dict.fromkeys(
+        ("scan.unit", "scan.flat", "scan.other_part"),
+        ("scan/test_scan_fit", "test_scans_that_are_none_of_the_part_are_refused_by_what_they_are"),
+    ),
+    "motion.station": (
+        "test_long_wall",
+        "test_one_operation_that_no_station_reaches_is_told_with_what_to_do",
+    ),
+    "problem.track": ("reading/test_axes", "test_what_cannot_be_a_track_is_told"),
+    "scan.file": ("scan/test_scan_fit", "test_bad_files_are_refused_in_words"),
+    "scan.no_marks": ("scan/test_scan_fit", "test_without_marks_height_and_tilt_are_found_and_said"),
+    "scan.hole": ("scan/test_adjustment", "test_a_scan_that_shows_too_little_is_refused_with_the_place"),
     "robot.bodies": (
         "reading/test_robot_file",
         "test_meshes_that_are_not_there_are_refused_and_laid_there_are_hulled",
@@ -20,7 +36,13 @@ ELSEWHERE: Final = {
         "reading/test_urdf", "test_figures_with_noise_are_refused_with_the_deviation",
     ),
     "post.language": (
-        "test_ur_jobs", "test_no_program_is_promised_and_check_tells_of_the_reach_all_the_same",
+        "test_ur_jobs", "test_an_arm_without_a_language_is_refused_and_check_tells_of_its_reach_all_the_same",
+    ),
+    "post.ur_arm": (
+        "post/urscript/test_program", "test_an_arm_that_a_ur_controller_does_not_move_is_refused",
+    ),
+    "post.blend": (
+        "post/urscript/test_program", "test_a_turn_about_the_tcp_is_no_blend_and_a_stop_there_helps",
     ),
     "forming.force": ("test_acceptance", "test_an_error_says_how_it_is_accepted_and_following_that_works"),
     "kerf.unsettled": (
@@ -194,7 +216,8 @@ NONE: Final = {
     **dict.fromkeys(("catalogue.missing_data", "plan.missing_file", "plan.damaged", "plan.schema"), DAMAGED),
     **dict.fromkeys(("part.ruled_deviation", "part.strips_found", "sign.good"), FACT),
     **dict.fromkeys(("wire.chosen", "straight.slit", "motion.path_kept", "motion.solver"), FACT),
-    **dict.fromkeys(("part.rhino_unit", "part.rhino_facets", "gcode.skipped"), FACT),
+    **dict.fromkeys(("mesh.file_unit", "part.rhino_unit", "part.rhino_facets", "gcode.skipped"), FACT),
+    **dict.fromkeys(("part.step_unit", "part.step_facets", "scan.stray"), FACT),
     "motion.like": FACT,
     "forming.compensated": FACT,
     **dict.fromkeys(

@@ -82,6 +82,18 @@ def test_the_replay_draws_orange_robots(files: dict[str, str], tmp_path: Path) -
     assert above_the_bar.mean() > 0.005
 
 
+def test_a_notebook_shows_the_replay_in_its_cell(tmp_path: Path) -> None:
+    """By a server that is gone, as one that was saved has it."""
+    viewer = output.show(job.problem(), job.plan(), job.proof())
+    cell = f"<!doctype html><html><body>{viewer._repr_html_()}</body></html>"
+    assert viewer.url not in cell
+    del viewer
+    shot, log = look(cell, tmp_path, "--timeout=15000")
+    assert not console_errors(log)
+    red, green, blue = (shot[:450, :, i].astype(int) for i in range(3))
+    assert ((red > 150) & (red - blue > 90) & (green - blue > 10)).mean() > 0.005
+
+
 def with_a_released_sheet(plan: Plan) -> Plan:
     """The plan with a sheet that is too deep everywhere, wide over the block."""
     x = np.linspace(-0.3, 0.3, 12)

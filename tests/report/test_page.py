@@ -20,6 +20,7 @@ from planner.report.output import Extra
 from planner.verify.result import Proof
 from tests.post import krl_job
 from tests.report import synthetic_job as job
+from tests.verify import straight_job
 
 VOID = {"meta", "img", "br", "link", "input"}
 
@@ -245,6 +246,15 @@ def test_setup_sheet_names_the_wires_between_two_controllers(problem: Problem, p
     controller = dataclasses.replace(problem.cell.controller, sync="handshake")
     apart = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
     assert "doPartner of left to diPartner of right" in markup.render(setup_sheet.sheet(apart, plan))
+
+
+def test_setup_sheet_asks_what_a_ur_controller_has_to_be_set_to() -> None:
+    plan, problem = straight_job.plan(6, model="ur10e"), straight_job.problem("ur10e")
+    shown = re.sub(r"<[^>]+>", " ", markup.render(setup_sheet.controller_checks(problem, plan)))
+    assert "doWirePower is configurable output 1, in Installation, I/O" in shown
+    assert "low when the program does not run" in shown and "SoftES" not in shown
+    whole = markup.render(setup_sheet.sheet(problem, plan))
+    assert "URScript of left" in whole and "doWirePower is number 9" in whole
 
 
 @pytest.mark.parametrize(("models", "place"), [(("irb140", "kr10_r1100"), 0), (("kr10_r1100", "irb140"), 1)])

@@ -73,6 +73,7 @@ def main() -> None:
     out["heard"] = sorted(heard)
     out["state"] = done["state"]
     out["programs"] = client.programs(job)
+    out["motion"] = client.motion(job)["operations"][0]["arms"]["left"]["tcp"][0]
     out["report"] = opened(client.report_url(job, seconds=60))[:15]
     out["replay"] = opened(client.replay_url(job))[:15]
     out["sent"] = client.file(job, "problem/problem.yaml").decode("utf-8")

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 import planner
 from planner.issues import Issue
@@ -28,6 +29,7 @@ from planner.service import tandem_client
 from planner.service.models import API, Database, default_url
 from planner.service.security import Auth
 from tests import small_problem
+from tests.element.shells import cap
 from tests.service.support import ROOT, Process
 
 FOLDER = ROOT / "client"
@@ -82,6 +84,7 @@ def test_a_round_trip_by_another_python(served: tuple[Process, str], version: st
     assert out["state"] == "verified"
     assert "motion" in out["heard"]
     assert "MODULE" in "".join(out["programs"].values())
+    assert out["motion"] == pytest.approx([450, -50, 500, 0, 0, -1, -1, 0, 0], abs=1e-6)
     assert out["report"].lower() == out["replay"].lower() == "<!doctype html>"
     assert f"name: {name}" in out["sent"]
     assert out["named"] == [["problem.field", "name"]]
@@ -210,6 +213,47 @@ def test_values_of_numpy_and_paths_go_along(served: tuple[Process, str], tmp_pat
     assert both.check(problem) == both.check(planner.load(written)) == ()
 
 
+def test_an_element_is_divided_and_its_panels_are_meshes(served: tuple[Process, str]) -> None:
+    process, token = served
+    dome, problems = cap(n=9), ROOT / "problems"
+    template = yaml.safe_load((problems / "dome_267" / "held.yaml").read_text())
+    template["cell"] = problems / "cells" / "two_irb4600_bow_gripper.yaml"
+    element = {
+        "element": 1,
+        "name": "dome",
+        "surface": {"mesh": {"file": (dome.vertices * 1e3, dome.faces), "unit": "mm"}},
+        "thickness_mm": 150,
+        "panels": {"hexagons": {"count": 30, "least_edge_mm": 40}},
+        "blocks": [{"size_mm": [1200, 1000, 150], "foam": "eps_a120"}],
+        "jobs": [{"problem": template}],
+    }
+    client = tandem_client.Client(process.url, token)
+    found = client.divide(element)
+    assert client.wait(found, timeout_s=120)["state"] == "done"
+    panels = client.element(found)["panels"]
+    meshes = client.meshes(found, "element.obj")
+    assert sorted(meshes) == sorted(one["id"] for one in panels)
+    for points, faces in meshes.values():
+        edges = [(a, b) for face in faces for a, b in zip(face, face[1:] + face[:1], strict=True)]
+        assert sorted(edges) == sorted((b, a) for a, b in edges), "a closed body"
+        assert {one for face in faces for one in face} == set(range(len(points)))
+        assert np.ptp(points, axis=0).max() < 1700, "of a block's size, in mm"
+    (job,) = client.plan_panels(found, [panels[0]["id"]])
+    client.cancel(job)
+    again = {one["id"]: one.get("job") for one in client.element(found)["panels"]}
+    assert [name for name, own in again.items() if own == job] == [panels[0]["id"]]
+
+
+def test_a_file_that_is_no_mesh_is_told(odd: tuple[type[Odd], str]) -> None:
+    kind, url = odd
+    for text in (b"\xff", b"v 1 2", b"v 1 2 x", b"v 0 0 0\nf 1 a 1"):
+        kind.answers = (200, {}, text)
+        (issue,) = refusal(lambda: tandem_client.Client(url).meshes("a"))
+        assert issue.code == "service.answer"
+    kind.answers = (200, {}, b"v 9 9 9\nv 0 0 0\nv 1 0 0\no a b\nv 0 1 0\nf -1/1 2//4 3\n")
+    assert tandem_client.Client(url).meshes("a") == {"a b": ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [[2, 0, 1]])}
+
+
 @pytest.mark.parametrize(
     ("problem", "files", "code"),
     [
@@ -267,7 +311,7 @@ def refusal(asked: Any) -> Any:
 class Odd(http.server.BaseHTTPRequestHandler):
     """A service that says what ``health`` says, and ``answers`` the rest; it notes what it was asked."""
 
-    health: bytes = b'{"status": "ok", "version": "9.0", "api": 2, "api_oldest": 1}'
+    health: bytes = b'{"status": "ok", "version": "9.0", "api": 3, "api_oldest": 1}'
     answers: tuple[int, dict[str, str], bytes] = (200, {}, b"{}")
     pause_s = 0.0
     asked: list[tuple[str, str | None]]
@@ -317,9 +361,10 @@ def test_a_service_that_is_too_old_is_told_where_it_matters(odd: tuple[type[Odd]
     kind.answers = (200, {}, b'{"path": "/x"}')
     client = tandem_client.Client(url)
     client.job("a")
-    (issue,) = refusal(lambda: client.report_url("a"))
-    assert issue.code == "service.version"
-    assert "update the service" in issue.message
+    for ask in (client.report_url, client.motion, client.element):
+        (issue,) = refusal(lambda ask=ask: ask("a"))
+        assert issue.code == "service.version"
+        assert "update the service" in issue.message
     kind.health = Odd.health  # it was updated
     assert client.report_url("a") == f"{url}/x"
 

@@ -39,7 +39,7 @@ def joints(arm, tcp):
     machine = arm_model.machine_of(arm.data)
     flange = inverse(arm.base) @ tcp @ inverse(arm.tool.tcp)
     branch = np.full(len(tcp), int(inverse_kinematics.branch_of(machine, arm.home)))
-    q = inverse_kinematics.continued(inverse_kinematics.solve(machine, flange, branch), arm.home)
+    q = inverse_kinematics.continued(machine, inverse_kinematics.solve(machine, flange, branch), arm.home)
     assert np.isfinite(q).all(), arm.name
     assert np.abs(forward(machine.data, q) - flange).max() < 1e-9
     assert (q > machine.data.lower).all(), (arm.name, np.rad2deg(q.min(axis=0)))

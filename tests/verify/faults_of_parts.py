@@ -105,38 +105,42 @@ def _flat_curves(old: Any) -> Any:
 
 FAULTS: Final = (
     # files of meshes
-    Fault("mesh_unit", "ruled_mesh", {"geometry.mesh:read_mesh": given(1, lambda unit: 1.02 * unit)}),
-    Fault("mesh_mirrored", "ruled_mesh", {"geometry.mesh:read_mesh": result(_mirrored_mesh)}),
+    Fault("mesh_unit", "ruled_mesh", {"geometry.mesh_files:read_mesh": given(1, lambda unit: 1.02 * unit)}),
+    Fault("mesh_mirrored", "ruled_mesh", {"geometry.mesh_files:read_mesh": result(_mirrored_mesh)}),
     Fault(
         "mesh_moved",
         "ruled_mesh",
-        {"geometry.mesh:read_mesh": fields(vertices=_moved(z=0.002))},
+        {"geometry.mesh_files:read_mesh": fields(vertices=_moved(z=0.002))},
     ),
     Fault(
         "mesh_rulings_shifted",
         "ruled_mesh",
         {"reading.part_surfaces:build_mesh": _ruled(end=_moved(z=0.002))},
     ),
-    Fault("sheet_mesh_unit", "spif", {"geometry.mesh:read_mesh": given(1, lambda unit: 1.05 * unit)}),
+    Fault("sheet_mesh_unit", "spif", {"geometry.mesh_files:read_mesh": given(1, lambda unit: 1.05 * unit)}),
     Fault(
         "sheet_mesh_deeper",
         "spif",
-        {"geometry.mesh:read_mesh": fields(vertices=_times(z=1.2))},
+        {"geometry.mesh_files:read_mesh": fields(vertices=_times(z=1.2))},
     ),
     Fault(
         "sheet_mesh_shallower",
         "spif",
-        {"geometry.mesh:read_mesh": fields(vertices=_times(z=0.9))},
+        {"geometry.mesh_files:read_mesh": fields(vertices=_times(z=0.9))},
     ),
     Fault(
         "sheet_mesh_narrower",
         "oval",
-        {"geometry.mesh:read_mesh": fields(vertices=_times(x=0.95))},
+        {"geometry.mesh_files:read_mesh": fields(vertices=_times(x=0.95))},
     ),
     Fault(
         "sheet_mesh_axes_swapped",
         "oval",
-        {"geometry.mesh:read_mesh": fields(vertices=lambda v: v[:, [1, 0, 2]], faces=lambda f: f[:, ::-1])},
+        {
+            "geometry.mesh_files:read_mesh": fields(
+                vertices=lambda v: v[:, [1, 0, 2]], faces=lambda f: f[:, ::-1]
+            )
+        },
     ),
     Fault(
         "sheet_mesh_aside",

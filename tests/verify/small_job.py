@@ -175,7 +175,7 @@ def joints_at(arm, pose):
     machine = arm_model.machine_of(arm.data)
     flange = inverse(arm.base) @ STOCK @ pose @ inverse(arm.tool.tcp)
     branch = np.full(len(pose), int(inverse_kinematics.branch_of(machine, arm.home)))
-    q = inverse_kinematics.continued(inverse_kinematics.solve(machine, flange, branch), arm.home)
+    q = inverse_kinematics.continued(machine, inverse_kinematics.solve(machine, flange, branch), arm.home)
     assert np.isfinite(q).all(), arm.name
     assert np.abs(forward(machine.data, q) - flange).max() < 1e-9
     return q

@@ -28,7 +28,7 @@ from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
 from planner.tooling import bow
-from tests import line_ends
+from tests import line_ends, urdf_text
 from tests.verify.by_hand import Operation, dialogue, frames, home_of, operation_plan, strip, way_of
 
 TOLERANCE = 0.0003
@@ -46,6 +46,7 @@ NAMES = ("top", "back")
 DOWN = np.array([0.0, 0.0, -1.0])
 FEED, AIR = 0.008, 0.05
 NEAR = {"irb140": [0.0, 0.0, 0.0, 0.0, 90.0, 0.0], "kr10_r1100": [0.0, -90.0, 90.0, 0.0, 90.0, 0.0]}
+NEAR["ur10e"] = [180.0, -90.0, 90.0, -90.0, -90.0, 0.0]
 """Joints [deg] near home, by robot."""
 BOWS = (bow(0.4, 0.4), bow(0.3, 0.4))
 STEPS = (
@@ -91,13 +92,19 @@ def face(k):
     return np.concatenate(guides(k, u)), strip(u)
 
 
+@functools.cache
+def own(model):
+    """The data of a robot that is not built in, None for the others."""
+    return urdf_text.ur10e_data() if model == "ur10e" else None
+
+
 def cell(k=0, model="irb140"):
     """The cell with the bow of setup ``k``."""
-    arm = Arm("left", model, np.eye(4), BOWS[k], np.zeros(6))
+    arm = Arm("left", model, np.eye(4), BOWS[k], np.zeros(6), given=own(model))
     pose = PLACES[0] @ frames(np.array([[-0.16, -0.1, 0.2]]), np.array([[-0.16, 0.1, 0.2]]), DOWN)[0]
     home = home_of(dataclasses.replace(arm, tool=BOWS[0]), pose, NEAR[model])
     arms = (dataclasses.replace(arm, home=home),)
-    io = {"left": {SIGNAL: 17}}
+    io = {"left": {SIGNAL: 17 if model != "ur10e" else 9}}
     return Cell("straight", arms, (), Controller(("T_ROB1",), ("ROB_1",), wire_signal=SIGNAL, io=io))
 
 

@@ -13,7 +13,7 @@ from planner import pipeline
 from planner.cli import command_line
 from planner.issues import TandemError
 from planner.verify.partial import read_partly
-from tests.verify import krl_job, straight_job
+from tests.verify import krl_job, straight_job, ur_job
 from tests.verify.garbled import garble
 from tests.verify.rapid_edits import name
 
@@ -214,3 +214,18 @@ def test_tandem_verify_reads_a_folder_of_others(tmp_path, capsys):
     assert "of 5 moves" in told
     with pytest.raises(TandemError, match="no programs there"):
         pipeline.read_programs(tmp_path / "cell")
+
+
+def test_a_urscript_program_is_proven_as_a_whole_or_named_line_by_line():
+    """All moves behind the first are known; with one statement that is not read none is."""
+    problem, texts = ur_job.problem(), ur_job.programs()
+    (name_,) = texts
+    partial = read_partly(problem, texts)
+    moves = len(re.findall("^move", texts[name_], re.MULTILINE))
+    assert (partial.share.moves, partial.share.moves_proven) == (moves, moves - 1)
+    assert [issue.code for issue in partial.issues] == ["verify.unread"]
+    other = {name_: texts[name_].replace("sleep(5.0)", "sync()", 1)}
+    partial = read_partly(problem, other)
+    assert (partial.share.moves, partial.share.moves_proven) == (moves, 0)
+    assert "sync: no statement" in partial.issues[0].message
+    assert partial.issues[0].line == line(other[name_], "sync()")

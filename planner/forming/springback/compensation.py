@@ -96,10 +96,13 @@ def ways(
     return tuple(out), tuple(left)
 
 
-def _asked(work: Work, forecast: PassSpringback, points: FloatArray, angle: FloatArray) -> FloatArray:
+def _asked(
+    work: Work, forecast: PassSpringback, points: FloatArray, angle: FloatArray, _: FloatArray
+) -> FloatArray:
     """Springback (N,) [m] as `forecast.along` says. Raises ``TandemError``: forming.limit_load where the
     sheet snaps."""
-    back = springback_along(work, forecast, points, angle)
+    pieces = [slice(k, k + AT_ONCE) for k in range(0, len(points), AT_ONCE)]
+    back = np.concatenate([springback_along(work, forecast, points[some], angle[some]) for some in pieces])
     if not np.isfinite(back).all():
         what = f"pass {forecast.one.name}: the sheet snaps or buckles under the force that is expected: no "
         what += "shift of the tools makes up for that"
@@ -112,22 +115,21 @@ def way_of(
     name: str,
     path: ToolPath,
     radius: float,
-    asked: Callable[[FloatArray, FloatArray], FloatArray],
+    asked: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
     slope: float,
     first: float = 0.0,
 ) -> tuple[Way, FloatArray]:
-    """A path shifted by what is ``asked`` (N,) [m] at places (N, 3) of its contact on walls at (N,) [rad], as
-    far as ``slope`` lets it from ``first`` [m] on; and what that leaves at its targets (K,) [m].
-    ``radius`` [m] of the ball."""
+    """A path shifted by what is ``asked`` (N,) [m] at places (N, 3) of its contact on walls at (N,) [rad],
+    (N,) [m] along the path, as far as ``slope`` lets it from ``first`` [m] on; and what that leaves at its
+    targets (K,) [m]. ``radius`` [m] of the ball."""
     places = arc_length(path.former)
     count = int(min(MOST_PLACES, np.ceil(places[-1] / GRID))) + 1
     grid = np.linspace(0.0, float(places[-1]), count)
     contact = along(path.contact.point, places, grid)
     angle = np.interp(grid, places, path.contact.angle)
-    pieces = [slice(k, k + AT_ONCE) for k in range(0, count, AT_ONCE)]
-    wanted = np.concatenate([asked(contact[some], angle[some]) for some in pieces])
+    wanted = asked(contact, angle, grid)
     limited = _limited(grid, wanted, slope, first)
-    shift = _smoothed(limited, radius / max(float(grid[1]), 1e-12))
+    shift = smoothed(limited, radius / max(float(grid[1]), 1e-12))
     kept = _refined(path, _numbers(places, _targets(places, grid, shift, radius)))
     at = arc_length(kept.former)
     by = np.interp(at, grid, shift)
@@ -144,7 +146,7 @@ def _limited(grid: FloatArray, wanted: FloatArray, slope: float, first: float) -
     return np.asarray(np.maximum(least, first - slope * grid))
 
 
-def _smoothed(value: FloatArray, half: float) -> FloatArray:
+def smoothed(value: FloatArray, half: float) -> FloatArray:
     """The mean (N,) of ``half`` a window of even places on either side, less at the ends."""
     count = len(value)
     index = np.arange(count)
@@ -249,7 +251,7 @@ def _nearest(sorted_places: FloatArray, wanted: FloatArray) -> IntArray:
     return np.asarray(ahead - back)
 
 
-AGAIN: Final = "write it again: tandem springback PROBLEM --write FILE"
+AGAIN: Final = "write it again: tandem springback PROBLEM --write FILE, or tandem adjust of a scan"
 """What helps where a file of shifts is of another job, damaged or old."""
 
 
@@ -358,13 +360,15 @@ def _below(
     return way.point, before, np.arctan(np.tan(before) * (1.0 + more / (end - begin)))
 
 
-def told(given: Sequence[Way], file: str, level: int | None = None) -> Issue:
-    """A note of what a plan shifts its tools by: all passes, or one ``level``."""
+def told(given: Sequence[Way], file: str, level: int | None = None, scan: str | None = None) -> Issue:
+    """A note of what a plan shifts its tools by: all passes, or one ``level``, or as a ``scan`` has shown."""
     deepest = max(given, key=lambda way: float(way.shift.max()))
     most = float(deepest.shift.max()) / MM
     field, why, of = "springback.file", "what it assumes stands in it", ""
     if level is not None:
         field, why, of = "level.file", "that follows from forces as they were measured", f"level {level} of "
+    if scan is not None:
+        why = f"that follows from the scan {scan} of a part that was formed before"
     what = (
         f"tools go deeper than the part by what the sheet comes back by, as {file} says: up to {most:.2f} mm "
         f"({of}pass {deepest.name}); {why}"

@@ -28,9 +28,13 @@ from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Stock
 
-VERSIONS: Final = {"tandem_springback": 2, "tandem_level": 1}
+VERSIONS: Final = {"tandem_springback": 2, "tandem_adjustment": 1, "tandem_level": 1}
 """Numbers of the files' forms, by what files have them with."""
-KINDS: Final = {"tandem_springback": "springback file", "tandem_level": "file of one level"}
+KINDS: Final = {
+    "tandem_springback": "springback file",
+    "tandem_adjustment": "file of adjustments by a scan",
+    "tandem_level": "file of one level",
+}
 """What files are, by the same."""
 MOST_LEVELS: Final = 1_000_000
 """Levels of a pass are numbered below this."""
@@ -154,6 +158,11 @@ def text(
 
 def way_lines(ways: Sequence[Way]) -> list[str]:
     """Ways as lines of a file: passes with their rings, and how many points they have."""
+    return [f'"passes": {passes_text(ways)}', f'"points": {sum(len(way.point) for way in ways)}']
+
+
+def passes_text(ways: Sequence[Way]) -> str:
+    """Passes with their rings."""
     passes = []
     for way in ways:
         rings = []
@@ -164,7 +173,7 @@ def way_lines(ways: Sequence[Way]) -> list[str]:
         joined = ",\n".join(rings)
         passes.append(f'{{"name": {_dump(way.name)}, "rings": [\n{joined}\n]}}')
     both = ",\n".join(passes)
-    return [f'"passes": [\n{both}\n]', f'"points": {sum(len(way.point) for way in ways)}']
+    return f"[\n{both}\n]"
 
 
 def sealed(lines: Sequence[str]) -> str:
@@ -194,27 +203,43 @@ class Foretold:
 @dataclasses.dataclass(frozen=True)
 class Compensation:
     """A file that was read: the ``ways`` of all passes, whose shifts change by ``slope`` at most, named
-    ``file``, and what it has ``foretold`` of passes: nothing of a level alone."""
+    ``file``, and what it has ``foretold`` of passes: nothing of a level alone, nor where a ``scan`` has
+    shown what a part comes back by."""
 
     file: str
     ways: tuple[Way, ...]
     slope: float
     foretold: tuple[Foretold, ...] = ()
+    scan: str | None = None
 
 
 def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compensation:
     """Read a file of shifts for what ``identity`` says. Raises ``TandemError`` (forming.compensation): all
     that is wrong with what it belongs to at once."""
-    data = read_data(path, "tandem_springback")
-    require_same(data, identity)
     limits = operation.springback or Springback(file=path)
+    data = read_data(path, "tandem_springback" if limits.scan is None else "tandem_adjustment")
+    require_same(data, identity)
     ways = tuple(read_way(one) for one in _list(data, "passes"))
     if sum(len(way.point) for way in ways) != data.get("points"):
         raise refused(f"it says {data.get('points')} points and has {sum(len(way.point) for way in ways)}")
     require_limits(ways, limits.slope, limits.most_mm * MM)
+    if limits.scan is not None:
+        return Compensation(path.name, ways, limits.slope, scan=_scan(data, limits.scan.file))
     rows = _list(data, "control_points")
     names = dict.fromkeys(str(row.get("pass")) for row in rows if isinstance(row, dict))
     return Compensation(path.name, ways, limits.slope, tuple(_foretold(rows, name) for name in names))
+
+
+def _scan(data: Mapping[str, Any], path: Path) -> str:
+    """The name of the scan that the file was made from. Raises ``TandemError`` (forming.compensation) where
+    that is not the one of the problem."""
+    stated = data.get("scan")
+    if not is_file(path):
+        raise refused(f"{path}: {no_file(path)}", "check the path of springback: scan: file")
+    if not isinstance(stated, dict) or stated.get("sha256") != hashlib.sha256(path.read_bytes()).hexdigest():
+        name = stated.get("file") if isinstance(stated, dict) else None
+        raise refused(f"it was made from the scan {_told(name)}, {path.name} is another one or was changed")
+    return str(stated.get("file"))
 
 
 def require_same(data: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
@@ -265,6 +290,10 @@ def read_data(path: Path, kind: str) -> dict[str, Any]:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise refused(f"{path.name} is no JSON: {error}") from None
+    other = [KINDS[one] for one in KINDS if one != kind and isinstance(data, dict) and one in data]
+    if other:
+        hint = "name adjustments with their scan, springback: {file: ..., scan: {file: ...}}, others without"
+        raise refused(f"{path.name} is a {other[0]}, wanted is a {KINDS[kind]}", hint)
     if not isinstance(data, dict) or data.get(kind) != VERSIONS[kind]:
         raise refused(f"{path.name} is no {KINDS[kind]} of version {VERSIONS[kind]}")
     return data

@@ -44,7 +44,7 @@ def way(
     fine = np.column_stack([np.interp(share, np.arange(len(ends)), row) for row in both.T])
     tree = cKDTree(fine[:, :2])
 
-    def asked(points: FloatArray, _: FloatArray) -> FloatArray:
+    def asked(points: FloatArray, _: FloatArray, __: FloatArray) -> FloatArray:
         away, row = tree.query(points[:, :2])
         if np.max(away) > spacing + OFF_RING * step:
             what = f"its level has places {np.max(away) / MM:.1f} mm off the loop along which forces were "

@@ -91,7 +91,8 @@ class Stations:
     def __init__(self, task: TaskProgram) -> None:
         self.task = task
         self.names: dict[str, tuple[str, FloatArray]] = {}
-        self.of(Joints(task.arm.home, "home"), 0)
+        track = task.arm.track
+        self.of(Joints(task.arm.home, "home", station=None if track is None else track.home), 0)
         for number_, operation in enumerate(task.operations, 1):
             for step in operation.steps:
                 if isinstance(step, Joints):
@@ -99,7 +100,7 @@ class Stations:
 
     def of(self, step: Joints, operation: int) -> str:
         """The name for a step of an operation, counted from 1."""
-        text = jointtarget(np.rad2deg(self.task.robot.to_controller(step.q)))
+        text = jointtarget(np.rad2deg(self.task.robot.to_controller(step.q)), step.station)
         if text not in self.names:
             stem = "j_home" if step.place == "home" else f"j_{operation}_{step.place}"
             count = sum(name.startswith(stem) for name, _ in self.names.values())
@@ -128,10 +129,12 @@ def data_lines(
     tools, stations = names
     out += ["! tool and work objects" if len(tools.names) == 1 else "! tools and work objects"]
     out += [*tools.lines(), *_wobjs(task, job, plan), *_loads(task), ""]
-    speed = short(min(problem.settings.tcp_speed * 1e3, _ENTRY_SPEED), 3)
+    speed = outer = short(min(problem.settings.tcp_speed * 1e3, _ENTRY_SPEED), 3)
+    if task.arm.track is not None:
+        outer = short(min(task.arm.track.speed * 1e3, _ENTRY_SPEED), 3)
     out += ["! on the way to the first target and home again"]
     out += [
-        f"CONST speeddata {ENTRY_SPEED_NAME}:=[{speed},{_ENTRY_TURN_RATE},{speed},{_ENTRY_TURN_RATE}];",
+        f"CONST speeddata {ENTRY_SPEED_NAME}:=[{speed},{_ENTRY_TURN_RATE},{outer},{_ENTRY_TURN_RATE}];",
         *stations.lines(),
     ]
     own = own_zones(set(zones))

@@ -196,7 +196,8 @@ def _moves(task: TaskProgram, job: Job, zone: Sequence[Mapping[int, NameArray]])
             continue
         ids = program.ids if len(_moving(job, i)) > 1 and job.handshake is None else None
         names = (tools.of(program.arm.tool), wobj_name(program.track.frame, program.setup))
-        out.append(move_lines(task.robot, program.track, ids, zone[i][task.number], *names))
+        own = zone[i][task.number]
+        out.append(move_lines(task.robot, program.track, ids, own, *names, program.arm.station))
     return out
 
 
@@ -293,6 +294,8 @@ class _Task:
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.coupling is not None else "On"
         body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
+        if self.task.arm.track is not None:
+            body += [f"ActUnit {identifier(self.task.arm.track.unit)};"]
         clear = (vocabulary.CLEAR if self.problem.setups[0].steps else vocabulary.READY).filled()
         if self.partner is not None:
             body += [

@@ -57,9 +57,14 @@ def pose(matrix: FloatArray) -> str:
     return f"[{vector(matrix[:3, 3] * 1e3, 4)},{vector(to_quaternion(matrix[:3, :3]), 8)}]"
 
 
-def jointtarget(degrees: FloatArray) -> str:
-    """RAPID's jointtarget of the controller's joint values (6,) [deg]."""
-    return f"[{vector(degrees, 6)},{UNUSED_AXES}]"
+def external_axes(station: float | None) -> str:
+    """RAPID's extjoint: a track's value [m] in mm with 4 decimals as the first axis; None: no axis."""
+    return UNUSED_AXES if station is None else UNUSED_AXES.replace("9E9", number(1e3 * station, 4), 1)
+
+
+def jointtarget(degrees: FloatArray, station: float | None = None) -> str:
+    """RAPID's jointtarget of the controller's joint values (6,) [deg] and of a track's value [m]."""
+    return f"[{vector(degrees, 6)},{external_axes(station)}]"
 
 
 def quoted(text: str) -> str:
@@ -262,9 +267,17 @@ def speeds(track: Track) -> NameArray:
 
 
 def move_lines(
-    robot: RobotData, track: Track, ids: IntArray | None, zone: NameArray, tool: str, wobj: str
+    robot: RobotData,
+    track: Track,
+    ids: IntArray | None,
+    zone: NameArray,
+    tool: str,
+    wobj: str,
+    station: float | None = None,
 ) -> list[str]:
-    """One MoveL a row, with ``\\T`` and, where the move has a partner, ``\\ID``."""
+    """One MoveL a row, with ``\\T`` and, where the move has a partner, ``\\ID``; the base stands at
+    ``station`` [m] of its track, if it has one."""
+    outer = external_axes(station)
     conf = confdata(robot, track.q)
     tail = f",{tool}\\WObj:={wobj};"
     marks = [""] * len(zone) if ids is None else [f"\\ID:={i}" for i in ids.tolist()]
@@ -280,7 +293,7 @@ def move_lines(
     )
     return [
         f"MoveL [[{x:.4f},{y:.4f},{z:.4f}],[{a:.8f},{b:.8f},{c:.8f},{d:.8f}],"
-        f"[{c1},{c4},{c6},{cx}],{UNUSED_AXES}]"
+        f"[{c1},{c4},{c6},{cx}],{outer}]"
         f"{mark},{speed}\\T:={time:.5f},{corner}{tail}"
         for (x, y, z), (a, b, c, d), (c1, c4, c6, cx), mark, speed, time, corner in rows
     ]

@@ -1,4 +1,4 @@
-"""Triangles of OBJ, STL and PLY files, read from their bytes, and faces as meshes of vertices.
+"""Triangles of OBJ, STL, PLY, GLB and 3MF files, read from their bytes, and faces as meshes of vertices.
 
 Faces come from files and from lofts; they are moved inwards, and their edges are joined.
 """
@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray
-from planner.verify.files import UNITS, Said, UnreadError, file_of, metres, radians, row
+from planner.verify.files import UNITS, Said, UnreadError, file_of, metres, packed_meshes, radians, row
 from planner.verify.files.curves import Ruled, bezier, blended, bspline, joined, through
 
 _STL: Final = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("more", "<u2")])
@@ -46,10 +46,11 @@ _PLY_FACES: Final = ("vertex_indices", "vertex_index")
 @dataclasses.dataclass(frozen=True)
 class Facets:
     """Triangles ``corners`` (F, 3, 3) in the file's lengths, anticlockwise seen from outside; ``row`` (F,):
-    which of the file's faces each is of, from 1."""
+    which of the file's faces each is of, from 1; ``unit``: metres of its lengths where it states them."""
 
     corners: FloatArray
     row: IntArray
+    unit: float | None = None
 
 
 def read_facets(path: Path) -> Facets:
@@ -63,6 +64,9 @@ def read_facets(path: Path) -> Facets:
             found = _stl(data)
         elif kind == ".ply":
             found = _ply(data)
+        elif kind in (".glb", ".3mf"):
+            corners, unit = packed_meshes.glb(data) if kind == ".glb" else packed_meshes.packed(path)
+            found = Facets(corners, np.arange(1, len(corners) + 1), unit)
         else:
             raise UnreadError(f"a mesh in a file {path.suffix or 'without suffix'} is not known")
     except (ValueError, IndexError, KeyError, OverflowError) as error:
@@ -72,6 +76,30 @@ def read_facets(path: Path) -> Facets:
             "it has no faces" if not len(found.corners) else "it has numbers that are not finite"
         )
     return found
+
+
+def read_points(path: Path) -> FloatArray:
+    """The points (N, 3) of a scan in the file's lengths: vertices of a mesh, or the first three columns of a
+    text. Raises `UnreadError`."""
+    data = path.read_bytes()
+    kind = path.suffix.lower()
+    try:
+        if kind == ".ply":
+            found = _ply_columns(data)["vertex"]
+            return np.array([found[axis] for axis in "xyz"], dtype=np.float64).T
+        if kind == ".stl":
+            return np.unique(_stl(data).corners.reshape(-1, 3), axis=0)
+        if kind not in (".obj", ".xyz", ".txt"):
+            raise UnreadError(f"a scan in a file {path.suffix or 'without suffix'} is not known")
+        rows = [
+            line.replace(",", " ").replace(";", " ").split() for line in data.decode("utf-8").splitlines()
+        ]
+        if kind == ".obj":
+            rows = [row[1:] for row in rows if row and row[0] == "v"]
+        rows = [row for row in rows if row and not row[0].startswith(("#", "//"))]
+        return np.array([[float(word) for word in row[:3]] for row in rows]).reshape(-1, 3)
+    except (ValueError, IndexError, KeyError, OverflowError) as error:
+        raise UnreadError(str(error) or type(error).__name__) from error
 
 
 def _obj(text: str) -> Facets:
@@ -135,29 +163,43 @@ class _Element:
 
 
 def _ply(data: bytes) -> Facets:
+    columns = _ply_columns(data)
+    places, polygons = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    if "vertex" in columns:
+        places = np.array([columns["vertex"][axis] for axis in "xyz"], dtype=np.float64).T
+    if "face" in columns:
+        own = columns["face"]
+        named = next((name for name in _PLY_FACES if name in own), None) or _first_list(data)
+        if named is None:
+            raise UnreadError("its faces have no list of vertices")
+        polygons = own[named]
+    return _fans(places, polygons)
+
+
+def _first_list(data: bytes) -> str | None:
+    """The first property of a face that is a list."""
+    faces = [element for element in _ply_elements(_ply_head(data)[0]) if element.name == "face"]
+    return next((name for one in faces for name, _, count in one.properties if count is not None), None)
+
+
+def _ply_columns(data: bytes) -> dict[str, Mapping[str, Any]]:
+    """Columns of each element of a PLY file, by name."""
     head, body = _ply_head(data)
     form = next((line[1] for line in head if line[0] == "format"), "")
     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
     if order is None:
         raise UnreadError(f"its format is {form or '(none)'}")
-    places, polygons = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
     numbers = np.array(body.split(), dtype=np.float64) if not order else np.zeros(0)
     offset = 0
+    out: dict[str, Mapping[str, Any]] = {}
     for element in _ply_elements(head):
         columns: Mapping[str, Any]
         if order:
             columns, offset = _ply_binary(element, body, offset, order)
         else:
             columns, offset = _ply_text(element, numbers, offset)
-        if element.name == "vertex":
-            places = np.array([columns[axis] for axis in "xyz"], dtype=np.float64).T
-        elif element.name == "face":
-            lists = [name for name, _, count in element.properties if count is not None]
-            named = next((name for name in _PLY_FACES if name in columns), lists[0] if lists else None)
-            if named is None:
-                raise UnreadError("its faces have no list of vertices")
-            polygons = columns[named]
-    return _fans(places, polygons)
+        out[element.name] = columns
+    return out
 
 
 def _ply_head(data: bytes) -> tuple[list[list[str]], bytes]:
@@ -291,10 +333,11 @@ class Face:
 
 
 def mesh_face(said: Said) -> Face:
-    """The face of a mesh file in its stated unit, scaled, turned over where that is wanted. Raises
-    `UnreadError`."""
+    """The face of a mesh file in its own unit or the stated one, scaled, turned over where that is wanted.
+    Raises `UnreadError`."""
     found = read_facets(file_of(said))
-    corners = found.corners * UNITS[str(said["unit"])] * float(said.get("scale") or 1.0)
+    size = UNITS[str(said["unit"])] if found.unit is None else found.unit
+    corners = found.corners * size * float(said.get("scale") or 1.0)
     return face_of(corners, found.row, bool(said.get("flip")))
 
 

@@ -33,6 +33,7 @@ from planner.verify.files import (
     radians,
     rhino,
     row,
+    step,
 )
 from planner.verify.files.curves import (
     Curve,
@@ -302,8 +303,8 @@ def _name(said: Said) -> str:
 
 
 def _face(said: Said) -> tuple[Face, str]:
-    """The face of a mesh, a Rhino file or a loft, and where it comes from."""
-    for kind, reader in (("mesh", mesh_face), ("rhino", rhino.face)):
+    """The face of a mesh, a Rhino or STEP file or a loft, and where it comes from."""
+    for kind, reader in (("mesh", mesh_face), ("rhino", rhino.face), ("step", step.face)):
         if said.get(kind):
             own = said[kind]
             face: Face = _read(own, functools.partial(reader, own))
@@ -352,9 +353,10 @@ def _wing(said: Said) -> Surface:
 def _ruled(said: Said) -> Surface:
     closed = bool(said.get("closed"))
     match = str(said.get("match") or "arc_length")
-    if said.get("rhino"):
-        own = said["rhino"]
-        one = _read(own, lambda: rhino.ruled_face(own))
+    if said.get("rhino") or said.get("step"):
+        own = said.get("rhino") or said["step"]
+        reader = rhino.ruled_face if said.get("rhino") else step.ruled_face
+        one = _read(own, lambda: reader(own))
         if closed:
             one = _outwards(one, bool(said.get("hole")))
         elif said.get("flip"):

@@ -42,6 +42,8 @@ FARTHEST, LONGEST = 100.0, 5_000.0
 """Coordinates and lengths of ways at most [m]."""
 LARGEST = 100_000_000
 """Bytes of a file at most."""
+RIGID = 1e-6
+"""A pose is a turn and a way within this."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,13 +122,54 @@ class Way:
         return out
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measured:
+    """What a file of adjustments says of its scan: its ``digest``, ``unit`` [m], whether of the ``top`` face,
+    the ``pose`` (4, 4) into the sheet's frame, ``marks`` (2, K, 3) [m] in the sheet's and the scan's frame;
+    the ``gain``, and the passes that it ``adjusts``."""
+
+    digest: str
+    unit: float
+    top: bool
+    pose: FloatArray
+    marks: FloatArray
+    gain: float
+    adjusts: frozenset[str]
+
+
+def _measured(data: dict[str, Any]) -> Measured:
+    """The same of a file's values. Raises ``ValueError``, ``KeyError``, ``TypeError``."""
+    scan = data["scan"]
+    pose = np.array(scan["pose"], dtype=np.float64)
+    rows = [[row[1], row[2]] for row in scan["marks"]]
+    marks = np.array(rows, dtype=np.float64).reshape(-1, 2, 3).transpose(1, 0, 2) * MM
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.isfinite(marks).all():
+        raise ValueError("where its scan lies is no pose")
+    turn = pose[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > RIGID or np.linalg.det(turn) < 0.0:
+        raise ValueError("where its scan lies is no turn and way")
+    if np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > 0.0:
+        raise ValueError("where its scan lies is no pose")
+    gain = float(data["gain"])
+    if not 0.0 < gain <= 1.5 or scan["face"] not in ("top", "bottom"):
+        raise ValueError("its gain or the face of its scan is none")
+    adjusts = frozenset(str(name) for name in data["adjusts"])
+    return Measured(
+        str(scan["sha256"]), float(scan["unit_m"]), scan["face"] == "top", pose, marks, gain, adjusts
+    )
+
+
 @dataclasses.dataclass(frozen=True)
 class Given:
-    """A file: what it ``belongs`` to by name, its ``controls``, its ``ways`` by the segments' names."""
+    """A file: what it ``belongs`` to by name, its ``controls``, its ``ways`` by the segments' names. Of one
+    that was made from a scan: what it says of that, ``measured``, and the ways that the scanned part was
+    formed by, ``before``."""
 
     belongs: dict[str, Any]
     controls: tuple[Control, ...]
     ways: dict[str, Way]
+    measured: Measured | None = None
+    before: dict[str, Way] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,6 +225,8 @@ def read_level(path: Path) -> GivenLevel:
 def read(path: Path) -> Given:
     """Read a file. Raises ``ValueError``: what is wrong with it."""
     data = _sealed(path)
+    if isinstance(data, dict) and data.get("tandem_adjustment") == 1:
+        return _adjustment(data)
     if not isinstance(data, dict) or data.get("tandem_springback") != 2:
         raise ValueError("it is of another version")
     try:
@@ -220,6 +265,20 @@ def read(path: Path) -> Given:
     if not controls:
         raise ValueError("a control point has no figures")
     return Given(belongs, controls, ways)
+
+
+def _adjustment(data: dict[str, Any]) -> Given:
+    try:
+        ways, before = (
+            {str(one["name"]): _way(one["rings"]) for one in data[k]} for k in ("passes", "before")
+        )
+        found = Given(dict(data["belongs_to"]), (), ways, _measured(data), before)
+        count = int(data["points"])
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError, IndexError) as error:
+        raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
+    if count != sum(len(way.point) for way in ways.values()) or len(ways) != len(data["passes"]):
+        raise ValueError("it has another number of points than it says")
+    return found
 
 
 def _way(rings: list[list[list[float]]]) -> Way:

@@ -403,7 +403,7 @@ def _partner(context: Context, task: TaskText) -> str:
 
 def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
     first = bool(context.setups[0].steps)
-    krl, lead = task.krl is not None, task is context.job.tasks[0]
+    krl, lead = not task.rapid, task is context.job.tasks[0]
     if krl:
         question = vocabulary.KRL_CLEAR if first else vocabulary.KRL_READY
     else:

@@ -37,13 +37,15 @@ _KRL_MOVE = re.compile(
     r"^[ \t]*((?:(?:S?PTP|S?LIN|S?CIRC)(?:_REL)?|SPL|ASYPTP))\b(?!\s*=)", re.IGNORECASE | re.MULTILINE
 )
 """Instructions of KRL that move the arm."""
+_SCRIPT_MOVE = re.compile(r"\b((?:move[jlpc]|servo[jc]|speed[jl]|optimove[jl]))[ \t]*\(")
+"""Instructions of URScript that move the arm."""
 _SHIFTS = re.compile(
     r"\b(PDisp\w*|EOffs\w*|SoftAct|CorrCon|CorrWrite|TuneServo|ActUnit|DeactUnit|SetSysData|ReadCfgData"
     r"|WriteCfgData|WorldAccLim|ContactL|IndAMove|IndCMove)\b",
     re.IGNORECASE,
 )
 """What may move the places of all moves behind it."""
-KNOWN_MOVES = frozenset({"MoveAbsJ", "MoveL", "PTP", "LIN", "SLIN"})
+KNOWN_MOVES = frozenset({"MoveAbsJ", "MoveL", "PTP", "LIN", "SLIN", "movej", "movel"})
 """Moves whose way between targets is known."""
 
 
@@ -79,7 +81,7 @@ def read(problem: Problem, programs: Mapping[str, str]) -> tuple[tuple[Read, ...
     arms = dict(zip(names, problem.cell.arms, strict=False))
     used = {arm for operation in problem.operations for arm in operation.arms}
     if len(mine := [name for name, arm in arms.items() if arm.name in used]) == 1:
-        ends = (".src", ".dat") if job.speaks_krl(arms[mine[0]]) else (".mod", ".sys", ".modx", ".sysx")
+        ends = job.endings(arms[mine[0]])
         own = {path: text for path, text in texts.items() if PurePosixPath(path).suffix.lower() in ends}
         files, strays = {mine[0]: own}, [path for path in texts if path not in own]
     out = []
@@ -87,7 +89,7 @@ def read(problem: Problem, programs: Mapping[str, str]) -> tuple[tuple[Read, ...
         if files.get(name):
             units = problem.cell.controller.units
             unit = units[number] if number < len(units) else ""
-            one = _krl if job.speaks_krl(arm) else _rapid
+            one = _krl if job.speaks_krl(arm) else _script if job.speaks_urscript(arm) else _rapid
             out.append(one(problem, arm, name, unit, files[name]))
     return tuple(out), tuple(path for path in strays if not path.lower().endswith(".pgf"))
 
@@ -342,3 +344,15 @@ class _Krl(flow.Runner):
 
     def _carry(self, line: int) -> None:
         """Loads are left to their owner."""
+
+
+# ---- URScript ----
+
+
+def _script(problem: Problem, arm: Arm, name: str, unit: str, files: Mapping[str, str]) -> Read:
+    """A program that is read as a whole, or not at all: of others' statements, each may change the way."""
+    task, faults, lost = job.script_task(problem, arm, name, files)
+    unread = [*faults, *lost, *(fault for file, own in files.items() for fault in strange(file, own))]
+    way = () if unread else tuple(step for step in task.steps if isinstance(step, MoveStep))
+    places = {file.rpartition("/")[2]: file for file in files}
+    return Read(arm, name, unit, files, way, places, _sorted(unread), _moves(files, _SCRIPT_MOVE, "#"))

@@ -32,7 +32,7 @@ _CONTROL_CHARACTER = re.compile(r"[^\t\n\r -~]|\r(?!\n)")
 """Characters that no program has."""
 _STRING = re.compile(r'"[^"\n]*"')
 """A string in quotes."""
-_COMMENT_SIGN = {".src": ";", ".dat": ";", ".sub": ";"}
+_COMMENT_SIGN = {".src": ";", ".dat": ";", ".sub": ";", ".script": "#"}
 """Sign of a comment by the file's suffix; in RAPID it is another one."""
 
 

@@ -169,7 +169,8 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveStep(Step):
-    """`time` [s] and `velocity` [m/s] where the move states them; names are "" for values in place."""
+    """`time` [s], `velocity` [m/s] and `acceleration` [rad/s^2] of the leading axis where the move states
+    them; names are "" for values in place."""
 
     kind: str
     target: RobTarget | JointTarget | StatusTarget
@@ -185,11 +186,12 @@ class MoveStep(Step):
     wobj: WorkObject
     wobj_name: str
     switches: tuple[str, ...]
+    acceleration: float | None = None
 
     @property
     def in_world(self) -> bool:
-        """Whether the frame is the world by its name: the controller's own, or the one that KRL programs
-        have for it."""
+        """Whether the frame is the world by its name: the controller's own, or the one that KRL
+        and URScript programs have for it."""
         return self.wobj_name.lower() in ("wobj0", WORLD_FRAME)
 
     @property
@@ -286,12 +288,14 @@ class CallStep(Step):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettingStep(Step):
-    """Motion settings and stops. `stops`: the program stands still here until it is started again."""
+    """Motion settings and stops. `stops`: the program stands still here until it is started again. `unit`:
+    the mechanical unit that is meant, in small letters."""
 
     kind: str
     switches: tuple[str, ...]
     values: tuple[float, ...]
     stops: bool = False
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

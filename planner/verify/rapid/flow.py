@@ -246,6 +246,8 @@ class Runner(Evaluator):
             path = self._needed(arguments[0], "string")
             file = self.value(options.get("file"), "string")
             self.steps.append(LoadStep(*where, name, path + (f"/{file}" if file else "")))
+        elif name in ("ActUnit", "DeactUnit"):
+            self.steps.append(SettingStep(*where, name, (), (), unit=_text(arguments[0]).lower()))
         elif name == "GripLoad":
             self.steps.append(CarryStep(*where, self._needed(arguments[0], "loaddata"), _text(arguments[0])))
         else:

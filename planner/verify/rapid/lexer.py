@@ -236,6 +236,8 @@ _FORMS = (
     Form("SingArea", (), {"off": (0, "switch"), "wrist": (0, "switch")}),
     Form("AccSet", ("num", "num")),
     Form("VelSet", ("num", "num")),
+    Form("ActUnit", ("mecunit",)),
+    Form("DeactUnit", ("mecunit",)),
     Form("GripLoad", ("loaddata",)),
     Form("ClkReset", ("clock",)),
     Form("ClkStart", ("clock",)),

@@ -435,12 +435,24 @@ class Machine:
     chain: Chain
     spherical: ArmShape | None
 
+    @functools.cached_property
+    def table(self) -> parallel_arm.Table:
+        """The table of an arm of UR. Raises ``TandemError`` (``verify.robot_model``) for any other arm with
+        parallel axes, of which no programs are read."""
+        chain = self.chain
+        try:
+            return parallel_arm.table_of(chain.zero, chain.axis, chain.tip)
+        except ValueError as error:
+            message = f"the robot {self.data.name}: its URDF {error}"
+            hint = "take UR's own URDF with base: base_link and tip: tool0"
+            raise TandemError(Issue(ROBOT_MODEL, message, hint=hint)) from None
+
     @property
     def shape(self) -> ArmShape:
-        """Its shape, which what reads programs asks for. Raises ``TandemError`` (``verify.robot_model``) for
-        an arm without a spherical wrist, of which no programs are read."""
+        """Its shape, which what reads RAPID and KRL asks for. Raises ``TandemError`` (``verify.robot_model``)
+        for an arm without a spherical wrist."""
         if self.spherical is None:
-            message = f"the robot {self.data.name} has no spherical wrist: its programs are not read"
+            message = f"the robot {self.data.name} has no spherical wrist: no RAPID or KRL is read for it"
             raise TandemError(Issue(ROBOT_MODEL, message, hint="plan with an arm of ABB or KUKA"))
         return self.spherical
 

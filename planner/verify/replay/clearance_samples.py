@@ -18,7 +18,7 @@ from planner.issues import Issue, TandemError
 from planner.problem import Setup
 from planner.tooling import working_solid
 from planner.verify.context import Context
-from planner.verify.replay import arm_model
+from planner.verify.replay import arm_model, parallel_arm
 
 SAMPLE_STRIDE = 0.012
 """Way of any point of an arm between looks [m], the wanted clearance at most: bodies that keep it at two
@@ -172,8 +172,10 @@ def travel(context: Context, index: int, arm: str, rows: IntArray | slice = slic
 def lever(context: Context, index: int, arm: str) -> FloatArray:
     """How far any point of an arm is from each of its axes at most (6,) [m]."""
     setup = context.setups[index]
-    p = arm_model.machine_of(setup.cell.arm(arm).data).shape
-    tool = _hand(setup, arm)
+    machine, tool = arm_model.machine_of(setup.cell.arm(arm).data), _hand(setup, arm)
+    if machine.spherical is None:
+        return parallel_arm.levers(machine.table, tool)
+    p = machine.shape
     hand = abs(p.c4) + float(np.linalg.norm(p.right[:3, 3])) + tool
     forearm = float(np.hypot(p.a2, p.c3))
     return np.array(

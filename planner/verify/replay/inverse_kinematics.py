@@ -24,6 +24,7 @@ import itertools
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse
+from planner.verify.replay import parallel_arm
 from planner.verify.replay.arm_model import Machine
 
 FULL_TURN = 2.0 * np.pi
@@ -37,7 +38,11 @@ def solve(machine: Machine, flange: FloatArray, branch: IntArray) -> FloatArray:
     reach, and where the URDF's chain does not lead to the pose.
 
     Axes 1, 4 and 6 are in (-pi, pi] of the OPW angle; whole turns are for the caller (:func:`nearest_turns`).
+    Arms with three parallel axes have branches of their own (:mod:`planner.verify.replay.parallel_arm`).
     """
+    if machine.spherical is None:
+        q = parallel_arm.solve(machine.table, flange, branch)
+        return _reproduced(machine, q, flange)
     p = machine.shape
     own = inverse(p.left) @ flange @ inverse(p.right)
     rotation = own[:, :3, :3]
@@ -71,6 +76,11 @@ def solve(machine: Machine, flange: FloatArray, branch: IntArray) -> FloatArray:
     # axis 3 of some arms reaches below -180 degrees: take the turn that lies within its limits
     middle = 0.5 * (machine.data.lower + machine.data.upper)
     q[:, 1:3] = middle[1:3] + wrapped(q[:, 1:3] - middle[1:3])
+    return _reproduced(machine, q, flange)
+
+
+def _reproduced(machine: Machine, q: FloatArray, flange: FloatArray) -> FloatArray:
+    """Joints ``q`` (B, 6), NaN where the URDF's chain does not lead to the poses ``flange`` (B, 4, 4)."""
     off = np.abs(machine.flange(q) - flange).max(axis=(1, 2), initial=0.0)
     q[~(off <= REPRODUCED)] = np.nan
     return q
@@ -78,6 +88,8 @@ def solve(machine: Machine, flange: FloatArray, branch: IntArray) -> FloatArray:
 
 def branch_of(machine: Machine, q: FloatArray) -> IntArray:
     """Branch (...,) of serial joint angles (..., 6)."""
+    if machine.spherical is None:
+        return parallel_arm.branch_of(machine.table, q)
     p = machine.shape
     theta = p.signs * q - p.offsets
     forearm, lean = np.hypot(p.a2, p.c3), np.arctan2(p.a2, p.c3)
@@ -94,11 +106,11 @@ def nearest_turns(q: FloatArray, near: FloatArray) -> FloatArray:
     return out
 
 
-def continued(q: FloatArray, start: FloatArray) -> FloatArray:
-    """Angles (B, 6) along a path, axes 1, 4 and 6 unwrapped from row to row, beginning at the turns of
-    ``start`` (6,)."""
+def continued(machine: Machine, q: FloatArray, start: FloatArray) -> FloatArray:
+    """Angles (B, 6) along a path, axes 1, 4 and 6, of an arm with three parallel axes all, unwrapped from row
+    to row, beginning at the turns of ``start`` (6,)."""
     out = np.array(q)
-    for axis in (0, 3, 5):
+    for axis in range(6) if machine.spherical is None else (0, 3, 5):
         column = np.concatenate([start[None, axis], q[:, axis]])
         steps = np.diff(column)
         steps = steps - FULL_TURN * np.round(steps / FULL_TURN)
@@ -113,11 +125,13 @@ def wrapped(angle: FloatArray) -> FloatArray:
 
 def singularity_distance(machine: Machine, q: FloatArray) -> FloatArray:
     """Angle (...,) [rad] to the nearest singularity of serial angles (..., 6): wrist, stretched elbow, wrist
-    above axis 1.
+    above axis 1; of an arm with three parallel axes its own.
 
     The wrist's is |axis 5|; the elbow's the bend between lower arm and forearm; the shoulder's the angle at
     which the wrist centre is seen from the shoulder's height off axis 1.
     """
+    if machine.spherical is None:
+        return parallel_arm.singularity_distance(machine.table, q)
     p = machine.shape
     theta = p.signs * q - p.offsets
     forearm, lean = np.hypot(p.a2, p.c3), np.arctan2(p.a2, p.c3)

@@ -356,7 +356,7 @@ def _behind(row: Row, i: int, start: FloatArray) -> FloatArray:
     own = np.full(i - first, branch_of(row.robot, here), dtype=np.int64)
     branch = np.where(row.named[some], row.conf[some, 3], own)
     flange = inverse(row.base) @ row.pose[some] @ inverse(row.tool[some])
-    q = continued(solve(row.robot, flange, branch), here)[-1]
+    q = continued(row.robot, solve(row.robot, flange, branch), here)[-1]
     return np.asarray(q if np.isfinite(q).all() else here)
 
 
@@ -433,7 +433,7 @@ def branches_on_way(row: Row, a: int, b: int, here: FloatArray) -> IntArray:
     """The branch (N,) of each of the straight moves a to b - 1, which begin at joints ``here`` (6,)."""
     if row.robot.data.coupling is None and row.named[a:b].all():
         return np.asarray(row.conf[a:b, 3])
-    # KRL names no branch here, and cfx of parallel-rod arms is not settled: the arm keeps its own
+    # KRL and URScript name no branch here, and cfx of parallel-rod arms is not settled: the arm keeps its own
     return np.full(b - a, inverse_kinematics.branch_of(row.robot, here), dtype=np.int64)
 
 
@@ -450,4 +450,5 @@ def joints_on_way(
     unwrapped from the joints ``here`` of the sample before."""
     move = np.clip(np.searchsorted(law.times, when, side="left") - 1, 0, len(branch) - 1)
     flange = inverse(row.base) @ tcp @ inverse(row.tool[a + move])
-    return inverse_kinematics.continued(inverse_kinematics.solve(row.robot, flange, branch[move]), here)
+    q = inverse_kinematics.solve(row.robot, flange, branch[move])
+    return inverse_kinematics.continued(row.robot, q, here)

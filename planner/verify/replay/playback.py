@@ -37,12 +37,12 @@ LONGEST_MOTION = 4 * 3600.0
 
 def replay(
     job: JobText,
-    bases: Mapping[str, FloatArray],
+    bases: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
     tools: Sequence[Mapping[str, FloatArray]] | None = None,
 ) -> Motion:
-    """Run the programs. ``bases`` {arm: (4, 4)} in the world; ``tools``: for each stage {arm: TCP (4, 4) in
-    the flange} of what is mounted, where that changes. Needs stages that match
-    (:func:`planner.verify.job.read`)."""
+    """Run the programs. ``bases`` {arm: (4, 4)} in the world, for each stage where that changes; ``tools``:
+    for each stage {arm: TCP (4, 4) in the flange} of what is mounted, where that changes. Needs stages that
+    match (:func:`planner.verify.job.read`)."""
     return _Player(job, bases, tools).run()
 
 
@@ -50,13 +50,14 @@ class _Player:
     def __init__(
         self,
         job: JobText,
-        bases: Mapping[str, FloatArray],
+        bases: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
         mounted: Sequence[Mapping[str, FloatArray]] | None,
     ) -> None:
         self.job = job
         self.mounted = mounted
         self.units = {task.unit.lower(): task.arm.name for task in job.tasks}
-        self.bases = bases
+        self.standing = None if isinstance(bases, Mapping) else bases
+        self.bases = bases if isinstance(bases, Mapping) else dict(bases[0]) if bases else {}
         self.arms = [task.arm for task in job.tasks]
         self.robots = {arm.name: arm_model.machine_of(arm.data) for arm in self.arms}
         self.q = {arm.name: np.array(arm.home, dtype=np.float64) for arm in self.arms}
@@ -76,6 +77,8 @@ class _Player:
                 not number or self.mounted[number] is not self.mounted[number - 1]
             ):
                 self.tools = dict(self.mounted[number])
+            if self.standing is not None:
+                self.bases = self.standing[number]
             self._stage(number, stage)
         if not self.segments:
             self.faults.append(Fault("motion", "the programs move no arm", "", 0, 0))

@@ -67,7 +67,7 @@ def _shift(context: Context, index: int, arm: str) -> FloatArray:
     out = np.empty(len(motion.time))
     for first in range(0, len(out), 1 << 14):
         some = slice(first, first + (1 << 14))
-        counted = (context.bases[arm] @ machine.flange(motion.q[arm][some]) @ tcp)[:, :3, 3]
+        counted = (context.based(index)[arm] @ machine.flange(motion.q[arm][some]) @ tcp)[:, :3, 3]
         out[some] = np.linalg.norm(motion.tcp[arm].place[some] - counted, axis=1)
     return out
 

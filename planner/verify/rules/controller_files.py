@@ -11,11 +11,14 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 
+import numpy as np
+
 from planner.claims import vocabulary
 from planner.claims.forming import SinksHolder
+from planner.geometry.arrays import inverse
 from planner.issues import Issue
 from planner.problem import Controller
-from planner.verify.context import Context, Outcome, rule
+from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import CONTROLLER, TaskText
 from planner.verify.programs.program_text import (
     Partner,
@@ -27,9 +30,14 @@ from planner.verify.programs.program_text import (
     rapid_words,
     strange,
 )
-from planner.verify.programs.steps import BASE_FRAME, SignalStep
+from planner.verify.programs.steps import BASE_FRAME, SettingStep, SignalStep, Step
 from planner.verify.rapid.reader import CHECK_MODULE, masked
 from planner.verify.rapid.syntax_tree import Instruction, Literal, ProcCall
+from planner.verify.replay import arm_model
+from planner.verify.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR
+from planner.verify.urscript.flow import LOOK_KIND
+from planner.verify.urscript.reader import pose
+from planner.verify.urscript.syntax_tree import CHECK_POINT, LOOK_ERROR
 
 CONTROLLER_FILES = "verify.controller_files"
 """Code of the rule about files for the controllers."""
@@ -92,6 +100,8 @@ def _powered(context: Context, joined: bool) -> list[tuple[str, list[TaskText], 
     alone = context.problem.cell.controller.sync == "handshake"
     groups: list[list[TaskText]] = []
     for task in context.job.tasks:
+        if task.script is not None:
+            continue  # a UR controller takes no files: its installation is set at the panel
         if alone or task.krl is not None or not groups or groups[-1][0].krl is not None:
             groups.append([task])
         else:
@@ -313,15 +323,41 @@ _DISTANCE, _TURN = 0.1, 0.02
 @rule("verify.cell_check")
 def cell_check(context: Context) -> Outcome:
     """Before anything else each RAPID program compares base frame, tools and work objects with what was
-    planned, and stops for good over 0.1 mm or 0.02 degrees."""
+    planned, and stops for good over 0.1 mm or 0.02 degrees; one of URScript ends unless its controller has
+    the flange, at home, where the plan has it within 10 mm."""
     issues: list[Issue] = []
     for task in context.job.tasks:
-        if task.krl is None:
+        if task.script is not None:
+            issues += [at_step(CELL_CHECK, fault, task, step) for step, fault in _looks(task)]
+        if task.rapid:
             issues += [
                 Issue(CELL_CHECK, fault, arm=task.arm.name, file=file, hint="plan again; copy all modules")
                 for file, fault in _faults(context, task)
             ]
     return Outcome(tuple(issues))
+
+
+def _looks(task: TaskText) -> list[tuple[Step | None, str]]:
+    """What is wrong with the look of a URScript program at its arm, step by step."""
+    steps = [s for s in task.steps if isinstance(s, SettingStep) and s.kind == LOOK_KIND]
+    if len(steps) != 1:
+        return [
+            (None, f"the program looks {len(steps)} times whether the arm is the planned one; once is due")
+        ]
+    (step,), machine = steps, arm_model.machine_of(task.arm.data)
+    out: list[tuple[Step | None, str]] = []
+    q, tip, place, most = (np.array(step.values[a:b]) for a, b in ((0, 6), (6, 12), (12, 18), (18, 19)))
+    if np.abs(q - task.arm.home).max() > HOME_ERROR:
+        out.append((step, "the arm is looked at elsewhere than at home"))
+    if np.abs(tip[:3] - CHECK_POINT).max() > FRAME_POSITION:
+        out.append((step, f"the point of the flange is {tip[:3].tolist()} m; wanted: {list(CHECK_POINT)}"))
+    flange = inverse(machine.table.base) @ machine.flange(q)
+    off = float(np.linalg.norm((flange @ pose(tuple(tip)))[:3, 3] - place[:3]))
+    if off > FRAME_POSITION:
+        out.append((step, f"the arm's URDF has that point {mm(off):.4f} mm from where the program wants it"))
+    if most[0] > LOOK_ERROR:
+        out.append((step, f"the point may be off by {mm(most[0]):g} mm; allowed: {mm(LOOK_ERROR):g}"))
+    return out
 
 
 def _faults(context: Context, task: TaskText) -> list[tuple[str, str]]:

@@ -207,6 +207,8 @@ def _standing_out(points: FloatArray, inside: BoolArray) -> FloatArray:
     return out
 
 
+BESIDE = 0.01
+"""Points nearer to a face than this [m] are held against the faces that it crosses: no slot is as wide."""
 SIDE_DISTANCE = 1e-6
 """A surface all of whose vertices are so near to one side of the datum block [m] is that side, and bounds raw
 foam instead of a piece."""
@@ -340,7 +342,8 @@ class _Bounds:
     def off(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance (N,) [m] of points (N, 3) to the part, negative inside, NaN where it is not known, and the
         tolerance (N,) there. What is outside of either the contours or the faces is outside, and so is what
-        is outside of a face that the nearest one crosses: both bound the part together."""
+        is outside of a face that the nearest one crosses: both bound the part together, which is no nearer
+        than the farther one of them."""
         off, tolerance = np.full(len(points), -np.inf), np.full(len(points), np.nan)
         for group, limits, are_faces in self.groups:
             here, owner = group.off(points)
@@ -353,12 +356,12 @@ class _Bounds:
     def _beyond(self, points: FloatArray, off: FloatArray, owner: IntArray) -> FloatArray:
         """Distances (N,) [m] of points (N, 3), where ``off`` is that to the nearest face, ``owner`` (N,)."""
         off = off.copy()
-        for number in np.unique(owner[off < 0.0]).tolist():
+        for number in np.unique(owner[off < BESIDE]).tolist():
             for other in self.walls.crossed(self.faces[number]):
                 if any(other is face for face in self.faces):
-                    rows = np.flatnonzero((off < 0.0) & (owner == number))
+                    rows = np.flatnonzero((off < BESIDE) & (owner == number))
                     own, _ = self.walls.wall(other).off(points[rows])
-                    off[rows] = np.where(own > 0.0, own, off[rows])
+                    off[rows] = np.where(own > np.maximum(off[rows], 0.0), own, off[rows])
         return off
 
 

@@ -49,8 +49,8 @@ SPEED_ROUNDING = 1.0 + 1e-6
 @rule("verify.unknown_start")
 def unknown_start(context: Context) -> Outcome:
     """The first move of each arm begins where its start is not known, so it is no faster than what it states:
-    250 mm/s and 45 deg/s, or less where the problem allows less; KRL 10 % of each axis. Joint moves state no
-    times."""
+    250 mm/s and 45 deg/s, or less where the problem allows less; KRL and URScript 10 % of each axis. Joint
+    moves state no times."""
     found = []
     worst = 0.0
     told: dict[str, list[str]] = {}
@@ -58,11 +58,11 @@ def unknown_start(context: Context) -> Outcome:
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
         if moves:
-            share, faults = _shares(task, moves[0]) if task.krl is not None else _rapid(moves[0], limit)
+            share, faults = _rapid(moves[0], limit) if task.rapid else _shares(task, moves[0])
             worst = max(worst, share)
             told.setdefault(_words(moves[0]), []).append(task.arm.name)
             found += [at_step(UNKNOWN_START, f"start not known: {fault}", task, moves[0]) for fault in faults]
-        for move in moves if task.krl is None else ():
+        for move in moves if task.rapid else ():
             found += [at_step(UNKNOWN_START, fault, task, move) for fault in _stated(move)]
     words = "; ".join(f"{stated} ({', '.join(arms)})" for stated, arms in told.items())
     where = f"start not known: at most {words}" if told else "nothing moves"
@@ -82,9 +82,9 @@ def _rapid(move: MoveStep, limit: float) -> tuple[float, list[str]]:
 
 
 def _shares(task: TaskText, move: MoveStep) -> tuple[float, list[str]]:
-    """The same of KRL: a PTP, by shares of the axes' speeds."""
+    """The same of KRL and URScript: a PTP or movej, by shares of the axes' speeds."""
     if move.speed.axes is None:
-        return 0.0, [f"{move.kind} does not state shares of the axes' speeds; PTP does"]
+        return 0.0, [f"{move.kind} does not state shares of the axes' speeds; PTP or movej does"]
     fastest = max(move.speed.axes)
     axis = int(np.argmax(move.speed.axes)) + 1
     what = f"axis {axis} goes at {100.0 * fastest:g} % of its speed; allowed: {100.0 * BLIND_SPEED_SHARE:g} %"
@@ -120,12 +120,12 @@ UNDO_RULE = "verify.undo"
 def undo(context: Context) -> Outcome:
     """Where a task switches power or opens synchronised blocks, every procedure has an UNDO that switches the
     power off first and leaves the block, whichever of the called ones the program pointer is moved out of;
-    KRL has none."""
+    KRL and URScript have none."""
     issues = []
     wanted = False
     for task in context.job.tasks:
         signals, blocks = powers(context, task), _blocks(task)
-        wanted |= bool(signals or blocks) and task.krl is None
+        wanted |= bool(signals or blocks) and task.rapid
         for module in task.modules:
             for procedure in module.procedures:
                 steps = task.undos.get((module.name, procedure.name))
@@ -210,11 +210,12 @@ _PATH_INSTRUCTIONS = (
 @rule("verify.move_kinds")
 def move_kinds(context: Context) -> Outcome:
     """Only moves whose path is known: MoveAbsJ, and MoveL with ConfL as the arm needs it; no \\Conc, no
-    external axes. KRL: PTP, and LIN or SLIN."""
+    external axes but tracks. KRL: PTP, and LIN or SLIN; URScript: movej, no faster up than the axes may,
+    and movel."""
     issues = []
     for task in context.job.tasks:
-        if task.krl is not None:
-            issues += synchronisation.move_kinds(task)
+        if not task.rapid:
+            issues += synchronisation.move_kinds(task) + synchronisation.accelerations(task)
             continue
         wanted = "off" if task.arm.data.coupling is not None else "on"
         state = "on"
@@ -232,7 +233,8 @@ def move_kinds(context: Context) -> Outcome:
                 if switch in _REFUSED_OPTIONS:
                     issues += [at_step("verify.move_kinds", _REFUSED_OPTIONS[switch], task, step)]
             used = np.abs(step.target.external - UNUSED_AXIS) > 1e3  # in single precision 9E9 is off by 512
-            if isinstance(step.target, RobTarget | JointTarget) and used.any():
+            known = isinstance(step.target, RobTarget | JointTarget) and task.arm.track is None
+            if known and used.any():
                 issues.append(at_step("verify.move_kinds", "the target moves an external axis", task, step))
             if step.kind == "MoveL" and (state != wanted or not stated):
                 message = (
@@ -291,7 +293,7 @@ def zero_length(context: Context) -> Outcome:
 @rule("verify.error_handler")
 def error_handler(context: Context) -> Outcome:
     """Every procedure has an error handler that switches the power off first, stops the motion, says so,
-    stops all tasks, and does not go on; KRL has none."""
+    stops all tasks, and does not go on; KRL and URScript have none."""
     issues = []
     many = len(context.job.tasks) > 1 and context.job.readings is None
     for task in context.job.tasks:
@@ -441,7 +443,8 @@ def _undoes(step: Step) -> bool:
 
 def _still(a: MoveStep, b: MoveStep) -> bool:
     if isinstance(a.target, JointTarget) and isinstance(b.target, JointTarget):
-        return bool(np.abs(a.target.joints - b.target.joints).max() < _ZERO_TURN)
+        outer = np.abs(a.target.external - b.target.external).max() > 0.0  # a track goes
+        return not outer and bool(np.abs(a.target.joints - b.target.joints).max() < _ZERO_TURN)
     if isinstance(a.target, RobTarget | StatusTarget) and isinstance(b.target, RobTarget):
         turn = min(np.abs(a.target.quaternion - s * b.target.quaternion).max() for s in (1.0, -1.0))
         way = straight_way(a, b)

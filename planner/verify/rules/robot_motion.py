@@ -106,8 +106,8 @@ def confdata(context: Context) -> Outcome:
     issues, worst = [], 0.0
     for task in context.job.tasks:
         arm = task.arm.name
-        if task.krl is not None:
-            continue  # verify.status asks the same of KRL
+        if not task.rapid:
+            continue  # verify.status asks the same of KRL; movel keeps the posture that movej has reached
         if task.arm.data.coupling is not None:
             continue  # cfx of parallel-rod arms is not settled; the programs run with ConfL\Off
         selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]

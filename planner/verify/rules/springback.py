@@ -18,16 +18,24 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.forming import ComesBack, FormsPart, FormsSheet
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.tooling import FormingTool
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
-from planner.verify.forming import elastic, loop_walls, springback_bounds, springback_file, stated_force
+from planner.verify.forming import (
+    elastic,
+    loop_walls,
+    scan_field,
+    springback_bounds,
+    springback_file,
+    stated_force,
+)
+from planner.verify.forming.face import Face
 from planner.verify.forming.released import Told
 from planner.verify.forming.shapes import PartShapes
 from planner.verify.forming.springback_bounds import STEP, FilePass
-from planner.verify.forming.springback_file import Control
+from planner.verify.forming.springback_file import Control, Measured, Way
 from planner.verify.forming.state import Forming
 
 CODE = "verify.springback"
@@ -71,6 +79,12 @@ MOST_PLACES = 60_000
 """Places of a way at most."""
 NO_CURVE = np.zeros(0)
 """Of a place that is no control point."""
+SCAN_OFF = 1e-4
+"""Shifts that follow from a scan are within this [m] of what the proof makes of it, and `BETWEEN`."""
+ON_PART = 1.5e-4
+"""A pass forms the part's own face where half of its way is within this [m] of that."""
+LEAST_SEEN = 0.6
+"""Share of a way of which a scan says something, at least."""
 MODES = frozenset({"spif", "dsif", "dpif_l", "heat"})
 """Modes in which what is formed comes back as one elastic sheet, and no tool holds its border."""
 
@@ -85,6 +99,13 @@ def springback(context: Context, forming: Forming) -> Outcome:
     for one in forming.told:
         if one.given is None:
             issues.append(_issue(one, one.fault))
+            continue
+        if one.given.measured is not None or one.operation.springback.scan is not None:
+            off, found = _scanned(context, forming, one)
+            found += [*_belongs(context, one), *_limits(one), *_way(context, forming, one)]
+            issues += [*found, *_steep(context, forming, one)]
+            if off >= worst:
+                worst, where = off, one.claim.operation
             continue
         found = [*_belongs(context, one), *_limits(one), *_forces(context, one)]
         passes = [] if found else list(_passes(context, forming, one))
@@ -262,12 +283,8 @@ def _passes(context: Context, forming: Forming, one: Told) -> Iterator[FilePass]
         controls = tuple(c for c in one.given.controls if c.segment == claim.segment.name)
         if way is None or not controls:
             continue
-        gone = springback_bounds.gone(way.point)
-        count = int(min(MOST_PLACES, np.ceil(gone[-1] / STEP))) + 1
-        at = np.linspace(0.0, float(gone[-1]), count)
-        centre = np.stack([np.interp(at, gone, way.point[:, axis]) for axis in range(3)], axis=1)
-        ring = way.ring[np.clip(np.searchsorted(gone, at), 0, len(way.ring) - 1)]
-        found = made.face.nearest(centre)
+        at, centre, ring = _evenly(way)
+        count, found = len(at), made.face.nearest(centre)
         up = np.abs(centre[:, 2] - found.place[:, 2]) / np.maximum(found.apart, 1e-9)
         stated = one.operation.stepdown_mm
         most = claim.radius if stated is None else 2.0 * float(stated) * MM
@@ -278,6 +295,86 @@ def _passes(context: Context, forming: Forming, one: Told) -> Iterator[FilePass]
         angle = np.arccos(np.clip(up, 0.0, 1.0))
         force = _along_way(context, one, claim, found.place, angle, controls)
         yield FilePass(claim, made.face, way, controls, at, found.place, angle, force, ring, rise)
+
+
+def _evenly(way: Way) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Places of a way, `STEP` apart: (P,) [m] along it, the ball's centre (P, 3) [m] and the ring (P,)."""
+    gone = springback_bounds.gone(way.point)
+    count = int(min(MOST_PLACES, np.ceil(gone[-1] / STEP))) + 1
+    at = np.linspace(0.0, float(gone[-1]), count)
+    centre = np.stack([np.interp(at, gone, way.point[:, axis]) for axis in range(3)], axis=1)
+    return at, centre, way.ring[np.clip(np.searchsorted(gone, at), 0, len(way.ring) - 1)]
+
+
+def _scanned(context: Context, forming: Forming, one: Told) -> tuple[float, list[Issue]]:
+    """How far shifts that follow from a scan are off what the proof makes of it, as a share of what is
+    allowed, and issues."""
+    given, stated, stock = one.given, one.operation.springback, context.setups[one.index].stock
+    part = context.problem.part
+    if given is None or given.measured is None or stated.scan is None or part is None or part.formed is None:
+        return 0.0, [_issue(one, "its file and the scan that the problem names do not go together")]
+    said, issues = given.measured, []
+    try:
+        points = scan_field.points_of(Path(stated.scan.file), said)
+    except ValueError as error:
+        return 0.0, [_issue(one, f"{Path(stated.scan.file).name}: {error}")]
+    field = scan_field.Field(part.formed.mesh, stock.size, said.top, points)
+    flat, corners = field.flat_off()
+    marks = scan_field.marks_off(said)
+    if flat > scan_field.FLAT_OFF or not corners:
+        what = f"the flat of its scan is {mm(flat):.3f} mm off that of the sheet"
+        issues.append(_issue(one, what, mm(flat), mm(scan_field.FLAT_OFF), "mm"))
+    if marks > scan_field.MARKS_OFF:
+        what = f"its scan lies {mm(marks):.3f} mm farther from its marks than it has to"
+        issues.append(_issue(one, what, mm(marks), mm(scan_field.MARKS_OFF), "mm"))
+    worst = max(flat / scan_field.FLAT_OFF, marks / scan_field.MARKS_OFF)
+    for made in forming.formed:
+        claim, way = made.claim, given.ways.get(made.claim.segment.name)
+        if made.setup != one.index or claim.segment not in one.claim.segments or way is None:
+            continue
+        off, found = _by_scan(one, field, said, made.face, claim, way, float(stock.size[2]))
+        worst, issues = max(worst, off), [*issues, *found]
+    return worst, issues
+
+
+def _by_scan(
+    one: Told, field: scan_field.Field, said: Measured, face: Face, claim: FormsSheet, way: Way, thick: float
+) -> tuple[float, list[Issue]]:
+    """The same of one pass, on the face of a sheet that is ``thick`` [m]."""
+    name, given = claim.segment.name, one.given
+    at, centre, _ = _evenly(way)
+    touch = face.nearest(centre).place
+    before = None if given is None else given.before.get(name)
+    went = (np.zeros(1), np.zeros(1))
+    if before is not None:
+        gone = springback_bounds.gone(before.point)
+        went = gone * (at[-1] / max(float(gone[-1]), 1e-9)), before.shift
+    high = field.height(touch[:, :2]) + (thick if claim.side > 0 else 0.0)
+    own = float(np.nanmedian(np.abs(high - touch[:, 2]))) <= ON_PART
+    if own != (name in said.adjusts):
+        what = f"{name} {'forms' if own else 'does not form'} the part's own face, and its file "
+        return np.inf, [_issue(one, what + ("leaves it as it was" if own else "adjusts it by the scan"))]
+    got = np.interp(at, springback_bounds.gone(way.point), way.shift)
+    slope = float(one.operation.springback.slope)
+    if own:
+        wanted, share = scan_field.shifts(
+            field, said, went, claim.side, touch[:, :2], at, claim.radius, slope
+        )
+        if share < LEAST_SEEN:
+            what = f"its scan shows {100.0 * share:.0f} % of the way of {name}"
+            return np.inf, [_issue(one, what, 100.0 * share, 100.0 * LEAST_SEEN, "%")]
+    else:
+        wanted = np.interp(at, *went)
+    off = np.abs(got - wanted)
+    slack = SCAN_OFF + BETWEEN * np.abs(wanted) + 0.5 * slope * STEP
+    k = int(np.argmax(off / slack))
+    if off[k] <= slack[k]:
+        return float(off[k] / slack[k]), []
+    what = (
+        f"{name} is shifted by {mm(got[k]):.3f} mm at {at[k] / MM:.0f} mm of its way; its scan, and how the "
+        f"scanned part was formed, make {mm(wanted[k]):.3f} mm of it"
+    )
+    return float(off[k] / slack[k]), [_issue(one, what, mm(float(off[k])), mm(float(slack[k])), "mm")]
 
 
 def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:

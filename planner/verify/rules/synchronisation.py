@@ -59,6 +59,17 @@ def move_kinds(task: TaskText) -> list[Issue]:
     return out
 
 
+def accelerations(task: TaskText) -> list[Issue]:
+    """Moves by joints that ask for more of their leading axis than every axis has."""
+    limit, out = float(np.min(task.arm.data.acceleration)), []
+    for step in task.steps:
+        if isinstance(step, MoveStep) and step.acceleration is not None and step.acceleration > limit:
+            given, most = np.rad2deg([step.acceleration, limit])
+            what = f"the leading axis is to accelerate by {given:.1f} deg/s^2; allowed: {most:.1f}"
+            out.append(at_step("verify.move_kinds", what, task, step))
+    return out
+
+
 def sizes(context: Context, task: TaskText) -> tuple[list[Issue], int]:
     """Files with more moves than the problem allows, and the most that one has."""
     limit, most, out = context.problem.cell.controller.max_moves, 0, []
@@ -67,6 +78,12 @@ def sizes(context: Context, task: TaskText) -> tuple[list[Issue], int]:
         if program.moves > limit:
             what = f"{program.file} has {program.moves} moves; allowed: {limit}"
             out.append(Issue("verify.module_size", what, file=program.file, value=program.moves, limit=limit))
+    script = None if task.script is None else task.script.program
+    if script is not None:
+        most = script.moves
+        if most > limit:
+            what = f"{script.file} has {most} moves; allowed: {limit}"
+            out.append(Issue("verify.module_size", what, file=script.file, value=most, limit=limit))
     return out, most
 
 

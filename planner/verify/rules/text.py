@@ -217,7 +217,7 @@ def _faults(context: Context, code: str, faults: Iterable[Fault], hint: str) -> 
 
 @rule("verify.syntax")
 def syntax(context: Context) -> Outcome:
-    """The text is RAPID, or KRL, and has one straight way."""
+    """The text is RAPID, KRL or URScript, and has one straight way."""
     job = context.job
     faults = [*(f for f in job.faults if f.kind not in _OTHERS), *job.flow]
     faults += [f for task in job.tasks for file, text in task.files.items() for f in strange(file, text)]
@@ -301,7 +301,7 @@ def decimals(context: Context) -> Outcome:
     ]
     worst = 0.0
     for task in context.job.tasks:
-        if task.krl is not None:
+        if not task.rapid:
             continue  # angles are of no length
         for step in task.steps:
             if isinstance(step, MoveStep) and not step.by_joints:
@@ -320,7 +320,8 @@ def decimals(context: Context) -> Outcome:
 @rule("verify.files")
 def files(context: Context) -> Outcome:
     """Every task of the cell has modules, no file is left over, and the program lists name the modules that
-    are there, as the controller's RobotWare loads them; a KRL file has the name of its program."""
+    are there, as the controller's RobotWare loads them; a file of KRL or URScript has the
+    name of its program."""
     issues = [
         Issue("verify.files", f.message, file=f.file, line=f.line, hint="rename the file as its program is")
         for f in context.job.faults
@@ -412,7 +413,8 @@ def digest(context: Context) -> Outcome:
             for data in context.data(task, rf"{DIGEST}(_\d+)?")
             if isinstance(data.initial, Literal) and data.kind == "string"
         ]
-        text = "".join(str(part) for part in found) if task.krl is None else task.krl.digest
+        other = task.krl or task.script
+        text = "".join(str(part) for part in found) if other is None else other.digest
         if text != context.problem.digest:
             message = (
                 f"task {task.name} states the problem {text[:12] or '(none)'}..., "

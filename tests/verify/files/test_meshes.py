@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.geometry.mesh import read_mesh
+from planner.geometry.mesh_files import read_mesh
 from planner.issues import TandemError
 from planner.verify.files import UnreadError
 from planner.verify.files.meshes import read_facets

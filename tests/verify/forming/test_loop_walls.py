@@ -140,9 +140,9 @@ def _sudden(old: Callable[..., Any]) -> Callable[..., Any]:
     the wall is 69 degrees steep: within what the proof takes between control points."""
 
     def other(name: str, path: Any, radius: float, asked: Any, *more: Any) -> Any:
-        def late(points: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        def late(points: np.ndarray, angle: np.ndarray, at: np.ndarray) -> np.ndarray:
             share = np.interp(-points[:, 2], [4.5e-3, 6.5e-3, 7e-3], [0.0, 0.045, 0.0])
-            return np.asarray(asked(points, angle) * (1.0 - share))
+            return np.asarray(asked(points, angle, at) * (1.0 - share))
 
         return old(name, path, radius, late, *more)
 

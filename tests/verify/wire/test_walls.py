@@ -59,7 +59,7 @@ def test_what_is_outside_of_any_face_is_outside_of_the_part() -> None:
     assert known[inner & (wanted < -0.001)].all()
     assert known[inner].mean() > 0.97
     assert ((off > 0.0) == (wanted > 0.0))[known].all()
-    within = known & inner & (wanted < 0.0)
+    within = known & inner & (wanted < 0.009)  # farther ones need not be known so well
     np.testing.assert_allclose(off[within], wanted[within], atol=1e-9)
     assert (tolerance[known] == 4e-4).all()
 

@@ -1,0 +1,1 @@
+"""URScript for controllers of Universal Robots."""

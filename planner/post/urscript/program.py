@@ -1,0 +1,301 @@
+"""URScript programs of a job: for each arm of UR one file with one program, without branches.
+
+The controller counts in a base of its own, which :func:`controller_base` finds in the arm's URDF.
+Moves by joints state the speed of their leading axis, at which the TCP keeps its limit; straight
+moves state their time and a blend radius.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from planner import __version__
+from planner.catalogue.robots import ParallelParameters, RobotData
+from planner.cell.kinematics import forward
+from planner.claims import vocabulary
+from planner.geometry.arrays import FloatArray, from_rpy, inverse
+from planner.issues import Issue, TandemError
+from planner.plans import Plan
+from planner.post.program import (
+    LINE_END,
+    Carry,
+    Do,
+    Job,
+    Joints,
+    OperationProgram,
+    Run,
+    Step,
+    TaskProgram,
+    kilobytes,
+    number,
+    short,
+)
+from planner.post.steps import LEAST_MASS
+from planner.post.urscript import syntax
+from planner.post.urscript.syntax import comment, mark, name
+from planner.problem import Arm, Problem
+from planner.targets import Action
+from planner.tooling import Tool
+
+CHECK_TIP: Final = from_rpy([0.1, 0.2, 0.3], [0.0, 0.0, 0.0])
+"""A point of the flange's frame off all axes: where it stands tells how base and flange are turned."""
+CHECK_ERROR: Final = 0.01
+"""How far [m] the controller may have that point elsewhere: arms are calibrated one by one, to some mm."""
+UNKNOWN_START_SHARE: Final = 0.10
+"""Share of the axes' speed of a move from a place that is not known: the first one of a program."""
+_SPEED_SAMPLES: Final = 400
+"""Places of a move by joints at which the speed of the TCP is looked at."""
+_SPEED_SHARE: Final = 0.99
+"""Share of the speed limit that it may use, for the fastest place may lie between two of these."""
+LEAST_JOINT_SPEED: Final = 0.001
+"""Least speed of a leading axis that is written [rad/s]."""
+_ZERO: Final = np.deg2rad([-90.0, 0.0, -90.0, 0.0, 0.0])
+"""Offsets of axes 2 to 6 of UR's own zero posture."""
+_AGREE: Final = 1e-6
+"""How far an arm may be off that [rad]."""
+_STEM_LENGTH: Final = 24
+"""Characters of the problem's name in the program's."""
+
+
+def controller_base(arm: Arm) -> FloatArray:
+    """The base (4, 4) that a UR controller counts in, in the arm's own: at zero the arm lies along its -x.
+
+    Raises :class:`TandemError` (``post.ur_arm``) for an arm whose zero, signs or flange are not those of UR:
+    joints in programs would mean other postures.
+    """
+    form = arm.data.form
+    wrong = ""
+    if not isinstance(form, ParallelParameters):
+        wrong = "its axes 2, 3 and 4 are not parallel"
+    elif np.abs(form.offsets[1:] - _ZERO).max() > _AGREE or (form.signs != 1.0).any():
+        wrong = "its joints are zero elsewhere, or turn the other way, than a UR controller counts them"
+    elif form.right is not None:
+        wrong = "its tip is not the flange of a UR controller, which stands on axis 6 with z out of the arm"
+    if wrong or not isinstance(form, ParallelParameters):
+        message = f"arm {arm.name} ({arm.robot}) is no arm that a UR controller moves: {wrong}"
+        hint = "take UR's own URDF with base: base_link and tip: tool0, or family: generic"
+        raise TandemError(Issue("post.ur_arm", message, arm=arm.name, hint=hint))
+    turn = from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, np.pi - float(form.offsets[0])])
+    return turn if form.left is None else np.asarray(form.left @ turn)
+
+
+def joint_speed(
+    robot: RobotData, start: FloatArray, end: FloatArray, tcp: FloatArray, limit: float, most: float
+) -> float:
+    """Speed [rad/s] of the leading axis of a move between joints (6,) [rad] with the TCP ``tcp`` (4, 4), so
+    that the TCP keeps below ``limit`` [m/s] and each axis below the share ``most`` of its speed."""
+    q = start + np.linspace(0.0, 1.0, _SPEED_SAMPLES + 1)[:, None] * (end - start)
+    point = (forward(robot, q) @ tcp)[:, :3, 3]
+    change = np.abs(end - start)
+    farthest = float(np.linalg.norm(np.diff(point, axis=0), axis=1).max()) * _SPEED_SAMPLES
+    lead = float(change.max())
+    speed = most * float(np.min(robot.velocity))
+    if farthest > 0.0:
+        speed = min(speed, _SPEED_SHARE * limit * lead / farthest)
+    return max(LEAST_JOINT_SPEED, float(np.floor(1e4 * speed) / 1e4))
+
+
+class _Main:
+    """Writes the program of one task."""
+
+    def __init__(self, task: TaskProgram, job: Job, plan: Plan, problem: Problem) -> None:
+        self.task, self.job, self.plan, self.problem = task, job, plan, problem
+        self.foot = controller_base(task.arm)
+        self.base = task.base @ self.foot
+        self.data: dict[str, str] = {}
+        self.tools: dict[str, str] = {}
+        self.places: dict[str, str] = {}
+        self.moves = 0
+        self._at: FloatArray | None = None
+        self._acceleration = float(np.min(task.robot.acceleration)) * problem.settings.acceleration_fraction
+
+    def lines(self) -> tuple[list[str], list[str]]:
+        """Declarations, and the statements behind them."""
+        self._declare("base_frame", syntax.pose(self.base))
+        home = self._joints(Joints(self.task.arm.home, "home"), 0)
+        place = inverse(self.foot) @ forward(self.task.robot, self.task.arm.home) @ CHECK_TIP
+        text = vocabulary.OTHER_ARM.filled(arm=self.task.arm.name, model=self.task.arm.robot)
+        out = [self._switch(signal, False) for signal in self.job.switched(self.task)]
+        out += syntax.kinematics_check(home, CHECK_TIP, place, CHECK_ERROR, text)
+        clear = vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY
+        out += syntax.question(clear.filled())
+        for i, operation in enumerate(self.task.operations, 1):
+            out += self._operation(i, operation)
+        return [f"{word} = {value}" for word, value in self.data.items()], out
+
+    def _declare(self, word: str, value: str) -> str:
+        if self.data.setdefault(word, value) != value:
+            message = f"two things of arm {self.task.arm.name} would be called {word}"
+            raise TandemError(Issue("post.name", message, hint="give the tool another name"))
+        return word
+
+    def _operation(self, index: int, operation: OperationProgram) -> list[str]:
+        out, told = comment(f"Operation {operation.name}."), False
+        for i, step in enumerate(operation.steps):
+            if not told and isinstance(step, Joints | Run):  # behind the setup that has mounted the tool
+                told, tool = True, operation.arm.tool
+                out += [f"set_tcp({self._tool(tool)})", _payload(tool)]
+            out += self._step(step, index, operation, _question_follows(operation.steps[i + 1 :]))
+        return out
+
+    def _step(self, step: Step, index: int, operation: OperationProgram, asks: bool) -> list[str]:
+        match step:
+            case Joints():
+                return self._movej(step, index, operation)
+            case Do(action):
+                return self._action(action, asks)
+            case Run():
+                return self._run(step, operation)
+            case Carry(load) if load is not None:
+                message = f"arm {self.task.arm.name} holds the block; URScript is written for tools alone"
+                raise TandemError(Issue("post.load", message, hint="let the block stand in the cell"))
+        return []
+
+    def _movej(self, step: Joints, index: int, operation: OperationProgram) -> list[str]:
+        limits, robot = self.problem.settings, self.task.robot
+        tcp, share, start = operation.arm.tool.tcp, limits.speed_fraction, self._at
+        if start is None:
+            speed = UNKNOWN_START_SHARE * float(np.min(robot.velocity))
+            speed = float(np.floor(1e4 * speed) / 1e4)
+        else:
+            speed = joint_speed(robot, start, step.q, tcp, limits.tcp_speed, share)
+        self._at = step.q
+        acceleration = float(np.floor(1e4 * self._acceleration) / 1e4)
+        return [syntax.movej(self._joints(step, index), acceleration, speed)]
+
+    def _joints(self, step: Joints, operation: int) -> str:
+        text = syntax.joints(self.task.robot.to_controller(step.q))
+        if text not in self.places:
+            stem = "x_home" if step.place == "home" else f"x_{operation}_{step.place}"
+            count = sum(word.startswith(stem) for word in self.places.values())
+            word = stem if step.place == "home" else f"{stem}_{count + 1}"
+            self.places[text] = self._declare(word, text)
+        return self.places[text]
+
+    def _tool(self, tool: Tool) -> str:
+        value = syntax.pose(tool.tcp)
+        key = f"{tool.name} {value}"
+        if key not in self.tools:
+            stem = name(f"t_{tool.name}")
+            names = itertools.chain([stem], (f"{stem}_{n}" for n in itertools.count(2)))
+            own = next(word for word in names if word not in self.tools.values())
+            self.tools[key] = self._declare(own, value)
+        return self.tools[key]
+
+    def _frame(self, operation: OperationProgram) -> str:
+        """Name of the frame of an operation's moves, as the controller's base sees it."""
+        kind = "world" if operation.track is None else operation.track.frame
+        seen = inverse(self.base)
+        if kind == "world":
+            return self._declare("b_world", syntax.pose(seen))
+        if kind == "stock":
+            place = seen @ self.plan.places[operation.setup - 1]
+            word = "b_stock" if operation.setup == 1 else f"b_stock_{operation.setup}"
+            return self._declare(word, syntax.pose(place))
+        message = f"targets of {self.task.arm.name} lie in {kind!r}, which URScript has no frame for"
+        raise TandemError(Issue("post.frame", message, hint="allowed: stock, world"))
+
+    def _action(self, action: Action, asks: bool) -> list[str]:
+        match action.kind:
+            case "message":
+                return syntax.told(action.text, before_question=asks)
+            case "confirm":
+                return syntax.question(action.text)
+            case "on" | "off":
+                return [self._switch(action.signal, action.kind == "on")]
+            case "wait":
+                return [f"sleep({syntax.real(action.seconds, 3)})"]
+
+    def _switch(self, signal: str, on: bool) -> str:
+        found = self.problem.cell.controller.number(self.task.arm.name, signal)
+        if found is None:
+            message = f"the cell gives no number of {signal} on the controller of {self.task.arm.name}"
+            raise TandemError(Issue("post.signal", message, arm=self.task.arm.name))
+        return f"{syntax.output(found, on)} # {signal}"
+
+    def _run(self, run: Run, operation: OperationProgram) -> list[str]:
+        track, some = operation.track, slice(run.first, run.last)
+        if track is None:
+            return []
+        radius = syntax.blends(track, operation.stop)
+        lost = np.flatnonzero(np.isnan(radius[some])) + run.first
+        if len(lost):
+            place = f"{operation.segments[lost[0]]}, move {lost[0] + 1}"
+            message = (
+                f"operation {operation.name}: {len(lost)} moves of arm {self.task.arm.name} would pass "
+                f"targets where there is no room for a blend, first {place}: the tool turns about its TCP, "
+                "or hardly moves"
+            )
+            hint = "let the motion stop there, or choose another TCP or cut, so that the tool has a way"
+            raise TandemError(Issue("post.blend", message, arm=self.task.arm.name, target=place, hint=hint))
+        seconds = short(float(track.duration[some].sum()), 2)
+        out = comment(f"Segment {mark(run.segment)}: {run.last - run.first} moves, {seconds} s.")
+        out += syntax.straight(track, radius, self._frame(operation))[some]
+        self._at = track.q[run.last - 1]
+        self.moves += run.last - run.first
+        return out
+
+
+def _payload(tool: Tool) -> str:
+    """The statement that tells mass [kg] and centre [m] in the flange's frame. Raises :class:`TandemError`
+    (``post.tool``) for a tool without mass."""
+    if not tool.mass >= LEAST_MASS:
+        message = f"tool {tool.name!r} has a mass of {tool.mass} kg; a payload needs {LEAST_MASS} kg at least"
+        raise TandemError(Issue("post.tool", message, hint=f"state the tool's mass_kg, {LEAST_MASS} or more"))
+    return f"set_payload({number(tool.mass, 3)},{syntax.vector(np.asarray(tool.cog), 6)})"
+
+
+def _question_follows(steps: Sequence[Step]) -> bool:
+    """Whether the next step that is more than a message is a question."""
+    rest = (step for step in steps if not (isinstance(step, Do) and step.action.kind == "message"))
+    first = next(rest, None)
+    return isinstance(first, Do) and first.action.kind == "confirm"
+
+
+def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
+    """Program files of UR's arms by relative name. Raises :class:`TandemError` (``post.*``)."""
+    limits = problem.cell.controller
+    out: dict[str, str] = {}
+    for task in job.tasks:
+        if task.robot.family != "UR":
+            continue
+        stem = name(problem.name, _STEM_LENGTH)
+        main = _Main(task, job, plan, problem)
+        data, body = main.lines()
+        head = _header(task, job, plan, margins)
+        note = "# what this program was planned for; the proof starts from these"
+        digest = f'problem_digest = "{plan.digest}"'
+        rows = [f"def {stem}():", *head, note, digest, *data, *body, "end"]
+        path = f"{task.arm.name}/{stem}.script"
+        text = "".join(f"{row}{LINE_END}" for row in rows)
+        over = main.moves > limits.max_moves, len(text.encode()) > limits.max_bytes
+        if any(over):
+            got = f"{path} has {main.moves} moves and {len(text.encode())} bytes"
+            message = f"{got}; allowed: {limits.max_moves} and {limits.max_bytes}, for it is one program"
+            most = max(main.moves, limits.max_moves), max(kilobytes(text), limits.max_bytes // 1000)
+            hint = f"allow it: controller: {{max_moves: {most[0]}, max_kilobytes: {most[1]}}}"
+            raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
+        out[path] = text
+    return out
+
+
+def _header(task: TaskProgram, job: Job, plan: Plan, margins: Mapping[str, str]) -> list[str]:
+    tools = ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
+    out = comment(f"Written by Tandem {__version__} for arm {task.arm.name}: {task.robot.title}.")
+    out += comment(f"Tool {tools}. Written, not taught: plan again to change it.")
+    out += comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
+    for item, value in margins.items():
+        out += comment(f"Proven: {item} {value}.")
+    out += comment(
+        "No controller of UR has run such a program yet: begin at low speed, and compare the time."
+    )
+    switched = ", ".join(job.switched(task))
+    if switched:
+        out += comment(
+            f"A program that stops leaves {switched} as it is: wire it so that power falls with the drives."
+        )
+    return out

@@ -1,0 +1,123 @@
+"""Points of a scan, from a PLY, XYZ, STL or OBJ file.
+
+Scans are larger than parts and need no faces: of a mesh the vertices are taken. An XYZ file has a point a
+line, x, y and z first, with blanks, tabs, commas or semicolons between.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import re
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from planner.files import is_file, no_file
+from planner.geometry.arrays import FloatArray
+from planner.geometry.units import MM
+from planner.issues import Issue, TandemError
+
+SUFFIXES: Final = (".ply", ".xyz", ".txt", ".stl", ".obj")
+"""Kinds of files that are read."""
+TEXTS: Final = (".xyz", ".txt")
+"""Of these, texts with a point a line."""
+MOST_BYTES: Final = 600_000_000
+"""Bytes of a file at most."""
+LEAST_POINTS: Final = 1_000
+"""Points that tell a part's shape at least."""
+MOST_POINTS: Final = 20_000_000
+"""Points of a scan at most."""
+DECIMAL_COMMAS: Final = re.compile(rb"\s*-?\d+,\d+\s*[;\t ]\s*-?\d+,\d+\s*[;\t ]")
+"""A point whose decimals have commas: between its lengths there is something else."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Cloud:
+    """The ``points`` (N, 3) [m] of a scan in its own frame, from ``file`` with the SHA-256 ``digest``;
+    ``dropped`` of it had no finite place, or were corners of an STL file that came again."""
+
+    file: str
+    digest: str
+    points: FloatArray = dataclasses.field(repr=False)
+    dropped: int
+
+
+def read(path: Path, unit: float) -> Cloud:
+    """Read a scan whose lengths are in ``unit`` metres. Raises ``TandemError`` (scan.file)."""
+    if not is_file(path):
+        raise _refused(path, no_file(path), "check the path")
+    if path.suffix.lower() not in SUFFIXES:
+        raise _refused(
+            path, f"got {path.suffix or 'no suffix'!r}, read are {', '.join(SUFFIXES)}", "convert it"
+        )
+    size = path.stat().st_size
+    if size > MOST_BYTES:
+        what = f"{size / 1e6:.0f} MB, up to {MOST_BYTES / 1e6:.0f} MB are read"
+        raise _refused(path, what, "export every second point")
+    data = path.read_bytes()
+    try:
+        points = _points(path.suffix.lower(), data)
+    except Exception as error:  # readers of damaged files raise anything
+        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        hint = "export it again, a text without lines of names" if path.suffix in TEXTS else "export it again"
+        raise _refused(path, f"cannot be read ({reason})", hint) from error
+    count = len(points)
+    if count > MOST_POINTS:
+        what = f"got {count} points, allowed {MOST_POINTS}"
+        raise _refused(path, what, "export fewer of them")
+    points = points[np.isfinite(points).all(axis=1)] * unit
+    if path.suffix.lower() == ".stl":  # has each vertex once for each of its faces
+        points = np.unique(points, axis=0)
+    if len(points) < LEAST_POINTS:
+        what = f"got {len(points)} points, allowed {LEAST_POINTS} or more"
+        raise _refused(path, what, "export the whole scan as points or as a mesh")
+    return Cloud(path.name, hashlib.sha256(data).hexdigest(), points, count - len(points))
+
+
+def _points(kind: str, data: bytes) -> FloatArray:
+    if kind in TEXTS:
+        return _table(data)
+    if kind == ".obj":
+        return _table(b"\n".join(line[2:] for line in data.splitlines() if line[:2] in (b"v ", b"v\t")))
+    import trimesh  # half a second that the other kinds do not wait for
+
+    loaded = trimesh.load(io.BytesIO(data), kind[1:], process=False)
+    points = getattr(loaded, "vertices", ())  # a file without any is read as an empty scene
+    return np.asarray(points, dtype=np.float64).reshape(-1, 3)
+
+
+def _table(data: bytes) -> FloatArray:
+    """The first three columns (N, 3) of a text; lines that begin with # or // are left out."""
+    lines = [
+        line for line in data.splitlines() if line.strip() and not line.lstrip().startswith((b"#", b"//"))
+    ]
+    if not lines:
+        raise ValueError("it has no points")
+    if DECIMAL_COMMAS.match(lines[0]):
+        raise ValueError("its decimals have commas, read are points: 12.5 in place of 12,5")
+    for mark in (b";", b","):
+        if mark in lines[0]:
+            lines = [line.replace(mark, b" ") for line in lines]
+    values = np.loadtxt(io.BytesIO(b"\n".join(lines)), usecols=(0, 1, 2), ndmin=2)
+    return np.asarray(values, dtype=np.float64)
+
+
+def require_size(cloud: Cloud, longest: float) -> None:
+    """Raise ``TandemError`` (scan.unit) where a scan is far larger or smaller than a sheet whose longer side
+    is ``longest`` [m]. A scan may show some of the sheet alone, or the table around it."""
+    low, high = np.percentile(cloud.points, (2, 98), axis=0)
+    extent = float((high - low).max())
+    if not 0.2 * longest <= extent <= 5.0 * longest:
+        what = (
+            f"{cloud.file}: its points are {extent / MM:.4g} mm across in the stated unit, the sheet is "
+            f"{longest / MM:g} mm; allowed are 0.2 to 5 times that"
+        )
+        hint = "state the unit that the scanner writes (--unit), or name the result folder of this part"
+        raise TandemError(Issue("scan.unit", what, field="unit", value=extent / MM, unit="mm", hint=hint))
+
+
+def _refused(path: Path, what: str, hint: str) -> TandemError:
+    return TandemError(Issue("scan.file", f"{path.name}: {what}", file=str(path), hint=hint))

@@ -1,0 +1,1 @@
+"""URScript read strictly: from text to the straight way of a task."""

@@ -1,0 +1,141 @@
+"""URScript as read: statements and data, each with its line, in the language's units: m, s, rad."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+Six = tuple[float, float, float, float, float, float]
+"""A pose (position [m], rotation vector [rad]) or joints [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """`line` counts from 1."""
+
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class SetTcp(Statement):
+    """set_tcp to the pose `name`."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class SetPayload(Statement):
+    """set_payload: `mass` [kg] and `centre` [m] in the flange's frame."""
+
+    mass: float
+    centre: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Output(Statement):
+    """A digital output by its number, 8 and more for configurable ones, is switched."""
+
+    number: int
+    value: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Pause(Statement):
+    """sleep [s]."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Popup(Statement):
+    """A popup: `kind` a question, a text to be read before one, or one that is shown meanwhile."""
+
+    kind: Literal["question", "read", "note"]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Look(Statement):
+    """The program ends unless the point `tip` of the flange is at `place` in the controller's base within
+    `most` [m] at the joints `name`; `text` is shown then."""
+
+    name: str
+    tip: Six
+    place: Six
+    most: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Joint(Statement):
+    """movej to the joints `name`; `acceleration` [rad/s^2] and `speed` [rad/s] of the leading axis."""
+
+    name: str
+    acceleration: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Straight(Statement):
+    """movel to `place` in the frame `frame`, in `seconds`, with the blend radius `radius` [m], 0 for an exact
+    stop."""
+
+    frame: str
+    place: Six
+    seconds: float
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class Begins(Statement):
+    """A comment that says which segment begins: its label."""
+
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class Data:
+    """A variable: `kind` pose, joints or text."""
+
+    line: int
+    kind: str
+    value: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A file: the `name` as in def, its data by name, and its statements behind them."""
+
+    file: str
+    name: str
+    data: Mapping[str, Data]
+    body: tuple[Statement, ...]
+
+    @property
+    def moves(self) -> int:
+        """How many straight moves there are."""
+        return sum(isinstance(statement, Straight) for statement in self.body)
+
+
+NAME_LENGTH: Final = 32
+"""Longest name [characters]."""
+LINE_LENGTH: Final = 400
+"""Longest line that is read [characters]."""
+TEXT_LENGTH: Final = 255
+"""Longest text of a popup [characters]."""
+CHECK_POINT: Final = (0.1, 0.2, 0.3)
+"""The point of the flange [m] that programs look at: off all axes, so that its place tells base and flange
+turned."""
+LOOK_ERROR: Final = 0.01
+"""How far [m] a program may let the controller's flange be off at most: arms are calibrated one by one."""
+
+_RESERVED_TEXT = """
+and break continue def elif else end enter_critical exit_critical false False for global halt if in join kill
+local not or return run sec struct thread true True while xor movej movel movep movec servoj servoc speedj
+speedl stopj stopl force_mode sleep sync popup textmsg pose_trans pose_inv pose_add pose_sub point_dist
+pose_dist get_forward_kin get_inverse_kin set_tcp set_payload set_target_payload set_gravity
+set_standard_digital_out set_configurable_digital_out set_tool_digital_out set_digital_out p
+"""
+RESERVED: Final = frozenset(_RESERVED_TEXT.split())
+"""Words of the language and of its functions, which no variable may hide."""

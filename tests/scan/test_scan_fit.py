@@ -1,0 +1,210 @@
+"""Scans of a known part: what is asked of pose and field, and what is refused. Truth is what was made up."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from planner.align.probing import ProbedPoints
+from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.units import MM
+from planner.issues import Severity, TandemError
+from planner.problem import Formed, Part
+from planner.scan import cloud, deviation
+from planner.scan.cloud import Cloud
+from tests import small_forming
+from tests.scan.made_scan import Field, MadeScan, made_scan, write_ply
+
+SIZE = np.array([160.0, 160.0, 1.0]) * MM
+DEEP = 6.0 * MM
+
+
+@pytest.fixture(scope="module")
+def dish() -> Mesh:
+    return small_forming.dish(around=120)
+
+
+def part(mesh: Mesh) -> Part:
+    return Part(formed=Formed(mesh))
+
+
+def springs(q: FloatArray) -> FloatArray:
+    """More with depth, three crests around, as if a clamp gave way there."""
+    depth = np.clip((SIZE[2] - q[:, 2]) / DEEP, 0.0, 1.0)
+    far = np.minimum(np.hypot(q[:, 0], q[:, 1]) / 0.015, 1.0)
+    return 0.7 * MM * np.sqrt(depth) * (1.0 + 0.4 * far * np.sin(3.0 * np.arctan2(q[:, 1], q[:, 0])))
+
+
+def tilts(q: FloatArray) -> FloatArray:
+    """A part that comes back on one side alone: what a fit to the whole part would hide in the pose."""
+    depth = np.clip((SIZE[2] - q[:, 2]) / DEEP, 0.0, 1.0)
+    return depth * (0.5 * MM + 20.0 * MM * q[:, 0])
+
+
+def fitted(made: MadeScan, mesh: Mesh, marks: bool = True) -> tuple[FloatArray, deviation.Deviation]:
+    known = ProbedPoints(("a", "b", "c", "d"), made.sheet, made.scan) if marks else None
+    whole = Cloud("scan.ply", "0" * 64, made.points, 0)
+    pose, found = deviation.of_part(whole, part(mesh), SIZE, known, True)
+    return pose.matrix, found
+
+
+@pytest.mark.parametrize(("off", "seed"), [(springs, 1), (springs, 2), (tilts, 3)])
+def test_a_known_field_and_pose_come_back(dish: Mesh, off: Field, seed: int) -> None:
+    made = made_scan(dish, SIZE, off, seed, hole=(0.02, 0.0, 0.006))
+    pose, found = fitted(made, dish)
+    wrong = pose @ np.linalg.inv(made.pose)
+    assert np.abs(wrong[:3, 3]).max() < 0.05 * MM
+    assert np.degrees(Rotation.from_matrix(wrong[:3, :3]).magnitude()) < 0.05
+    known = np.isfinite(found.off)
+    error = found.off[known] - off(found.point[known])
+    assert np.sqrt(np.mean(error**2)) < 0.05 * MM
+    assert np.abs(error).max() < 0.2 * MM
+    assert known.mean() > 0.95
+    # a tenth is stray by up to 10 mm each way, some of it too near to tell
+    assert 0.07 * found.used < found.stray < 0.12 * found.used
+    assert 0.04 * MM < found.noise < 0.08 * MM
+    (hole,) = found.holes
+    np.testing.assert_allclose(hole.place[:2], [0.02, 0.0], atol=1.5 * MM)
+    assert 6.0 * MM < hole.across < 14.0 * MM
+
+
+def test_without_marks_height_and_tilt_are_found_and_said(dish: Mesh) -> None:
+    made = made_scan(dish, SIZE, springs, 4, turn=(0.002, -0.003, 0.0))
+    here = changed(made, made.points + made.pose[:3, 3] @ made.pose[:3, :3] + np.array([0.0, 0.0, 0.002]))
+    pose, found = fitted(here, dish, marks=False)
+    assert abs(pose[2, 3] + 0.002) < 0.02 * MM
+    np.testing.assert_allclose(pose[:3, :3], made.pose[:3, :3], atol=1e-4)
+    known = np.isfinite(found.off)
+    assert np.sqrt(np.mean((found.off[known] - springs(found.point[known])) ** 2)) < 0.05 * MM
+    whole = Cloud("scan.ply", "0" * 64, here.points, 0)
+    told, more = deviation.of_part(whole, part(dish), SIZE, None, True)
+    (one,) = (i for i in deviation.issues(more, told, "scan.ply") if i.code == "scan.no_marks")
+    assert one.severity is Severity.WARNING
+    assert "beside the part" not in one.message
+    # a scan that lies 3 mm beside the part is off by that on every wall, less where a wall ends
+    moved = dataclasses.replace(whole, points=here.points + np.array([0.003, 0.0, 0.0]))
+    told, more = deviation.of_part(moved, part(dish), SIZE, None, True)
+    (one,) = (i for i in deviation.issues(more, told, "scan.ply") if i.code == "scan.no_marks")
+    x, y = re.search(r"lay \(([-0-9.]+), ([-0-9.]+)\) mm beside", one.message).groups()  # type: ignore[union-attr]
+    np.testing.assert_allclose([float(x), float(y)], [3.0, 0.0], atol=0.5)
+
+
+def test_what_is_too_shallow_is_told_where_the_tool_is(dish: Mesh) -> None:
+    """What comes back grows along a wall: points stand above the place that sank by so much less, not above
+    the nearest one."""
+
+    def grows(q: FloatArray) -> FloatArray:
+        return np.asarray(np.clip((1.0 * MM - q[:, 2]) / (6.0 * MM), 0.0, 1.0) * 2.0 * MM)
+
+    made = made_scan(dish, SIZE, grows, 9, noise=0.0, stray=0.0, marks=0.0, along_z=True)
+    _, found = fitted(made, dish)
+    wall = found.point[(found.normal[:, 2] < 0.9) & (found.point[:, 2] < -1.0 * MM)]
+    above = found.along_z(wall)
+    known = np.isfinite(above)
+    assert known.mean() > 0.9
+    assert np.median(np.abs(above[known] - grows(wall[known]))) < 0.03 * MM
+
+
+def changed(made: MadeScan, points: FloatArray, scan: FloatArray | None = None) -> MadeScan:
+    return MadeScan(points, made.pose, made.sheet, made.scan if scan is None else scan)
+
+
+def test_scans_that_are_none_of_the_part_are_refused_by_what_they_are(dish: Mesh) -> None:
+    lean = trimesh.Trimesh(dish.vertices, dish.faces, process=False)
+    slab = Mesh(lean.vertices * [1.0, 1.0, -4.0], lean.faces[:, ::-1])
+    made = made_scan(dish, SIZE, springs, 5)
+    other = made_scan(slab, SIZE, lambda q: np.zeros(len(q)), 5)
+    there = made.points @ made.pose[:3, :3].T + made.pose[:3, 3]
+    flat_gone = np.abs(there[:, 2] - SIZE[2]) > 4.0 * MM
+    corner = (there[:, 0] > 0.005) & (there[:, 1] > 0.005)
+    for name, scan, code, words in (
+        ("other", other, "scan.other_part", "name the result folder of the part"),
+        ("inches", changed(made, made.points / 25.4, made.scan / 25.4), "scan.unit", "state the unit"),
+        ("marks in metres", changed(made, made.points, made.scan * 1000.0), "align.units", "in mm"),
+        (
+            "mirrored",
+            changed(made, made.points * [-1, 1, 1], made.scan * [-1, 1, 1]),
+            "scan.other_part",
+            "deep",
+        ),
+        ("no flat", changed(made, made.points[flat_gone]), "scan.flat", "scan the flat around the part"),
+        ("a part of it", changed(made, made.points[corner]), "scan.other_part", "scan the whole part"),
+    ):
+        with pytest.raises(TandemError) as error:
+            fitted(scan, dish)
+        issue = error.value.issues[0]
+        assert issue.code == code, (name, issue.message)
+        assert words in f"{issue.message} {issue.hint}", (name, issue.message)
+
+
+def test_a_mirrored_scan_in_the_right_place_is_called_so(dish: Mesh) -> None:
+    """Marks in a plane fit their mirror image turned over: only what is formed tells."""
+    groove = dish.vertices.copy()
+    groove[:, 2] *= 1.0 + 0.9 * np.tanh(groove[:, 0] / 0.01)
+    uneven = Mesh(groove, dish.faces)
+    made = made_scan(uneven, SIZE, lambda q: np.zeros(len(q)), 6, turn=(0.0, 0.0, 0.0))
+    there = made.points + made.pose[:3, 3]
+    scan = Cloud("scan.ply", "0" * 64, there * [-1.0, 1.0, 1.0], 0)
+    with pytest.raises(TandemError, match="mirrored it would be") as error:
+        deviation.of_part(scan, part(uneven), SIZE, None, True)
+    assert error.value.issues[0].code == "scan.other_part"
+
+
+def test_the_other_face_is_told_by_marks(dish: Mesh) -> None:
+    made = made_scan(dish, SIZE * [1, 1, 8], springs, 7)
+    known = ProbedPoints(("a", "b", "c", "d"), made.sheet, made.scan)
+    with pytest.raises(TandemError) as error:
+        deviation.of_part(Cloud("s", "", made.points, 0), part(dish), SIZE * [1, 1, 8], known, False)
+    assert error.value.issues[0].code == "scan.flat"
+    assert "--face" in str(error.value.issues[0].hint)
+
+
+def test_all_kinds_of_files_say_the_same(tmp_path: Path) -> None:
+    points = np.random.default_rng(1).normal(size=(3000, 3)).astype(np.float32).astype(np.float64)
+    write_ply(tmp_path / "a.ply", points, 1.0)
+    np.savetxt(tmp_path / "b.xyz", points, fmt="%.9g")
+    np.savetxt(tmp_path / "c.txt", np.column_stack([points, points]), delimiter=";", header="x;y;z")
+    rows = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in points)
+    (tmp_path / "d.obj").write_text(f"# a scan\n{rows}")
+    faces = np.arange(3000).reshape(-1, 3)
+    trimesh.Trimesh(points, faces, process=False).export(tmp_path / "e.stl")
+    for path in sorted(tmp_path.iterdir()):
+        found = cloud.read(path, 0.001)
+        assert found.file == path.name
+        a, b = (one[np.lexsort(one.T)] for one in (found.points, 0.001 * points))
+        np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+def test_bad_files_are_refused_in_words(tmp_path: Path) -> None:
+    write_ply(tmp_path / "few.ply", np.zeros((10, 3)))
+    whole = write_ply(tmp_path / "whole.ply", np.random.default_rng(1).normal(size=(3000, 3)))
+    (tmp_path / "cut.ply").write_bytes(whole.read_bytes()[:5000])
+    (tmp_path / "words.xyz").write_text("these are no points\n" * 2000)
+    (tmp_path / "empty.obj").write_text("")
+    (tmp_path / "commas.txt").write_text("1,5; 2,25; -3,0\n" * 2000)
+    write_ply(tmp_path / "none.ply", np.zeros((0, 3)))
+    (tmp_path / "scan.e57").write_text("x")
+    nan = np.full((3000, 3), np.nan)
+    write_ply(tmp_path / "nan.ply", nan)
+    for name, words in (
+        ("few.ply", "got 10 points, allowed 1000"),
+        ("cut.ply", "cannot be read"),
+        ("words.xyz", "cannot be read"),
+        ("commas.txt", "its decimals have commas"),
+        ("none.ply", "got 0 points"),
+        ("empty.obj", "no points"),
+        ("scan.e57", "read are .ply, .xyz"),
+        ("nan.ply", "got 0 points"),
+        ("gone.ply", "no such file"),
+    ):
+        with pytest.raises(TandemError) as error:
+            cloud.read(tmp_path / name, MM)
+        (issue,) = error.value.issues
+        assert issue.code == "scan.file"
+        assert words in issue.message, (name, issue.message)

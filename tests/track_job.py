@@ -1,0 +1,75 @@
+"""A small job of an arm on a track: two operations that no one place of its base reaches."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+import planner
+from planner.catalogue.robots import robot
+from planner.cell.kinematics import forward
+from planner.geometry.arrays import to_quaternion
+from planner.pipeline import Outcome
+
+TRACK: dict[str, Any] = {
+    "axis": [0, 1, 0],
+    "range_mm": [-3000, 3000],
+    "unit": "TRACK_1",
+    "speed_mm_s": 1000,
+    "acceleration_mm_s2": 1000,
+}
+ARM: dict[str, Any] = {
+    "name": "left",
+    "robot": "irb140",
+    "tool": {"kind": "ball_tool"},
+    "track": TRACK,
+}
+COLUMNS = "left.x_mm,left.y_mm,left.z_mm,left.qw,left.qx,left.qy,left.qz,feed_mm_s,segment"
+
+
+def problem(
+    folder: Path, track: dict[str, Any] | None = TRACK, obstacles: Any = (), **arm: Any
+) -> planner.Problem:
+    """Poses round that of home, 1.2 m to one side in operation ``a`` and to the other in ``b``."""
+    one = {**ARM, **arm} if track is None else {**ARM, "track": track, **arm}
+    if track is None:
+        one.pop("track")
+    cell = {"name": "track", "arms": [one], "obstacles": list(obstacles)}
+    for name, side in (("a", -1200.0), ("b", 1200.0)):
+        rows = [COLUMNS]
+        for k in range(5):
+            w = _tool_quaternion()
+            x, y, z = 500.0, side + 40.0 * k, 450.0 + 20.0 * np.sin(k)
+            rows.append(",".join(str(round(float(v), 9)) for v in (x, y, z, *w, 50.0)) + ",move")
+        (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
+    operations = [
+        {"name": name, "process": "targets", "arms": ["left"], "file": f"{name}.csv", "frame": "world"}
+        for name in "ab"
+    ]
+    stock = {"size_mm": [100, 100, 50], "place": {"xyz_mm": [0, -4500, 0]}}
+    data = {"tandem": 1, "name": "track", "cell": cell, "stock": stock, "operations": operations}
+    path = folder / "problem.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return planner.load(path)
+
+
+def _tool_quaternion() -> tuple[float, ...]:
+    """That of the tool at home with axis 5 turned, flange down."""
+    arm = robot("irb140")
+    pose = forward(arm, np.asarray(arm.home)[None])[0]
+    return tuple(to_quaternion(pose[:3, :3]).tolist())
+
+
+FOLDER = tempfile.TemporaryDirectory()
+"""Where the files of the planned job lie as long as tests run."""
+
+
+@functools.cache
+def planned() -> Outcome:
+    """The job, planned and proven."""
+    return planner.plan(problem(Path(FOLDER.name)))

@@ -1,0 +1,121 @@
+"""Tracks in programs: where arms stand by the text, and how units, values and frames go wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from planner import processes
+from planner.cell.kinematics import forward
+from planner.problem import Obstacle
+from planner.reading.cell import ObstacleFile, shape
+from planner.verify.context import Context
+from planner.verify.prove import Prover
+from planner.verify.rules import external_axes
+from tests import track_job
+
+HERE = "-500.0000"
+"""The first station as the text has it."""
+
+
+@pytest.fixture(scope="module")
+def prover() -> Prover:
+    made = dataclasses.replace(track_job.planned().problem, stations={})  # nothing of the plan
+    return Prover(made, processes.claims(made))
+
+
+def test_where_arms_stand_follows_from_the_text_within_a_micrometre(prover: Prover) -> None:
+    out = track_job.planned()
+    assert out.verified and out.plan.stations[0] != out.plan.stations[1]
+    context = external_axes.standing(Context(prover.problem, prover.claims, out.programs))
+    for index, setup in enumerate(out.problem.setups):
+        planned = setup.cell.arm("left")
+        np.testing.assert_allclose(context.based(index)["left"], planned.base, atol=1e-6)
+        made = out.plan.operations[index]
+        flange = context.based(index)["left"] @ forward(planned.data, made.q["left"])
+        wanted = made.targets.pose["left"][:, :3, 3]
+        gaps = np.linalg.norm((flange @ planned.tool.tcp)[:, :3, 3] - wanted, axis=1)
+        assert gaps.max() < 1e-6
+        rows = context.motion.tcp["left"].place[context.sample_setup == index]
+        assert np.linalg.norm(rows[:, None] - wanted[[0, -1]], axis=2).min(axis=0).max() < 1e-6  # stops
+
+
+def first(text: str, old: str, new: str) -> str:
+    assert old in text, old
+    return text.replace(old, new, 1)
+
+
+def moves(text: str, new: str) -> str:
+    """The first station's value in all straight moves."""
+    return re.sub(rf"(MoveL .*?),\[{HERE},", rf"\1,[{new},", text)
+
+
+MUTANTS = {
+    "another unit": ("external_axes", lambda t: first(t, "ActUnit TRACK_1", "ActUnit TRACK_2")),
+    "no unit": ("external_axes", lambda t: first(t, "    ActUnit TRACK_1;\n", "")),
+    "switched off": (
+        "external_axes",
+        lambda t: first(t, "    operation_2;", "    DeactUnit TRACK_1;\n    operation_2;"),
+    ),
+    "missing value": ("external_axes", lambda t: moves(t, "9E9")),
+    "missing at home": ("external_axes", lambda t: first(t, "[0.0000,9E9", "[9E9,9E9")),
+    "another value": ("external_axes", lambda t: moves(t, "-480.0000")),
+    "another value all along": ("setup", lambda t: t.replace(HERE, "-400.0000")),
+    "beyond the range": ("external_axes", lambda t: t.replace(HERE, "-5000.0000")),
+    "a second axis": ("external_axes", lambda t: t.replace(f"[{HERE},9E9", f"[{HERE},10")),
+    "the axis as the second": ("external_axes", lambda t: t.replace(f"[{HERE},9E9", f"[9E9,{HERE}")),
+    "another frame": (
+        "base_frames",
+        lambda t: first(t, "base_frame:=[[0.0000,0.0000", "base_frame:=[[0.0000,50.0000"),
+    ),
+    "a fast track": ("external_axes", lambda t: first(t, "v_entry:=[250,45,250,", "v_entry:=[250,45,900,")),
+    "not folded": (
+        "external_axes",
+        lambda t: re.sub(r"\n *MoveAbsJ j_2_station_1[^\n]*", "", t, count=1),
+    ),
+    "nobody keeps off": (
+        "external_axes",
+        lambda t: re.sub(
+            r"(    MoveAbsJ j_1_station_1[^\n]*\n)(?=    MoveAbsJ j_1_start)",
+            r"\1    MoveAbsJ j_2_station_1\\NoEOffs,v_entry,fine,t_ball_tool;\n\1",
+            t,
+            count=1,
+        ),
+    ),
+    "told another value": ("setup", lambda t: first(t, "-500.000 mm", "-900.000 mm")),
+}
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_a_wrong_track_is_refused(prover: Prover, name: str) -> None:
+    word, change = MUTANTS[name]
+    good = track_job.planned().programs
+    joined = "\0".join(good.values())
+    bad = dict(zip(good, change(joined.replace("\r\n", "\n")).split("\0"), strict=True))
+    bad = {file: text.replace("\n", "\r\n") for file, text in bad.items()}
+    assert bad != good
+    proof = prover.prove(bad)
+    assert not proof.ok
+    assert f"verify.{word}" in {issue.code for issue in proof.issues}, [str(i) for i in proof.issues]
+
+
+def test_a_unit_that_the_cell_does_not_have_is_refused(prover: Prover) -> None:
+    plain = dataclasses.replace(prover.problem.cell.arms[0], track=None)
+    cell = dataclasses.replace(prover.problem.cell, arms=(plain,))
+    other = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
+    codes = {issue.code for issue in other.prove(track_job.planned().programs).issues}
+    assert {"verify.external_axes", "verify.move_kinds"} <= codes
+
+
+def test_the_way_between_stations_is_looked_at(prover: Prover) -> None:
+    good = track_job.planned().programs
+    box = {"kind": "box", "size_mm": [100, 50, 700], "pose": {"xyz_mm": [0, 150, 350]}}
+    made = ObstacleFile.model_validate({"name": "post", "shapes": [box]})
+    cell = prover.problem.cell
+    here = Obstacle("post", tuple(shape(one, prover.problem.path.parent) for one in made.shapes))
+    there = dataclasses.replace(prover.problem, cell=dataclasses.replace(cell, obstacles=(here,)))
+    codes = {issue.code for issue in Prover(there, prover.claims).prove(good).issues}
+    assert "verify.track_way" in codes
