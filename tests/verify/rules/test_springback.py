@@ -236,7 +236,7 @@ def test_what_is_wrong_in_a_file_is_found(context: Context, file: Path, change: 
     assert any(named in what for what in messages(context)), messages(context)
 
 
-@pytest.mark.parametrize("factor", [2.0, 0.93])
+@pytest.mark.parametrize("factor", [0.93, pytest.param(2.0, marks=pytest.mark.long)])
 def test_what_the_sheet_does_not_say_is_found_where_it_is_drawn(
     context: Context, file: Path, monkeypatch: pytest.MonkeyPatch, factor: float
 ) -> None:
@@ -593,7 +593,8 @@ def test_a_file_of_other_forces_than_it_was_written_for_is_of_another_job(tmp_pa
     assert any("cannot be read" in issue.message for issue in springback._forces(found, one))
 
 
-@pytest.mark.parametrize("kind", ["file", pytest.param("table", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["file", "table"])
 def test_what_is_planned_under_stated_forces_is_proven(tmp_path: Path, kind: str) -> None:
     path = by_force(tmp_path, kind)
     request = Springback(path, most_points=3, triangles=3000, write=tmp_path / "back.json")
