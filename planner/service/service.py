@@ -42,7 +42,8 @@ REMEMBERED: Final = 256
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """How a service is started. ``data``: folder of the files, and of the database where no URL is given."""
+    """How a service is started. ``data``: folder of the files, and of the database where no URL is given.
+    ``trusted_proxies``: addresses, or networks, whose word is taken on how a request came to them."""
 
     data: Path
     host: str = "127.0.0.1"
@@ -52,6 +53,7 @@ class Options:
     examiners: int = 2
     cluster: str | None = None
     require_token: bool = False
+    trusted_proxies: tuple[str, ...] = ("127.0.0.1", "::1")
     lease_s: float = 30.0
     limits: Limits = dataclasses.field(default_factory=Limits)
 

@@ -460,12 +460,20 @@ def _elements(head: str) -> Iterator[tuple[str, int, list[tuple[str, ...]]]]:
 
 
 def _texts(path: Path) -> Iterator[bytes]:
-    """The file in parts that end with a line."""
+    """The file in parts that end with a line, without the line ends that a backslash takes away."""
     with path.open("rb") as stream:
         while part := stream.read(LINES):
-            yield part + stream.readline()
+            pieces = [part, stream.readline()]
+            while pieces[-1] and (pieces[-2] + pieces[-1]).endswith(CONTINUED):
+                pieces.append(stream.readline())
+            whole = b"".join(pieces)
+            for end in CONTINUED:
+                whole = whole.replace(end, b"")
+            yield whole
 
 
+CONTINUED: Final = (b"\\\r\n", b"\\\n")
+"""How a line of an OBJ file ends that goes on in the next one."""
 ARCHIVES: Final = (
     b"PK\x03\x04",
     b"PK\x05\x06",
