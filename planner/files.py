@@ -7,6 +7,7 @@ are those of what plans depend on.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import re
@@ -47,6 +48,19 @@ PAGES = ("report.html", "replay.html")
 
 FILE_KEYS: Final = ("file", "urdf")
 """Keys of problem files whose text is the name of a file."""
+
+
+DISK_FULL: Final = (errno.ENOSPC, errno.EDQUOT)
+"""Errors of the system when a disk, or what a user may have of it, is full."""
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether an error is, or comes from, a disk that is full."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in DISK_FULL:
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def is_file(path: Path) -> bool:

@@ -111,6 +111,7 @@ CODES: Final[dict[str, Code]] = {
     "output.folder": Code(
         "the output folder cannot be written, or holds the problem file itself", given=True
     ),
+    "output.disk_full": Code("the disk that results are written to is full"),
     "plan.missing_file": Code("a file of a saved plan is missing or cannot be read"),
     "plan.damaged": Code("a file of a saved plan is damaged"),
     "plan.schema": Code("a saved plan comes from another format or schema version"),
@@ -676,12 +677,13 @@ CODES: Final[dict[str, Code]] = {
     "batch.in_use": Code("another batch is writing to the output folder", given=True),
     # the service
     "service.install": Code("the service needs packages that are not installed"),
-    "service.database": Code("the database of the service cannot be opened"),
+    "service.database": Code("the database of the service cannot be opened, or is away"),
+    "service.not_planning": Code("the service takes jobs in, and none is planned now"),
     "service.start": Code("the service cannot be started as asked"),
     "service.request": Code("a request to the service has a field that is missing, unknown or out of range"),
     "service.not_found": Code("the service has nothing at that address, or not by that method"),
     "service.token": Code("a request to the service has no token, or one that is unknown or revoked"),
-    "service.foreign": Code("a job belongs to another token, or a request comes from another site"),
+    "service.foreign": Code("a request comes from another site"),
     "service.link": Code("a link to a file of a job is over, or is not one that the service signed"),
     "service.unknown_job": Code("a job that the service does not have"),
     "service.unknown_file": Code("a file that a job does not have"),
@@ -693,6 +695,7 @@ CODES: Final[dict[str, Code]] = {
     "service.stopping": Code("the service was told to stop while it read an upload"),
     "service.storage": Code("the files of a token, or of the whole service, have no more room"),
     "service.check_stopped": Code("reading or checking a problem took too much time or memory"),
+    "service.state": Code("a job is in a state in which what is asked of it cannot be done"),
     "service.gave_up": Code("the service stopped several times while it worked on a job"),
     "service.answer": Code("an address does not answer as this service does"),
     "service.timeout": Code("the service did not answer, or a job did not end, in the time that was given"),

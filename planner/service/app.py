@@ -23,6 +23,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
@@ -30,6 +31,7 @@ from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 import planner
 from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
+from planner.files import is_disk_full
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
 from planner.service import bundled, element_routes, routes
@@ -38,7 +40,7 @@ from planner.service.routes import REFUSALS, REQUESTS, Caller, Here
 from planner.service.runner import Team
 from planner.service.security import LOOPBACK, Guard, RefusedError, issue_json
 from planner.service.service import Options, Service
-from planner.service.storage import take_upload
+from planner.service.storage import disk_full, store_refusal, take_upload
 
 page_router: Final = APIRouter(include_in_schema=False)
 PAGE_FOLDER: Final = Path(__file__).resolve().parent / "page"
@@ -227,6 +229,8 @@ def create_app(service: Service) -> FastAPI:
     app.add_exception_handler(RefusedError, _refused)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(SQLAlchemyError, _store)
+    app.add_exception_handler(OSError, _disk)
     app.add_exception_handler(Exception, _failed)
     options = service.options
     names = None if options.tokens_required else LOOPBACK | {options.host}
@@ -312,6 +316,18 @@ async def _http(request: Request, error: Exception) -> JSONResponse:
     what = f"{request.method} {request.url.path[:200]}: {error.detail}{way}; see /openapi.json"
     code = "service.not_found" if error.status_code in (404, 405) else "service.request"
     return await _refused(request, RefusedError(error.status_code, Issue(code, what), headers))
+
+
+async def _store(request: Request, error: Exception) -> JSONResponse:
+    refused = store_refusal(error)
+    if refused is None:
+        return await _failed(request, error)
+    LOG.warning("%s %s: %s", request.method, request.url.path, type(error).__name__)
+    return await _refused(request, refused)
+
+
+async def _disk(request: Request, error: Exception) -> JSONResponse:
+    return await (_refused(request, disk_full()) if is_disk_full(error) else _failed(request, error))
 
 
 async def _failed(request: Request, error: Exception) -> JSONResponse:

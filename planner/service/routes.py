@@ -25,6 +25,7 @@ from urllib.parse import quote, urlencode
 from fastapi import APIRouter, Cookie, Depends, Header, Query, Request, Response, Security
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
+from sqlalchemy.exc import SQLAlchemyError
 
 import planner
 from planner.catalogue.issue_codes import CODES
@@ -44,6 +45,7 @@ from planner.service.models import (
     JobOut,
     Kind,
     LinkOut,
+    Ready,
     Refusal,
     State,
     Storage,
@@ -74,9 +76,10 @@ REFUSALS: Final = {
     401: {"model": Refusal, "description": "no token, or one that is unknown or revoked"},
     403: {"model": Refusal, "description": "a request of another site"},
     404: {"model": Refusal, "description": "there is no such thing, or it is another token's"},
+    409: {"model": Refusal, "description": "the job's state does not allow it"},
     413: {"model": Refusal, "description": "larger than this service takes"},
     422: {"model": Refusal, "description": "all that is wrong, by code and field"},
-    503: {"model": Refusal, "description": "the service is stopping; see Retry-After"},
+    503: {"model": Refusal, "description": "the service is stopping, or its database away; see Retry-After"},
     507: {"model": Refusal, "description": "no room for more files; see /v1/storage"},
     429: {"model": Refusal, "description": "too many jobs or streams; see Retry-After"},
 }
@@ -212,21 +215,43 @@ def _figure(name: str, kind: str, about: str, rows: Iterable[tuple[Mapping[str, 
 about_router: Final = APIRouter(tags=["about"], responses=REFUSALS)  # type: ignore[arg-type]
 
 
-@about_router.get("/v1/health", responses={503: {"model": Health}}, summary="Whether the service works")
+@about_router.get(
+    "/v1/health",
+    responses={503: {"model": Health}},
+    response_model_exclude_none=True,
+    summary="Whether the process works",
+)
 def health(here: Here, response: Response) -> Health:
-    """Needs no token. 503 where jobs are not being planned."""
-    counts = here.jobs.counts()
+    """Needs no token. 503 where only a new start helps: a database that is away, or a full disk, is told by
+    /v1/ready."""
+    try:
+        counts = here.jobs.counts()
+    except SQLAlchemyError:
+        counts = None
     healthy = here.runner.healthy
     response.status_code = 200 if healthy else 503
     return Health(
-        status="ok" if healthy else "degraded",
+        status="ok" if healthy and counts is not None else "degraded",
         version=planner.__version__,
         api=API,
         api_oldest=OLDEST_API,
         workers=here.options.workers,
-        queued=counts.get("queued", 0),
-        running=counts.get("running", 0),
+        queued=None if counts is None else counts.get("queued", 0),
+        running=None if counts is None else counts.get("running", 0),
     )
+
+
+@about_router.get(
+    "/v1/ready", responses={503: {"model": Ready}}, summary="Whether jobs are taken and planned"
+)
+def ready(here: Here, response: Response) -> Ready:
+    """Needs no token. 503 with Retry-After while the database is away, the disk full, or nothing is planned:
+    send requests elsewhere, or later."""
+    issues = here.unready()
+    if issues:
+        response.status_code = 503
+        response.headers["Retry-After"] = "5"
+    return Ready(ready=not issues, issues=issues)
 
 
 @about_router.get("/metrics", response_class=PlainTextResponse, summary="Figures for Prometheus")
@@ -444,6 +469,13 @@ def cancel(found: OwnJob, here: Here) -> JobOut:
     """A job that waits is cancelled at once; one that runs has its worker stopped within a second or two.
     One that has ended stays as it is."""
     return here.jobs.cancel(found.id)
+
+
+@job_router.post("/jobs/{job}/retry", response_model_exclude_none=True, summary="Plan a job again")
+def retry(found: OwnJob, here: Here) -> JobOut:
+    """A job that crashed, met a limit or was cancelled waits again, as if it had come now. 409 for one that
+    waits or runs, and for one whose end the problem alone decides: it would end so again."""
+    return here.jobs.retry(found.id)
 
 
 @job_router.delete("/jobs/{job}", status_code=204, summary="Delete a job")

@@ -21,6 +21,7 @@ from typing import IO, Any, Final, TypeVar
 
 import anyio
 import anyio.to_thread
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.requests import Request
 
 from planner.batch.job import PROBLEM, all_versions
@@ -121,15 +122,15 @@ class Service:
         """
         reading = Reading()
         found: list[Read] = []
-        refused: list[RefusedError] = []
+        failed: list[Exception] = []
         async with anyio.create_task_group() as tasks:
 
             async def wait_and_read() -> None:
                 try:
                     async with self._turn(owner):
                         found.append(await anyio.to_thread.run_sync(read, reading))
-                except RefusedError as error:  # a task group would wrap it
-                    refused.append(error)
+                except Exception as error:  # a task group would wrap it
+                    failed.append(error)
                 tasks.cancel_scope.cancel()
 
             tasks.start_soon(wait_and_read)
@@ -137,8 +138,8 @@ class Service:
                 pass
             reading.break_off()  # the thread is not given up: it ends with its process
             tasks.cancel_scope.cancel()
-        if refused:
-            raise refused[0]
+        if failed:
+            raise failed[0]
         if not found:
             raise connection_closed()
         return found[0]
@@ -160,6 +161,21 @@ class Service:
     def start(self) -> None:
         """Begin to plan."""
         self.runner.start()
+
+    def unready(self) -> list[Issue]:
+        """Why jobs are not taken in or not planned now; nothing where they are."""
+        issues = []
+        try:
+            self.database.ping()
+        except SQLAlchemyError:
+            issues.append(Issue("service.database", "the database is away"))
+        try:
+            self.storage.allow()
+        except RefusedError as refused:
+            issues += refused.issues
+        if not issues and not self.runner.working:
+            issues.append(Issue("service.not_planning", "jobs are taken in, and none is planned now"))
+        return issues
 
     def stop_reading(self) -> None:
         """End the reading of uploads; requests that wait for it are told."""
