@@ -271,13 +271,13 @@ class Service:
         of: OfElement | None = None,
         after: str = "",
     ) -> NewJob:
-        """A job for what was read; its answer depends on that, and on the key of the one that it comes
-        ``after``."""
+        """A job for what was read; its answer depends on that, on what the files are called, for results name
+        them, and on the key of the one that it comes ``after``."""
         return NewJob(
             owner=owner,
             name=name,
             digest=read.digest,
-            key=_key(f"{read.digest} {after}".strip()),
+            key=_key(" ".join((read.digest, *sorted(read.files), after)).strip()),
             processes=read.processes,
             files=files,
             timeout_s=min(timeout_s or self.limits.job_s, self.limits.job_s),
