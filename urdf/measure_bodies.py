@@ -32,6 +32,8 @@ SAVES = (0.04, 0.04, 0.04, 0.02, 0.01, 0.02, 0.04)
 come near to tools."""
 CUTS = np.linspace(0.06, 0.94, 23)
 """Where a piece may be cut, as shares of its length."""
+NOISE = 1e-3
+"""Rounding [mm] of coordinates in mesh files."""
 SWEPT = 91
 """Angles of joint 2, over its range, at which a balancer is looked at."""
 LINKS = ("base_link", *(f"link_{i}" for i in range(1, 7)))
@@ -104,8 +106,8 @@ def _rounded(triangles: FloatArray, axis: int, along: int, sign: float, middle: 
     end = sign * _beyond(sign * triangles, along, sign * middle[0])
     rest = -sign * _beyond(-sign * triangles, along, -sign * middle[0])
     points = end.reshape(-1, 3)
-    radius = float(np.ceil(np.linalg.norm(points[:, [along, across]] - middle, axis=1).max()))
-    low, high = np.floor(points[:, axis].min()), np.ceil(points[:, axis].max())
+    radius = -float(_down(-np.linalg.norm(points[:, [along, across]] - middle, axis=1).max()))
+    low, high = float(_down(points[:, axis].min())), -float(_down(-points[:, axis].max()))
     centre = np.zeros(3)
     centre[[axis, along, across]] = 0.5 * (low + high), *middle
     solid = (f"cylinder_{'xyz'[axis]}", [radius, float(high - low)], centre.tolist())
@@ -143,18 +145,23 @@ def _beyond(triangles: FloatArray, axis: int, place: float) -> FloatArray:
 
 def _held(points: FloatArray) -> tuple[tuple[str, list[float], list[float]], float]:
     """The smallest of the box and the cylinders along the axes that hold points (P, 3), and its volume."""
-    low, high = np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))
+    low, high = _down(points.min(axis=0)), -_down(-points.max(axis=0))
     size, centre = high - low, 0.5 * (low + high)
     best, least = ("box", size.tolist(), centre.tolist()), float(np.prod(size))
     for axis in range(3):
         rest = [i for i in range(3) if i != axis]
         around = np.round(2.0 * _middle(points[:, rest])) / 2.0
-        radius = float(np.ceil(np.linalg.norm(points[:, rest] - around, axis=1).max()))
+        radius = -float(_down(-np.linalg.norm(points[:, rest] - around, axis=1).max()))
         if np.pi * radius**2 * size[axis] < least:
             least, place = float(np.pi * radius**2 * size[axis]), centre.copy()
             place[rest] = around
             best = (f"cylinder_{'xyz'[axis]}", [radius, float(size[axis])], place.tolist())
     return best, least
+
+
+def _down(value: FloatArray) -> FloatArray:
+    """Whole millimetres below, or a file's rounding above: else a foot at z = 0 would stand in the floor."""
+    return np.asarray(np.floor(value + NOISE))
 
 
 def _middle(points: FloatArray) -> FloatArray:
@@ -259,10 +266,12 @@ def main() -> None:
         more = int(np.ceil(off_catalogue(name, path) - 1e-3)) if name in robots.robot_names() else 0
         print(f"{name}:")  # noqa: T201
         for index, (link, triangles) in enumerate(zip(LINKS, links(path), strict=True)):
-            rows = [
-                f"[{kind}, {[_plain(v) for v in _grown(kind, size, more)]}, {[_plain(v) for v in centre]}]"
-                for kind, size, centre in solids(triangles, SAVES[index], wrist=index == 4)
-            ]
+            rows = []
+            for kind, size, centre in solids(triangles, SAVES[index], wrist=index == 4):
+                size = _grown(kind, size, more)
+                if index == 0:
+                    size, centre = _standing(kind, size, centre)
+                rows.append(f"[{kind}, {[_plain(v) for v in size]}, {[_plain(v) for v in centre]}]")
             print(f"  {link}: [{', '.join(rows)}]")  # noqa: T201
 
 
@@ -272,8 +281,16 @@ def _grown(kind: str, size: list[float], more: float) -> list[float]:
     return [value + more * side for value, side in zip(size, sides, strict=True)]
 
 
+def _standing(kind: str, size: list[float], centre: list[float]) -> tuple[list[float], list[float]]:
+    """A solid of the foot without what of it is below z = 0, where the arm is bolted down."""
+    below = 0.5 * size[-1] - centre[2]
+    if below <= 0.0 or kind in ("cylinder_x", "cylinder_y"):
+        return size, centre
+    return [*size[:-1], size[-1] - below], [*centre[:2], centre[2] + 0.5 * below]
+
+
 def _plain(value: float) -> float | int:
-    return int(value) if value == int(value) else value
+    return int(value) if value == int(value) else float(value)
 
 
 if __name__ == "__main__":
