@@ -471,6 +471,18 @@ CODES: Final[dict[str, Code]] = {
         "a cutter is in the block and its spindle is not up to speed, or where nothing is milled"
     ),
     # milling
+    "trim.tool": Code("an arm that is to trim carries no torch", given=True),
+    "trim.no_sheet": Code("a sheet is to be trimmed where there is none, or none that is formed", given=True),
+    "trim.open": Code("a curve that is to be cut is not closed", given=True),
+    "trim.crosses": Code("curves that are to be cut cross themselves or each other", given=True),
+    "trim.in_waste": Code("a curve lies in what another one lets drop", given=True),
+    "trim.off_part": Code("a curve, with its slot and its ways in, leaves the opening of the clamp"),
+    "trim.narrow": Code("the waste is narrower than the slot"),
+    "trim.corner": Code("a corner is too sharp for a round slot"),
+    "trim.joints": Code("more micro-joints than fit on a curve"),
+    "trim.lead": Code("no way in with its pierce point fits into the waste"),
+    "trim.wall": Code("a torch comes nearer to a wall of the sheet than it may, or stands too flat"),
+    "trim.slow": Code("an arm is slower in a slot than the torch's cut allows"),
     "milling.tool": Code("an arm that is to mill carries no cutter", given=True),
     "milling.no_surface": Code(
         "a cut names a surface that the part does not have, or needs a front", given=True
