@@ -454,6 +454,19 @@ CODES: Final[dict[str, Code]] = {
     "verify.lean": Code("a forming tool leans farther than the problem lets it"),
     "verify.ridge": Code("a ridge or groove stands out of the cut surface"),
     # passes over a sheet, and the tool that supports it
+    "verify.trim_cut": Code(
+        "an outline of a trimmed sheet is not cut as wanted, or is left uncut elsewhere than at its joints"
+    ),
+    "verify.trim_kept": Code("a torch cuts into what is to stay"),
+    "verify.trim_torch": Code("a torch that cuts is not as far off the sheet as wanted, or leans too far"),
+    "verify.trim_arc": Code(
+        "an arc starts in the wrong place, is not waited for, or burns where nothing is cut"
+    ),
+    "verify.trim_order": Code("an outline is cut before one that lies in it"),
+    "verify.trim_feed": Code(
+        "a torch cuts faster or slower than the sheet's thickness wants", remedy=_SLOWER
+    ),
+    "verify.trim_clear": Code("a torch comes nearer to the sheet that it trims than it may"),
     "verify.milled": Code(
         "a milled surface is not within its tolerance, or something is milled that is not claimed",
         remedy="take a smaller cutter or finer steps, and plan again",

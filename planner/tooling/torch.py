@@ -53,8 +53,7 @@ def torch(
 ) -> Torch:
     """A torch of ``size``: radius of the nozzle's end, length of its cone, radius of the body, length from
     the flange to the nozzle's end [m]. ``tilt`` [rad] leans it against the flange's axis about its y axis.
-    Raises
-    ``ValueError`` for sizes that make no tool."""
+    Raises ``ValueError`` for sizes that make no tool."""
     nozzle, cone, body, length = size
     if not 0.0 < nozzle <= body:
         raise ValueError(

@@ -21,11 +21,11 @@ from planner.trim.slots import Slot, Wanted
 
 SIGHT: Final = 20.0 * MM
 """What is farther off a torch than this [m] is as good as any other."""
-FACE_SPACING: Final = 1.0 * MM
+FACE_SPACING: Final = 2.0 * MM
 """Distance [m] of places of the face at which a torch is held against it."""
 MOST_PLACES: Final = 200_000
 """Places of the face at most."""
-LEANS: Final = 8
+LEANS: Final = 6
 """Directions to which a torch is tried to lean."""
 LEAST_RISE: Final = 15.0 * DEG
 """A torch must rise from the flat sheet by this angle [rad] at least, or it never reaches the safe plane."""

@@ -148,7 +148,10 @@ class TrimJob(Job[Trim]):
         for segment in dict.fromkeys(s for s in targets.segment if s.kind == TRIM and not s.phase):
             rows = np.array([s == segment for s in targets.segment])
             spent = float(np.diff(time, prepend=time[0])[rows].sum())
-            ideal = float((targets.travel[rows] / targets.feed[rows]).sum())
+            full = targets.feed / np.where(
+                np.append(False, targets.stop[:-1]) | targets.stop, MEAN_FEED_FROM_REST, 1.0
+            )
+            ideal = float((targets.travel[rows] / full[rows]).sum())
             share = ideal / max(spent, 1e-9)
             if share < op.least_feed:
                 what = f"{segment}: the arm reaches {100 * share:.0f} % of the feed on average; wanted: "
@@ -211,10 +214,7 @@ def _route(op: Trim, setup: Setup, face: Face, torch: Torch, made: list[Slot]) -
     for number, slot in enumerate(made):
         rows = _rows(slot, op)
         point, axis = slot.point[rows], face.side * slot.normal[rows]
-        way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(slot.point[: slot.first + 1], axis=0), axis=1)))
-        share = np.ones(len(slot.point))
-        share[: slot.first + 1] = way / max(float(way[-1]), 1e-9)
-        raised = lift * (1.0 - share[rows])
+        raised = lift * _above(slot, op)[rows]
         tip = point + raised[:, None] * axis
         off = check.clear_of(torch, places, tip, axis)
         issues += [*check.wall_issue(slot, tip, off, op, torch), *check.rise_issue(slot, axis, face.side)]
@@ -270,11 +270,24 @@ def _nowhere() -> Route:
     return Route(none, none, none[:, 0], none[:, 0], (), none[:, 0] > 0.0, none[:, 0], (), ())
 
 
+LOW_TOLERANCES: Final = 2.0
+"""From so many tolerances before the curve on, a torch leads in at the height at which it cuts."""
+
+
+def _above(slot: Slot, op: Trim) -> FloatArray:
+    """How far (N,) the torch is still up on its way from the pierce height, from 1 to 0."""
+    step = np.linalg.norm(np.diff(slot.point[: slot.first + 1], axis=0), axis=1)
+    left = np.append(np.cumsum(step[::-1])[::-1], np.zeros(len(slot.point) - slot.first))
+    low = LOW_TOLERANCES * op.shape_tol_mm * MM
+    return np.asarray(np.clip((left - low) / max(float(left[0]) - low, 1e-9), 0.0, 1.0))
+
+
 def _rows(slot: Slot, op: Trim) -> IntArray:
     """Rows of a slot's places that become targets."""
     points = np.stack([slot.point, slot.point + AXIS_LEVER * slot.normal], axis=1)
     chord = CHORD_SHARE * min(op.shape_tol_mm, op.height_tol_mm) * MM
-    breaks = np.unique([0, slot.first, slot.last, len(slot.point) - 1])
+    low = int(np.argmax(_above(slot, op) == 0.0))
+    breaks = np.unique([0, low, slot.first, slot.last, len(slot.point) - 1])
     found = [np.zeros(1, dtype=np.int64)]
     for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
         found.append(first + thinned(points[first : last + 1], chord, op.step_mm * MM)[1:])

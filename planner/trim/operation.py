@@ -153,6 +153,12 @@ class Trim(Strict):
             )
         if self.feed_most_mm_s is not None and self.feed_most_mm_s < self.feed_mm_s:
             raise ValueError("feed_most_mm_s is below feed_mm_s; the flat sheet could not be cut")
+        if self.lead.length_mm < 3.0 * self.shape_tol_mm:
+            raise ValueError(
+                f"lead: length_mm {self.lead.length_mm:g} is less than three times shape_tol_mm, so that "
+                f"it cannot "
+                "be told from the curve; lengthen it"
+            )
         if self.signal.lower() == (self.ok_signal or "").lower():
             raise ValueError(
                 "signal and ok_signal: one is an output, the other an input; give them two names"
