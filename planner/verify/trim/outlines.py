@@ -1,8 +1,7 @@
 """Curves that are to be cut, read once more and laid on the sheet's face, and their order.
 
 The face is that of the part's own mesh file. Curves are laid on it along z; beyond the mesh the sheet
-is flat. What a curve encloses is told by the winding of the curve about a place (the sum of the
-angles under which its edges are seen), seen along z.
+is flat. What a curve encloses, seen along z, is told by its winding number about a place.
 """
 
 from __future__ import annotations
@@ -31,7 +30,9 @@ SPACING = 0.2e-3
 """Distance [m] of the places of a curve."""
 CIRCLE_PLACES = 1440
 """Corners of a circle, of which the chords of 1 m are off by 2.4 micrometres."""
-FOOT_ROUNDS = 4
+PLACES_AT_ONCE = 500
+"""Places that are held against a curve at once."""
+FOOT_ROUNDS = 3
 """Times that the foot of a place on the face is looked for anew, from where it was found."""
 MILLIMETRE = 1e-3
 """One millimetre in metres."""
@@ -59,15 +60,21 @@ def drawn(one: TrimOutline) -> FloatArray:
 
 
 def winding(ring: FloatArray, places: FloatArray) -> BoolArray:
-    """(N,) whether places (N, 2) are enclosed by a closed curve (K, 2)."""
-    out = np.zeros(len(places), dtype=bool)
-    for first in range(0, len(places), 500):
-        rows = slice(first, first + 500)
-        seen = ring[None] - places[rows, None]
-        after = np.roll(seen, -1, axis=1)
-        across = seen[..., 0] * after[..., 1] - seen[..., 1] * after[..., 0]
-        out[rows] = np.abs(np.arctan2(across, (seen * after).sum(axis=2)).sum(axis=1)) > np.pi
-    return out
+    """(N,) whether places (N, 2) are enclosed by a closed curve (K, 2): those from which a ray along x
+    crosses it up and down a different number of times."""
+    after = np.roll(ring, -1, axis=0)
+    out = np.zeros(len(places), dtype=np.int64)
+    for first in range(0, len(places), PLACES_AT_ONCE):
+        some = places[first : first + PLACES_AT_ONCE]
+        up = (ring[:, 1] <= some[:, 1:]).astype(np.int8) - (after[:, 1] <= some[:, 1:]).astype(np.int8)
+        row, edge = np.nonzero(up)
+        a, b = ring[edge], after[edge]
+        share = (some[row, 1] - a[:, 1]) / (b[:, 1] - a[:, 1])
+        right = a[:, 0] + share * (b[:, 0] - a[:, 0]) > some[row, 0]
+        out[first : first + PLACES_AT_ONCE] = np.bincount(
+            row[right], weights=up[row[right], edge[right]], minlength=len(some)
+        ).astype(np.int64)
+    return np.asarray(out != 0)
 
 
 def order(claim: TrimsSheet) -> list[int]:
