@@ -36,10 +36,14 @@ def square(half: float, at: float = 0.0) -> dict[str, Any]:
 
 
 CASES: dict[str, dict[str, Any]] = {
-    "trim.crosses": {"outlines": [ROUND, {**ROUND, "name": "b", "circle": {"at_mm": [6, 0], "diameter_mm":
-    16}}]}, "trim.in_waste": {"outlines": [ROUND, {**ROUND, "name": "b", "circle": {"at_mm": [0, 0],
-    "diameter_mm": 4}}]}, "trim.off_part": {"outlines": [{**ROUND, "circle": {"at_mm": [50, 0], "diameter_mm":
-    40}}]}, "trim.narrow": {"outlines": [{**ROUND, "circle": {"at_mm": [0, 0], "diameter_mm": 1.1}}]},
+    "trim.crosses": {
+        "outlines": [ROUND, {**ROUND, "name": "b", "circle": {"at_mm": [6, 0], "diameter_mm": 16}}]
+    },
+    "trim.in_waste": {
+        "outlines": [ROUND, {**ROUND, "name": "b", "circle": {"at_mm": [0, 0], "diameter_mm": 4}}]
+    },
+    "trim.off_part": {"outlines": [{**ROUND, "circle": {"at_mm": [50, 0], "diameter_mm": 40}}]},
+    "trim.narrow": {"outlines": [{**ROUND, "circle": {"at_mm": [0, 0], "diameter_mm": 1.1}}]},
     "trim.corner": {"outlines": [{"name": "a", "curve": square(7.0)}], "shape_tol_mm": 0.1},
     "trim.joints": {"outlines": [{**ROUND, "joints": 20, "joint_mm": 2}]},
     "trim.lead": {"outlines": [ROUND], "lead": {"length_mm": 9}},
@@ -121,8 +125,9 @@ def test_inner_curves_come_before_outer_ones(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "field", [{"lead": {"shape": "arc"}}, {"feed_most_mm_s": 2}, {"ok_signal": "doArc"}, {"lead":
-    {"length_mm": 0.6}}] )
+    "field",
+    [{"lead": {"shape": "arc"}}, {"feed_most_mm_s": 2}, {"ok_signal": "doArc"}, {"lead": {"length_mm": 0.6}}],
+)
 def test_fields_that_contradict_each_other_are_refused(tmp_path: Path, field: dict[str, Any]) -> None:
     with pytest.raises(TandemError) as error:
         problem(tmp_path, **field)
@@ -131,8 +136,8 @@ def test_fields_that_contradict_each_other_are_refused(tmp_path: Path, field: di
 
 def test_feed_follows_the_thickness_of_the_sine_law(tmp_path: Path) -> None:
     hole = {**ROUND, "circle": {"at_mm": [24, 0], "diameter_mm": 6}}
-    made = processes.job(problem(tmp_path, outlines=[hole], lead={"length_mm": 1.0}, pierce={"off_mm": 0.9}),
-    0) targets = made.targets()
+    read = problem(tmp_path, outlines=[hole], lead={"length_mm": 1.0}, pierce={"off_mm": 0.9})
+    targets = processes.job(read, 0).targets()
     axis = -targets.pose["robot"][:, :3, 2]
     rows = np.flatnonzero([s.kind == "trim" and not s.phase for s in targets.segment])
     rows = rows[~(targets.stop[rows] | targets.stop[rows - 1])]

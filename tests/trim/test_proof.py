@@ -107,7 +107,7 @@ def replaced(old: str, new: str) -> Callable[[str], str]:
     return put
 
 
-SHIFT, RADIUS = np.array([1.0, 0.0, 0.0]), 8.6 / 7.4
+SHIFT, HIGHER, RADIUS = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.8]), 8.6 / 7.4
 FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "a hole beside its place": ("verify.trim_kept", "trim_round", moved(lambda p: p + SHIFT)),
     "the slot on the part's side": (
@@ -124,13 +124,13 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "a micro-joint too wide": ("verify.trim_cut", "trim_rim_p1", without_moves(slice(-2, None))),
     "an outline left out": ("verify.trim_cut", MAIN, replaced("trim_wall;", "")),
     "a slot between joints left out": ("verify.trim_cut", MAIN, replaced("trim_rim_p2;", "")),
-    "the torch too high": ("verify.trim_torch", "trim_round", moved(lambda p: p + [0.0, 0.0, 0.8])),
-    "the torch too low": ("verify.trim_torch", "trim_round", moved(lambda p: p - [0.0, 0.0, 0.8])),
+    "the torch too high": ("verify.trim_torch", "trim_round", moved(lambda p: p + HIGHER)),
+    "the torch too low": ("verify.trim_torch", "trim_round", moved(lambda p: p - HIGHER)),
     "the torch leans": ("verify.trim_torch", "trim_round", leant(10.0)),
     "pierced from too near": (
         "verify.trim_torch",
         "trim_round_in",
-        moved(lambda p: p - [0.0, 0.0, 1.0]),
+        moved(lambda p: p - np.array([0.0, 0.0, 1.0])),
     ),
     "no arc": ("verify.trim_arc", MAIN, replaced(ON, "")),
     "the arc too late": ("verify.trim_arc", "trim_round", behind_first_move(f"{OFF} {ON}")),
@@ -151,7 +151,7 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "pierced in the part": (
         "verify.trim_arc",
         "trim_round_in",
-        moved(lambda p: p + [6.0, 0.0, 0.0]),
+        moved(lambda p: p + 6.0 * SHIFT),
     ),
     "an outer curve first": ("verify.trim_order", MAIN, swapped),
     "twice as fast": ("verify.trim_feed", "trim_round", timed(0.5)),
