@@ -484,6 +484,7 @@ CODES: Final[dict[str, Code]] = {
         "a cutter is in the block and its spindle is not up to speed, or where nothing is milled"
     ),
     # milling
+    "forming.holes": Code("a sheet is to be formed behind an operation that has cut holes into it"),
     "trim.tool": Code("an arm that is to trim carries no torch", given=True),
     "trim.no_sheet": Code("a sheet is to be trimmed where there is none, or none that is formed", given=True),
     "trim.open": Code("a curve that is to be cut is not closed", given=True),

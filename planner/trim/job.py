@@ -23,25 +23,21 @@ from planner.claims.vocabulary import Segment
 from planner.forming.job import poses
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, corners, transform
 from planner.geometry.corner_rounding import TURNING_LEVER_MM
-from planner.geometry.units import DEG, LENGTH_UNITS, MM
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.milling.tool_path import sharp, thinned
 from planner.problem import Setup
 from planner.reading import sheet as sheet_file
-from planner.reading.drawing import read_dxf
-from planner.reading.part_ruled import GuideFile, guide
 from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
 from planner.tooling import Torch
 from planner.trim import check
 from planner.trim.claims import claims, told
 from planner.trim.face import Face, lay
-from planner.trim.operation import OutlineFile, Trim
+from planner.trim.operation import Trim, outline_points
 from planner.trim.slots import Slot, Wanted, slots
 
 TRIM: Final = "trim"
 """The kind of segments in which a torch cuts, and comes and goes."""
-CIRCLE_POINTS: Final = 720
-"""Points of a circle."""
 CHORD_SHARE: Final = 0.1
 """Share of the tolerance that straight moves between targets may cost."""
 AXIS_LEVER: Final = 0.03
@@ -107,7 +103,7 @@ class TrimJob(Job[Trim]):
         """The outlines in the order of cutting: those that lie in most others first."""
         found = []
         for one in self.operation.outlines:
-            laid = lay(one.name, _points(one), self.face)
+            laid = lay(one.name, outline_points(one), self.face)
             found.append(Wanted(one, laid, shapely.Polygon(laid.point[:, :2])))
         inside = [
             sum(
@@ -165,34 +161,6 @@ class TrimJob(Job[Trim]):
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
         return claims(self.operation, self.setup, self.torch)
-
-
-def _points(one: OutlineFile) -> FloatArray:
-    """Points (K, 2 or 3) [m] of an outline. Raises ``TandemError``: issues of files, ``part.guide``."""
-    if one.circle is not None:
-        around = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
-        ring = np.stack([np.cos(around), np.sin(around)], axis=1)
-        return np.asarray((np.array(one.circle.at_mm) + 0.5 * one.circle.diameter_mm * ring) * MM)
-    field = f"operations.outlines.{one.name}"
-    curve = one.curve
-    if curve is None:
-        raise ValueError("an outline is a curve or a circle")
-    if curve.dxf is not None:
-        _require_closed(curve, field)
-    return guide(curve, True, Path(), field)[0].points
-
-
-def _require_closed(curve: GuideFile, field: str) -> None:
-    """Raises ``TandemError`` (trim.open) for a drawing with open curves, which no slot goes round."""
-    if curve.dxf is None:
-        return
-    found = read_dxf(Path(curve.dxf.file), LENGTH_UNITS[curve.dxf.unit], curve.dxf.layer, f"{field}.dxf")[0]
-    if len(found) == 1 and not found[0].closed:
-        gap = float(np.linalg.norm(found[0].points[0] - found[0].points[-1])) / MM
-        what = f"{Path(curve.dxf.file).name}: the curve is open by {gap:.3g} mm; only closed ones are cut"
-        raise TandemError(
-            Issue("trim.open", what, field=field, value=gap, limit=0.01, unit="mm", hint="close it")
-        )
 
 
 def _route(op: Trim, setup: Setup, face: Face, torch: Torch, made: list[Slot]) -> tuple[Route, list[Issue]]:

@@ -5,14 +5,20 @@ Lengths are in mm, angles in degrees, speeds in mm/s.
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from planner.claims.vocabulary import fold
+from planner.geometry.arrays import FloatArray
+from planner.geometry.units import LENGTH_UNITS, MM
+from planner.issues import Issue, TandemError
 from planner.problem import Stock
-from planner.reading.part_ruled import GuideFile
+from planner.reading.drawing import read_dxf
+from planner.reading.part_ruled import GuideFile, guide
 from planner.reading.sheet import SheetMeshFile
 from planner.reading.strict_yaml import Name, Strict
 
@@ -166,5 +172,55 @@ class Trim(Strict):
         return self
 
     def leaves(self, stock: Stock) -> Stock:
-        """The sheet as it stays clamped; bodies keep clear of what was cut out of it, too."""
-        return stock
+        """The sheet as it stays clamped, with holes; bodies keep clear of what was cut out of it, too."""
+        if stock.sheet is None:
+            return stock
+        try:
+            cut = tuple((one.name, _in_plan(one)) for one in self.outlines)
+        except TandemError:
+            return stock  # a file that cannot be read is told by the operation itself
+        return dataclasses.replace(
+            stock, sheet=dataclasses.replace(stock.sheet, holes=(*stock.sheet.holes, *cut))
+        )
+
+
+CIRCLE_POINTS: Final = 720
+"""Points of a circle."""
+_PLANS: dict[str, FloatArray] = {}
+"""Curves in plan by all that is stated of them."""
+
+
+def _in_plan(one: OutlineFile) -> FloatArray:
+    """Points (K, 2) [m] of an outline in plan, read once."""
+    key = one.model_dump_json()
+    if key not in _PLANS:
+        _PLANS[key] = outline_points(one)[:, :2]
+    return _PLANS[key]
+
+
+def outline_points(one: OutlineFile) -> FloatArray:
+    """Points (K, 2 or 3) [m] of an outline. Raises ``TandemError``: issues of files, ``part.guide``."""
+    if one.circle is not None:
+        around = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
+        ring = np.stack([np.cos(around), np.sin(around)], axis=1)
+        return np.asarray((np.array(one.circle.at_mm) + 0.5 * one.circle.diameter_mm * ring) * MM)
+    field = f"operations.outlines.{one.name}"
+    curve = one.curve
+    if curve is None:
+        raise ValueError("an outline is a curve or a circle")
+    if curve.dxf is not None:
+        _require_closed(curve, field)
+    return guide(curve, True, Path(), field)[0].points
+
+
+def _require_closed(curve: GuideFile, field: str) -> None:
+    """Raises ``TandemError`` (trim.open) for a drawing with open curves, which no slot goes round."""
+    if curve.dxf is None:
+        return
+    found = read_dxf(Path(curve.dxf.file), LENGTH_UNITS[curve.dxf.unit], curve.dxf.layer, f"{field}.dxf")[0]
+    if len(found) == 1 and not found[0].closed:
+        gap = float(np.linalg.norm(found[0].points[0] - found[0].points[-1])) / MM
+        what = f"{Path(curve.dxf.file).name}: the curve is open by {gap:.3g} mm; only closed ones are cut"
+        raise TandemError(
+            Issue("trim.open", what, field=field, value=gap, limit=0.01, unit="mm", hint="close it")
+        )
