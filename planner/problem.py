@@ -266,13 +266,15 @@ class Sheet:
     does not move.
 
     ``formed`` are the convex solids, in the stock frame, that hold what stands out of the flat sheet once the
-    part is formed; bodies of the cell keep clear of them from the beginning.
+    part is formed; bodies of the cell keep clear of them from the beginning. ``holes``: curves (K, 2) [m] in
+    plan along which an operation has cut it, each with its name.
     """
 
     metal: SheetMetal
     opening: FloatArray
     border: float = 0.0
     formed: tuple[Shape, ...] = ()
+    holes: tuple[tuple[str, FloatArray], ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -54,6 +54,7 @@ from planner.reading import (
 from planner.reading import poses as pose_table
 from planner.reading import problem as problem_file
 from planner.reading.strict_yaml import Document
+from planner.trim import operation as trim
 
 
 class Section(Mapping[str, Any]):
@@ -176,6 +177,9 @@ class HolderPiece(Section, model=cell.HolderPieceFile): ...
 
 
 class Mill(Section, model=cell.MillFile, kind="mill"): ...
+
+
+class Torch(Section, model=cell.TorchFile, kind="torch"): ...
 
 
 class PlainTool(Section, model=cell.PlainToolFile, kind="plain"): ...
@@ -407,6 +411,21 @@ class GCodeCut(Section, model=milling.GCodeCut): ...
 
 
 class Milling(Operation, model=milling.Milling, process="milling"): ...
+
+
+class TrimCircle(Section, model=trim.CircleFile): ...
+
+
+class TrimOutline(Section, model=trim.OutlineFile): ...
+
+
+class Lead(Section, model=trim.LeadFile): ...
+
+
+class Pierce(Section, model=trim.PierceFile): ...
+
+
+class Trim(Operation, model=trim.Trim, process="trim"): ...
 
 
 class FreeAxis(Section, model=pose_table.FreeAxis): ...

@@ -205,14 +205,26 @@ class Job:
         return tuple(signal for signal in self.signals if signal in own)
 
 
+_UNBROKEN = frozenset({"cut", "trim"})
+"""Kinds of segments in which a hot wire or a burning arc would wait for the next module."""
+
+
 def splittable(program: OperationProgram) -> BoolArray:
     """(M,) whether a program may be split behind a move: at stops that do not lie inside one cut, where a hot
-    wire would wait, and where the arms meet anyway."""
+    wire or an arc would wait, and where the arms meet anyway."""
     out = program.stop.copy()
     for i in np.flatnonzero(out[:-1] & (program.meets[:-1] == 0)):
-        inside = program.segments[i] == program.segments[i + 1] and program.segments[i].kind == "cut"
+        inside = program.segments[i] == program.segments[i + 1] and program.segments[i].kind in _UNBROKEN
         out[i] = not inside
     return out
+
+
+def no_input(action: Action, arm: str) -> TandemError:
+    """Why an arm that is not ABB's does not wait for an input of its process."""
+    what = f"arm {arm} is to wait for {action.signal}, for {action.seconds:g} s at most, which Tandem writes "
+    return TandemError(
+        Issue("post.controller", what + "in RAPID alone so far", arm=arm, hint="take an ABB robot for it")
+    )
 
 
 def number(value: float, decimals: int) -> str:

@@ -397,6 +397,7 @@ _STOP_WORDS = {
     "on": "signal on",
     "off": "signal off",
     "wait": "wait",
+    "input": "wait for the input",
 }
 """What a program does at a stop, by kind of action."""
 

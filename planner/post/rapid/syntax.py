@@ -120,6 +120,8 @@ def action_lines(action: Action) -> list[str]:
             return [f"SetDO {identifier(action.signal)},0;"]
         case "wait":
             return [f"WaitTime {short(action.seconds, 3)};"]
+        case "input":
+            return [f"WaitDI {identifier(action.signal)},1\\MaxTime:={short(action.seconds, 3)};"]
 
 
 LONG_KIND_MARK: Final = "__k"
