@@ -9,6 +9,7 @@ room, and between two of them a bound holds.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
@@ -94,7 +95,11 @@ def turning(
         return _apart(placed, riders, fixed)
 
     lever = swing([solid.shape for solid in riders], model.stock_pose, table)
-    return _looked(at, beside, lever, ends, q, enough)
+    others = sorted({solid.body for solid in model.solids} - set(RIDERS))
+    aside = frozenset(
+        map(frozenset, itertools.combinations(others, 2))
+    )  # the turn changes nothing between them
+    return _looked(at, beside, lever, ends, q, enough, aside)
 
 
 def swing(shapes: Sequence[Shape], place: FloatArray, table: Turntable) -> float:
@@ -111,10 +116,11 @@ def _looked(
     ends: tuple[float, float],
     q: Mapping[str, FloatArray],
     enough: float,
+    ignore: clearance.Pairs = frozenset(),
 ) -> AxisWay:
     """Looks along a way: ``at`` gives the cell at a value, ``beside`` distances [m] of what rides to what is
     fixed, as two bodies of which neither has joints; ``lever`` [m, m/rad] is the way of the farthest point by
-    a value of 1."""
+    a value of 1; pairs to ``ignore``."""
     begin, end = ends
     rows = {name: np.asarray(joints)[None] for name, joints in q.items()}
     sense, length = float(np.sign(end - begin)), lever * abs(end - begin)
@@ -123,7 +129,7 @@ def _looked(
     while True:
         value = begin + sense * (gone / lever if lever > 0.0 else 0.0)
         placed = at(value)
-        found = clearance.least(placed, rows, REACH_M)
+        found = clearance.least(placed, rows, REACH_M, ignore)
         gap, pair = float(found.distance[0]), found.pair[0]
         for two, other in beside(placed).items():
             if other < gap:
