@@ -184,12 +184,16 @@ CLEAR: Final = Sentence(
 KRL_READY: Final = Sentence("Is the stock in place and the way of the arm clear?")
 KRL_CLEAR: Final = Sentence("Is the way of the arm to its home clear, and nobody in the cell?")
 
-# ---- tracks ----
+# ---- tracks and turntables ----
 
 KEEP_OFF: Final = Sentence(
     "Keep off the track {unit}: it takes arm {arm}, folded at its home, to {value} mm once this is confirmed."
 )
 """Told before a track goes to a station, of which nothing else tells."""
+KEEP_OFF_TABLE: Final = Sentence(
+    "Keep off the turntable {unit} and what stands on it: it turns to {value} deg once this is confirmed."
+)
+"""Told before a turntable goes to a station."""
 
 # ---- two controllers ----
 

@@ -184,10 +184,8 @@ def _solve(
 
 
 def _at_stations(problem: Problem, targets: Sequence[Targets]) -> Problem:
-    """The problem with arms on tracks at their stations; of bodies that stand in one another nothing is to be
-    concluded, and the plan tells them."""
-    if all(arm.track is None for arm in problem.cell.arms):
-        return problem
+    """The problem with arms on tracks and the block on a turntable at their stations; of bodies that stand in
+    one another nothing is to be concluded, and the plan tells them."""
     return stations.stationed(problem, targets)
 
 
@@ -265,6 +263,7 @@ def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
         jobs = tuple(targets[i] for i in setup.operations)
         change = problem.changes.get(setup.operations[0])
         moved = change is None or "place" in change.stock or "held_by" in change.stock
+        moved |= problem.cell.turntable is not None
         if out and not moved and setup.stock.held_by is None:
             out[-1] = Stand((*out[-1].setups, setup), (*out[-1].jobs, jobs))
         else:

@@ -352,6 +352,7 @@ class CellFile(Strict):
         tuple[WiresFile, ...] | None,
         Field(min_length=1, max_length=50, description="bent wires at hand, from which one is chosen"),
     ] = None
+    turntable: Annotated[axes.TurntableFile | None, Field(description="none: the block stands still")] = None
     controller: ControllerFile = ControllerFile.model_validate({})
 
 
@@ -390,7 +391,8 @@ def build(spec: CellFile, folder: Path) -> Cell:
     controller = controllers(spec.controller, [arm.name for arm in spec.arms])
     axes.check_units(arms, controller)
     wires = wires_at_hand(spec.wires or ())
-    return Cell(spec.name, tuple(arms), obstacles, controller, _grippers(spec), wires)
+    table, plate = axes.turntable(spec.turntable, arms, controller)
+    return Cell(spec.name, tuple(arms), (*obstacles, *plate), controller, _grippers(spec), wires, table)
 
 
 def _robot(spec: str | OwnRobotFile, folder: Path) -> RobotData:

@@ -23,8 +23,8 @@ from planner.files import carried_name, each_file, is_file
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Cell, Change, Fixed, Force, Operation, Problem, Settings
+from planner.reading import axes, controller, grip_choice, loads, materials, strict_yaml
 from planner.reading import cell as cell_file
-from planner.reading import controller, grip_choice, loads, materials, strict_yaml
 from planner.reading import part as part_file
 from planner.reading import sheet as sheet_file
 from planner.reading import stock as stock_file
@@ -250,6 +250,7 @@ def build(document: Document, models: OperationModels) -> Problem:
     problem = grip_choice.with_choices(problem, _without_grip(spec, setups))
     issues = [_placed(issue, document) for issue in stock_file.check_setups(problem)]
     issues += [_placed(issue, document) for issue in loads.faults(problem)]
+    issues += [_placed(issue, document) for issue in axes.turntable_faults(problem)]
     issues = grip_choice.advised(problem, issues)
     if issues:
         raise TandemError(issues)

@@ -24,6 +24,7 @@ ELSEWHERE: Final = {
         "test_one_operation_that_no_station_reaches_is_told_with_what_to_do",
     ),
     "problem.track": ("reading/test_axes", "test_what_cannot_be_a_track_is_told"),
+    "problem.turntable": ("reading/test_axes", "test_what_cannot_be_a_turntable_is_told"),
     "scan.file": ("scan/test_scan_fit", "test_bad_files_are_refused_in_words"),
     "scan.no_marks": ("scan/test_scan_fit", "test_without_marks_height_and_tilt_are_found_and_said"),
     "scan.hole": ("scan/test_adjustment", "test_a_scan_that_shows_too_little_is_refused_with_the_place"),
