@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, IntArray, Mesh, dots, unit
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, dots, unit
 from planner.geometry.units import MM
 from planner.milling.cutter_contact import Over
 
@@ -94,6 +94,8 @@ def lay(name: str, points: FloatArray, face: Face) -> Laid:
 
 ARC_STEP: Final = np.deg2rad(6.0)
 """Turn [rad] between places of a slot's middle that goes round a corner."""
+NEAR: Final = 0.02 * MM
+"""Places of a slot's middle that are nearer to the curve than its half width by this [m] are none."""
 SMOOTH_TURN: Final = np.deg2rad(3.0)
 """Where a curve turns by less than this [rad] its slot goes round no corner."""
 
@@ -143,5 +145,29 @@ def offset(laid: Laid, face: Face, half: float, inside: bool) -> tuple[FloatArra
         owner.append(np.full(len(some), i))
     out, own = np.concatenate(rows), np.concatenate(owner)
     middle, _ = face.at((point[own] + half * out)[:, :2])
-    kept = apart(middle, point) >= half - 0.02 * MM
-    return middle[kept], unit(out[kept])
+    kept = apart(middle, point) >= half - NEAR
+    return _met(middle, unit(out), kept)
+
+
+def _met(middle: FloatArray, out: FloatArray, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """The places that are ``kept`` of a closed way, and where others are left out the one at which the ways
+    before and behind them meet, with the directions ``out`` there."""
+    rows = np.flatnonzero(kept)
+    if kept.all() or len(rows) < 4:
+        return middle[rows], out[rows]
+    places, ways = [], []
+    for k, row in enumerate(rows.tolist()):
+        places.append(middle[row])
+        ways.append(out[row])
+        after = rows[(k + 1) % len(rows)]
+        if (after - row) % len(kept) == 1:
+            continue
+        a, b = middle[row], middle[after]
+        ahead, back = a - middle[rows[k - 1]], b - middle[rows[(k + 2) % len(rows)]]
+        # the places of both lines that are nearest to each other
+        share = np.linalg.lstsq(np.stack([ahead, -back], axis=1), b - a, rcond=None)[0]
+        one, other = a + share[0] * ahead, b + share[1] * back
+        if share.min() > 0.0 and float(np.linalg.norm(one - other)) < NEAR:
+            places.append(0.5 * (one + other))
+            ways.append(unit((out[row] + out[after])[None])[0])
+    return np.array(places), np.array(ways)

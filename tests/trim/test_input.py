@@ -46,7 +46,7 @@ CASES: dict[str, dict[str, Any]] = {
     "trim.narrow": {"outlines": [{**ROUND, "circle": {"at_mm": [0, 0], "diameter_mm": 1.1}}]},
     "trim.corner": {"outlines": [{"name": "a", "curve": square(7.0)}], "shape_tol_mm": 0.1},
     "trim.joints": {"outlines": [{**ROUND, "joints": 20, "joint_mm": 2}]},
-    "trim.lead": {"outlines": [ROUND], "lead": {"length_mm": 9}},
+    "trim.lead": {"outlines": [ROUND], "lead": {"length_mm": 15}},
     "trim.wall": {
         "outlines": [{**ROUND, "circle": {"at_mm": [20, 0], "diameter_mm": 8}}],
         "tool": {"nozzle_diameter_mm": 40, "body_diameter_mm": 40},
