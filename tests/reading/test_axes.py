@@ -148,3 +148,5 @@ def test_what_cannot_be_a_turntable_is_told(
         table_job.problem(tmp_path, {**table_job.TABLE, **table}, **rest)
     found = [str(issue) for issue in refused.value.issues]
     assert [text for text in found if words in text], found
+    own = ("problem.turntable", "problem.field", "problem.unknown_arm", "problem.duplicate_name")
+    assert {issue.code for issue in refused.value.issues} <= set(own)

@@ -54,11 +54,26 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
+FOLLOWED: dict[str, dict[str, Any]] = {
+    "trim.crosses": {"outlines": [{**ROUND, "circle": {"at_mm": [0, 0], "diameter_mm": 8}}]},
+    "trim.in_waste": {"outlines": [ROUND]},
+    "trim.off_part": {"outlines": [ROUND]},
+    "trim.narrow": {"outlines": [ROUND]},
+    "trim.corner": {"shape_tol_mm": 0.3},
+    "trim.joints": {"outlines": [{**ROUND, "joints": 3, "joint_mm": 2}]},
+    "trim.lead": {"lead": {"length_mm": 2}},
+    "trim.wall": {"tool": {}},
+}
+"""What the hints of CASES say to change."""
+
+
 @pytest.mark.parametrize("code", CASES)
-def test_what_cannot_be_cut_is_refused(tmp_path: Path, code: str) -> None:
+def test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps(tmp_path: Path, code: str) -> None:
     found = refused(tmp_path, **CASES[code])
     assert code in {issue.code for issue in found}
     assert all(issue.hint for issue in found)
+    made = processes.job(problem(tmp_path, **{**CASES[code], **FOLLOWED[code]}), 0).targets()
+    assert made.count > 10
 
 
 def test_a_curve_that_crosses_itself_is_refused(tmp_path: Path) -> None:
@@ -89,8 +104,9 @@ def test_a_forming_tool_cuts_no_sheet(tmp_path: Path) -> None:
     whole = data()
     whole["cell"]["arms"][0]["tool"] = {"kind": "ball_tool", "radius_mm": 6, "length_mm": 180}
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
-    with pytest.raises(TandemError, match="no torch"):
+    with pytest.raises(TandemError, match="no torch") as error:
         processes.job(read, 0).targets()
+    assert [issue.code for issue in error.value.issues] == ["trim.tool"]
 
 
 def test_without_a_formed_sheet_nothing_is_trimmed(tmp_path: Path) -> None:
