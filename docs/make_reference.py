@@ -103,6 +103,8 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`cell`, or the file that it names", "cell", cell.CellFile),
     ("`cell.arms`, each", "", cell.ArmFile),
     ("`track` of an arm", "", axes.TrackFile),
+    ("`turntable` of a cell", "", axes.TurntableFile),
+    ("`plate` of a turntable", "", axes.PlateFile),
     ("`robot` of an arm, one of your own", "", robot_file.OwnRobotFile),
     ("`meshes` of `robot`, each", "", robot_file.LinkMeshFile),
     ("`stiffness` of an arm", "", cell.StiffnessFile),

@@ -30,6 +30,9 @@ ELSEWHERE: Final = {
         ),
         ("trim/test_input", "test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps"),
     ),
+    "forming.holes": (
+        "trim/test_input", "test_a_sheet_with_holes_is_not_formed_and_forming_before_them_is",
+    ),
     "trim.open": ("trim/test_input", "test_an_open_drawing_is_refused"),
     "trim.tool": ("trim/test_input", "test_a_forming_tool_cuts_no_sheet"),
     "trim.no_sheet": ("trim/test_input", "test_without_a_formed_sheet_nothing_is_trimmed"),
