@@ -104,7 +104,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`cell.arms`, each", "", cell.ArmFile),
     ("`track` of an arm", "", axes.TrackFile),
     ("`turntable` of a cell", "", axes.TurntableFile),
-    ("`plate` of a turntable", "", axes.PlateFile),
+    ("`plate` of a turntable", "", axes.TurntablePlateFile),
     ("`robot` of an arm, one of your own", "", robot_file.OwnRobotFile),
     ("`meshes` of `robot`, each", "", robot_file.LinkMeshFile),
     ("`stiffness` of an arm", "", cell.StiffnessFile),

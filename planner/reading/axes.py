@@ -98,7 +98,7 @@ def check_units(arms: Sequence[Arm], controller: Controller) -> None:
         taken[unit.lower()] = f"arm {arm.name}"
 
 
-class PlateFile(Strict):
+class TurntablePlateFile(Strict):
     """The plate of a turntable, a cylinder under its centre."""
 
     diameter_mm: Positive
@@ -121,7 +121,7 @@ class TurntableFile(Strict):
     range_deg: Annotated[tuple[float, float], Field(description="least and largest value")]
     speed_deg_s: Annotated[float, Field(gt=0, le=720, description="its highest")]
     home_deg: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
-    plate: PlateFile
+    plate: TurntablePlateFile
 
 
 MOST_TURNS: Final = 3600.0

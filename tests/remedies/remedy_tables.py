@@ -31,7 +31,7 @@ ELSEWHERE: Final = {
         ("trim/test_input", "test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps"),
     ),
     "forming.holes": (
-        "trim/test_input", "test_a_sheet_with_holes_is_not_formed_and_forming_before_them_is",
+        "trim/test_holes", "test_forming_behind_trimming_is_refused_with_the_distance",
     ),
     "trim.open": ("trim/test_input", "test_an_open_drawing_is_refused"),
     "trim.tool": ("trim/test_input", "test_a_forming_tool_cuts_no_sheet"),

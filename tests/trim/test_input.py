@@ -220,27 +220,3 @@ def test_sizes_that_make_no_torch_are_refused() -> None:
     made = torch("laser", 0.001, 0.0002, tilt=0.3)
     assert made.tcp[:3, 2] @ [np.sin(0.3), 0.0, np.cos(0.3)] == pytest.approx(1.0)
     assert np.linalg.norm(made.tcp[:3, 3]) == pytest.approx(0.251)
-
-
-def test_a_sheet_with_holes_is_not_formed_and_forming_before_them_is(tmp_path: Path) -> None:
-    whole = data(outlines=[ROUND])
-    ball = {"kind": "ball_tool", "radius_mm": 6, "length_mm": 180}
-    stage = {"name": "again", "process": "forming", "arms": ["robot"], "mode": "spif", "stepdown_mm": 1}
-    stage |= {"feed_mm_s": 25, "setup": {"tools": {"robot": ball}}}
-    torch_of = whole["cell"]["arms"][0]["tool"]
-    cut = whole["operations"][0]
-    whole["operations"] = [cut, stage]
-    read = pipeline.load(write_forming(tmp_path, whole, dish()))
-    with pytest.raises(TandemError) as error:
-        processes.job(read, 1).targets()
-    (issue,) = [one for one in error.value.issues if one.code == "forming.holes"]
-    assert "along round" in issue.message
-    # a wall of 40 deg, round by the ball at the floor: the last loop is some 12 mm from the hole
-    assert issue.value == pytest.approx(12.0, abs=1.0)
-    assert "before the one that trims" in (issue.hint or "")
-    whole["cell"]["arms"][0]["tool"] = ball
-    first = {key: value for key, value in stage.items() if key != "setup"}
-    whole["operations"] = [first, {**cut, "setup": {"tools": {"robot": torch_of}}}]
-    read = pipeline.load(write_forming(tmp_path, whole, dish()))
-    assert processes.job(read, 0).targets().count > 10
-    assert processes.job(read, 1).targets().count > 10
