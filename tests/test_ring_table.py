@@ -49,7 +49,9 @@ def test_without_the_table_the_ring_is_refused_with_the_table_that_helps(tmp_pat
 
 
 def test_the_table_that_is_advised_brings_all_in_reach(tmp_path: Path) -> None:
-    found = planner.check(table_job.problem(tmp_path, None))
+    stands = {"kind": "cylinder", "radius_mm": 250, "length_mm": 200, "pose": {"xyz_mm": [900, 0, 100]}}
+    plate = {"name": "plate", "shapes": [stands]}
+    found = planner.check(table_job.problem(tmp_path, None, obstacles=[plate]))
     (issue,) = [i for i in found if i.code == "motion.no_reach"]
     assert issue.hint is not None and "put the block on a turntable under its middle" in issue.hint
     (centre,) = re.findall(r"centre_mm: \[(-?\d+), (-?\d+), (-?\d+)\]", issue.hint)
