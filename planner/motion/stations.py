@@ -302,12 +302,11 @@ def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
     stands = _stands(problem, targets, angles(table), _Table(table))
     if stands is None or not any(stands):
         return ""
-    low, high = min([0.0, *stands]) / DEG, max([0.0, *stands]) / DEG
     at = ", ".join(f"{v:.0f}" for v in centre / MM)
     what = (
         "put the block on a turntable under its middle, at which each operation is reached from a station of "
     )
-    what += f"its own (cell: turntable: {{centre_mm: [{at}], range_deg: [{low:.0f}, {high:.0f}], unit: ..., "
+    what += f"its own (cell: turntable: {{centre_mm: [{at}], range_deg: [-180, 180], unit: ..., "
     return what + "speed_deg_s: ..., plate: {diameter_mm: ..., height_mm: ...}})"
 
 
