@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.cell import axis_way, plant, support
 from planner.cell.axis_way import AxisWay
+from planner.cell.bodies import own_shapes
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
@@ -249,6 +250,8 @@ def _nowhere(
 
 RAIL_M: Final = 4.0
 """Tracks that are advised go so far [m] to either side of where a base stands."""
+BASE_ROOM_M: Final = 0.3
+"""A block on a turntable that is advised turns so far [m] from the middle of a base."""
 AXES: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
 """Directions of tracks that are advised."""
 
@@ -292,15 +295,18 @@ def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
     middle = transform(_place(setup), support.block_corners(setup.stock)).mean(axis=0)
     centre = np.array([middle[0], middle[1], min(float(points[:, 2].min()) for points in bottom)])
     table = Turntable("", "", 0, centre, np.array([0.0, 0.0, 1.0]), -np.pi, np.pi, 1.0, 0.0)
+    shapes = (*own_shapes(setup.cell, setup.stock)["stock"], *setup.stock.support)
+    far = float(np.linalg.norm(centre[:2] - setup.cell.arms[0].base[:2, 3]))
+    if axis_way.swing(shapes, _place(setup), table) + BASE_ROOM_M > far:
+        return ""
     stands = _stands(problem, targets, angles(table), _Table(table))
     if stands is None or not any(stands):
         return ""
-    low, high = min([0.0, *stands]) / DEG, max([0.0, *stands]) / DEG
     at = ", ".join(f"{v:.0f}" for v in centre / MM)
     what = (
         "put the block on a turntable under its middle, at which each operation is reached from a station of "
     )
-    what += f"its own (cell: turntable: {{centre_mm: [{at}], range_deg: [{low:.0f}, {high:.0f}], unit: ..., "
+    what += f"its own (cell: turntable: {{centre_mm: [{at}], range_deg: [-180, 180], unit: ..., "
     return what + "speed_deg_s: ..., plate: {diameter_mm: ..., height_mm: ...}})"
 
 
