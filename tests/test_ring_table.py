@@ -43,9 +43,10 @@ def test_a_ring_is_milled_from_stations_all_round_and_proven(tmp_path: Path) -> 
 
 @pytest.mark.long
 def test_without_the_table_the_ring_is_refused_with_the_table_that_helps(tmp_path: Path) -> None:
-    (issue,) = [i for i in planner.check(standing(tmp_path)) if i.code == "motion.no_reach"]
-    assert issue.hint is not None and "put the block on a turntable under its middle" in issue.hint
-    assert "centre_mm: [1650, 0, 600]" in issue.hint
+    found = planner.check(standing(tmp_path))
+    assert "motion.no_reach" in {issue.code for issue in found}
+    (hint,) = [i.hint for i in found if "put the block on a turntable under its middle" in (i.hint or "")]
+    assert hint is not None and "centre_mm: [1650, 0, 600]" in hint
 
 
 def test_the_table_that_is_advised_brings_all_in_reach(tmp_path: Path) -> None:

@@ -456,19 +456,6 @@ CODES: Final[dict[str, Code]] = {
     "verify.lean": Code("a forming tool leans farther than the problem lets it"),
     "verify.ridge": Code("a ridge or groove stands out of the cut surface"),
     # passes over a sheet, and the tool that supports it
-    "verify.trim_cut": Code(
-        "an outline of a trimmed sheet is not cut as wanted, or is left uncut elsewhere than at its joints"
-    ),
-    "verify.trim_kept": Code("a torch cuts into what is to stay"),
-    "verify.trim_torch": Code("a torch that cuts is not as far off the sheet as wanted, or leans too far"),
-    "verify.trim_arc": Code(
-        "an arc starts in the wrong place, is not waited for, or burns where nothing is cut"
-    ),
-    "verify.trim_order": Code("an outline is cut before one that lies in it"),
-    "verify.trim_feed": Code(
-        "a torch cuts faster or slower than the sheet's thickness wants", remedy=_SLOWER
-    ),
-    "verify.trim_clear": Code("a torch comes nearer to the sheet that it trims than it may"),
     "verify.milled": Code(
         "a milled surface is not within its tolerance, or something is milled that is not claimed",
         remedy="take a smaller cutter or finer steps, and plan again",
@@ -485,8 +472,20 @@ CODES: Final[dict[str, Code]] = {
     "verify.spindle": Code(
         "a cutter is in the block and its spindle is not up to speed, or where nothing is milled"
     ),
-    # milling
-    "forming.holes": Code("a sheet is to be formed behind an operation that has cut holes into it"),
+    # curves cut out of a formed sheet
+    "verify.trim_cut": Code(
+        "an outline of a trimmed sheet is not cut as wanted, or is left uncut elsewhere than at its joints"
+    ),
+    "verify.trim_kept": Code("a torch cuts into what is to stay"),
+    "verify.trim_torch": Code("a torch that cuts is not as far off the sheet as wanted, or leans too far"),
+    "verify.trim_arc": Code(
+        "an arc starts in the wrong place, is not waited for, or burns where nothing is cut"
+    ),
+    "verify.trim_order": Code("an outline is cut before one that lies in it"),
+    "verify.trim_feed": Code(
+        "a torch cuts faster or slower than the sheet's thickness wants", remedy=_SLOWER
+    ),
+    "verify.trim_clear": Code("a torch comes nearer to the sheet that it trims than it may"),
     "trim.tool": Code("an arm that is to trim carries no torch", given=True),
     "trim.no_sheet": Code("a sheet is to be trimmed where there is none, or none that is formed", given=True),
     "trim.open": Code("a curve that is to be cut is not closed", given=True),
@@ -499,6 +498,7 @@ CODES: Final[dict[str, Code]] = {
     "trim.lead": Code("no way in with its pierce point fits into the waste"),
     "trim.wall": Code("a torch comes nearer to a wall of the sheet than it may, or stands too flat"),
     "trim.slow": Code("an arm is slower in a slot than the torch's cut allows"),
+    # milling
     "milling.tool": Code("an arm that is to mill carries no cutter", given=True),
     "milling.no_surface": Code(
         "a cut names a surface that the part does not have, or needs a front", given=True
@@ -685,6 +685,7 @@ CODES: Final[dict[str, Code]] = {
     "forming.touching": Code("two features touch or lie over each other", given=True),
     "forming.flat": Code("nothing of a part leaves the sheet plane", given=True),
     "forming.step": Code("a slicing step is no length above 0, or gives too many levels", given=True),
+    "forming.holes": Code("a sheet is to be formed behind an operation that has cut holes into it"),
     "forming.order": Code(
         "an order of forming names a feature twice, not at all, or before what it stands on", given=True
     ),

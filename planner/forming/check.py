@@ -135,8 +135,7 @@ def hole_issues(sheet: Sheet, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterato
         off = [shapely.distance(hole, shapely.points(path.contact.point[:, :2])) for _, path in paths]
         near = float(min(row.min() for row in off)) / MM
         what = f"the sheet was cut along {name} before, and the contact would come within {near:.1f} mm "
-        what += "of that; a "
-        what += "sheet with holes is not formed yet"
+        what += "of that; a sheet with holes is not formed yet"
         hint = "form all of the part before it is trimmed: put this operation before the one that trims"
         yield Issue("forming.holes", what, value=near, unit="mm", hint=hint)
 

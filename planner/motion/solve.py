@@ -115,7 +115,7 @@ def solve(
     :class:`TandemError` with the reasons when there is no plan.
     """
     problem, targets = with_room(problem, targets)
-    problem = _at_stations(problem, targets)
+    problem = stations.stationed(problem, targets)
     at = [0]
     try:
         return _solve(problem, targets, progress or _silent, at, begin, former)
@@ -183,18 +183,12 @@ def _solve(
     )
 
 
-def _at_stations(problem: Problem, targets: Sequence[Targets]) -> Problem:
-    """The problem with arms on tracks and the block on a turntable at their stations; of bodies that stand in
-    one another nothing is to be concluded, and the plan tells them."""
-    return stations.stationed(problem, targets)
-
-
 def check(problem: Problem, targets: Sequence[Targets], advise: bool = True) -> list[Issue]:
     """Issues of reach and collision without optimising or timing; empty if every operation has a path.
     ``advise``: changes that may help are tried."""
     problem, targets = with_room(problem, targets)
     try:
-        problem = _at_stations(problem, targets)
+        problem = stations.stationed(problem, targets)
     except TandemError as error:
         return list(error.issues)
     bases: Mapping[str, FloatArray] | None = None

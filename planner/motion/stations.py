@@ -81,9 +81,7 @@ class _Track:
         return np.tile(_place(setup), (len(grid), 1, 1, 1)), bases
 
     def way(self, setup: Setup, ends: tuple[float, float], enough: float) -> AxisWay:
-        homes = {other.name: other.home for other in setup.cell.arms}
-        model = plant.build(setup.cell, setup.stock, _place(setup))
-        return axis_way.along(model, self.name, self.track.axis, ends, homes, enough)
+        return axis_way.along(_model(setup), self.name, self.track.axis, ends, _homes(setup), enough)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,9 +113,7 @@ class _Table:
         return np.stack([self.track.turned(place, value - here) for value in grid])[:, None], {}
 
     def way(self, setup: Setup, ends: tuple[float, float], enough: float) -> AxisWay:
-        homes = {other.name: other.home for other in setup.cell.arms}
-        model = plant.build(setup.cell, setup.stock, _place(setup))
-        return axis_way.turning(model, self.track, ends, homes, enough)
+        return axis_way.turning(_model(setup), self.track, ends, _homes(setup), enough)
 
 
 _Axis = _Track | _Table
@@ -168,6 +164,14 @@ def _place(setup: Setup) -> FloatArray:
     return setup.stock.place if setup.stock.place is not None else np.eye(4)
 
 
+def _model(setup: Setup) -> plant.CellModel:
+    return plant.build(setup.cell, setup.stock, _place(setup))
+
+
+def _homes(setup: Setup) -> dict[str, FloatArray]:
+    return {arm.name: arm.home for arm in setup.cell.arms}
+
+
 def _station(problem: Problem, index: int, targets: Targets, axis: _Axis, at: Mapping[str, float]) -> float:
     setup = problem.setup_of(index)
     grid = axis.values()
@@ -215,8 +219,7 @@ def _fault(
         if not way.clear:
             return f"on the way there {' and '.join(way.pair)} come as near as {way.least / MM:.1f} mm"
     setup = there.setup_of(index)
-    model = plant.build(setup.cell, setup.stock, _place(setup))
-    scene = _scene(there, index, targets, model)
+    scene = _scene(there, index, targets, _model(setup))
     own = with_aims(scene, targets)
     _, found = find_path(scene, own)
     return "" if isinstance(found, Found) else "bodies or joints leave no path there"

@@ -31,7 +31,6 @@ from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 import planner
 from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
-from planner.files import is_disk_full
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
 from planner.service import bundled, element_routes, routes
@@ -40,7 +39,7 @@ from planner.service.routes import REFUSALS, REQUESTS, Caller, Here
 from planner.service.runner import Team
 from planner.service.security import LOOPBACK, Guard, RefusedError, issue_json
 from planner.service.service import Options, Service
-from planner.service.storage import disk_full, store_refusal, take_upload
+from planner.service.storage import store_refusal, take_upload
 
 page_router: Final = APIRouter(include_in_schema=False)
 PAGE_FOLDER: Final = Path(__file__).resolve().parent / "page"
@@ -229,8 +228,8 @@ def create_app(service: Service) -> FastAPI:
     app.add_exception_handler(RefusedError, _refused)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
-    app.add_exception_handler(SQLAlchemyError, _store)
-    app.add_exception_handler(OSError, _disk)
+    for kind in (SQLAlchemyError, OSError):
+        app.add_exception_handler(kind, _store)
     app.add_exception_handler(Exception, _failed)
     options = service.options
     names = None if options.tokens_required else LOOPBACK | {options.host}
@@ -324,10 +323,6 @@ async def _store(request: Request, error: Exception) -> JSONResponse:
         return await _failed(request, error)
     LOG.warning("%s %s: %s", request.method, request.url.path, type(error).__name__)
     return await _refused(request, refused)
-
-
-async def _disk(request: Request, error: Exception) -> JSONResponse:
-    return await (_refused(request, disk_full()) if is_disk_full(error) else _failed(request, error))
 
 
 async def _failed(request: Request, error: Exception) -> JSONResponse:

@@ -405,7 +405,7 @@ class Runner(threading.Thread):
             if file.startswith(prefix)
         }
         folder = Path(tempfile.mkdtemp(dir=self._scratch, prefix="job-"))
-        self._claimed[name], self._folders[name] = claimed, folder  # one that failed before goes back
+        self._claimed[name], self._folders[name] = claimed, folder
         job = Job(name, bundle, timeout_s=claimed.timeout_s, memory_mb=claimed.memory_mb)
         team.start(job, folder / "result")
 
@@ -450,17 +450,16 @@ class Runner(threading.Thread):
 
     def _told(self, issues: Collection[Issue]) -> tuple[Issue, ...]:
         """Without where on this host it was: users have no use for that, and others might."""
-        place = str(self._scratch)
 
-        def without(text: str | None) -> str | None:
-            return text and text.replace(place, "the service's folder")
+        def without(text: str) -> str:
+            return text.replace(str(self._scratch), "the service's folder")
 
         return tuple(
             dataclasses.replace(
                 one,
-                message=one.message.replace(place, "the service's folder"),
-                file=without(one.file),
-                hint=without(one.hint),
+                message=without(one.message),
+                file=one.file and without(one.file),
+                hint=one.hint and without(one.hint),
             )
             for one in issues
         )

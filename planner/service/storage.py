@@ -229,7 +229,7 @@ class Storage:
             yield
         except OSError as error:
             if is_disk_full(error):
-                raise disk_full() from error
+                raise _disk_full() from error
             raise
         finally:
             with self._lock:
@@ -277,10 +277,10 @@ class Storage:
 
 
 def store_refusal(error: Exception) -> RefusedError | None:
-    """What to answer where the database fails: 503 while it is away, 507 where its disk is full; None for
-    faults of ours."""
-    if isinstance(error, DBAPIError) and _is_full(error.orig):
-        return disk_full()
+    """What to answer where the disk or the database fails: 507 where there is no room, 503 while the database
+    is away; None for faults of ours."""
+    if is_disk_full(error) or (isinstance(error, DBAPIError) and _is_full(error.orig)):
+        return _disk_full()
     if isinstance(error, OperationalError | InterfaceError | NoConnectionError) or (
         isinstance(error, DBAPIError) and error.connection_invalidated
     ):
@@ -299,7 +299,7 @@ def _mb(size: float) -> str:
     return f"{size / MB:,.1f} MB"
 
 
-def disk_full() -> RefusedError:
+def _disk_full() -> RefusedError:
     """507, with nothing of where on the disk."""
     return _full("the disk of this service is full", None, None)
 
@@ -359,7 +359,7 @@ async def take_upload(request: Request, storage: Storage, owner: str, limits: Li
     except OSError as error:
         if not is_disk_full(error):
             raise
-        raise disk_full() from error
+        raise _disk_full() from error
     except (ValueError, LookupError) as error:  # charsets that are none, and the like
         raise RefusedError(422, _fault("body", "the form cannot be read; send UTF-8")) from error
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 from planner.claims import vocabulary
 from planner.claims.claim import Claim
-from planner.claims.milling import DrawnCurve
 from planner.claims.trim import SurfaceFile, TrimOutline, TrimsSheet
 from planner.claims.vocabulary import OperatorDialogue, message_step, question_step
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
-from planner.reading.part_ruled import GuideFile
 from planner.tooling import Torch
 from planner.trim.operation import OutlineFile, Trim
 
@@ -69,21 +68,10 @@ def _outline(one: OutlineFile) -> TrimOutline:
     circle = one.circle
     return TrimOutline(
         name=one.name,
-        drawn=None if one.curve is None else _drawn(one.curve),
+        drawn=None if one.curve is None else dataclasses.replace(one.curve.drawn(), z_mm=None),
         middle=(0.0, 0.0) if circle is None else circle.at_mm,
         diameter=0.0 if circle is None else circle.diameter_mm,
         inside=one.drops == "inside",
         joints=one.joints,
         width=one.joint_mm * MM,
     )
-
-
-def _drawn(own: GuideFile) -> DrawnCurve:
-    """A curve as the problem draws it."""
-    for kind in ("polyline", "bspline", "bezier"):
-        points = getattr(own, f"{kind}_mm")
-        if points is not None:
-            return DrawnCurve(kind, tuple(points))
-    if own.dxf is None:
-        raise ValueError("a curve needs points or a file")
-    return DrawnCurve("dxf", (), Path(own.dxf.file), own.dxf.unit, own.dxf.layer, None)

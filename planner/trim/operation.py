@@ -52,11 +52,7 @@ class OutlineFile(Strict):
     def _from_the_problem_file(cls, value: GuideFile | None, info: ValidationInfo) -> GuideFile | None:
         """A drawing is looked up from the folder of the problem file."""
         folder: Path = (info.context or {}).get("folder", Path())
-        if value is None or value.dxf is None:
-            return value
-        return value.model_copy(
-            update={"dxf": value.dxf.model_copy(update={"file": str(folder / value.dxf.file)})}
-        )
+        return None if value is None else value.looked_up(folder)
 
     @model_validator(mode="after")
     def _one(self) -> Self:
