@@ -12,7 +12,6 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
-from planner.cell import support
 from planner.geometry.arrays import Shape, from_parts
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
@@ -202,6 +201,8 @@ def turntable_faults(problem: Problem) -> list[Issue]:
     table = problem.cell.turntable
     if table is None:
         return []
+    from planner.cell import support  # what reads a problem without a turntable loads nothing of the cell
+
     out = []
 
     def told(what: str, field: str) -> None:
