@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -23,6 +23,13 @@ AXIS_SAMPLES: Final = 5
 """Points on a capsule's axis whose distances to a box bound that of the whole axis."""
 ROWS_AT_ONCE: Final = 32
 """Rows that are held against a box at once at first."""
+NEAR_DISTANCE: Final = 0.012
+"""Solids of one arm within this distance [m] in nearly all postures tell nothing when they are near."""
+NEAR_SHARE: Final = 0.95
+"""Solids that are near each other in more than this share of postures always are."""
+
+
+SolidPair = tuple[int, int]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,7 +69,8 @@ class Bounds:
         if not ignore:
             return self
         if ignore not in self._among:
-            self._among[ignore] = self._without(ignore)
+            bodies = [solid.body for solid in self.given]
+            self._among[ignore] = self._kept(lambda a, b: frozenset((bodies[a], bodies[b])) not in ignore)
         return self._among[ignore]
 
     @functools.cached_property
@@ -70,13 +78,52 @@ class Bounds:
         """What :meth:`among` has given."""
         return {}
 
-    def _without(self, ignore: frozenset[frozenset[str]]) -> Bounds:
-        first = [[frozenset((self.solids[a].body, self.solids[b].body)) not in ignore] for a, b in self.pairs]
-        second = [
-            [frozenset((self.solids[a].body, self.boxes[b].body)) not in ignore] for a, b in self.box_pairs
-        ]
-        keep = np.array(first, dtype=bool).reshape(-1), np.array(second, dtype=bool).reshape(-1)
-        return dataclasses.replace(self, pairs=self.pairs[keep[0]], box_pairs=self.box_pairs[keep[1]])
+    def always_near(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
+        """Pairs of solids of one arm, by their places in ``given``, that the arm's build keeps within
+        NEAR_DISTANCE of each other in body poses (B | 1, 4, 4) that were drawn. Of any two bodies they are as
+        few as it takes for the others not to be near in more than NEAR_SHARE of the poses.
+        """
+        own = self._of_one_arm()
+        row, solids, *_ = own.every(poses, NEAR_DISTANCE)
+        count = own._placed(poses).rows
+        near: dict[frozenset[str], dict[SolidPair, BoolArray]] = {}
+        for at, (a, b) in zip(row.tolist(), solids.tolist(), strict=True):
+            bodies = near.setdefault(frozenset((self.given[a].body, self.given[b].body)), {})
+            bodies.setdefault((min(a, b), max(a, b)), np.zeros(count, dtype=np.bool_))[at] = True
+        out: list[SolidPair] = []
+        for pairs in near.values():
+            while pairs and np.logical_or.reduce(list(pairs.values())).sum() > NEAR_SHARE * count:
+                most = max(sorted(pairs), key=lambda pair: int(pairs[pair].sum()))
+                del pairs[most]
+                out.append(most)
+        return tuple(sorted(out))
+
+    def without(self, solids: Collection[SolidPair]) -> Bounds:
+        """The same without pairs of solids, by their places in ``given``."""
+        return self._kept(lambda a, b: (min(a, b), max(a, b)) not in solids)
+
+    def of_bodies(self, one: str, other: str) -> tuple[SolidPair, ...]:
+        """The pairs of solids of two bodies that are held apart, by their places in ``given``."""
+        asked = {one, other}
+        some = self._kept(lambda a, b: {self.given[a].body, self.given[b].body} == asked)
+        first = [(a, b) for a, b in some.pairs.tolist()]
+        return tuple(first + [(a, b + len(self.solids)) for a, b in some.box_pairs.tolist()])
+
+    def _of_one_arm(self) -> Bounds:
+        """The same with pairs of bodies of one arm only."""
+        arm = [solid.body.partition("/") for solid in self.given]
+        return self._kept(lambda a, b: arm[a][0] == arm[b][0] and bool(arm[a][1]) and bool(arm[b][1]))
+
+    def _kept(self, keep: Callable[[int, int], bool]) -> Bounds:
+        """The same with those pairs only, by their places in ``given``, that ``keep`` says to keep."""
+        count = len(self.solids)
+        first = np.array([keep(a, b) for a, b in self.pairs.tolist()], dtype=bool)
+        second = np.array([keep(a, b + count) for a, b in self.box_pairs.tolist()], dtype=bool)
+        return dataclasses.replace(
+            self,
+            pairs=self.pairs[first.reshape(-1)],
+            box_pairs=self.box_pairs[second.reshape(-1)],
+        )
 
     def least(
         self, poses: Mapping[str, FloatArray], limit: float, both: bool = True
