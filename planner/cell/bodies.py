@@ -116,6 +116,19 @@ def corners(solid: Solid) -> FloatArray:
     return np.asarray(0.5 * extent(solid) * signs)
 
 
+def hull_points(solid: Solid) -> FloatArray:
+    """Points (P, 3) [m] in the shape's frame whose convex hull holds the solid: it is no larger but for the
+    caps of round ends and 0.5 % of a cylinder's radius."""
+    if solid.shape.vertices is not None:
+        return solid.shape.vertices
+    if solid.shape.kind != "cylinder":
+        return corners(solid)
+    angle = np.linspace(0.0, 2.0 * np.pi, RIM_POINTS, endpoint=False)
+    radius, half = solid.shape.size[0] / np.cos(np.pi / RIM_POINTS), 0.5 * solid.shape.size[1]
+    rim = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    return np.concatenate([np.column_stack([rim, np.full(RIM_POINTS, z)]) for z in (-half, half)])
+
+
 def signed_distance(solid: Solid, points: FloatArray) -> FloatArray:
     """Distances (...,) [m] of points (..., 3) in the shape's frame to its surface, negative inside."""
     kind, size = solid.shape.kind, solid.shape.size
@@ -251,6 +264,9 @@ HELD_FILTERED: Final = {
     "link_5": "of one arm and always near each other",
 }
 """Why a block that an arm holds is not held apart from these bodies of the arm."""
+
+RIM_POINTS: Final = 32
+"""Corners of the polygon that stands for the rim of a cylinder."""
 
 BUILT_APART: Final = frozenset({(0, 2), (1, 3), (2, 4), (3, 5), (4, 6), (5, 7)})
 """Places in the chain of pairs two joints apart whose solids, fatter than the real links, would touch."""

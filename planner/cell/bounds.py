@@ -14,10 +14,19 @@ from typing import Final
 
 import numpy as np
 
-from planner.cell.bodies import Solid, extent
+from planner.cell.bodies import Solid, extent, hull_points, signed_distance
 from planner.cell.bodies import fixed as is_fixed
 from planner.cell.distance import AGREED_M, Cores, between_segments, cores, distances, nearest_to_box
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, from_parts, lengths
+from planner.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IndexArray,
+    dots,
+    from_parts,
+    inverse,
+    lengths,
+    transform,
+)
 
 AXIS_SAMPLES: Final = 5
 """Points on a capsule's axis whose distances to a box bound that of the whole axis."""
@@ -97,6 +106,24 @@ class Bounds:
                 del pairs[most]
                 out.append(most)
         return tuple(sorted(out))
+
+    def flange_parts(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
+        """Pairs of the link before the wrist and of what of a tool is nowhere farther than NEAR_DISTANCE from
+        the flange in body poses (1, 4, 4), such as the plate by which it is mounted: the arm's build keeps
+        these apart as it does the flange itself, mostly by a few millimetres."""
+        out: list[SolidPair] = []
+        for k, solid in enumerate(self.given):
+            arm, _, link = solid.body.partition("/")
+            flange = [one for one in self.given if one.body == f"{arm}/link_6"]
+            if link != "tool" or not flange:
+                continue
+            points = transform(poses[solid.body][0] @ solid.shape.pose, hull_points(solid))
+            each = [(one, inverse(poses[one.body][0] @ one.shape.pose)) for one in flange]
+            off = np.min([signed_distance(one, transform(back, points)) for one, back in each], axis=0)
+            if off.max() <= NEAR_DISTANCE:
+                wrist = [i for i, one in enumerate(self.given) if one.body == f"{arm}/link_4"]
+                out += [(min(i, k), max(i, k)) for i in wrist]
+        return tuple(out)
 
     def without(self, solids: Collection[SolidPair]) -> Bounds:
         """The same without pairs of solids, by their places in ``given``."""

@@ -141,6 +141,8 @@ def _feed(state: Any, value: object) -> None:
         raise TypeError(f"a {type(value).__name__} has no digest; give plain values, arrays and dataclasses")
 
 
+NEAR: Final = "of one arm and always near each other"
+"""Why pairs of solids are not held apart that :meth:`Bounds.always_near` names."""
 RANDOM_POSTURES: Final = 200
 """Postures that are drawn, from a fixed seed, to find solids of one arm that are always near each other."""
 
@@ -440,26 +442,35 @@ def _new(
 
 
 def _leave_out_always_near(model: CellModel) -> None:
-    """Takes pairs of solids of one arm that are near each other in nearly all of RANDOM_POSTURES out of what
-    is held apart; where those are all pairs of two bodies, out of the checker, too."""
+    """Takes pairs of solids out of what is held apart: of what is mounted flat on a flange and the link
+    before the wrist, and of one arm that are near each other in nearly all of RANDOM_POSTURES. Where those
+    are all pairs of two bodies, they are out of the checker, too."""
+    shared, whole = model._shared, model._shared.bounds
+    flat = whole.flange_parts(model.poses({}))
     lower = np.concatenate([model.robots[arm].lower for arm in model.arms])
     upper = np.concatenate([model.robots[arm].upper for arm in model.arms])
     q = np.random.default_rng(20).uniform(lower, upper, size=(RANDOM_POSTURES, len(lower)))
-    shared, rows = model._shared, {arm: q[:, 6 * k : 6 * k + 6] for k, arm in enumerate(model.arms)}
-    near = shared.bounds.always_near(model.poses(rows))
-    before, shared.bounds = shared.bounds, shared.bounds.without(near)
+    rows = {arm: q[:, 6 * k : 6 * k + 6] for k, arm in enumerate(model.arms)}
+    near = whole.without(flat).always_near(model.poses(rows))
+    shared.bounds = whole.without({*flat, *near})
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for why, solids in (("what is flat on the flange is kept off by its build", flat), (NEAR, near)):
+        for a, b in solids:
+            one, other = sorted((whole.given[a].body, whole.given[b].body))
+            reasons.setdefault((one, other), [])
+            if why not in reasons[one, other]:
+                reasons[one, other].append(why)
     found = list(shared.filtered)
-    names = [tuple(sorted((before.given[a].body, before.given[b].body))) for a, b in near]
-    for one, other in sorted(set(names)):
-        left, count = shared.bounds.of_bodies(one, other), len(before.of_bodies(one, other))
-        reason = "of one arm and always near each other"
-        if left:
-            reason += f": {count - len(left)} of {count} pairs of their solids, the others are held apart"
-            shared.parts[frozenset((one, other))] = left
-        else:
+    for (one, other), why in sorted(reasons.items()):
+        left, count = shared.bounds.of_bodies(one, other), len(whole.of_bodies(one, other))
+        if not left:
             a, b = (model.body(name).index() for name in (one, other))
             shared.checker.SetCollisionFilteredBetween(a, b, True)
-        found.append((one, other, reason))
+            found.append((one, other, ", ".join(why)))
+            continue
+        shared.parts[frozenset((one, other))] = left
+        share = f"{count - len(left)} of {count} pairs of their solids"
+        found.append((one, other, f"{share}: {', '.join(why)}; the others are held apart"))
     shared.filtered = tuple(sorted(found))
 
 
