@@ -461,16 +461,16 @@ def _leave_out_always_near(model: CellModel) -> None:
             if why not in reasons[one, other]:
                 reasons[one, other].append(why)
     found = list(shared.filtered)
-    for (one, other), why in sorted(reasons.items()):
+    for (one, other), told in sorted(reasons.items()):
         left, count = shared.bounds.of_bodies(one, other), len(whole.of_bodies(one, other))
         if not left:
             a, b = (model.body(name).index() for name in (one, other))
             shared.checker.SetCollisionFilteredBetween(a, b, True)
-            found.append((one, other, ", ".join(why)))
+            found.append((one, other, ", ".join(told)))
             continue
         shared.parts[frozenset((one, other))] = left
         share = f"{count - len(left)} of {count} pairs of their solids"
-        found.append((one, other, f"{share}: {', '.join(why)}; the others are held apart"))
+        found.append((one, other, f"{share}: {', '.join(told)}; the others are held apart"))
     shared.filtered = tuple(sorted(found))
 
 

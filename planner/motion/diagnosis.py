@@ -176,7 +176,7 @@ def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
         if dead.later is not None:
             grid, index, free = dead.later
             what += f"; free again at {targets.name(index)} is {_intervals(targets, grid, index, free)}"
-        elif dead.around and dead.index + 1 < targets.count:
+        elif dead.before is not None and dead.index + 1 < targets.count:
             what += "; nothing is free after it"
     tried = len(dead.tried)
     choices = f"all {tried} choices of branches" if tried > 1 else "the only choice of branches"

@@ -76,19 +76,22 @@ def plan_operation(
     bases: Mapping[str, FloatArray] | None = None,
     begin: ways.Begin = ways.here,
     former: FormerPath | None = None,
+    fine: bool = True,
 ) -> OperationPlan:
     """The plan of one operation named ``name`` with the stock at ``stock_pose`` (4, 4) in the world.
 
     ``model`` is the cell's collision model at that placement; without it nothing is checked for collisions,
     which only benchmarks and tests want. ``begin``: where ways from home and back are found beside the rest.
-    ``former``: a path that was planned before, of which is taken over what holds; a note tells it. Raises
-    :class:`TandemError` with the reasons when there is no plan.
+    ``former``: a path that was planned before, of which is taken over what holds; a note tells it.
+
+    Raises :class:`TandemError` with the reasons when there is no plan, and :class:`NoCoarsePathError` unless
+    ``fine``, where only finer samples might lead to one.
     """
     scene = Scene.of(cell, targets.arms, stock_pose, settings, model, bases)
     watch = _Watch()
     ways.require_home(scene, targets)
     targets = path_search.with_aims(scene, targets)
-    near = _Near(former)
+    near = _Near(former, fine)
     targets, found = _path(scene, targets, watch, near)
     avoid = _avoid(scene, targets)
     better, kept = _improve(scene, targets, found, avoid, watch)
@@ -188,11 +191,16 @@ class _Watch:
         self._last = now
 
 
-class _Near:
-    """A path near a former one where there is such; ``missed``: why there was none."""
+class NoCoarsePathError(Exception):
+    """The samples that are tried first have no path whose moves are free; finer ones were not looked at."""
 
-    def __init__(self, former: FormerPath | None) -> None:
-        self._former = former
+
+class _Near:
+    """A path near a former one where there is such; ``missed``: why there was none. ``fine``: whether finer
+    samples are tried where others have no path."""
+
+    def __init__(self, former: FormerPath | None, fine: bool) -> None:
+        self._former, self._fine = former, fine
         self.missed = ""
 
     def find(self, scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
@@ -200,12 +208,15 @@ class _Near:
         if self._former is not None and not self.missed:
             offered = self._former.samples(targets)
             for samples in () if isinstance(offered, str) else offered:
-                found = search_near(scene, targets, samples, self._former.branch)
-                if found is not None:
-                    return found
+                near = search_near(scene, targets, samples, self._former.branch)
+                if near is not None:
+                    return near
             nowhere = "no path near it keeps margins and clearance"
             self.missed = offered if isinstance(offered, str) else nowhere
-        return find_path(scene, targets)
+        grid, found = find_path(scene, targets, self._fine)
+        if not self._fine and (isinstance(found, Blocked) or found.loose):
+            raise NoCoarsePathError
+        return grid, found
 
 
 def _path(scene: Scene, targets: Targets, watch: _Watch, near: _Near) -> tuple[Targets, Found]:

@@ -23,7 +23,7 @@ from planner.geometry.units import MM
 from planner.issues import Issue, Remedy, TandemError, aggregate
 from planner.motion import diagnosis, remedies, sag, stations, ways
 from planner.motion.former import Former, place_told, unlike_told
-from planner.motion.operation import plan_operation
+from planner.motion.operation import NoCoarsePathError, plan_operation
 from planner.motion.placement import Place, Search, Trace
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Blocked
@@ -389,9 +389,10 @@ def _plan(
     at: list[int],
     begin: ways.Begin,
     former: Former | None = None,
+    fine: bool = True,
 ) -> list[OperationPlan]:
     """The plans of all operations of one stand, beginning with what a ``former`` plan had; where that leads
-    to none, without it."""
+    to none, without it. ``fine`` as of :func:`plan_operation`."""
     out = []
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         placed = model.with_stock(place.stock).with_bases(place.bases)
@@ -408,6 +409,7 @@ def _plan(
                 placed,
                 place.bases,
                 begin,
+                fine=fine,
             )
             before = None if former is None else former.path(index)
             try:
@@ -431,12 +433,21 @@ def _first_that_works(
     at: list[int],
     begin: ways.Begin,
 ) -> tuple[Place, list[OperationPlan]]:
+    """The first place at which all operations have plans: of those that need no fine samples, which take
+    long, else of all."""
     tried, reasons = _tried(problem, stand, models, places, trace, at)
-    for place in tried:
-        try:
-            return place, _plan(problem, stand, models, place, tell, at, begin)
-        except TandemError as error:
-            reasons = reasons or list(error.issues)
+    failed: dict[int, list[Issue]] = {}
+    for fine in (False, True) if len(tried) > 1 else (True,):
+        for k, place in enumerate(tried):
+            if k in failed:
+                continue
+            try:
+                return place, _plan(problem, stand, models, place, tell, at, begin, fine=fine)
+            except NoCoarsePathError:
+                continue
+            except TandemError as error:
+                failed[k] = list(error.issues)
+    reasons = reasons or failed.get(0, [])
     raise TandemError([_unplaced(trace, stand, tried, reasons), *reasons])
 
 

@@ -94,7 +94,7 @@ def test_the_filter_is_listed_with_reasons_and_leaves_what_matters(model: plant.
 
 
 def _mounted(radius: float) -> Tool:
-    """A plate flat on the flange and a bar across it 60 mm out, which an IRB 140 can fold onto its forearm."""
+    """A plate flat on the flange and a bar across it 60 mm out, which reaches an IRB 140's own forearm."""
     plate = Shape("cylinder", (radius, 0.008), from_rpy((0.0, 0.0, 0.004), UP))
     bar = Shape("box", (0.44, 0.03, 0.03), from_rpy((0.0, 0.0, 0.06), UP))
     return plain("bar", from_rpy((0.0, 0.0, 0.12), UP), (plate, bar), 0.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import heapq
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -52,29 +53,42 @@ class Found:
     loose: bool = False
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Dead:
     """Where all paths end for collisions: none passes target ``index``, with any samples and any branches
     that reach all targets.
 
-    Of the choice of branches ``rungs`` that comes farthest: samples (S,) of the target before that a free
-    path reaches (``reached``); samples of this one that every arm can take (``possible``), that a step leads
-    to from those (``next``) and that are ``free``; ``later`` where there are none: the first target after
-    this one with free samples, with the grid and these. ``tried``: the choices of branches, of all arms in
-    their order, ``shorter`` how many of them end sooner. ``around``: what is free before and after is known.
+    Of the choice of branches ``rungs`` that comes farthest: samples (S,) of this target that every arm can
+    take (``possible``) and that are ``free``; ``later`` where there are none: the first target after this one
+    with free samples, with the grid and these. ``tried``: the choices of branches, of all arms in their
+    order, ``shorter`` how many of them end sooner. ``before`` gives what :attr:`reached` and :attr:`next`
+    are, and may look at all targets for that; None: nothing is known of them.
     """
 
     index: int
     rungs: Mapping[str, Rungs]
     grid: Grid
-    reached: BoolArray
     possible: BoolArray
-    next: BoolArray
     free: BoolArray
     later: tuple[Grid, int, BoolArray] | None
     tried: frozenset[tuple[int, ...]]
     shorter: int
-    around: bool = False
+    before: Callable[[], tuple[BoolArray, BoolArray]] | None = None
+
+    @functools.cached_property
+    def reached(self) -> BoolArray:
+        """Samples (S,) of the target before that a free path reaches."""
+        return self._before[0]
+
+    @functools.cached_property
+    def next(self) -> BoolArray:
+        """Samples (S,) of this target that a step leads to from those."""
+        return self._before[1]
+
+    @functools.cached_property
+    def _before(self) -> tuple[BoolArray, BoolArray]:
+        nothing = np.zeros(len(self.possible), dtype=bool), self.possible
+        return nothing if self.before is None else self.before()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -384,15 +398,17 @@ def _dead_end(
     count = len(check.known)
     free: BoolArray = check.free(index)
     possible: BoolArray = np.asarray(check.possible[index])
-    reached: BoolArray = np.zeros(grid.samples, dtype=bool)
-    following = possible
-    if index > 0:
+
+    def before() -> tuple[BoolArray, BoolArray]:
+        if index == 0:
+            return np.zeros(grid.samples, dtype=bool), possible
         check.whole(np.arange(index))
         reached = choice.ladder().reachable(check.cost())[index - 1]
-        following = choice.ladder().after(index, reached) & possible
+        return reached, choice.ladder().after(index, reached) & possible
+
     later = None
     for i in range(index + 1, count) if not free.any() else ():
         if check.free(i).any():
             later = grid, i, check.free(i)
             break
-    return Dead(index, choice.rungs, grid, reached, possible, following, free, later, tried, shorter, True)
+    return Dead(index, choice.rungs, grid, possible, free, later, tried, shorter, before)

@@ -473,4 +473,4 @@ def _dead(scene: Scene, targets: Targets, grid: Grid, table: Mapping[str, Reach]
         return None
     none = np.zeros(grid.samples, dtype=bool)
     rungs, able = most
-    return Dead(index, rungs, grid, none, able, able, none, None, frozenset(tried), 0)
+    return Dead(index, rungs, grid, able, none, None, frozenset(tried), 0)
