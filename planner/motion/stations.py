@@ -255,6 +255,8 @@ RAIL_M: Final = 4.0
 """Tracks that are advised go so far [m] to either side of where a base stands."""
 BASE_ROOM_M: Final = 0.3
 """A block on a turntable that is advised turns so far [m] from the middle of a base."""
+ANGLE_NOISE: Final = 1e-9
+"""Turntables that would turn by less [rad] are not advised."""
 AXES: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
 """Directions of tracks that are advised."""
 
@@ -303,7 +305,7 @@ def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
     if axis_way.swing(shapes, _place(setup), table) + BASE_ROOM_M > far:
         return ""
     stands = _stands(problem, targets, angles(table), _Table(table))
-    if stands is None or not any(stands):
+    if stands is None or not np.abs(stands).max() > ANGLE_NOISE:
         return ""
     at = ", ".join(f"{v:.0f}" for v in centre / MM)
     what = (
@@ -328,4 +330,5 @@ def _track_advice(problem: Problem, targets: Sequence[Targets]) -> str:
         what = f"put arm {arm.name} on a track along {name}, which reaches each operation from a station "
         what += f"of its own (track: {{axis: {axes}, range_mm: [{low:.0f}, {high:.0f}], unit: ..., "
         found.append((high - low, what + "speed_mm_s: ..., acceleration_mm_s2: ...})"))
-    return min(found)[1] if found and min(found)[0] > 0.0 else ""
+    # a track of no length is none: the arm reaches everything from where it stands
+    return min(found)[1] if found and min(found)[0] * MM > 0.5 * STEP_M else ""
