@@ -97,9 +97,8 @@ class Link:
     ) -> Answer:
         """One request; raises ``TandemError`` (``upload.controller``, ``upload.login``)."""
         answer, challenge = self._once(method, path, body, headers or {})
-        if answer.status == 401 and not self.basic and challenge and not self._sent:
-            answer, _ = self._once(method, path, body, headers or {})
-        elif answer.status == 401 and not self.basic and "stale=true" in challenge.lower():
+        again = bool(challenge) and (not self._sent or "stale=true" in challenge.lower())
+        if answer.status == 401 and not self.basic and again:  # the first half of a digest login
             answer, _ = self._once(method, path, body, headers or {})
         if answer.status == 401:
             what = f"{self.url} refuses user {self.login.user!r} (HTTP 401 at {path})"

@@ -3,8 +3,8 @@
 1.0 (IRC5): application manual Robot Web Services, 3HAC050973-001, and its pages at
 developercenter.robotstudio.com/api/rwsApi (fs_file_upload_page, fs_directory_create_page,
 cfg_domain_type_instances, panel_opmode_get_page, rapid_execution_page, ios_signals_get_page,
-msh_domain_request_page). 2.0 (OmniCore): 3HAC073675-001, developercenter.robotstudio.com/api/RWS; of that only
-the panel's page was at hand, other paths are from memory. No controller has answered to this.
+msh_domain_request_page). 2.0 (OmniCore): 3HAC073675-001, developercenter.robotstudio.com/api/RWS; of
+that only the panel's page was at hand, other paths are from memory. No controller has answered to this.
 """
 
 from __future__ import annotations
