@@ -28,6 +28,7 @@ from planner.cli import batch as compare_commands
 from planner.cli import clamp as clamp_commands
 from planner.cli import element as element_commands
 from planner.cli import forming as forming_commands
+from planner.cli import loading as loading_commands
 from planner.cli import loop as loop_commands
 from planner.cli import preparation as align_commands
 from planner.cli import preparation as feature_commands
@@ -212,6 +213,30 @@ def export(
         return _refused(error, BAD_INPUT)
     out.print(f"written to {written}", highlight=False, markup=False)
     return DONE
+
+
+@app.command
+def upload(request: tyro.conf.OmitArgPrefixes[loading_commands.Where]) -> int:
+    """Send verified programs to a controller, a share or an FTP folder; nothing is loaded or started."""
+    _pipeline()
+    try:
+        _print_issues(loading_commands.run_upload(request))
+    except TandemError as error:
+        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+    return DONE
+
+
+@app.command
+def download(request: tyro.conf.OmitArgPrefixes[loading_commands.Download]) -> int:
+    """Bring programs back from a controller, prove them again, and name what was touched up there."""
+    _pipeline()
+    try:
+        found, good = loading_commands.run_download(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+    _print_issues(found)
+    out.print("as it was sent, and proven" if good else "NOT as it was sent, or not proven", highlight=False)
+    return DONE if good else NOT_PROVEN
 
 
 def _signed(folder: Path, problem: Problem, proof: Proof, key: statement.PrivateKey) -> bool:

@@ -16,7 +16,6 @@ from planner.problem import Arm, Problem
 from planner.verify.context import Context
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import SignalStep, WaitStep, poses
-from planner.verify.rapid.lexer import Cursor
 from planner.verify.rapid.syntax_tree import Data, Literal
 
 BASE_SHIFT, BASE_TURN = 0.1, 0.02
@@ -186,6 +185,9 @@ def _data(rws: Rws, problem: Problem, task: TaskText) -> tuple[list[str], list[s
             if text is None:
                 lost.append(f"{datum.kind} {datum.name}: {name} has none yet, the program brings its own")
                 continue
+            if not isinstance(datum.initial, Literal):
+                lost.append(f"{datum.kind} {datum.name}: the program works its value out")
+                continue
             far = difference(datum_text(datum), text)
             if far is None:
                 same.append(f"{datum.kind} {datum.name}")
@@ -210,7 +212,7 @@ def _text(value: Any) -> str:
 
 def difference(planned: str, there: str) -> str | None:
     """In what two RAPID values differ, by words and by the largest difference of numbers; None if not."""
-    words = [[w for w in _NUMBER.sub("#", t).upper().split()] for t in (planned, there)]
+    words = [_NUMBER.sub("#", t).upper().split() for t in (planned, there)]
     first, second = ([float(n) for n in _NUMBER.findall(t)] for t in (planned, there))
     if "".join(words[0]) != "".join(words[1]) or len(first) != len(second):
         return f"{there[:120]}, planned is {planned[:120]}"
@@ -218,12 +220,3 @@ def difference(planned: str, there: str) -> str | None:
     if far <= DATUM_SHIFT:
         return None
     return f"a number is {far:.4g} off (there {there[:160]}, planned {planned[:160]})"
-
-
-def words(text: str) -> list[str]:
-    """The words of RAPID text without comments."""
-    cursor, out = Cursor(text), []
-    while cursor.token.kind not in ("end", "bad"):
-        out.append(cursor.token.text)
-        cursor.take()
-    return out

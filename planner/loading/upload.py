@@ -1,4 +1,4 @@
-"""A verified result onto a controller: looked at, written into a folder of its own, read back, never started."""
+"""A verified result onto a controller: compared, written into a new folder, read back, never started."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ def _stands(rws: Rws) -> None:
 
 
 def put(store: Store, name: str, files: Mapping[str, bytes]) -> str:
-    """Write files into a new folder and read them back byte by byte; the folder's name. What is there is never
-    written over: a name that is taken gets a number. What was begun is taken away where it fails, and named
+    """Write files into a new folder and read them back byte by byte; the folder's name. What is there is
+    never written over: a name that is taken gets a number. What was begun is taken away where it fails, and named
     where that fails too. Raises ``TandemError``."""
     there = store.listing("")
     if there is None:
@@ -95,11 +95,11 @@ def put(store: Store, name: str, files: Mapping[str, bytes]) -> str:
         raise TandemError(Issue("upload.write", what))
     made: list[str] = []
     try:
+        store.make(folder)  # noted behind: what somebody else made meanwhile is not ours to take away
         made.append(folder)
-        store.make(folder)
         for inner in sorted({str(p) for n in files for p in PurePosixPath(n).parents if str(p) != "."}):
-            made.append(f"{folder}/{inner}")
             store.make(f"{folder}/{inner}")
+            made.append(f"{folder}/{inner}")
         for file, content in sorted(files.items()):
             made.append(f"{folder}/{file}")
             store.write(f"{folder}/{file}", content)
