@@ -82,8 +82,8 @@ def _stands(rws: Rws) -> None:
 
 def put(store: Store, name: str, files: Mapping[str, bytes]) -> str:
     """Write files into a new folder and read them back byte by byte; the folder's name. What is there is
-    never written over: a name that is taken gets a number. What was begun is taken away where it fails, and named
-    where that fails too. Raises ``TandemError``."""
+    never written over: a name that is taken gets a number. What was begun is taken away where it fails,
+    and named where that fails too. Raises ``TandemError``."""
     there = store.listing("")
     if there is None:
         raise TandemError(Issue("upload.controller", "the home folder of the controller is not there"))
