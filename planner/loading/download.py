@@ -54,8 +54,8 @@ def touched(planned: Mapping[str, bytes], back: Mapping[str, bytes]) -> tuple[Is
             texts = [program_text.decode(content, name) for content in (planned[name], back[name])]
             rapid = PurePosixPath(name).suffix.lower() in RAPID
             found = _data(name, *texts) if rapid else []
-            what = [] if found else [f"line {_line(*texts)} differs"]
-            out += [Issue("upload.touched", one, file=name) for one in (*found, *what)]
+            found = found or [f"line {_line(*texts)} differs"]
+            out += [Issue("upload.touched", one, file=name) for one in found]
     return tuple(out)
 
 

@@ -135,7 +135,8 @@ def test_a_share_keeps_what_is_there_and_touched_data_are_named(tmp_path: Path, 
     back = download.fetch(Share(tmp_path), sent.folder)
     assert download.touched(result.files, back) == ()
     old = {
-        "a.mod": b"MODULE a\r\nCONST robtarget p1:=[[1,2,3],[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\r\nENDMODULE\r\n"
+        "a.mod": b"MODULE a\r\n"
+        b"CONST robtarget p1:=[[1,2,3],[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\r\nENDMODULE\r\n"
     }
     new = {"a.mod": old["a.mod"].replace(b"[[1,2,3],[1,0,0,0]", b"[[4,6,3],[0.70710678,0.70710678,0,0]")}
     (found,) = download.touched(old, new)
