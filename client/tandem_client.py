@@ -43,12 +43,14 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
 
-API: Final = 3
+API: Final = 4
 """Number of the service's interface that this client was made for."""
 LINKS_API: Final = 2
 """The interface from which on there are links."""
 DESK_API: Final = 3
 """The interface from which on there are motions as data, and elements."""
+RETRY_API: Final = 4
+"""The interface from which on jobs are tried again."""
 PLANNED: Final = ("verified", "unproven")
 """States of jobs that have a plan."""
 OPEN: Final = ("queued", "running")
@@ -192,6 +194,12 @@ class Client:
     def cancel(self, job: str) -> None:
         """Cancel a job."""
         self._json(_of(job, "/cancel"), method="POST")
+
+    def retry(self, job: str) -> None:
+        """Plan a job again that crashed, met a limit or was cancelled. Raises ``TandemError``:
+        ``service.state`` for others."""
+        self._want(RETRY_API, "jobs that are tried again")
+        self._json(_of(job, "/retry"), method="POST")
 
     def delete(self, job: str) -> None:
         """Delete a job and its files."""

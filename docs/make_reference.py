@@ -33,6 +33,7 @@ from planner.reading import (
     stock,
 )
 from planner.reading import part as part_file
+from planner.trim import operation as trim_operation
 from planner.verify import prove
 
 HERE = Path(__file__).parent
@@ -92,11 +93,18 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`cuts` of `milling`: an engraving", "", milling_operation.EngraveCut),
     ("`cuts` of `milling`: a G-code file", "", milling_operation.GCodeCut),
     ("`gcode` of such a cut", "", milling_operation.GCodeFile),
+    ("Process `trim`", "trim", trim_operation.Trim),
+    ("`outlines` of `trim`, each", "", trim_operation.OutlineFile),
+    ("`circle` of such an outline", "", trim_operation.CircleFile),
+    ("`lead` of `trim`", "", trim_operation.LeadFile),
+    ("`pierce` of `trim`", "", trim_operation.PierceFile),
     ("Process `targets`", "process-targets", poses.Posed),
     ("`free` of `targets`, each", "", poses.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell.CellFile),
     ("`cell.arms`, each", "", cell.ArmFile),
     ("`track` of an arm", "", axes.TrackFile),
+    ("`turntable` of a cell", "", axes.TurntableFile),
+    ("`plate` of a turntable", "", axes.TurntablePlateFile),
     ("`robot` of an arm, one of your own", "", robot_file.OwnRobotFile),
     ("`meshes` of `robot`, each", "", robot_file.LinkMeshFile),
     ("`stiffness` of an arm", "", cell.StiffnessFile),
@@ -110,6 +118,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Tool `heat_tool`", "", cell.HeatToolFile),
     ("Tool `mill`", "", cell.MillFile),
     ("`holder` of `mill`, each", "", cell.HolderPieceFile),
+    ("Tool `torch`", "", cell.TorchFile),
     ("Tool `plain`", "", cell.PlainToolFile),
     ("`cell.obstacles`, each", "", cell.ObstacleFile),
     ("`cell.wires`, each", "", cell.WiresFile),

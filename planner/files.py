@@ -7,18 +7,20 @@ are those of what plans depend on.
 
 from __future__ import annotations
 
+import errno
 import fcntl
+import hashlib
 import os
 import re
 import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import Any, Final
 
 from planner.issues import Issue, TandemError
 
@@ -47,6 +49,19 @@ PAGES = ("report.html", "replay.html")
 
 FILE_KEYS: Final = ("file", "urdf")
 """Keys of problem files whose text is the name of a file."""
+
+
+DISK_FULL: Final = (errno.ENOSPC, errno.EDQUOT)
+"""Errors of the system when a disk, or what a user may have of it, is full."""
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether an error is, or comes from, a disk that is full."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in DISK_FULL:
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def is_file(path: Path) -> bool:
@@ -217,6 +232,46 @@ def versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             out[name] = "not installed"
     return out
+
+
+MOST_CARRIED: Final = 60
+"""Characters of a user's name that a file keeps in a bundle."""
+
+
+def carried_name(name: str, sha: str) -> str:
+    """What a file of that name and SHA-256 (in hex) is called where it is carried with its problem: as the
+    user called it, by plain letters, with its hash. A name of this kind stays as it is."""
+    own = base_name(name)
+    stem, dot, suffix = own.rpartition(".") if "." in own[1:] else (own, "", "")
+    stem = "" if stem == sha[:16] else stem.removesuffix(f"-{sha[:16]}")
+    plain = re.sub(r"[^A-Za-z0-9_-]+", "-", stem)[:MOST_CARRIED].strip("-")
+    return f"{plain}{'-' if plain else ''}{sha[:16]}{dot}{re.sub('[^a-z0-9]', '', suffix.lower())[:8]}"
+
+
+def each_file(data: Any, change: Callable[[Path], str]) -> Any:
+    """A copy of plain data with every value of a key ``file`` or ``urdf`` changed."""
+    if isinstance(data, Mapping):
+        return {
+            k: change(Path(v)) if k in FILE_KEYS and isinstance(v, str) else each_file(v, change)
+            for k, v in data.items()
+        }
+    if isinstance(data, list):
+        return [each_file(v, change) for v in data]
+    return data
+
+
+def named_files(source: Mapping[str, Any]) -> dict[str, str]:
+    """SHA-256 in hex of the files that a problem's values name, by the names that they are carried under."""
+    found: dict[str, str] = {}
+
+    def note(path: Path) -> str:
+        if is_file(path):
+            sha = hashlib.sha256(path.read_bytes()).hexdigest()
+            found[carried_name(path.name, sha)] = sha
+        return str(path)
+
+    each_file(source, note)
+    return found
 
 
 def base_name(name: str) -> str:

@@ -93,7 +93,7 @@ MOST_SAMPLES: Final = 10_000_000
 class Plan:
     """Plans of all operations of a problem. ``places``: the stock's pose (4, 4) in the world in each setup,
     for a held block the pose about which its holder moves it; ``bases`` {arm: (4, 4)} are in the world, of
-    arms that stand on no track; ``stations`` {index of an operation: {arm: value [m]}} of those that do.
+    arms that stand on no track; ``stations`` as :attr:`planner.problem.Problem.stations` has them.
     """
 
     problem_name: str

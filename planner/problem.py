@@ -9,15 +9,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from planner.catalogue.materials import Foam, SheetMetal
 from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.claims.claim import ForceFrame
-from planner.claims.vocabulary import KEEP_OFF, Handshake
-from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape
+from planner.claims.vocabulary import KEEP_OFF, KEEP_OFF_TABLE, Handshake
+from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape, exp_rotation
 from planner.geometry.units import DEG
 from planner.issues import Issue
 from planner.reading.materials import WireFile
@@ -71,6 +71,40 @@ class LinearTrack:
         return out
 
 
+STOCK: Final = "stock"
+"""What a turntable carries, by the name that it has among stations: no arm can be called so."""
+PLATE: Final = "turntable"
+"""Name of the body of the cell that is a turntable's plate."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Turntable:
+    """A rotary axis that the block, and what is clamped under it, stand on: with its value v [rad] they are
+    turned by v about the unit vector ``axis`` (3,), which is vertical, through ``centre`` (3,) [m] of the
+    world. ``low`` to ``high`` [rad] is its range, ``speed`` [rad/s] its own; ``unit`` is its mechanical
+    unit's name, moved by the program of ``arm`` as external axis number ``column`` [from 0]; ``home`` [rad]
+    where it stands before a program begins. Its plate, round about the axis, is the body :data:`PLATE` of the
+    cell."""
+
+    arm: str
+    unit: str
+    column: int
+    centre: FloatArray
+    axis: FloatArray
+    low: float
+    high: float
+    speed: float
+    home: float
+
+    def turned(self, place: FloatArray, value: float) -> FloatArray:
+        """A pose (4, 4) of value 0, or of any other from which it is turned, turned by a value [rad]."""
+        turn = exp_rotation(value * self.axis)
+        out = np.array(place, dtype=np.float64)
+        out[:3, :3] = turn @ out[:3, :3]
+        out[:3, 3] = self.centre + turn @ (out[:3, 3] - self.centre)
+        return out
+
+
 @dataclasses.dataclass(frozen=True)
 class Arm:
     """One robot of a cell: catalogue name, base pose (4, 4) in the world, tool, home joints (6,) [rad].
@@ -118,7 +152,8 @@ class Obstacle:
 class Cell:
     """Arms and obstacles; ``task`` names of the controller and the signal names are in ``controller``.
     ``grippers`` lie ready, from which one is chosen for a block that an arm holds, and ``wires`` are the bent
-    wires at hand, from which one is chosen where an operation states none."""
+    wires at hand, from which one is chosen where an operation states none. ``turntable``: what the block
+    stands on, None where it stands still."""
 
     name: str
     arms: tuple[Arm, ...]
@@ -126,6 +161,7 @@ class Cell:
     controller: Controller
     grippers: tuple[Gripper, ...] = ()
     wires: tuple[WireFile, ...] = ()
+    turntable: Turntable | None = None
 
     def arm(self, name: str) -> Arm:
         """The arm of that name; raises ``KeyError``."""
@@ -266,13 +302,15 @@ class Sheet:
     does not move.
 
     ``formed`` are the convex solids, in the stock frame, that hold what stands out of the flat sheet once the
-    part is formed; bodies of the cell keep clear of them from the beginning.
+    part is formed; bodies of the cell keep clear of them from the beginning. ``holes``: curves (K, 2) [m] in
+    plan along which an operation has cut it, each with its name.
     """
 
     metal: SheetMetal
     opening: FloatArray
     border: float = 0.0
     formed: tuple[Shape, ...] = ()
+    holes: tuple[tuple[str, FloatArray], ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -302,7 +340,8 @@ class Stock:
     ``place`` is then the pose about which the holder moves the block. ``sheet``: the block is a sheet,
     clamped along its rim; z runs through its thickness, and ``support`` is its clamp. ``pedestal``: what
     stands under the block is made, as high as its place wants it (``planner.cell.support``), in place of
-    ``support``.
+    ``support``. On a turntable the stock of a problem has the ``place`` of value 0, one of a setup that of
+    the ``station`` [rad] where it stands.
     """
 
     size: FloatArray
@@ -317,6 +356,15 @@ class Stock:
     grip_chosen: bool = False
     pedestal: Pedestal | None = None
     sheet: Sheet | None = None
+    station: float | None = None
+
+    def at_station(self, table: Turntable, value: float) -> Stock:
+        """The block of a problem where its turntable has this value [rad]; raises ``ValueError`` for one
+        whose place is not known."""
+        if self.place is None:
+            raise ValueError("the place of a block on a turntable is not known")
+        place = table.turned(self.place, value)
+        return dataclasses.replace(self, place=place, attitude=place[:3, :3], station=value)
 
     @property
     def lower(self) -> FloatArray:
@@ -424,8 +472,9 @@ class Problem:
     said, with the cell inside and file names made absolute, so that it can be carried along. ``accept``:
     codes of errors that the user takes upon himself. ``notes``: what was chosen on the way from the file.
     ``forces`` {index of an operation: {arm: force}}: what the work exerts on tools; those of operations of
-    one setup are alike. ``stations`` {index of an operation: {arm: value [m] of its track}}: where arms on
-    tracks stand in it; where nothing is said they stay, at first at home.
+    one setup are alike. ``stations`` {index of an operation: {arm: value [m] of its track, :data:`STOCK`:
+    value [rad] of the turntable}}: where arms on tracks and the block stand in it; where nothing is said they
+    stay, at first at home.
     """
 
     name: str
@@ -444,8 +493,15 @@ class Problem:
     stations: Mapping[int, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
     def stationed(self, stations: Mapping[int, Mapping[str, float]]) -> Problem:
-        """The same with arms on tracks at stations, as :attr:`stations` has them."""
+        """The same with arms on tracks and the block at stations, as :attr:`stations` has them."""
         return dataclasses.replace(self, stations=stations) if stations else self
+
+    @property
+    def homes(self) -> dict[str, float]:
+        """Values [m, rad] of tracks and the turntable before anything moves, by what they carry as
+        :attr:`stations` has it."""
+        out = {arm.name: arm.track.home for arm in self.cell.arms if arm.track is not None}
+        return out if self.cell.turntable is None else {**out, STOCK: self.cell.turntable.home}
 
     def force_on(self, arm: str, setup: Setup) -> Force | None:
         """What the work of a setup exerts on the tool of an arm, None where nothing is stated."""
@@ -456,10 +512,10 @@ class Problem:
     def setups(self) -> tuple[Setup, ...]:
         """How the cell stands for the operations, in order; a change starts a new setup.
 
-        Where an arm stands on a track each operation is a setup, and the operator keeps off the tracks: so
-        setups do not hang on where arms stand.
+        Where an arm stands on a track, or the block on a turntable, each operation is a setup, and the
+        operator keeps off them: so setups do not hang on where they stand.
         """
-        tracked = {arm.name: arm.track.home for arm in self.cell.arms if arm.track is not None}
+        tracked, table = self.homes, self.cell.turntable
         cell, stock, left = self.cell, self.stock, self.stock
         out: list[Setup] = []
         for index, operation in enumerate(self.operations):
@@ -472,6 +528,9 @@ class Problem:
                 tracked |= self.stations.get(index, {})
                 stands = dataclasses.replace(cell, arms=tuple(_standing(arm, tracked) for arm in cell.arms))
                 steps += tuple(_keep_off(arm) for arm in stands.arms if arm.track is not None)
+                if table is not None and stock.place is not None:
+                    stock = stock.at_station(table, tracked[STOCK])
+                    steps += (_keep_off_table(table, tracked[STOCK]),)
                 out.append(Setup(len(out) + 1, stands, stock, (index,), steps))
             else:
                 out[-1] = dataclasses.replace(out[-1], operations=(*out[-1].operations, index))
@@ -491,3 +550,8 @@ def _keep_off(arm: Arm) -> str:
     """What the operator does before a track goes to a station."""
     unit = arm.track.unit if arm.track is not None else ""
     return KEEP_OFF.filled(arm=arm.name, unit=unit, value=f"{1e3 * (arm.station or 0.0):.3f}")
+
+
+def _keep_off_table(table: Turntable, value: float) -> str:
+    """What the operator does before a turntable goes to a station."""
+    return KEEP_OFF_TABLE.filled(unit=table.unit, value=f"{np.rad2deg(value):.4f}")

@@ -24,6 +24,7 @@ from planner.milling.operation import Milling
 from planner.problem import Part, Problem, Setup
 from planner.reading.poses import Posed
 from planner.targets import Job
+from planner.trim.operation import Trim
 
 
 class Process(NamedTuple):
@@ -45,6 +46,7 @@ PROCESSES: Final[Mapping[str, Process]] = {
     "elastic_wire": Process(ElasticWire, "planner.hotwire.elastic.job", "ElasticJob"),
     "straight_wire": Process(Straight, "planner.hotwire.straight.job", "StraightJob"),
     "milling": Process(Milling, "planner.milling.job", "MillingJob"),
+    "trim": Process(Trim, "planner.trim.job", "TrimJob"),
     "targets": Process(Posed, "planner.reading.poses", "PosedJob"),
 }
 GROUP: Final = "tandem.processes"

@@ -31,7 +31,7 @@ from planner.issues import Issue
 from planner.problem import Part, Setup
 from planner.tooling import Tool, working_solid
 
-ActionKind = Literal["message", "confirm", "on", "off", "wait"]
+ActionKind = Literal["message", "confirm", "on", "off", "wait", "input"]
 FEED_SHARE: Final = 0.97
 """Share of the feeds at which clocks go where nothing else binds; the rest covers what controllers do in
 ramps and corners. Slots, which follow from the speed, are those of this share."""
@@ -115,8 +115,9 @@ class Action:
     """Something that happens at a stop at target ``at``, in the order given.
 
     ``message`` shows text, ``confirm`` shows text and waits for the operator, ``on`` and ``off`` switch the
-    signal ``signal``, ``wait`` waits ``seconds``. ``powers``: the signal powers something, which the
-    controller switches off where a program breaks off; a pulse that asks for one step does not.
+    signal ``signal``, ``wait`` waits ``seconds``, ``input`` waits until the input ``signal`` is 1, for
+    ``seconds`` at most, behind which the program breaks off. ``powers``: the signal powers something, which
+    the controller switches off where a program breaks off; a pulse that asks for one step does not.
     """
 
     at: int

@@ -111,3 +111,25 @@ def test_a_plant_that_is_no_yaml_is_not_called_a_problem(tmp_path: Path) -> None
         (issue,) = refused.value.issues
         assert "problem" not in issue.message
         assert "write a mapping" in issue.message
+
+
+@pytest.mark.parametrize(
+    ("name", "carried"),
+    [
+        ("mydome.stl", "mydome-{}.stl"),
+        ("My Dome v3.2 (final).STL", "My-Dome-v3-2-final-{}.stl"),
+        ("C:\\parts\\dome.obj", "dome-{}.obj"),
+        ("../../etc/passwd", "passwd-{}"),
+        ("穹顶.stl", "{}.stl"),
+        ("dome<script>.s'tl", "dome-script-{}.stl"),
+        (".hidden", "hidden-{}"),
+        ("a" * 200 + ".obj", "a" * 60 + "-{}.obj"),
+        ("", "{}"),
+    ],
+)
+def test_carried_files_keep_their_names_and_have_their_hash(name: str, carried: str) -> None:
+    sha = "0123456789abcdef" * 4
+    found = files.carried_name(name, sha)
+    assert found == carried.format(sha[:16])
+    assert files.carried_name(found, sha) == found, "a bundle of a bundle"
+    assert files.carried_name(found, "f" * 64) != found

@@ -1,19 +1,21 @@
 """Fits plain solids round the collision meshes of makers' URDFs: python urdf/measure_bodies.py NAME=URDF ...
 
-What it prints is for bodies.yaml. Each link becomes up to four boxes and cylinders along the axes of its
+What it prints is for bodies.yaml. Each link becomes up to six boxes and cylinders along the axes of its
 upright frame (that of the OPW angles, all zero) which hold every point of its meshes and are up to two
-millimetres larger: a piece is cut in two, square to an axis, where that saves most of its box. A balancer,
-which follows joint 2, is held by link 1 wherever it may be. Where axes of the URDF are off those of the
-catalogue, solids are larger by as much. The meshes themselves are not part of Tandem.
+millimetres larger: a piece is cut in two, square to an axis or with a round end, where that saves most. A
+balancer, which follows joint 2, is held by link 1 wherever it may be. Where axes of the URDF are off those of
+the catalogue, solids are larger by as much. The meshes themselves are not part of Tandem.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from planner.catalogue import robots
 from planner.cell.kinematics import link_frames
@@ -23,46 +25,103 @@ from planner.geometry.units import MM
 from planner.reading.robot_file import OwnRobotFile, mesh_file, read_urdf, robot_of
 from planner.reading.urdf import UrdfChain, read_chain
 
-MOST = 4
+MOST = 6
 """Solids of a link at most."""
-SAVES = 0.08
-"""A cut has to save this share of the box round the link."""
+SAVES = (0.04, 0.04, 0.04, 0.02, 0.01, 0.02, 0.04)
+"""A cut has to save this share of the solid round the whole link: less at the elbow and in the wrist, which
+come near to tools."""
 CUTS = np.linspace(0.06, 0.94, 23)
 """Where a piece may be cut, as shares of its length."""
+NOISE = 1e-3
+"""Rounding [mm] of coordinates in mesh files."""
 SWEPT = 91
 """Angles of joint 2, over its range, at which a balancer is looked at."""
 LINKS = ("base_link", *(f"link_{i}" for i in range(1, 7)))
 
 
-def solids(triangles: FloatArray) -> list[tuple[str, list[float], list[float]]]:
-    """Kind, size and centre of solids that hold triangles (F, 3, 3), all in mm."""
-    pieces = [triangles]
-    whole = _volume(triangles)
+@dataclasses.dataclass(frozen=True)
+class Piece:
+    """What of a mesh one solid holds: triangles (F, 3, 3) [mm], none where it is not to be cut again; and the
+    volume of the solid [mm3], or what it adds to its neighbour."""
+
+    triangles: FloatArray
+    solid: tuple[str, list[float], list[float]]
+    volume: float
+
+    @staticmethod
+    def of(triangles: FloatArray) -> Piece:
+        """The smallest solid that holds triangles."""
+        return Piece(triangles, *_held(_outermost(triangles.reshape(-1, 3))))
+
+
+def solids(
+    triangles: FloatArray, saves: float = SAVES[0], wrist: bool = False
+) -> list[tuple[str, list[float], list[float]]]:
+    """Kind, size and centre of solids that hold triangles (F, 3, 3), all in mm.
+
+    ``wrist``: the link bears axis 5, about which its end is round: along y through the origin.
+    """
+    whole = Piece.of(triangles)
+    pieces = [whole]
+    if wrist and (triangles[:, :, 2] > 0.0).any():
+        pieces = _rounded(triangles, 1, 2, 1.0, np.zeros(2))
     while len(pieces) < MOST:
         options = [
-            (_volume(piece) - sum(map(_volume, parts)), index, parts)
+            (piece.volume - sum(part.volume for part in parts), index, parts)
             for index, piece in enumerate(pieces)
-            for parts in _cuts(piece)
+            if len(piece.triangles)
+            for parts in _cuts(piece.triangles)
         ]
         saved, index, parts = max(options, key=lambda option: option[0], default=(0.0, 0, []))
-        if saved < SAVES * whole:
+        if saved < saves * whole.volume:
             break
         pieces[index : index + 1] = parts
-    return [_held(piece.reshape(-1, 3)) for piece in pieces]
+    return [piece.solid for piece in pieces]
 
 
-def _volume(triangles: FloatArray) -> float:
-    return float(np.prod(triangles.max(axis=(0, 1)) - triangles.min(axis=(0, 1))))
-
-
-def _cuts(triangles: FloatArray) -> list[list[FloatArray]]:
+def _cuts(triangles: FloatArray) -> list[list[Piece]]:
+    """Ways to hold triangles by two solids: cut square to an axis, or with a round end."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     out = []
     for axis in range(3):
         for place in low[axis] + CUTS * (high[axis] - low[axis]):
             parts = [sign * _beyond(sign * triangles, axis, sign * place) for sign in (1.0, -1.0)]
-            out += [parts] if all(map(len, parts)) else []
+            out += [[Piece.of(part) for part in parts]] if all(map(len, parts)) else []
+        for along in (i for i in range(3) if i != axis):
+            across = 3 - axis - along
+            radius = 0.5 * (high[across] - low[across])
+            if radius >= high[along] - low[along]:
+                continue
+            for sign, end in ((1.0, high), (-1.0, low)):
+                middle = np.array([end[along] - sign * radius, 0.5 * (low + high)[across]])
+                parts = _rounded(triangles, axis, along, sign, np.round(2.0 * middle) / 2.0)
+                out += [parts] if len(parts) == 2 else []
     return out
+
+
+def _rounded(triangles: FloatArray, axis: int, along: int, sign: float, middle: FloatArray) -> list[Piece]:
+    """The end of triangles in the direction ``sign`` of ``along`` in a cylinder parallel to ``axis`` through
+    ``middle`` (2,), in ``along`` and the third direction; and the rest."""
+    across = 3 - axis - along
+    end = sign * _beyond(sign * triangles, along, sign * middle[0])
+    rest = -sign * _beyond(-sign * triangles, along, -sign * middle[0])
+    points = end.reshape(-1, 3)
+    radius = -float(_down(-np.linalg.norm(points[:, [along, across]] - middle, axis=1).max()))
+    low, high = float(_down(points[:, axis].min())), -float(_down(-points[:, axis].max()))
+    centre = np.zeros(3)
+    centre[[axis, along, across]] = 0.5 * (low + high), *middle
+    solid = (f"cylinder_{'xyz'[axis]}", [radius, float(high - low)], centre.tolist())
+    half = 0.5 * np.pi * radius**2 * (high - low)  # the other half lies within the rest, or nearly
+    held = Piece(np.empty((0, 3, 3)), solid, float(half))
+    return [held, Piece.of(rest)] if len(rest) else [held]
+
+
+def _outermost(points: FloatArray) -> FloatArray:
+    """Those of points (P, 3) that are corners of their hull; all where they have none."""
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except QhullError:  # flat
+        return points
 
 
 def _beyond(triangles: FloatArray, axis: int, place: float) -> FloatArray:
@@ -84,20 +143,25 @@ def _beyond(triangles: FloatArray, axis: int, place: float) -> FloatArray:
     return np.concatenate(out)
 
 
-def _held(points: FloatArray) -> tuple[str, list[float], list[float]]:
-    """The smallest of the box and the three cylinders along the axes that hold points (P, 3)."""
-    low, high = np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))
+def _held(points: FloatArray) -> tuple[tuple[str, list[float], list[float]], float]:
+    """The smallest of the box and the cylinders along the axes that hold points (P, 3), and its volume."""
+    low, high = _down(points.min(axis=0)), -_down(-points.max(axis=0))
     size, centre = high - low, 0.5 * (low + high)
     best, least = ("box", size.tolist(), centre.tolist()), float(np.prod(size))
     for axis in range(3):
         rest = [i for i in range(3) if i != axis]
         around = np.round(2.0 * _middle(points[:, rest])) / 2.0
-        radius = float(np.ceil(np.linalg.norm(points[:, rest] - around, axis=1).max()))
+        radius = -float(_down(-np.linalg.norm(points[:, rest] - around, axis=1).max()))
         if np.pi * radius**2 * size[axis] < least:
-            least, place = np.pi * radius**2 * size[axis], centre.copy()
+            least, place = float(np.pi * radius**2 * size[axis]), centre.copy()
             place[rest] = around
             best = (f"cylinder_{'xyz'[axis]}", [radius, float(size[axis])], place.tolist())
-    return best
+    return best, least
+
+
+def _down(value: FloatArray) -> FloatArray:
+    """Whole millimetres below, or a file's rounding above: else a foot at z = 0 would stand in the floor."""
+    return np.asarray(np.floor(value + NOISE))
 
 
 def _middle(points: FloatArray) -> FloatArray:
@@ -201,11 +265,13 @@ def main() -> None:
         path = Path(file)
         more = int(np.ceil(off_catalogue(name, path) - 1e-3)) if name in robots.robot_names() else 0
         print(f"{name}:")  # noqa: T201
-        for link, triangles in zip(LINKS, links(path), strict=True):
-            rows = [
-                f"[{kind}, {[_plain(v) for v in _grown(kind, size, more)]}, {[_plain(v) for v in centre]}]"
-                for kind, size, centre in solids(triangles)
-            ]
+        for index, (link, triangles) in enumerate(zip(LINKS, links(path), strict=True)):
+            rows = []
+            for kind, size, centre in solids(triangles, SAVES[index], wrist=index == 4):
+                size = _grown(kind, size, more)
+                if index == 0:
+                    size, centre = _standing(kind, size, centre)
+                rows.append(f"[{kind}, {[_plain(v) for v in size]}, {[_plain(v) for v in centre]}]")
             print(f"  {link}: [{', '.join(rows)}]")  # noqa: T201
 
 
@@ -215,8 +281,16 @@ def _grown(kind: str, size: list[float], more: float) -> list[float]:
     return [value + more * side for value, side in zip(size, sides, strict=True)]
 
 
+def _standing(kind: str, size: list[float], centre: list[float]) -> tuple[list[float], list[float]]:
+    """A solid of the foot without what of it is below z = 0, where the arm is bolted down."""
+    below = 0.5 * size[-1] - centre[2]
+    if below <= 0.0 or kind in ("cylinder_x", "cylinder_y"):
+        return size, centre
+    return [*size[:-1], size[-1] - below], [*centre[:2], centre[2] + 0.5 * below]
+
+
 def _plain(value: float) -> float | int:
-    return int(value) if value == int(value) else value
+    return int(value) if value == int(value) else float(value)
 
 
 if __name__ == "__main__":

@@ -30,10 +30,9 @@ from planner.element.elastic import ElasticPanel, Judge
 from planner.element.element_file import ElasticElement, HexagonElement, StripsElement, WallElement
 from planner.element.jobs import panel_files
 from planner.element.run_report import ElementRun
-from planner.files import is_file, write_folder, write_whole
+from planner.files import each_file, is_file, write_folder, write_whole
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
-from planner.reading.problem import each_file
 
 if TYPE_CHECKING:
     from planner.pipeline import Progress

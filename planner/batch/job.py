@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
 
 import planner
-from planner.files import RESULT, is_file, staging, unhurried, versions, write_whole
+from planner.files import RESULT, is_disk_full, is_file, staging, unhurried, versions, write_whole
 from planner.issues import Issue, TandemError
 
 State = Literal[
@@ -149,6 +149,12 @@ def cancelled(name: str) -> Issue:
     return Issue("batch.cancelled", f"{name}: planning was cancelled; start it again if wanted")
 
 
+def disk_full() -> Issue:
+    """Of a job that ended because of it."""
+    what = "the disk that results are written to is full, so nothing was; make room on it and plan again"
+    return Issue("output.disk_full", what)
+
+
 def safe_name(name: str) -> bool:
     """Whether a name may name a folder anywhere: letters, digits, ``-``, ``_`` and ``.``, no dot first."""
     plain = all(c.isascii() and (c.isalnum() or c in "-_.") for c in name)
@@ -216,7 +222,7 @@ class Place:
 
     def prepare(self, files: Mapping[str, bytes]) -> tuple[Path, Path]:
         """Write the job's files; where they lie, and where its result is to be written. Raises
-        ``TandemError`` (``output.folder``)."""
+        ``TandemError`` (``output.folder``, ``output.disk_full``)."""
         try:
             self.folder.parent.mkdir(parents=True, exist_ok=True)
             self._hidden = self._open.enter_context(staging(self.folder.parent)).resolve()
@@ -233,7 +239,8 @@ class Place:
     def publish(self, done: Done) -> Done:
         """Let the result appear under its name, with its record; a job that wrote none gets the report alone.
 
-        What is given back has ``output.folder`` as one more issue where the disk refuses.
+        What is given back has ``output.folder`` or ``output.disk_full`` as one more issue where the disk
+        refuses.
         """
         try:
             hidden = self._hidden or self.prepare({})[1].parent
@@ -257,6 +264,8 @@ class Place:
         return done
 
     def _refusal(self, error: OSError) -> Issue:
+        if is_disk_full(error):
+            return disk_full()
         what = f"output folder {self.folder}: cannot be written ({error.strerror or error})"
         return Issue(
             "output.folder",

@@ -42,11 +42,12 @@ from planner.batch.job import (
     Reports,
     State,
     all_versions,
+    disk_full,
     safe_names,
 )
 from planner.batch.workers import Workers
 from planner.catalogue.robots import bundled
-from planner.files import FILE_KEYS, RESULT, STAGING, claim_folder, is_file, write_folder
+from planner.files import FILE_KEYS, RESULT, STAGING, claim_folder, is_disk_full, is_file, write_folder
 from planner.issues import Issue, TandemError, given_wrong
 from planner.pipeline import Outcome
 from planner.plans import ARRAYS_FILE, DATA_FILE, Plan
@@ -463,15 +464,32 @@ def solve(
     """
     start = time.perf_counter()
     called = Names(source, origins)
+    try:
+        state, issues, metrics = _solved(source, result, called, on_progress, on_issues, reports)
+    except Exception as error:  # what planning should never do; the job's state says so
+        what = f"{type(error).__name__}: {error}; nothing was written, please report this"
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(last.filename).name}, line {last.lineno}"
+        crash = disk_full() if is_disk_full(error) else Issue("internal.error", called.text(what), hint=where)
+        state, issues, metrics = "crashed", (crash,), {}
+    return Done(name, state, issues, metrics, time.perf_counter() - start)
 
-    def done(state: State, issues: Sequence[Issue], metrics: Mapping[str, float]) -> Done:
-        return Done(name, state, tuple(issues), metrics, time.perf_counter() - start)
 
+def _solved(
+    source: Path,
+    result: Path,
+    called: Names,
+    on_progress: pipeline.Progress,
+    on_issues: OnIssues,
+    reports: Reports,
+) -> tuple[State, tuple[Issue, ...], Mapping[str, float]]:
+    """How it ends, with its issues and figures; raises what planning never should, and what a full disk
+    does."""
     problem = None
     try:
         for file, other in ((ELEMENT, solve_division), (PLANNED, solve_report)):
             if is_file(source / file):
-                return done("done", called.issues(other(source, result, on_progress)), {})
+                return "done", called.issues(other(source, result, on_progress)), {}
         problem = pipeline.load(source / PROBLEM)
         on_issues(called.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
         like = source / LIKE
@@ -481,16 +499,13 @@ def solve(
         state: State = "verified" if pipeline.exit_code(outcome) == 0 else "unproven"
         outcome.save(result, on_progress, pages=reports == "all" or state != "verified")
     except TandemError as error:
+        if is_disk_full(error):  # no fault of the problem
+            raise
         issues = called.issues(error.issues)
         on_issues(issues)
         pipeline.save_failure(problem, issues, result)
-        return done("bad_input" if problem is None or given_wrong(issues) else "infeasible", issues, {})
-    except Exception as error:  # what planning should never do; the job's state says so
-        what = f"{type(error).__name__}: {error}; nothing was written, please report this"
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{Path(last.filename).name}, line {last.lineno}"
-        return done("crashed", [Issue("internal.error", called.text(what), hint=where)], {})
-    return done(state, outcome.issues, figures(outcome.plan, outcome.proof.rules))
+        return "bad_input" if problem is None or given_wrong(issues) else "infeasible", issues, {}
+    return state, outcome.issues, figures(outcome.plan, outcome.proof.rules)
 
 
 def write_failure(folder: Path, issues: Sequence[Issue]) -> None:

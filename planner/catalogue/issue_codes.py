@@ -37,6 +37,7 @@ CODES: Final[dict[str, Code]] = {
     "problem.field": Code("a field of the problem file is missing, unknown or out of range", given=True),
     "problem.duplicate_name": Code("two things of the same kind have the same name", given=True),
     "problem.track": Code("a track where none is written yet", given=True),
+    "problem.turntable": Code("a turntable where none is written yet, or a block beside it", given=True),
     "problem.too_large": Code("a file is larger than what is read", given=True),
     "problem.unknown_robot": Code("a robot that the catalogue does not have", given=True),
     # robots from files
@@ -111,6 +112,7 @@ CODES: Final[dict[str, Code]] = {
     "output.folder": Code(
         "the output folder cannot be written, or holds the problem file itself", given=True
     ),
+    "output.disk_full": Code("the disk that results are written to is full"),
     "plan.missing_file": Code("a file of a saved plan is missing or cannot be read"),
     "plan.damaged": Code("a file of a saved plan is damaged"),
     "plan.schema": Code("a saved plan comes from another format or schema version"),
@@ -361,8 +363,8 @@ CODES: Final[dict[str, Code]] = {
     "verify.rests": Code("a block is not held or borne as it must be"),
     "verify.base_frames": Code("the base frame that a program states is not the problem's"),
     "verify.move_kinds": Code("a move whose path is not known, or ConfL is not as the arm needs it"),
-    "verify.external_axes": Code("a track's unit, a value of it or when it moves is not as it must be"),
-    "verify.track_way": Code("bodies come too near on the way of a track from station to station"),
+    "verify.external_axes": Code("unit, value or moves of a track or turntable are not as they must be"),
+    "verify.track_way": Code("bodies come too near on the way of a track or turntable to its station"),
     "verify.zone_size": Code("a zone takes more than half of the shorter move beside it"),
     "verify.zero_length": Code("a move goes nowhere"),
     "verify.wire_mount": Code("nobody confirms that the wire is mounted, or that it is taken off"),
@@ -482,6 +484,32 @@ CODES: Final[dict[str, Code]] = {
     "verify.spindle": Code(
         "a cutter is in the block and its spindle is not up to speed, or where nothing is milled"
     ),
+    # curves cut out of a formed sheet
+    "verify.trim_cut": Code(
+        "an outline of a trimmed sheet is not cut as wanted, or is left uncut elsewhere than at its joints"
+    ),
+    "verify.trim_kept": Code("a torch cuts into what is to stay"),
+    "verify.trim_torch": Code("a torch that cuts is not as far off the sheet as wanted, or leans too far"),
+    "verify.trim_arc": Code(
+        "an arc starts in the wrong place, is not waited for, or burns where nothing is cut"
+    ),
+    "verify.trim_order": Code("an outline is cut before one that lies in it"),
+    "verify.trim_feed": Code(
+        "a torch cuts faster or slower than the sheet's thickness wants", remedy=_SLOWER
+    ),
+    "verify.trim_clear": Code("a torch comes nearer to the sheet that it trims than it may"),
+    "trim.tool": Code("an arm that is to trim carries no torch", given=True),
+    "trim.no_sheet": Code("a sheet is to be trimmed where there is none, or none that is formed", given=True),
+    "trim.open": Code("a curve that is to be cut is not closed", given=True),
+    "trim.crosses": Code("curves that are to be cut cross themselves or each other", given=True),
+    "trim.in_waste": Code("a curve lies in what another one lets drop", given=True),
+    "trim.off_part": Code("a curve, with its slot and its ways in, leaves the opening of the clamp"),
+    "trim.narrow": Code("the waste is narrower than the slot"),
+    "trim.corner": Code("a corner is too sharp for a round slot"),
+    "trim.joints": Code("more micro-joints than fit on a curve"),
+    "trim.lead": Code("no way in with its pierce point fits into the waste"),
+    "trim.wall": Code("a torch comes nearer to a wall of the sheet than it may, or stands too flat"),
+    "trim.slow": Code("an arm is slower in a slot than the torch's cut allows"),
     # milling
     "milling.tool": Code("an arm that is to mill carries no cutter", given=True),
     "milling.no_surface": Code(
@@ -637,7 +665,7 @@ CODES: Final[dict[str, Code]] = {
     "gcode.skipped": Code("a code of a G-code file is passed over, as the problem says", given=True),
     # motion
     "motion.no_reach": Code("an arm cannot reach a target"),
-    "motion.station": Code("no value of an arm's track has a path for an operation", given=True),
+    "motion.station": Code("no value of a track or turntable has a path for an operation", given=True),
     "motion.joint_limit": Code("an arm passes a joint limit at a target whatever its freedoms"),
     "motion.singular": Code("an arm comes too near a singular posture at a target whatever its freedoms"),
     "motion.no_path": Code("no choice of branches carries the arms past a target without a jump"),
@@ -669,6 +697,7 @@ CODES: Final[dict[str, Code]] = {
     "forming.touching": Code("two features touch or lie over each other", given=True),
     "forming.flat": Code("nothing of a part leaves the sheet plane", given=True),
     "forming.step": Code("a slicing step is no length above 0, or gives too many levels", given=True),
+    "forming.holes": Code("a sheet is to be formed behind an operation that has cut holes into it"),
     "forming.order": Code(
         "an order of forming names a feature twice, not at all, or before what it stands on", given=True
     ),
@@ -688,12 +717,13 @@ CODES: Final[dict[str, Code]] = {
     "batch.in_use": Code("another batch is writing to the output folder", given=True),
     # the service
     "service.install": Code("the service needs packages that are not installed"),
-    "service.database": Code("the database of the service cannot be opened"),
+    "service.database": Code("the database of the service cannot be opened, or is away"),
+    "service.not_planning": Code("the service takes jobs in, and none is planned now"),
     "service.start": Code("the service cannot be started as asked"),
     "service.request": Code("a request to the service has a field that is missing, unknown or out of range"),
     "service.not_found": Code("the service has nothing at that address, or not by that method"),
     "service.token": Code("a request to the service has no token, or one that is unknown or revoked"),
-    "service.foreign": Code("a job belongs to another token, or a request comes from another site"),
+    "service.foreign": Code("a request comes from another site"),
     "service.link": Code("a link to a file of a job is over, or is not one that the service signed"),
     "service.unknown_job": Code("a job that the service does not have"),
     "service.unknown_file": Code("a file that a job does not have"),
@@ -705,6 +735,7 @@ CODES: Final[dict[str, Code]] = {
     "service.stopping": Code("the service was told to stop while it read an upload"),
     "service.storage": Code("the files of a token, or of the whole service, have no more room"),
     "service.check_stopped": Code("reading or checking a problem took too much time or memory"),
+    "service.state": Code("a job is in a state in which what is asked of it cannot be done"),
     "service.gave_up": Code("the service stopped several times while it worked on a job"),
     "service.answer": Code("an address does not answer as this service does"),
     "service.timeout": Code("the service did not answer, or a job did not end, in the time that was given"),

@@ -96,7 +96,7 @@ class Bounds:
         if both:
             np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1])
         np.minimum.at(lower, row, self._apart(placed, limit, row, a, b))
-        self._below(lower, boxes, limit)
+        self._below(lower, placed, boxes, limit)
         return lower, upper
 
     def nearest(
@@ -217,7 +217,10 @@ class Bounds:
         """The pairs of :meth:`_near_pairs` in the ``rows`` (B,) named."""
         row, first, second = self._near(placed.centre, limit, rows)
         boxes = boxes if rows.all() else boxes.some(np.flatnonzero(rows[boxes.row]))
-        low = np.concatenate([self._apart(placed, limit, row, first, second), self._along_axis(boxes)[0]])
+        from_boxes = self._along_axis(boxes)[0]
+        touch = np.flatnonzero(from_boxes < limit)
+        from_boxes[touch] = np.maximum(from_boxes[touch], self._shadows(placed, boxes.some(touch)))
+        low = np.concatenate([self._apart(placed, limit, row, first, second), from_boxes])
         row, first = np.concatenate([row, boxes.row]), np.concatenate([first, boxes.solid])
         second = np.concatenate([second, boxes.box + len(self.solids)])
         order = np.flatnonzero(low < limit)
@@ -334,20 +337,33 @@ class Bounds:
         along = np.einsum("mc,mcd->md", axis[row, solid], turn[box])
         return _NearBox(row, solid, box, local[kept], along, self.half[box], apart[kept])
 
-    def _below(self, lower: FloatArray, near: _NearBox, limit: float) -> None:
-        """Takes lower bounds of the distances of outer capsules to the boxes into ``lower`` (B,).
+    def _shadows(self, placed: _Placed, near: _NearBox) -> FloatArray:
+        """Lower bounds (M,) of distances of solids to boxes, as :func:`_separation` has them: of a flat disc
+        above a floor, where its capsule is a ball that reaches far into it."""
+        pose = placed.fixed @ np.array([box.shape.pose for box in self.boxes]).reshape(-1, 4, 4)
+        turn = pose[near.box][:, :3, :3]
+        one = placed.turns[near.row, self.part[near.solid]] @ self.frame[near.solid]
+        half = np.concatenate([near.half, np.zeros((len(near.half), 2))], axis=1)
+        off = near.place - np.clip(near.place, -near.half, near.half)
+        w, gap = (np.einsum("mab,mb->ma", turn, v) for v in (near.place, off))
+        return _separation(w, gap, (one, self.support[near.solid]), (turn, half))
 
-        First bounds from the centres, then from a few points of each axis, as distance changes by at most the
-        way, settle most; those that may be the least of their row, and below ``limit``, are worked out.
+    def _below(self, lower: FloatArray, placed: _Placed, near: _NearBox, limit: float) -> None:
+        """Takes lower bounds of the distances of solids to the boxes into ``lower`` (B,).
+
+        Bounds from a few points of each axis, as distance changes by at most the way, and of shadows settle
+        most; of those that may be the least of their row, and below ``limit``, outer capsules are worked out.
         """
         size, radius = self.outer[0][near.solid], self.outer[1][near.solid]
-        most = lower.copy()
-        np.minimum.at(most, near.row, near.apart - radius)
-        least = near.apart - size - radius
-        near = near.some(np.flatnonzero((least <= most[near.row]) & (least < limit)))
-        low, high = self._along_axis(near)
-        np.minimum.at(most, near.row, high)
-        open_ = np.flatnonzero((low < most[near.row]) & (low < limit))
+        near = near.some(np.flatnonzero(near.apart - size - radius < limit))
+        low, most = self._along_axis(near)
+        touch = np.flatnonzero(low < limit)
+        shadows = self._shadows(placed, near.some(touch))
+        low[touch] = np.maximum(low[touch], shadows)
+        most[touch] = np.maximum(most[touch], shadows)  # what is found in the end is not above that
+        least = lower.copy()
+        np.minimum.at(least, near.row, most)
+        open_ = np.flatnonzero((low < least[near.row]) & (low < limit))
         low[open_] = np.maximum(low[open_], self._to_box(near.some(open_)))
         np.minimum.at(lower, near.row, low)
 

@@ -96,6 +96,16 @@ def air(ground: Ground, stock: Stock, places: FloatArray) -> FloatArray:
     return out
 
 
+def bearer(cell: Cell, stock: Stock, place: FloatArray) -> tuple[float, str]:
+    """How far [m] the foot of a block's support, or the block without one, is above what is below it, and the
+    obstacle's name that this is, empty for the floor."""
+    shapes = [transform(shape.pose, corners(shape)) for shape in stock.support] or [block_corners(stock)]
+    foot = min((transform(place, points) for points in shapes), key=lambda one: float(one[:, 2].min()))
+    ground = Ground.of(cell)
+    gap, what = ground.below(foot.min(axis=0)[None], foot.max(axis=0)[None])
+    return float(gap[0]), ground.names[int(what[0])] if what[0] >= 0 else ""
+
+
 def with_support(cell: Cell, stock: Stock, place: FloatArray) -> Stock:
     """The stock with the table or pedestal that is made for it at ``place`` (4, 4) as its support: a box of a
     size in stock, in the middle under the block; none where the block stands on the floor or leans."""

@@ -3,7 +3,8 @@
 Claims follow from the problem alone, never from a plan, so that a proof can start from the problem
 and the program text. All geometry is in the stock frame, in metres. Here: hot wires, held blocks,
 stated poses, and the sum type `Claim` of all kinds; sheets are in ``claims.forming``, milling in
-``claims.milling``, what operators are told in ``claims.vocabulary``.
+``claims.milling``, curves cut out of sheets in ``claims.trim``, what operators are told in
+``claims.vocabulary``.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from planner.claims.milling import (
     MillsSurface,
     SparesPart,
 )
+from planner.claims.trim import TrimsSheet
 from planner.claims.vocabulary import OperatorDialogue, Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 
@@ -351,6 +353,7 @@ Claim = (
     | MillsOver
     | Engraves
     | SparesPart
+    | TrimsSheet
 )
 
 _ON_CURVES = (

@@ -29,7 +29,7 @@ from planner.geometry.arrays import FloatArray
 Phase = Literal["", "in", "out"]
 PHASES: Final[tuple[Phase, ...]] = ("in", "", "out")
 """The way in to what a segment works on, the work itself, the way out: in the order in which they come."""
-WORKING_KINDS: Final = frozenset({"cut", "form", "mill"})
+WORKING_KINDS: Final = frozenset({"cut", "form", "mill", "trim"})
 """Kinds of segments in which a tool's own edge works the stock, and may touch it."""
 ON_ENDING: Final = "on"
 """Ends the label of a segment without a phase whose name ends as if it had one."""
@@ -184,12 +184,16 @@ CLEAR: Final = Sentence(
 KRL_READY: Final = Sentence("Is the stock in place and the way of the arm clear?")
 KRL_CLEAR: Final = Sentence("Is the way of the arm to its home clear, and nobody in the cell?")
 
-# ---- tracks ----
+# ---- tracks and turntables ----
 
 KEEP_OFF: Final = Sentence(
     "Keep off the track {unit}: it takes arm {arm}, folded at its home, to {value} mm once this is confirmed."
 )
 """Told before a track goes to a station, of which nothing else tells."""
+KEEP_OFF_TABLE: Final = Sentence(
+    "Keep off the turntable {unit} and what stands on it: it turns to {value} deg once this is confirmed."
+)
+"""Told before a turntable goes to a station."""
 
 # ---- two controllers ----
 
@@ -276,6 +280,21 @@ FORMED: Final = Sentence("Tools off the sheet, take the part out?")
 LEVEL_FORMED: Final = Sentence("Tools off the sheet, which stays clamped?")
 
 
+# ---- a torch ----
+
+TORCH: Final = Sentence(
+    "Sheet of {t_mm:g} mm, {metal}; {cuts_by} torch, kerf {kerf_mm:g} mm, {off_mm:g} mm off the sheet"
+)
+TORCH_READY: Final = Sentence(
+    "Sheet clamped, return lead on, fumes drawn off, nothing that burns beside or below the sheet, eyes "
+    "shielded, nobody in the cell?"
+)
+TORCH_COLD: Final = Sentence(
+    "Torch off and edges cold? What is cut out lies hot below the sheet. "
+    "Take dross off before it is formed on."
+)
+
+
 Figure = float | str | None
 """A figure of a sentence; None: the proof takes it from the motion."""
 
@@ -283,9 +302,10 @@ Figure = float | str | None
 @dataclasses.dataclass(frozen=True)
 class DialogueStep:
     """One step: a sentence ``told`` on the panel, one ``asked`` that the operator confirms, ``signal``
-    switched ``on`` or ``off``, or a ``wait`` of ``seconds``. ``figures`` of the sentence by name."""
+    switched ``on`` or ``off``, a ``wait`` of ``seconds``, or one until the ``input`` ``signal`` is 1, for
+    ``seconds`` at most. ``figures`` of the sentence by name."""
 
-    kind: Literal["told", "asked", "on", "off", "wait"]
+    kind: Literal["told", "asked", "on", "off", "wait", "input"]
     sentence: Sentence | None = None
     figures: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
     signal: str = ""

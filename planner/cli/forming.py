@@ -117,6 +117,10 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
         triangles = _settled(work, control)
     found = forecast.forecast(laid, control, _solved(work, every, triangles))
     _print(work, found, time.perf_counter() - started)
+    finer = [curve.allowed for one in found for curve in one.curves if curve.allowed > triangles]
+    if finer:
+        told = f"{triangles} triangles make no mesh of the sheet at {len(finer)} of them"
+        out.print(f"{told}: up to {max(finer)} were allowed there")
     ways = () if request.write is None else _write_shifts(request.write, problem, job, found, laid)
     if request.output is not None:
         page = request.output.suffix.lower() == ".html"

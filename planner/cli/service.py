@@ -42,6 +42,8 @@ class Serve:
     """postgresql://USER:PASSWORD@HOST/NAME for several hosts; else a file in the data folder"""
     require_token: bool = False
     """ask for tokens on loopback too, as behind a proxy"""
+    trusted_proxy: tuple[str, ...] = ("127.0.0.1", "::1")
+    """addresses of proxies whose X-Forwarded-Proto and X-Forwarded-For are believed"""
     certificate: Path | None = None
     """certificate for TLS, PEM"""
     key: Path | None = None
@@ -148,6 +150,7 @@ def serve(asked: Serve) -> None:
             workers=asked.workers,
             cluster=asked.cluster,
             require_token=asked.require_token,
+            trusted_proxies=asked.trusted_proxy,
             lease_s=asked.lease_s,
             limits=limits,
         ),

@@ -29,6 +29,7 @@ from planner.forming.check import (
     check,
     clamped_issues,
     force,
+    hole_issues,
     of_die,
     shift_issues,
     step_issues,
@@ -263,7 +264,7 @@ class FormingJob(Job[Forming]):
             raise TandemError(_or_allowed(made, error.issues, corners)) from None
         if level is not None and level.file is not None:
             given = self._of_level(level, level.file, paths)
-        issues = [*corners, *dies, *check(made, setup, paths)]
+        issues = [*hole_issues(made.sheet, paths), *corners, *dies, *check(made, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         if given is None:

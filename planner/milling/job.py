@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +22,6 @@ import numpy as np
 from planner.claims import vocabulary
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow
 from planner.claims.milling import (
-    DrawnCurve,
     Engraves,
     MillsFlank,
     MillsOver,
@@ -51,7 +49,6 @@ from planner.milling.operation import EngraveCut, FlankCut, GCodeCut, GCodeFile,
 from planner.milling.process_plan import Done, Work, work
 from planner.milling.tool_path import BLOCK_SIDES, Route, lay_out
 from planner.problem import Part
-from planner.reading.part_ruled import GuideFile
 from planner.targets import Action, Aim, Job, Rounding, ScrewFreedom, Targets
 
 MILL: Final = "mill"
@@ -152,12 +149,12 @@ def _engraving(work: Work, one: Done, cut: EngraveCut) -> Engraves:
         name=cut.name,
         arm=op.arms[0],
         cutter=work.cutter,
-        curves=tuple(_drawn(curve) for curve in cut.engrave),
+        curves=tuple(curve.drawn() for curve in cut.engrave),
         vertices=front.vertices,
         faces=front.faces,
         depth=cut.depth_mm * MM,
         axis=cut.axis,
-        axis_curves=tuple(_drawn(curve) for curve in cut.axis_curves),
+        axis_curves=tuple(curve.drawn() for curve in cut.axis_curves),
         lead=cut.lead_deg * DEG,
         tilt=cut.tilt_deg * DEG,
         feed=(cut.feed_mm_s or op.feed_mm_s) * MM,
@@ -165,17 +162,6 @@ def _engraving(work: Work, one: Done, cut: EngraveCut) -> Engraves:
         tolerance=one.tolerance,
         turn=AXIS_TURN,
     )
-
-
-def _drawn(own: GuideFile) -> DrawnCurve:
-    """A curve as the problem draws it."""
-    for kind in ("polyline", "bspline", "bezier"):
-        points = getattr(own, f"{kind}_mm")
-        if points is not None:
-            return DrawnCurve(kind, tuple(points))
-    if own.dxf is None:
-        raise ValueError("a curve needs points or a file")
-    return DrawnCurve("dxf", (), Path(own.dxf.file), own.dxf.unit, own.dxf.layer, own.dxf.z_mm)
 
 
 def _safe(op: Milling, box: FloatArray) -> SafeWays:

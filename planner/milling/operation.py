@@ -266,7 +266,7 @@ class EngraveCut(_Cut):
     ) -> tuple[GuideFile, ...]:
         """Drawings are looked up from the folder of the problem file."""
         folder: Path = (info.context or {}).get("folder", Path())
-        return tuple(_looked_up(curve, folder) for curve in value)
+        return tuple(curve.looked_up(folder) for curve in value)
 
     @model_validator(mode="after")
     def _axes(self) -> Self:
@@ -279,14 +279,6 @@ class EngraveCut(_Cut):
                 f"axis_curves: got {len(self.axis_curves)} for {len(self.engrave)} curves; give one for each"
             )
         return self
-
-
-def _looked_up(curve: GuideFile, folder: Path) -> GuideFile:
-    """A curve whose drawing, where it has one, is named from anywhere."""
-    if curve.dxf is None:
-        return curve
-    file = str(folder / curve.dxf.file)
-    return curve.model_copy(update={"dxf": curve.dxf.model_copy(update={"file": file})})
 
 
 def _cut_kind(value: object) -> str:

@@ -115,7 +115,7 @@ def solve(
     :class:`TandemError` with the reasons when there is no plan.
     """
     problem, targets = with_room(problem, targets)
-    problem = _at_stations(problem, targets)
+    problem = stations.stationed(problem, targets)
     at = [0]
     try:
         return _solve(problem, targets, progress or _silent, at, begin, former)
@@ -183,20 +183,12 @@ def _solve(
     )
 
 
-def _at_stations(problem: Problem, targets: Sequence[Targets]) -> Problem:
-    """The problem with arms on tracks at their stations; of bodies that stand in one another nothing is to be
-    concluded, and the plan tells them."""
-    if all(arm.track is None for arm in problem.cell.arms):
-        return problem
-    return stations.stationed(problem, targets)
-
-
 def check(problem: Problem, targets: Sequence[Targets], advise: bool = True) -> list[Issue]:
     """Issues of reach and collision without optimising or timing; empty if every operation has a path.
     ``advise``: changes that may help are tried."""
     problem, targets = with_room(problem, targets)
     try:
-        problem = _at_stations(problem, targets)
+        problem = stations.stationed(problem, targets)
     except TandemError as error:
         return list(error.issues)
     bases: Mapping[str, FloatArray] | None = None
@@ -265,6 +257,7 @@ def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
         jobs = tuple(targets[i] for i in setup.operations)
         change = problem.changes.get(setup.operations[0])
         moved = change is None or "place" in change.stock or "held_by" in change.stock
+        moved |= problem.cell.turntable is not None
         if out and not moved and setup.stock.held_by is None:
             out[-1] = Stand((*out[-1].setups, setup), (*out[-1].jobs, jobs))
         else:

@@ -1,32 +1,42 @@
-"""Where arms on tracks stand in each operation: they go there before it, and cut standing.
+"""Where arms on tracks, or the block on a turntable, stand in each operation: they go there before it, and
+the work is done standing.
 
-Values of a track are a grid over its range. Where an arm stood before it stays if its work is as good there;
-else it goes the least way to where its margin is. The first place with a path that is free is taken.
+Values of an axis are a grid over its range. What stood somewhere before stays if the work is as good there;
+else it goes the least way to where the margin is. The first place with a path that is free is taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
-from planner.cell import axis_way, plant
-from planner.geometry.arrays import FloatArray
-from planner.geometry.units import MM
+from planner.cell import axis_way, plant, support
+from planner.cell.axis_way import AxisWay
+from planner.cell.bodies import own_shapes
+from planner.geometry.arrays import FloatArray, corners, transform
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.motion.placement import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.path_search import find_path, with_aims
 from planner.motion.search.subsampling import few_of
-from planner.problem import Arm, LinearTrack, Problem
+from planner.problem import STOCK, LinearTrack, Problem, Setup, Turntable
 from planner.targets import Targets
 
 STEP_M: Final = 0.1
-"""Values are so far apart [m],"""
+"""Values of a track are so far apart [m],"""
 MOST_VALUES: Final = 201
 """at most so many."""
+STEP_RAD: Final = 5.0 * DEG
+"""Values of a turntable are so far apart [rad],"""
+MOST_ANGLES: Final = 721
+"""at most so many,"""
+ANGLE_DECIMALS: Final = 1
+"""in degrees with so many decimals."""
 FEW_TARGETS: Final = 24
 """Targets at which values are judged."""
 GOOD_SHARE: Final = 0.6
@@ -34,27 +44,101 @@ GOOD_SHARE: Final = 0.6
 MOST_PATHS: Final = 8
 """Values for which a path is searched at most."""
 APART_M: Final = 0.2
-"""These are so far [m] apart."""
+"""These are so far [m] apart,"""
+APART_RAD: Final = 10.0 * DEG
+"""or so far [rad]."""
 WAY_ROOM_M: Final = 1e-3
 """Bodies keep so much more [m] than their clearance on the way from one to the next."""
 
 
+@dataclasses.dataclass(frozen=True)
+class _Track:
+    """The track of an arm, as an axis among others."""
+
+    name: str
+    track: LinearTrack
+    scale: float = MM
+    sign: str = "mm"
+    apart: float = APART_M
+
+    @property
+    def unit(self) -> str:
+        return self.track.unit
+
+    @property
+    def what(self) -> str:
+        return f"arm {self.name}"
+
+    def values(self) -> FloatArray:
+        return values(self.track)
+
+    def placed(
+        self, problem: Problem, setup: Setup, grid: FloatArray
+    ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
+        """Places of the block (K, 1, 4, 4) and bases for values (K,)."""
+        base = problem.cell.arm(self.name).base
+        bases = {self.name: np.stack([self.track.moved(base, value) for value in grid])[:, None]}
+        return np.tile(_place(setup), (len(grid), 1, 1, 1)), bases
+
+    def way(self, setup: Setup, ends: tuple[float, float], enough: float) -> AxisWay:
+        return axis_way.along(_model(setup), self.name, self.track.axis, ends, _homes(setup), enough)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Table:
+    """The turntable of a cell, as an axis among others."""
+
+    track: Turntable
+    name: str = STOCK
+    scale: float = DEG
+    sign: str = "deg"
+    apart: float = APART_RAD
+
+    @property
+    def unit(self) -> str:
+        return self.track.unit
+
+    @property
+    def what(self) -> str:
+        return "the block"
+
+    def values(self) -> FloatArray:
+        return angles(self.track)
+
+    def placed(
+        self, problem: Problem, setup: Setup, grid: FloatArray
+    ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
+        """Places of the block (K, 1, 4, 4) for values (K,), and no bases."""
+        place, here = _place(setup), setup.stock.station or 0.0
+        return np.stack([self.track.turned(place, value - here) for value in grid])[:, None], {}
+
+    def way(self, setup: Setup, ends: tuple[float, float], enough: float) -> AxisWay:
+        return axis_way.turning(_model(setup), self.track, ends, _homes(setup), enough)
+
+
+_Axis = _Track | _Table
+
+
 def stationed(problem: Problem, targets: Sequence[Targets]) -> Problem:
-    """The problem with a station of each arm on a track in each operation. Raises :class:`TandemError`
-    (``motion.station``) where there is none, with the operation, and ``problem.track`` for a block whose
-    place is not stated."""
-    tracks = {arm.name: arm.track for arm in problem.cell.arms if arm.track is not None}
-    if not tracks:
+    """The problem with a station of each arm on a track, and of the block on a turntable, in each operation.
+    Raises :class:`TandemError` (``motion.station``) where there is none, with the operation, and
+    ``problem.track`` for a block whose place is not stated."""
+    axes: dict[str, _Axis] = {
+        arm.name: _Track(arm.name, arm.track) for arm in problem.cell.arms if arm.track is not None
+    }
+    if problem.cell.turntable is not None:
+        axes[STOCK] = _Table(problem.cell.turntable)
+    if not axes:
         return problem
     if problem.stock.place is None or any(setup.stock.place is None for setup in problem.setups):
         what = "an arm stands on a track and the block's place is searched; both together are not written "
         raise TandemError(Issue("problem.track", f"{what}yet; state stock.place", field="stock.place"))
-    at = {name: track.home for name, track in tracks.items()}
+    at = problem.homes
     out: dict[int, dict[str, float]] = {}
     for index, own in enumerate(targets):
-        for name in own.arms:
-            if name in tracks:
-                at = {**at, name: _station(problem.stationed({**out, index: at}), index, own, name, at)}
+        for name in (*own.arms, STOCK):
+            if name in axes:
+                at = {**at, name: _station(problem.stationed({**out, index: at}), index, own, axes[name], at)}
         out[index] = at
     return problem.stationed(out)
 
@@ -65,29 +149,47 @@ def values(track: LinearTrack) -> FloatArray:
     return np.unique(np.append(np.round(np.linspace(track.low, track.high, count), 4), track.home))
 
 
-def _station(problem: Problem, index: int, targets: Targets, name: str, at: dict[str, float]) -> float:
+def angles(table: Turntable) -> FloatArray:
+    """The values (K,) [rad] at which a turntable may stand, whole tenths of a degree within its range, about
+    its home."""
+    step = max(STEP_RAD / DEG, np.ceil((table.high - table.low) / DEG / (MOST_ANGLES - 1)))
+    low, high, home = (value / DEG for value in (table.low, table.high, table.home))
+    steps = np.arange(np.ceil((low - home) / step - 1e-9), np.floor((high - home) / step + 1e-9) + 1.0)
+    grid = np.round(home + step * steps, ANGLE_DECIMALS)
+    grid = np.append(grid[(grid >= low) & (grid <= high)], round(home, 4))
+    return np.asarray(np.unique(grid) * DEG)
+
+
+def _place(setup: Setup) -> FloatArray:
+    return setup.stock.place if setup.stock.place is not None else np.eye(4)
+
+
+def _model(setup: Setup) -> plant.CellModel:
+    return plant.build(setup.cell, setup.stock, _place(setup))
+
+
+def _homes(setup: Setup) -> dict[str, FloatArray]:
+    return {arm.name: arm.home for arm in setup.cell.arms}
+
+
+def _station(problem: Problem, index: int, targets: Targets, axis: _Axis, at: Mapping[str, float]) -> float:
     setup = problem.setup_of(index)
-    arm, track = problem.cell.arm(name), problem.cell.arm(name).track
-    place = setup.stock.place
-    if track is None or place is None:
-        raise ValueError(f"arm {name} has no track, or the block no place")
-    grid = values(track)
+    grid = axis.values()
     few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), FEW_TARGETS, False)
-    bases = {name: np.stack([track.moved(arm.base, value) for value in grid])[:, None]}
-    score = margin(few, np.tile(place, (len(grid), 1, 1, 1)), bases, problem.settings)
+    score = margin(few, *axis.placed(problem, setup, grid), problem.settings)
     tried: list[float] = []
     reasons = ""
-    for k in _order(grid, score, at[name]):
+    for k in _order(grid, score, at[axis.name]):
         value = float(grid[k])
         if len(tried) >= MOST_PATHS:
             break
-        if any(abs(value - other) < APART_M for other in tried) and value != at[name]:
+        if any(abs(value - other) < axis.apart for other in tried) and value != at[axis.name]:
             continue
         tried.append(value)
-        reasons = _fault(problem, index, targets, arm, at, value)
+        reasons = _fault(problem, index, targets, axis, at, value)
         if not reasons:
             return value
-    raise TandemError(_nowhere(problem, index, arm, track, grid, score, tried, reasons))
+    raise TandemError(_nowhere(problem, index, axis, grid, score, tried, reasons))
 
 
 def _order(grid: FloatArray, score: FloatArray, before: float) -> list[int]:
@@ -103,26 +205,21 @@ def _order(grid: FloatArray, score: FloatArray, before: float) -> list[int]:
 
 def _scene(problem: Problem, index: int, targets: Targets, model: plant.CellModel | None = None) -> Scene:
     setup = problem.setup_of(index)
-    place = setup.stock.place if setup.stock.place is not None else np.eye(4)
-    return Scene.of(setup.cell, targets.arms, place, problem.settings, model)
+    return Scene.of(setup.cell, targets.arms, _place(setup), problem.settings, model)
 
 
 def _fault(
-    problem: Problem, index: int, targets: Targets, arm: Arm, at: dict[str, float], value: float
+    problem: Problem, index: int, targets: Targets, axis: _Axis, at: Mapping[str, float], value: float
 ) -> str:
-    """Why an arm cannot stand at a value of its track; empty where it can."""
-    there = problem.stationed({**problem.stations, index: {**at, arm.name: value}})
-    before = problem.setup_of(index)
-    if arm.track is not None and value != at[arm.name] and before.stock.place is not None:
-        model = plant.build(before.cell, before.stock, before.stock.place)
-        homes = {other.name: other.home for other in before.cell.arms}
+    """Why an axis cannot stand at a value; empty where it can."""
+    there = problem.stationed({**problem.stations, index: {**at, axis.name: value}})
+    if value != at[axis.name]:
         enough = problem.settings.clearance + WAY_ROOM_M
-        way = axis_way.along(model, arm.name, arm.track.axis, (at[arm.name], value), homes, enough)
+        way = axis.way(problem.setup_of(index), (at[axis.name], value), enough)
         if not way.clear:
             return f"on the way there {' and '.join(way.pair)} come as near as {way.least / MM:.1f} mm"
     setup = there.setup_of(index)
-    model = plant.build(setup.cell, setup.stock, np.asarray(setup.stock.place))
-    scene = _scene(there, index, targets, model)
+    scene = _scene(there, index, targets, _model(setup))
     own = with_aims(scene, targets)
     _, found = find_path(scene, own)
     return "" if isinstance(found, Found) else "bodies or joints leave no path there"
@@ -131,54 +228,104 @@ def _fault(
 def _nowhere(
     problem: Problem,
     index: int,
-    arm: Arm,
-    track: LinearTrack,
+    axis: _Axis,
     grid: FloatArray,
     score: FloatArray,
     tried: Sequence[float],
     reasons: str,
 ) -> Issue:
-    name = problem.operations[index].name
-    what = f"operation {name}: arm {arm.name} reaches all of it from no value of {track.unit}, "
-    what += f"{track.low / MM:g} to {track.high / MM:g} mm"
+    name, table = problem.operations[index].name, axis.name == STOCK
+    low, high = axis.track.low / axis.scale, axis.track.high / axis.scale
+    reach = "the arms reach all of it" if table else f"{axis.what} reaches all of it"
+    what = f"operation {name}: {reach} from no value of {axis.unit}, {low:g} to {high:g} {axis.sign}"
     if tried:
-        shown = ", ".join(f"{value / MM:g}" for value in tried)
-        what = f"operation {name}: no value of {track.unit} has a path; tried {shown} mm: {reasons}"
-    best = f"{grid[int(np.argmax(score))] / MM:g} mm is nearest to it"
-    hint = f"split the operation, as an arm stands while it works ({best}), or make the track longer"
-    return Issue("motion.station", what, arm=arm.name, hint=hint, field=f"operations.{index}")
+        shown = ", ".join(f"{value / axis.scale:g}" for value in tried)
+        what = f"operation {name}: no value of {axis.unit} has a path; tried {shown} {axis.sign}: {reasons}"
+    best = f"{grid[int(np.argmax(score))] / axis.scale:g} {axis.sign} is nearest to it"
+    if table:
+        hint = f"split the operation, as the table stands while an arm works ({best}), or put the table "
+        hint += "elsewhere, where the arms reach one side of the block and leave it room to turn"
+    else:
+        hint = f"split the operation, as an arm stands while it works ({best}), or make the track longer"
+    arm = None if table else axis.name
+    return Issue("motion.station", what, arm=arm, hint=hint, field=f"operations.{index}")
 
 
 RAIL_M: Final = 4.0
 """Tracks that are advised go so far [m] to either side of where a base stands."""
+BASE_ROOM_M: Final = 0.3
+"""A block on a turntable that is advised turns so far [m] from the middle of a base."""
 AXES: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
 """Directions of tracks that are advised."""
 
 
 def advice(problem: Problem, targets: Sequence[Targets]) -> str:
-    """The shortest track under the arm of a cell of one ABB arm from which it reaches every operation; empty
-    where there is none, or an arm has one. Bodies in the way are not looked at."""
+    """What takes the arm of a cell of one ABB arm, or the block, to where it reaches every operation: the
+    shortest track under the arm, or a turntable under the block, whichever will do; empty where neither does,
+    or there is one. Bodies in the way are not looked at."""
     (arm, *others), place = problem.cell.arms, problem.stock.place
     stated = not others and place is not None and arm.data.family == "ABB" and not arm.base_auto
-    if not stated or arm.track is not None or problem.changes:
+    stated = stated and problem.stock.held_by is None and problem.stock.sheet is None
+    if not stated or arm.track is not None or problem.cell.turntable is not None or problem.changes:
         return ""
+    return "; or ".join(
+        text for text in (_table_advice(problem, targets), _track_advice(problem, targets)) if text
+    )
+
+
+def _stands(
+    problem: Problem, targets: Sequence[Targets], grid: FloatArray, axis: _Axis
+) -> list[float] | None:
+    """For each operation the least value (of ``grid``) from which all of it is reached; None where one has
+    none."""
+    out = []
+    for index, own in enumerate(targets):
+        few = few_of(problem.cell, with_aims(_scene(problem, index, own), own), FEW_TARGETS, False)
+        score = margin(few, *axis.placed(problem, problem.setup_of(index), grid), problem.settings)
+        reached = grid[score > 0.0]
+        if not len(reached):
+            return None
+        out.append(float(reached[np.argmin(np.abs(reached))]))
+    return out
+
+
+def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
+    """A turntable under the middle of the block, from which every operation is reached; its home is where the
+    block stands now."""
+    setup = problem.setups[0]
+    bottom = [transform(_place(setup) @ s.pose, corners(s)) for s in setup.stock.support]
+    bottom = bottom or [transform(_place(setup), support.block_corners(setup.stock))]
+    middle = transform(_place(setup), support.block_corners(setup.stock)).mean(axis=0)
+    centre = np.array([middle[0], middle[1], min(float(points[:, 2].min()) for points in bottom)])
+    table = Turntable("", "", 0, centre, np.array([0.0, 0.0, 1.0]), -np.pi, np.pi, 1.0, 0.0)
+    shapes = (*own_shapes(setup.cell, setup.stock)["stock"], *setup.stock.support)
+    far = float(np.linalg.norm(centre[:2] - setup.cell.arms[0].base[:2, 3]))
+    if axis_way.swing(shapes, _place(setup), table) + BASE_ROOM_M > far:
+        return ""
+    stands = _stands(problem, targets, angles(table), _Table(table))
+    if stands is None or not any(stands):
+        return ""
+    at = ", ".join(f"{v:.0f}" for v in centre / MM)
+    what = (
+        "put the block on a turntable under its middle, at which each operation is reached from a station of "
+    )
+    what += f"its own (cell: turntable: {{centre_mm: [{at}], range_deg: [-180, 180], unit: ..., "
+    return what + "speed_deg_s: ..., plate: {diameter_mm: ..., height_mm: ...}})"
+
+
+def _track_advice(problem: Problem, targets: Sequence[Targets]) -> str:
+    """The shortest track under the arm from which it reaches every operation."""
+    (arm, *_) = problem.cell.arms
     found: list[tuple[float, str]] = []
     grid = np.arange(-RAIL_M, RAIL_M + 0.5 * STEP_M, 2.0 * STEP_M)
     for name, axis in AXES.items():
         rail = LinearTrack(np.array(axis), -RAIL_M, RAIL_M, 1.0, 1.0, "", 0.0)
-        bases = {arm.name: np.stack([rail.moved(arm.base, value) for value in grid])[:, None]}
-        stands = []
-        for index, own in enumerate(targets):
-            few = few_of(problem.cell, with_aims(_scene(problem, index, own), own), FEW_TARGETS, False)
-            score = margin(few, np.tile(np.asarray(place), (len(grid), 1, 1, 1)), bases, problem.settings)
-            reached = grid[score > 0.0]
-            if not len(reached):
-                break
-            stands.append(float(reached[np.argmin(np.abs(reached))]))
-        else:
-            low, high = min([0.0, *stands]) / MM, max([0.0, *stands]) / MM
-            axes = f"[{', '.join(f'{v:g}' for v in axis)}]"
-            what = f"put arm {arm.name} on a track along {name}, which reaches each operation from a station "
-            what += f"of its own (track: {{axis: {axes}, range_mm: [{low:.0f}, {high:.0f}], unit: ..., "
-            found.append((high - low, what + "speed_mm_s: ..., acceleration_mm_s2: ...})"))
+        stands = _stands(problem, targets, grid, _Track(arm.name, rail))
+        if stands is None:
+            continue
+        low, high = min([0.0, *stands]) / MM, max([0.0, *stands]) / MM
+        axes = f"[{', '.join(f'{v:g}' for v in axis)}]"
+        what = f"put arm {arm.name} on a track along {name}, which reaches each operation from a station "
+        what += f"of its own (track: {{axis: {axes}, range_mm: [{low:.0f}, {high:.0f}], unit: ..., "
+        found.append((high - low, what + "speed_mm_s: ..., acceleration_mm_s2: ...})"))
     return min(found)[1] if found and min(found)[0] > 0.0 else ""

@@ -23,7 +23,7 @@ from planner.catalogue.robots import RobotData
 from planner.claims.vocabulary import SPELT, Handshake, Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
-from planner.problem import Arm
+from planner.problem import Arm, Turntable
 from planner.targets import Action
 
 LINE_END = "\r\n"
@@ -37,16 +37,22 @@ TIME_DECIMALS = 5
 """Decimals of the times of moves in s."""
 
 
+Outer = tuple[tuple[int, float], ...]
+"""External axes of a target: their columns [from 0], each with its value [mm or deg], rounded as written."""
+OUTER_DECIMALS = 4
+"""Decimals of their values."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Joints:
     """The arm goes to the joints ``q`` (6,) [rad, serial], straight in joint space, and stops: alone, or in a
-    synchronised block by the move ``id`` at once with the other arms. ``station`` [m]: the value of its
-    track, None without one."""
+    synchronised block by the move ``id`` at once with the other arms. ``station``: values of the external
+    axes that its program moves, None where nothing is said of them yet."""
 
     q: FloatArray
     place: str
     id: int | None = None
-    station: float | None = None
+    station: Outer | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,7 +143,8 @@ class OperationProgram:
     """One operation of one task; ``ids``, ``stop``: (M,) of the moves. An arm that waits has no ``track``.
 
     ``meets`` (M,): the number of the handshake behind each move, counted with the :class:`Meet` of the job; 0
-    for none. ``setup`` counts from 1; ``arm`` is the arm with the tool that it carries then.
+    for none. ``setup`` counts from 1; ``arm`` is the arm with the tool that it carries then; ``station``:
+    where the external axes stand that its program moves.
     """
 
     name: str
@@ -149,11 +156,14 @@ class OperationProgram:
     meets: IntArray
     segments: tuple[Segment, ...]
     steps: tuple[Step, ...]
+    station: Outer | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class TaskProgram:
-    """The program of one arm; ``number`` counts the tasks from 1. ``arm`` is as the first setup has it."""
+    """The program of one arm; ``number`` counts the tasks from 1. ``arm`` is as the first setup has it.
+    ``table``: the turntable that it moves, if any; ``home_station``: its external axes before anything
+    moves."""
 
     number: int
     task: str
@@ -162,6 +172,8 @@ class TaskProgram:
     robot: RobotData
     base: FloatArray
     operations: tuple[OperationProgram, ...]
+    table: Turntable | None = None
+    home_station: Outer | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,14 +217,26 @@ class Job:
         return tuple(signal for signal in self.signals if signal in own)
 
 
+_UNBROKEN = frozenset({"cut", "trim"})
+"""Kinds of segments in which a hot wire or a burning arc would wait for the next module."""
+
+
 def splittable(program: OperationProgram) -> BoolArray:
     """(M,) whether a program may be split behind a move: at stops that do not lie inside one cut, where a hot
-    wire would wait, and where the arms meet anyway."""
+    wire or an arc would wait, and where the arms meet anyway."""
     out = program.stop.copy()
     for i in np.flatnonzero(out[:-1] & (program.meets[:-1] == 0)):
-        inside = program.segments[i] == program.segments[i + 1] and program.segments[i].kind == "cut"
+        inside = program.segments[i] == program.segments[i + 1] and program.segments[i].kind in _UNBROKEN
         out[i] = not inside
     return out
+
+
+def no_input(action: Action, arm: str) -> TandemError:
+    """Why an arm that is not ABB's does not wait for an input of its process."""
+    what = f"arm {arm} is to wait for {action.signal}, for {action.seconds:g} s at most, which Tandem writes "
+    return TandemError(
+        Issue("post.controller", what + "in RAPID alone so far", arm=arm, hint="take an ABB robot for it")
+    )
 
 
 def number(value: float, decimals: int) -> str:

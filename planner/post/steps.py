@@ -16,11 +16,13 @@ from planner.claims.claim import HoldsStock
 from planner.claims.vocabulary import Handshake, Segment
 from planner.geometry import corner_rounding
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.post import handshake as handshake_drift
 from planner.post.handshake import handshake_refusals, meeting_rows, stretched
 from planner.post.program import (
+    OUTER_DECIMALS,
     POSITION_DECIMALS,
     QUATERNION_DECIMALS,
     TIME_DECIMALS,
@@ -31,6 +33,7 @@ from planner.post.program import (
     Load,
     Meet,
     OperationProgram,
+    Outer,
     Run,
     Step,
     SyncOff,
@@ -38,7 +41,7 @@ from planner.post.program import (
     TaskProgram,
     Track,
 )
-from planner.problem import Arm, Problem, Settings, Setup
+from planner.problem import STOCK, Arm, Cell, Problem, Settings, Setup, Turntable
 from planner.targets import Action, Targets
 
 LEAST_MASS = 0.001
@@ -114,7 +117,8 @@ def build(plan: Plan, problem: Problem) -> Job:
         refused = handshake_refusals(problem, [operation.targets for operation in plan.operations])
         if refused:
             raise TandemError(refused)
-    builder = _Builder([arm.name for arm in arms], handshake, problem.settings)
+    homes = {arm.name: _outer(arm, problem.cell, problem.homes) for arm in arms}
+    builder = _Builder([arm.name for arm in arms], handshake, problem.settings, homes)
     loads = carries(plan, problem)
     parts = [
         builder.operation(i, operation, setups[i], plan.places[setups[i].number - 1], loads.get(i, {}))
@@ -130,6 +134,8 @@ def build(plan: Plan, problem: Problem) -> Job:
             robot=arm.data,
             base=plan.bases.get(arm.name, arm.base),
             operations=tuple(part[arm.name] for part in parts),
+            table=_table(arm, problem.cell),
+            home_station=homes[arm.name],
         )
         for n, arm in enumerate(arms)
     )
@@ -143,14 +149,20 @@ def build(plan: Plan, problem: Problem) -> Job:
 class _Builder:
     """Numbers the meeting points and blocks of a job while its operations are laid out."""
 
-    def __init__(self, arms: Sequence[str], handshake: Handshake | None, settings: Settings) -> None:
+    def __init__(
+        self,
+        arms: Sequence[str],
+        handshake: Handshake | None,
+        settings: Settings,
+        stands: Mapping[str, Outer | None],
+    ) -> None:
         self.arms = arms
         self.handshake = handshake
         self.settings = settings
         self.meets = 0 if handshake is None else 1  # the first meeting stands before all operations
         self.blocks = 0
         self.steps: dict[str, list[Step]] = {}
-        self.stands: dict[str, float] = {}
+        self.stands = dict(stands)
 
     def operation(
         self,
@@ -187,7 +199,8 @@ class _Builder:
         segments = tuple(targets.segment[i] for i in keep)
         self.steps = {arm: [] for arm in self.arms}
         self._meet(f"all tasks are ready for operation {plan.name}")
-        before = {arm: self.stands.get(arm, _first_station(arms[arm])) for arm in self.arms}
+        before = dict(self.stands)
+        stands = {arm: _outer(arms[arm], setup.cell, _values(setup)) for arm in self.arms}
         homes = {arm: arms[arm].home for arm in self.arms}
         opened = number == setup.operations[0] and bool(setup.steps)
         for arm in self.arms:
@@ -197,10 +210,11 @@ class _Builder:
         if opened:
             self._setup(setup)
         for arm in self.arms:
-            station = arms[arm].station
+            station = stands[arm]
             if station is not None and station != before[arm]:
                 there = Joints(homes[arm], "station", station=station)
-                self._alone(arm, [there], f"{arm} stands at its station")
+                what = arm if _table(arms[arm], setup.cell) is None else "the block"
+                self._alone(arm, [there], f"{what} stands at its station")
                 self.stands[arm] = station
         for arm, carry in loads.items():
             self.steps[arm].append(carry)
@@ -224,7 +238,7 @@ class _Builder:
                 steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
                 self._alone(arm, steps[1:], f"{arm} is home again")
         for arm in self.arms:
-            self.steps[arm] = [_at_station(step, arms[arm].station) for step in self.steps[arm]]
+            self.steps[arm] = [_at_station(step, stands[arm]) for step in self.steps[arm]]
         ids = np.arange(1, len(keep) + 1)
         return {
             arm: OperationProgram(
@@ -237,6 +251,7 @@ class _Builder:
                 meets,
                 segments,
                 tuple(self.steps[arm]),
+                stands[arm],
             )
             for arm in self.arms
         }
@@ -312,13 +327,31 @@ class _Builder:
             self._actions(targets, last - 1, keep)
 
 
-def _first_station(arm: Arm) -> float | None:
-    """Where the track of an arm stands before anything moves, None without one."""
-    return None if arm.track is None else arm.track.home
+def _table(arm: Arm, cell: Cell) -> Turntable | None:
+    """The turntable that the program of an arm moves."""
+    return cell.turntable if cell.turntable is not None and cell.turntable.arm == arm.name else None
 
 
-def _at_station(step: Step, station: float | None) -> Step:
-    """A joint move that says nothing of the arm's track is one at its station."""
+def _values(setup: Setup) -> dict[str, float]:
+    """Where tracks [m] and the turntable [rad] stand in a setup, by what they carry."""
+    out = {arm.name: arm.station for arm in setup.cell.arms}
+    return {name: value for name, value in {**out, STOCK: setup.stock.station}.items() if value is not None}
+
+
+def _outer(arm: Arm, cell: Cell, values: Mapping[str, float]) -> Outer | None:
+    """The external axes that the program of an arm moves, at ``values`` [m, rad] by what they carry; None
+    where it moves none. A track is the first one."""
+    out: dict[int, float] = {}
+    if arm.track is not None:
+        out[0] = values[arm.name] / MM
+    table = _table(arm, cell)
+    if table is not None:
+        out[table.column] = values[STOCK] / DEG
+    return tuple((column, round(value, OUTER_DECIMALS)) for column, value in sorted(out.items())) or None
+
+
+def _at_station(step: Step, station: Outer | None) -> Step:
+    """A joint move that says nothing of external axes is one where they stand."""
     if isinstance(step, Joints) and step.station is None:
         return dataclasses.replace(step, station=station)
     return step

@@ -9,6 +9,7 @@ and names of segments that programs cannot carry.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -22,7 +23,7 @@ from planner.post.handshake import handshake_refusals
 from planner.post.krl import controller_files as krl_files
 from planner.post.krl import program as krl_program
 from planner.post.krl import spline_blocks
-from planner.post.program import LINE_END, Job
+from planner.post.program import LINE_END, Job, no_input
 from planner.post.rapid import controller_files as rapid_files
 from planner.post.rapid import program as rapid_program
 from planner.post.rapid.syntax import alike, procedure
@@ -135,6 +136,10 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
     for arm in arms:
         if arm.data.family not in _BY_NUMBER:
             continue
+        inputs = (a for t in made for a in t.actions if a.kind == "input" and t.arms[0] == arm.name)
+        issues += [
+            issue for action in itertools.islice(inputs, 1) for issue in no_input(action, arm.name).issues
+        ]
         wanted = _signals(problem, made, arm, together)
         missing = [signal for signal in wanted if problem.cell.controller.number(arm.name, signal) is None]
         if missing:

@@ -1,6 +1,7 @@
-"""Axes beyond an arm in a cell file: a linear track under its base, with what cannot be one told.
+"""Axes beyond an arm in a cell file: a linear track under its base, a turntable under the block, with what
+cannot be one told.
 
-Tracks of KUKA arms, turntables, gantries and tracks that move while an arm works are not written yet.
+Those of KUKA arms, gantries, tables that tilt and axes that move while an arm works are not written yet.
 """
 
 from __future__ import annotations
@@ -11,13 +12,18 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
-from planner.geometry.units import MM
+from planner.geometry.arrays import Shape, from_parts
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.problem import Arm, Controller, LinearTrack
-from planner.reading.strict_yaml import Name, Strict, Vector
+from planner.problem import PLATE, Arm, Controller, LinearTrack, Obstacle, Problem, Turntable
+from planner.reading.strict_yaml import Name, Positive, Strict, Vector
 
 LEAST_AXIS: Final = 1e-9
 """Directions shorter than this have none."""
+UPRIGHT: Final = 1e-9
+"""Axes whose unit vectors are off the vertical by no more stand upright."""
+HOME_DECIMALS: Final = 4
+"""Decimals [deg] of where a turntable stands at home, as programs write it."""
 
 
 class TrackFile(Strict):
@@ -89,3 +95,146 @@ def check_units(arms: Sequence[Arm], controller: Controller) -> None:
             what = f"the unit {unit} is that of {taken[unit.lower()]}, too; give each track its own"
             raise TandemError(Issue("problem.duplicate_name", what, field=f"{field}.unit", arm=arm.name))
         taken[unit.lower()] = f"arm {arm.name}"
+
+
+class TurntablePlateFile(Strict):
+    """The plate of a turntable, a cylinder under its centre."""
+
+    diameter_mm: Positive
+    height_mm: Annotated[Positive, Field(description="from its top down to the floor or to what bears it")]
+
+
+class TurntableFile(Strict):
+    """A turntable under the block, that turns it from station to station between operations; `place` of the
+    block is that of value 0."""
+
+    unit: Annotated[Name, Field(description="its mechanical unit, `MECHANICAL_UNIT` in MOC.cfg")]
+    arm: Annotated[Name | None, Field(description="whose program moves it; none: the first arm")] = None
+    external_axis: Annotated[
+        int, Field(ge=1, le=6, description="which of the targets' external axes it is: 1 is eax_a")
+    ] = 1
+    centre_mm: Annotated[Vector, Field(description="middle of the plate's top, in the world")]
+    axis: Annotated[
+        Vector, Field(description="growing values turn by the right hand about it: straight up or down")
+    ] = (0.0, 0.0, 1.0)
+    range_deg: Annotated[tuple[float, float], Field(description="least and largest value")]
+    speed_deg_s: Annotated[float, Field(gt=0, le=720, description="its highest")]
+    home_deg: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
+    plate: TurntablePlateFile
+
+
+MOST_TURNS: Final = 3600.0
+"""Largest value of a turntable [deg], ten turns: beyond, a figure is taken for a mistake."""
+
+
+def turntable(
+    spec: TurntableFile | None, arms: Sequence[Arm], controller: Controller
+) -> tuple[Turntable | None, tuple[Obstacle, ...]]:
+    """The turntable of a cell in SI units and its plate as a body of the cell. Raises ``TandemError``
+    (``problem.field``, ``problem.unknown_arm``, ``problem.duplicate_name``, ``problem.turntable``) with all
+    that is wrong."""
+    if spec is None:
+        return None, ()
+    wrong = list[Issue]()
+
+    def told(name: str, what: str, code: str = "problem.field") -> None:
+        wrong.append(Issue(code, f"{name}: {what}", field=f"turntable.{name}"))
+
+    low, high = spec.range_deg
+    length = float(np.linalg.norm(spec.axis))
+    axis = np.array(spec.axis) / max(length, LEAST_AXIS)
+    if not length > LEAST_AXIS:
+        told("axis", "its length is 0; give [0, 0, 1], or [0, 0, -1] where values grow the other way round")
+    elif float(np.hypot(axis[0], axis[1])) > UPRIGHT:
+        what = (
+            "it leans; turntables that tilt the block are not written yet; allowed: [0, 0, 1] and [0, 0, -1]"
+        )
+        told("axis", what, "problem.turntable")
+    if not low < high:
+        told("range_deg", f"it goes from {low:g} to {high:g}; give the least value first, then a larger one")
+    elif not low <= spec.home_deg <= high:
+        told("home_deg", f"{spec.home_deg:g} is outside the range of {low:g} to {high:g}")
+    if not max(abs(low), abs(high)) <= MOST_TURNS:
+        told("range_deg", f"got {low:g} to {high:g}; allowed: up to {MOST_TURNS:g} either way")
+    names = {arm.name: arm for arm in arms}
+    mover = names.get(arms[0].name if spec.arm is None else spec.arm)
+    if mover is None:
+        what = f"{spec.arm!r} is not an arm of the cell; it has {', '.join(names)}"
+        told("arm", what, "problem.unknown_arm")
+    elif any(arm.data.family != "ABB" for arm in arms):
+        other = next(arm for arm in arms if arm.data.family != "ABB")
+        what = (
+            f"arm {other.name} is of {other.data.family}; turntables are written for ABB controllers alone, "
+        )
+        what += "those of others (KRL's E1) not yet; take the turntable out, or take ABB arms"
+        told("arm", what, "problem.turntable")
+    if controller.sync == "handshake" and len(arms) > 1:
+        what = "with two controllers (handshake) a turntable is not written yet; use one (sync: multimove)"
+        told("unit", what, "problem.turntable")
+    if any(arm.track is not None for arm in arms):
+        what = "a turntable together with an arm on a track is not written yet; state one of them"
+        told("unit", what, "problem.turntable")
+    if spec.unit.lower() in {unit.lower() for unit in controller.units[: len(arms)]}:
+        what = f"the unit {spec.unit} is that of a robot, too; give the turntable its own"
+        told("unit", what, "problem.duplicate_name")
+    if wrong or mover is None:
+        raise TandemError(wrong)
+    centre = np.array(spec.centre_mm) * MM
+    radius, height = 0.5 * spec.plate.diameter_mm * MM, spec.plate.height_mm * MM
+    pose = from_parts(np.eye(3), centre - [0.0, 0.0, 0.5 * height])
+    made = Turntable(
+        arm=mover.name,
+        unit=spec.unit,
+        column=spec.external_axis - 1,
+        centre=centre,
+        axis=np.array([0.0, 0.0, float(np.sign(axis[2]))]),
+        low=low * DEG,
+        high=high * DEG,
+        speed=spec.speed_deg_s * DEG,
+        home=round(spec.home_deg, HOME_DECIMALS) * DEG,
+    )
+    return made, (Obstacle(PLATE, (Shape("cylinder", (radius, height), pose),)),)
+
+
+def turntable_faults(problem: Problem) -> list[Issue]:
+    """What speaks against the block of a problem on the turntable of its cell (``problem.turntable``)."""
+    table = problem.cell.turntable
+    if table is None:
+        return []
+    from planner.cell import support  # what reads a problem without a turntable loads nothing of the cell
+
+    out = []
+
+    def told(what: str, field: str) -> None:
+        out.append(Issue("problem.turntable", what, field=field))
+
+    if all(table.arm not in operation.arms for operation in problem.operations):
+        told(
+            f"the turntable {table.unit} is moved by the program of arm {table.arm}, which has none, as it "
+            "works in no operation; name another one (turntable: arm)",
+            "cell.turntable.arm",
+        )
+    for setup in problem.setups:
+        stock, first = setup.stock, setup.operations[0]
+        field = "stock" if first == 0 else f"operations.{first}.setup"
+        if stock.sheet is not None:
+            told("a clamped sheet on a turntable is not written yet; take the turntable out", "sheet")
+        elif stock.held_by is not None:
+            told("a block that an arm holds does not turn; take the turntable out of the cell", field)
+        elif stock.place is None:
+            what = "the block stands on a turntable and its place is searched; both together are not written "
+            told(f"{what}yet; state stock.place", f"{field}.place")
+        elif stock.pedestal is not None:
+            what = f"a {stock.pedestal.kind} that is made reaches to the floor and does not turn; state the "
+            told(f"{what}shapes that stand on the plate as support, or none", f"{field}.support")
+        else:
+            gap, name = support.bearer(setup.cell, stock, stock.place)
+            if name == PLATE and abs(gap) <= support.FOOT_HEIGHT:
+                continue
+            under = "the plate" if name == PLATE else f"{name or 'the floor'}, which does not turn"
+            what = "the block does not stand on the turntable: what is lowest of it and its support is "
+            what += f"{gap / MM:.0f} mm above {under}; allowed are {support.FOOT_HEIGHT / MM:g} mm above the "
+            at = ", ".join(f"{v / MM:g}" for v in table.centre)
+            told(f"{what}plate, whose top is at [{at}] mm; put the block on it", f"{field}.place")
+        break
+    return out

@@ -28,10 +28,12 @@ from planner.tooling import (
     GRIPPER_REACH,
     MILL_HOLDER,
     MILL_SPINDLE,
+    TORCH_SIZE,
     FormingTool,
     Gripper,
     Mill,
     Tool,
+    Torch,
     ball_tool,
     bow,
     disk_tool,
@@ -39,6 +41,7 @@ from planner.tooling import (
     heat_tool,
     mill,
     plain,
+    torch,
     vacuum_cup,
     wire_holder,
 )
@@ -218,6 +221,32 @@ class MillFile(Strict):
     ] = None
 
 
+class TorchFile(Strict):
+    """The built-in torch: a body that runs out into a nozzle. Its TCP is the place that it cuts,
+    ``standoff_mm`` before the nozzle; what it cuts is a slot of ``kerf_mm``."""
+
+    kind: Literal["torch"]
+    cuts_by: Annotated[Literal["plasma", "laser", "waterjet"], Field(description="what the torch cuts with")]
+    standoff_mm: Annotated[float, Field(ge=0.2, le=100, description="from the nozzle to the sheet")] = 3.0
+    kerf_mm: Annotated[float, Field(ge=0.05, le=20, description="width of the slot in this sheet")]
+    nozzle_diameter_mm: Annotated[float, Field(ge=1, le=200, description="of the nozzle's end")] = (
+        2.0 * TORCH_SIZE[0] / MM
+    )
+    nozzle_length_mm: Annotated[
+        float, Field(ge=1, le=500, description="of the cone from its end to the body")
+    ] = TORCH_SIZE[1] / MM
+    body_diameter_mm: Annotated[float, Field(ge=5, le=400)] = 2.0 * TORCH_SIZE[2] / MM
+    length_mm: Annotated[float, Field(ge=110, le=1500, description="from the flange to the nozzle's end")] = (
+        TORCH_SIZE[3] / MM
+    )
+    tilt_deg: Annotated[
+        float, Field(ge=-135, le=135, description="of the torch against the flange's axis")
+    ] = 0.0
+    mass_kg: Annotated[
+        float | None, Field(ge=0.001, le=1000, description="with cable and hoses; none: by its volume")
+    ] = None
+
+
 class PlainToolFile(Strict):
     """Any tool: TCP and shapes in the flange frame, mass, centre of gravity."""
 
@@ -237,6 +266,7 @@ ToolFile = Annotated[
     | DiskToolFile
     | HeatToolFile
     | MillFile
+    | TorchFile
     | PlainToolFile,
     Field(discriminator="kind"),
 ]
@@ -322,6 +352,7 @@ class CellFile(Strict):
         tuple[WiresFile, ...] | None,
         Field(min_length=1, max_length=50, description="bent wires at hand, from which one is chosen"),
     ] = None
+    turntable: Annotated[axes.TurntableFile | None, Field(description="none: the block stands still")] = None
     controller: ControllerFile = ControllerFile.model_validate({})
 
 
@@ -360,7 +391,8 @@ def build(spec: CellFile, folder: Path) -> Cell:
     controller = controllers(spec.controller, [arm.name for arm in spec.arms])
     axes.check_units(arms, controller)
     wires = wires_at_hand(spec.wires or ())
-    return Cell(spec.name, tuple(arms), obstacles, controller, _grippers(spec), wires)
+    table, plate = axes.turntable(spec.turntable, arms, controller)
+    return Cell(spec.name, tuple(arms), (*obstacles, *plate), controller, _grippers(spec), wires, table)
 
 
 def _robot(spec: str | OwnRobotFile, folder: Path) -> RobotData:
@@ -443,6 +475,8 @@ def tool(spec: ToolFile, folder: Path) -> Tool:
         return _forming_tool(spec)
     if isinstance(spec, MillFile):
         return _mill(spec)
+    if isinstance(spec, TorchFile):
+        return _torch(spec)
     shapes = tuple(shape(s, folder) for s in spec.shapes)
     return plain("plain", spec.tcp.matrix(), shapes, spec.mass_kg, np.array(spec.cog_mm) * MM)
 
@@ -474,6 +508,25 @@ def _mill(spec: MillFile) -> Mill:
             shank,
             [(piece.length_mm * MM, 0.5 * piece.diameter_mm * MM) for piece in spec.holder],
             (0.5 * spec.spindle_diameter_mm * MM, spec.spindle_length_mm * MM),
+            spec.tilt_deg * DEG,
+            spec.mass_kg,
+        )
+    except ValueError as error:
+        raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
+
+
+def _torch(spec: TorchFile) -> Torch:
+    try:
+        return torch(
+            spec.cuts_by,
+            spec.standoff_mm * MM,
+            spec.kerf_mm * MM,
+            (
+                0.5 * spec.nozzle_diameter_mm * MM,
+                spec.nozzle_length_mm * MM,
+                0.5 * spec.body_diameter_mm * MM,
+                spec.length_mm * MM,
+            ),
             spec.tilt_deg * DEG,
             spec.mass_kg,
         )

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from planner.claims.milling import DrawnCurve
 from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import Guide, polyline, spline, with_corners
 from planner.geometry.matching import aligned, join
@@ -146,6 +147,23 @@ class GuideFile(Strict):
         if sum(kind is not None for kind in given) != 1:
             raise ValueError("give exactly one of polyline_mm, bspline_mm, bezier_mm, dxf and rhino")
         return self
+
+    def looked_up(self, folder: Path) -> GuideFile:
+        """The same with its drawing, where it has one, named from anywhere."""
+        if self.dxf is None:
+            return self
+        file = str(folder / self.dxf.file)
+        return self.model_copy(update={"dxf": self.dxf.model_copy(update={"file": file})})
+
+    def drawn(self) -> DrawnCurve:
+        """The curve for claims; raises ``ValueError`` for one of a Rhino file."""
+        for kind in ("polyline", "bspline", "bezier"):
+            points = getattr(self, f"{kind}_mm")
+            if points is not None:
+                return DrawnCurve(kind, tuple(points))
+        if self.dxf is None:
+            raise ValueError("a curve needs points or a file")
+        return DrawnCurve("dxf", (), Path(self.dxf.file), self.dxf.unit, self.dxf.layer, self.dxf.z_mm)
 
 
 class RuledFile(Strict):

@@ -11,7 +11,7 @@ import hashlib
 import json
 import re
 import reprlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -19,12 +19,12 @@ from pydantic import AfterValidator, BaseModel, Field, Tag, ValidationError, mod
 
 from planner.catalogue.issue_codes import CODES
 from planner.catalogue.robots import bundled
-from planner.files import FILE_KEYS, is_file
+from planner.files import carried_name, each_file, is_file
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Cell, Change, Fixed, Force, Operation, Problem, Settings
+from planner.reading import axes, controller, grip_choice, loads, materials, strict_yaml
 from planner.reading import cell as cell_file
-from planner.reading import controller, grip_choice, loads, materials, strict_yaml
 from planner.reading import part as part_file
 from planner.reading import sheet as sheet_file
 from planner.reading import stock as stock_file
@@ -52,7 +52,8 @@ def bundle(problem: Problem) -> dict[str, bytes]:
 
 def packed(source: Mapping[str, Any]) -> dict[str, bytes]:
     """A problem's values, as :func:`resolved` gives them, as files that stand alone: ``problem.yaml`` with
-    the cell inside, and what it names in ``files/``.
+    the cell inside, and what it names in ``files/``,
+    by the user's names with hashes.
 
     Reading them gives a problem with the same digest, so a result folder can be proven wherever it is
     carried. Raises ``OSError`` for a file that is not there.
@@ -61,7 +62,7 @@ def packed(source: Mapping[str, Any]) -> dict[str, bytes]:
 
     def carry(path: Path) -> str:
         content = path.read_bytes()
-        name = f"files/{hashlib.sha256(content).hexdigest()[:16]}{path.suffix.lower()}"
+        name = f"files/{carried_name(path.name, hashlib.sha256(content).hexdigest())}"
         files[name] = content
         return name
 
@@ -93,18 +94,6 @@ def digest(source: Mapping[str, Any]) -> str:
 
     text = json.dumps(each_file(source, content), sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def each_file(data: Any, change: Callable[[Path], str]) -> Any:
-    """A copy of plain data with every value of a key ``file`` or ``urdf`` changed."""
-    if isinstance(data, Mapping):
-        return {
-            k: change(Path(v)) if k in FILE_KEYS and isinstance(v, str) else each_file(v, change)
-            for k, v in data.items()
-        }
-    if isinstance(data, list):
-        return [each_file(v, change) for v in data]
-    return data
 
 
 OperationModels = Mapping[str, type[BaseModel] | Issue]
@@ -261,6 +250,7 @@ def build(document: Document, models: OperationModels) -> Problem:
     problem = grip_choice.with_choices(problem, _without_grip(spec, setups))
     issues = [_placed(issue, document) for issue in stock_file.check_setups(problem)]
     issues += [_placed(issue, document) for issue in loads.faults(problem)]
+    issues += [_placed(issue, document) for issue in axes.turntable_faults(problem)]
     issues = grip_choice.advised(problem, issues)
     if issues:
         raise TandemError(issues)

@@ -14,6 +14,7 @@ import numpy as np
 
 from planner.catalogue import robots
 from planner.claims.claim import CutsSurface, FeedWindow, StraightWire, WireJoins
+from planner.files import named_files
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
@@ -35,6 +36,10 @@ MOST_FACE_TILES: Final = 4
 """Cut surfaces with a tile of their own, those nearest to their limit first."""
 
 
+MOST_FILES: Final = 6
+"""Files that the head of a report names."""
+
+
 def verdicts(
     plan: Plan | None, proof: Proof | None, errors: bool, accepted: Sequence[str]
 ) -> tuple[tuple[str, str], ...]:
@@ -54,11 +59,18 @@ def verdicts(
 
 
 def about(problem: Problem) -> markup.Paragraph:
-    """What a problem is: its processes, its arms, its cell, its digest."""
+    """What a problem is: its processes, its arms, its cell, its digest, its files with theirs."""
     arms = ", ".join(f"{a.name}: {_title(a.robot)}" for a in problem.cell.arms)
     work = ", ".join(dict.fromkeys(op.process.replace("_", " ") for op in problem.operations))
     words = f"{work} · {arms} · cell {problem.cell.name} · problem "
-    return markup.Paragraph(markup.Joined((words, markup.Code(problem.digest[:12]))), "soft")
+    told: list[Phrase] = [words, markup.Code(problem.digest[:12])]
+    files = sorted(named_files(problem.source).items())
+    for name, sha in files[:MOST_FILES]:
+        own = name.replace(f"-{sha[:16]}", "")
+        told += [f" · {own} ", markup.Code(sha[:12])]
+    if len(files) > MOST_FILES:
+        told.append(f" · {len(files) - MOST_FILES} files more")
+    return markup.Paragraph(markup.Joined(tuple(told)), "soft")
 
 
 def _title(robot: str) -> str:

@@ -33,6 +33,7 @@ from planner.verify.result import Proof
 _SEGMENT_COLOURS: Final = {
     "cut": "#f08a3c",
     "mill": "#f08a3c",
+    "trim": "#f08a3c",
     "form": "#f08a3c",
     "approach": "#58a6c7",
     "retreat": "#58a6c7",

@@ -16,7 +16,7 @@ from planner.claims.forming import SinksHolder
 from planner.geometry.arrays import FloatArray, to_quaternion, to_rpy
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, LinearTrack, Problem, Setup, Stock
+from planner.problem import Arm, LinearTrack, Problem, Setup, Stock, Turntable
 from planner.report import exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import kerf_shown, operation_starts
@@ -110,6 +110,13 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
         )
         items += _from_bases(setup, plan)
     chosen = "the problem" if stock.place is not None else "the placement search"
+    table = setup.cell.turntable
+    if table is not None and stock.station is not None:
+        zero = table.turned(np.asarray(plan.places[setup.number - 1]), -stock.station)
+        at, lean, _ = pose_cells(zero)
+        items.append((f"clamped so that it is, with {table.unit} at 0 deg, at x, y, z [mm]", at))
+        items.append((f"and its roll, pitch, yaw with {table.unit} at 0 deg [deg]", lean))
+        name = f"place once {table.unit} is at {stock.station / DEG:g} deg: x, y, z in the world [mm]"
     items += [
         (name, place),
         ("place: roll, pitch, yaw [deg]", turn),
@@ -169,6 +176,8 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> Table:
     held = stock.held_by is not None
     frame = stock.grip if held else np.asarray(plan.places[setup.number - 1])
     where = f"TCP frame of {stock.held_by}" if held else "world"
+    if setup.cell.turntable is not None and stock.station is not None:
+        where = f"world, {setup.cell.turntable.unit} at {stock.station / DEG:g} deg"
     for label, (i, j, k) in _CORNERS:
         corner = np.array([ends[i, 0], ends[j, 1], ends[k, 2], 1.0])
         rows.append((f"block, {label}, {where}", _point((frame @ corner)[:3]), "", "", _FILL))
@@ -339,6 +348,9 @@ def _abb(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str
     for item in problem.cell.arms:
         if item.track is not None and arm in ("", item.name):
             out += _track(item, item.track, controller.robot(problem.cell.arms.index(item)))
+    table = problem.cell.turntable
+    if table is not None and arm in ("", table.arm):
+        out += _turntable(problem, table)
     if any(setup.stock.held_by for setup in problem.setups):
         out.append(("ModalPayLoadMode (SYS_MISC)", "1: else GripLoad of the held block counts for nothing"))
     out.append(("CAB_REGAIN_DIST, AUTO", "small: an arm goes back to its path by itself from so far away"))
@@ -356,6 +368,29 @@ def _track(arm: Arm, track: LinearTrack, robot: str) -> list[tuple[str, str]]:
         (f"{track.unit}: joint", f"{span}{track.acceleration / MM:g} mm/s²; home {track.home / MM:g} mm"),
         (f"{robot}: base frame moved by", f"{track.unit}"),
         (f"{robot}: base frame", f"that of arm {arm.name} at 0 mm: {_point(arm.base[:3, 3])} mm"),
+    ]
+
+
+def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
+    """What the controller's configuration (MOC.cfg) must say of a turntable, and how the block is clamped."""
+    column = f"number {table.column + 1} (eax_{'abcdef'[table.column]})"
+    ends = f"{table.low / DEG:g} to {table.high / DEG:g} deg, at most {table.speed / DEG:g} deg/s"
+    sense = "counter-clockwise" if table.axis[2] > 0.0 else "clockwise"
+    place, turn, _ = pose_cells(np.asarray(problem.stock.place))
+    task = f"external axis {column} of the task of arm {table.arm}"
+    return [
+        (f"mechanical unit {table.unit}", f"there, one rotary axis, {task}, in deg"),
+        (
+            f"{table.unit}: base frame",
+            f"its axis goes upright through {_point(table.centre)} mm of the world",
+        ),
+        (f"{table.unit}: sense", f"seen from above, growing values turn it {sense}"),
+        (f"{table.unit}: joint", f"{ends}; home {table.home / DEG:g} deg"),
+        (
+            f"{table.unit} before PP to main",
+            f"at home, {table.home / DEG:g} deg: the first move takes it there",
+        ),
+        (f"block with {table.unit} at 0 deg", f"at {place} mm, roll, pitch, yaw {turn} deg"),
     ]
 
 
@@ -397,6 +432,7 @@ _STOP_WORDS = {
     "on": "signal on",
     "off": "signal off",
     "wait": "wait",
+    "input": "wait for the input",
 }
 """What a program does at a stop, by kind of action."""
 

@@ -23,8 +23,10 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 import planner
 from planner.batch.cluster import Cluster
@@ -32,11 +34,12 @@ from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
 from planner.service import bundled, element_routes, routes
+from planner.service.answers import Heads, Hurried, allowed
 from planner.service.routes import REFUSALS, REQUESTS, Caller, Here
 from planner.service.runner import Team
 from planner.service.security import LOOPBACK, Guard, RefusedError, issue_json
 from planner.service.service import Options, Service
-from planner.service.storage import take_upload
+from planner.service.storage import store_refusal, take_upload
 
 page_router: Final = APIRouter(include_in_schema=False)
 PAGE_FOLDER: Final = Path(__file__).resolve().parent / "page"
@@ -188,6 +191,8 @@ def _unknown(path: str) -> RefusedError:
     return RefusedError(404, Issue("service.not_found", f"{path[:200]}: there is no such page; begin at /"))
 
 
+ROUTERS: Final = (routes.job_router, element_routes.router, routes.about_router, page_router)
+"""All addresses."""
 LOG: Final = logging.getLogger("planner.service")
 """Log of the service."""
 ABOUT: Final = """Plans the motion of two industrial robots that share one job. Problems go in as files,
@@ -218,18 +223,21 @@ def create_app(service: Service) -> FastAPI:
         redoc_url=None,
     )
     app.state.service = service
-    app.include_router(routes.job_router)
-    app.include_router(element_routes.router)
-    app.include_router(routes.about_router)
-    app.include_router(page_router)
+    for router in ROUTERS:
+        app.include_router(router)
     app.add_exception_handler(RefusedError, _refused)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
+    for kind in (SQLAlchemyError, OSError):
+        app.add_exception_handler(kind, _store)
     app.add_exception_handler(Exception, _failed)
     options = service.options
     names = None if options.tokens_required else LOOPBACK | {options.host}
+    app.add_middleware(Heads)
     app.add_middleware(Guard, upload_mb=service.limits.upload_mb, open_hosts=names)
     app.add_middleware(_Counted)
+    if options.tokens_required:  # without tokens, what a proxy passes on is refused
+        app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(options.trusted_proxies))
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     return app
 
@@ -272,7 +280,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
             for method in path.values():
                 for status, answer in method["responses"].items():
                     # JSON, whatever a good answer is
-                    if status[0] == "4" or answer["description"] in general:
+                    if (status[0] == "4" and status != "416") or answer["description"] in general:
                         answer["content"] = refusal
         app.openapi_schema = made
     return app.openapi_schema
@@ -300,11 +308,21 @@ async def _invalid(request: Request, error: Exception) -> JSONResponse:
 async def _http(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, HTTPException):
         raise error
-    allowed = (error.headers or {}).get("Allow")  # of an address that takes other methods
-    way = f"; use {allowed}" if allowed else ""
+    headers = dict(error.headers or {})
+    if error.status_code == 405:
+        headers["Allow"] = allowed([route for router in ROUTERS for route in router.routes], request.scope)
+    way = f"; use {headers['Allow']}" if "Allow" in headers else ""
     what = f"{request.method} {request.url.path[:200]}: {error.detail}{way}; see /openapi.json"
     code = "service.not_found" if error.status_code in (404, 405) else "service.request"
-    return await _refused(request, RefusedError(error.status_code, Issue(code, what), error.headers))
+    return await _refused(request, RefusedError(error.status_code, Issue(code, what), headers))
+
+
+async def _store(request: Request, error: Exception) -> JSONResponse:
+    refused = store_refusal(error)
+    if refused is None:
+        return await _failed(request, error)
+    LOG.warning("%s %s: %s", request.method, request.url.path, type(error).__name__)
+    return await _refused(request, refused)
 
 
 async def _failed(request: Request, error: Exception) -> JSONResponse:
@@ -336,6 +354,7 @@ def serve(options: Options, certificate: Path | None = None, key: Path | None = 
         create_app(service),
         host=options.host,
         port=options.port,
+        http=Hurried,
         log_level="info",
         server_header=False,
         proxy_headers=False,

@@ -16,7 +16,7 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import anyio.to_thread
-from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, or_, select, update
+from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, not_, or_, select, update
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
@@ -38,6 +38,8 @@ from planner.service.storage import Blob
 
 CANCELLED: Final = 1
 """In a job's column `cancel`: its owner wants it to end."""
+AGAIN: Final = ("crashed", "timeout", "memory", "cancelled")
+"""States of jobs that may end otherwise when they are planned again."""
 DELETED: Final = 2
 """In a job's column `cancel`: its owner wants it to end and to go."""
 
@@ -168,6 +170,32 @@ class Jobs:
                 remove(db, job)
             return done
 
+    def retry(self, job: str) -> JobOut:
+        """Let a job wait again as if it had come now, its results gone. Raises :class:`RefusedError`, 404,
+        409 where its state is not one of `AGAIN`, 429 as :meth:`create`."""
+        with self._database.write() as db:
+            owner = job_row(db, job)["owner"]
+            self._database.one_at_a_time(db, owner)
+            self._database.one_at_a_time(db, job)
+            row = job_row(db, job)
+            if row["state"] not in AGAIN:
+                ways = "wait for its end" if row["state"] in OPEN else "change the problem and send it anew"
+                what = f"job {job}: it is {row['state']}; tried again are those that are {', '.join(AGAIN)}"
+                issue = Issue("service.state", f"{what}; {ways}", field="state")
+                raise RefusedError(409, issue)
+            self._allow_open(db, owner)
+            kept = or_(FILES.c.name.startswith("problem/"), FILES.c.name == MARKS)
+            db.execute(delete(FILES).where(FILES.c.job == job, not_(kept)))
+            fresh = {"state": "queued", "stage": "", "fraction": 0.0, "issues": "[]", "metrics": "{}"}
+            none = dict.fromkeys(("started", "finished", "seconds", "host", "lease"))
+            zero = dict.fromkeys(("attempts", "cancel", "from_store"), 0)
+            values = {**fresh, **none, **zero, "created": time.time()}
+            db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
+            record_event(db, job, "issues", {"issues": [], "all": True})
+            record_event(db, job, "state", {"state": "queued"})
+            answer_from_store(db, job, row["key"])
+            return job_out(job_row(db, job), self._ahead(db, job))
+
     def files(self, job: str) -> dict[str, Blob]:
         """The files of a job by name."""
         with self._database.read() as db:
@@ -203,6 +231,17 @@ class Jobs:
 
     def _allow(self, db: Connection, new: Sequence[NewJob]) -> None:
         owner = new[0].owner
+        self._allow_open(db, owner)
+        mine = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
+        kept = int(db.execute(mine).scalar_one())
+        if kept + len(new) > self._limits.kept_jobs:
+            more = f", {len(new)} more are wanted" if len(new) > 1 else ""
+            what = f"{kept} jobs are kept{more}, at most {self._limits.kept_jobs} may be; delete old ones"
+            raise RefusedError(
+                429, Issue("service.too_many", what, limit=self._limits.kept_jobs), {"Retry-After": "60"}
+            )
+
+    def _allow_open(self, db: Connection, owner: str) -> None:
         mine = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
         panels = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.role == "panel")
         opened = and_(JOBS.c.owner == owner, JOBS.c.state.in_(OPEN))
@@ -219,13 +258,6 @@ class Jobs:
             )
             raise RefusedError(
                 429, Issue("service.too_many", what, limit=self._limits.open_jobs), {"Retry-After": "10"}
-            )
-        kept = int(db.execute(mine).scalar_one())
-        if kept + len(new) > self._limits.kept_jobs:
-            more = f", {len(new)} more are wanted" if len(new) > 1 else ""
-            what = f"{kept} jobs are kept{more}, at most {self._limits.kept_jobs} may be; delete old ones"
-            raise RefusedError(
-                429, Issue("service.too_many", what, limit=self._limits.kept_jobs), {"Retry-After": "60"}
             )
 
 

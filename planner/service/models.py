@@ -146,6 +146,8 @@ POOL_SIZE: Final = 20
 """Connections to the database that stay open; as many more may come for a while."""
 WAIT_S: Final = 120.0
 """How long a request waits for a connection or for another writer."""
+CONNECT_S: Final = 10
+"""How long PostgreSQL may take to answer a new connection."""
 
 
 class Database:
@@ -181,6 +183,11 @@ class Database:
             with self._writer.begin() as connection:
                 yield connection
 
+    def ping(self) -> None:
+        """Ask it something; raises ``SQLAlchemyError`` where it is away."""
+        with self.read() as db:
+            db.execute(text("SELECT 1"))
+
     def clock(self) -> ColumnElement[float]:
         """Seconds since 1970, by the one clock that all hosts of this database share."""
         if self.sqlite:
@@ -209,14 +216,14 @@ def _engine(url: str) -> Engine:
     kind = make_url(url).get_backend_name()
     if kind not in ("sqlite", "postgresql"):
         raise ArgumentError(f"got {kind}")
-    more: dict[str, Any] = {"connect_args": {"timeout": WAIT_S}} if kind == "sqlite" else {}
+    waits = {"timeout": WAIT_S} if kind == "sqlite" else {"connect_timeout": CONNECT_S}
     engine = create_engine(
         url,
         pool_size=POOL_SIZE,
         max_overflow=POOL_SIZE,
         pool_timeout=WAIT_S,
         pool_pre_ping=kind != "sqlite",
-        **more,
+        connect_args=waits,
     )
     if kind == "sqlite":
         event.listen(engine, "connect", _prepare_sqlite)
@@ -249,9 +256,9 @@ def _cannot_open(url: str, error: Exception) -> Issue:
     return Issue("service.database", f"database {shown}: {what}", field="database")
 
 
-API: Final = 3
+API: Final = 4
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
-data."""
+data. 4: readiness, jobs that are tried again."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -420,15 +427,22 @@ class CheckOut(Sent):
 
 
 class Health(Sent):
-    """Whether the service works."""
+    """Whether the process works. Jobs are not counted while the database is away."""
 
     status: Literal["ok", "degraded"]
     version: str
     api: int = Field(description="number of this interface; it grows when something is added")
     api_oldest: int = Field(description="the oldest number that clients may be made for")
     workers: int
-    queued: int
-    running: int
+    queued: int | None = None
+    running: int | None = None
+
+
+class Ready(Sent):
+    """Whether jobs are taken in and planned, and what is in the way."""
+
+    ready: bool
+    issues: list[Issue]
 
 
 class Storage(Sent):

@@ -9,7 +9,9 @@ Figures of the service are in Prometheus's text format (version 0.0.4).
 from __future__ import annotations
 
 import datetime as dt
+import hashlib
 import io
+import json
 import re
 import resource
 import threading
@@ -23,10 +25,12 @@ from urllib.parse import quote, urlencode
 from fastapi import APIRouter, Cookie, Depends, Header, Query, Request, Response, Security
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
+from sqlalchemy.exc import SQLAlchemyError
 
 import planner
 from planner.catalogue.issue_codes import CODES
 from planner.issues import Issue, has_errors
+from planner.service.answers import MadeFile, is_known, stored_file
 from planner.service.jobs import Stream
 from planner.service.models import (
     API,
@@ -41,6 +45,7 @@ from planner.service.models import (
     JobOut,
     Kind,
     LinkOut,
+    Ready,
     Refusal,
     State,
     Storage,
@@ -69,11 +74,12 @@ JOB_ID: Final = re.compile(r"[0-9a-f]{32}")
 
 REFUSALS: Final = {
     401: {"model": Refusal, "description": "no token, or one that is unknown or revoked"},
-    403: {"model": Refusal, "description": "another token's job, or a request of another site"},
-    404: {"model": Refusal, "description": "there is no such thing"},
+    403: {"model": Refusal, "description": "a request of another site"},
+    404: {"model": Refusal, "description": "there is no such thing, or it is another token's"},
+    409: {"model": Refusal, "description": "the job's state does not allow it"},
     413: {"model": Refusal, "description": "larger than this service takes"},
     422: {"model": Refusal, "description": "all that is wrong, by code and field"},
-    503: {"model": Refusal, "description": "the service is stopping; see Retry-After"},
+    503: {"model": Refusal, "description": "the service is stopping, or its database away; see Retry-After"},
     507: {"model": Refusal, "description": "no room for more files; see /v1/storage"},
     429: {"model": Refusal, "description": "too many jobs or streams; see Retry-After"},
 }
@@ -111,12 +117,13 @@ Here = Annotated[Service, Depends(service)]
 
 
 def own_job(job: str, owner: Caller, here: Here) -> JobOut:
-    """The job, if it is the caller's; raises :class:`RefusedError`, 403 or 404."""
+    """The job, if it is the caller's; raises :class:`RefusedError`, 404 for another one's too, so that nobody
+    learns which there are."""
     if not JOB_ID.fullmatch(job):
         raise unknown_job(job)
     belongs_to, found = here.jobs.get(job)
     if belongs_to != owner:
-        raise RefusedError(403, Issue("service.foreign", f"job {job}: it belongs to another token"))
+        raise unknown_job(job)
     return found
 
 
@@ -208,21 +215,43 @@ def _figure(name: str, kind: str, about: str, rows: Iterable[tuple[Mapping[str, 
 about_router: Final = APIRouter(tags=["about"], responses=REFUSALS)  # type: ignore[arg-type]
 
 
-@about_router.get("/v1/health", responses={503: {"model": Health}}, summary="Whether the service works")
+@about_router.get(
+    "/v1/health",
+    responses={503: {"model": Health}},
+    response_model_exclude_none=True,
+    summary="Whether the process works",
+)
 def health(here: Here, response: Response) -> Health:
-    """Needs no token. 503 where jobs are not being planned."""
-    counts = here.jobs.counts()
+    """Needs no token. 503 where only a new start helps: a database that is away, or a full disk, is told by
+    /v1/ready."""
+    try:
+        counts = here.jobs.counts()
+    except SQLAlchemyError:
+        counts = None
     healthy = here.runner.healthy
     response.status_code = 200 if healthy else 503
     return Health(
-        status="ok" if healthy else "degraded",
+        status="ok" if healthy and counts is not None else "degraded",
         version=planner.__version__,
         api=API,
         api_oldest=OLDEST_API,
         workers=here.options.workers,
-        queued=counts.get("queued", 0),
-        running=counts.get("running", 0),
+        queued=None if counts is None else counts.get("queued", 0),
+        running=None if counts is None else counts.get("running", 0),
     )
+
+
+@about_router.get(
+    "/v1/ready", responses={503: {"model": Ready}}, summary="Whether jobs are taken and planned"
+)
+def ready(here: Here, response: Response) -> Ready:
+    """Needs no token. 503 with Retry-After while the database is away, the disk full, or nothing is planned:
+    send requests elsewhere, or later."""
+    issues = here.unready()
+    if issues:
+        response.status_code = 503
+        response.headers["Retry-After"] = "5"
+    return Ready(ready=not issues, issues=issues)
 
 
 @about_router.get("/metrics", response_class=PlainTextResponse, summary="Figures for Prometheus")
@@ -320,6 +349,12 @@ TYPES: Final = {
     **dict.fromkeys((".mod", ".modx", ".pgf", ".src", ".dat", ".script"), "text/plain; charset=utf-8"),
 }
 """Content types of the files of a result."""
+PARTS: Final[dict[int | str, dict[str, Any]]] = {
+    206: {"description": "the part that `Range` asks for"},
+    304: {"description": "who asks has it: `If-None-Match`"},
+    416: {"description": "a `Range` beyond the end", "content": {"text/plain": {}}},
+}
+"""Answers of files beside the whole one."""
 SANDBOX: Final = "sandbox allow-scripts allow-downloads allow-popups; frame-ancestors 'self'"
 """What is in a report came from a user: it runs apart from this site, without its cookies."""
 PAGE_SIZE: Final = 50
@@ -436,6 +471,13 @@ def cancel(found: OwnJob, here: Here) -> JobOut:
     return here.jobs.cancel(found.id)
 
 
+@job_router.post("/jobs/{job}/retry", response_model_exclude_none=True, summary="Plan a job again")
+def retry(found: OwnJob, here: Here) -> JobOut:
+    """A job that crashed, met a limit or was cancelled waits again, as if it had come now. 409 for one that
+    waits or runs, and for one whose end the problem alone decides: it would end so again."""
+    return here.jobs.retry(found.id)
+
+
 @job_router.delete("/jobs/{job}", status_code=204, summary="Delete a job")
 def delete(found: OwnJob, here: Here) -> Response:
     """Delete a job with its files; one that runs is cancelled."""
@@ -454,7 +496,7 @@ def files(found: OwnJob, here: Here) -> FileList:
     "/jobs/{job}/files/{name:path}",
     summary="A file of a job",
     response_class=FileResponse,
-    responses={200: {"content": {"application/octet-stream": {"schema": {"type": "string"}}}}},
+    responses={200: {"content": {"application/octet-stream": {"schema": {"type": "string"}}}}, **PARTS},
 )
 def file(
     found: Annotated[JobOut, Depends(job_to_read)],
@@ -462,21 +504,17 @@ def file(
     request: Request,
     here: Here,
     download: Annotated[bool, Query(description="for saving, not for showing")] = False,
-) -> FileResponse:
+) -> Response:
     """The file of that name in the list of files. With ``expires`` and ``signature`` of a link it asks for
     no token."""
     blob = known_file(here, found.id, name)
-    headers = {"ETag": f'"{blob.sha}"', "Cache-Control": "private, max-age=3600"}
+    headers = {"Cache-Control": "private, max-age=3600"}
     if "signature" in request.query_params:  # nothing of a link is kept or told to others
         headers |= {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}
     if name.endswith(".html"):
         headers["Content-Security-Policy"] = SANDBOX
-    return FileResponse(
-        here.files.path(blob.sha),
-        media_type=content_type(name),
-        filename=PurePosixPath(name).name if download else None,
-        headers=headers,
-    )
+    saved_as = PurePosixPath(name).name if download else None
+    return stored_file(request, here.files.path(blob.sha), blob.sha, content_type(name), headers, saved_as)
 
 
 @job_router.post("/jobs/{job}/links", summary="Link to a file of a job")
@@ -499,9 +537,12 @@ def link(
     "/jobs/{job}/programs.zip",
     summary="The programs of a job",
     response_class=Response,
-    responses={200: {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}}},
+    responses={
+        200: {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}},
+        **PARTS,
+    },
 )
-def programs(found: OwnJob, here: Here) -> Response:
+def programs(found: OwnJob, here: Here, request: Request) -> Response:
     """All programs in one archive; they are there if the proof holds."""
     known = {n: blob for n, blob in here.jobs.files(found.id).items() if n.startswith("programs/")}
     if not known:
@@ -509,14 +550,18 @@ def programs(found: OwnJob, here: Here) -> Response:
         what = f"job {found.id} has no programs: it is {found.state}; "
         what += "ask again when it has ended" if waiting else f"its issues say why: GET /v1/jobs/{found.id}"
         raise RefusedError(404, Issue("service.unknown_file", what))
+    tag = f'"{hashlib.sha256(json.dumps(sorted(known.items())).encode()).hexdigest()}"'
+    headers = {"ETag": tag, "Cache-Control": "private, no-cache"}
+    if is_known(request, tag):
+        return Response(status_code=304, headers=headers)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, blob in sorted(known.items()):
             info = zipfile.ZipInfo(name.removeprefix("programs/"))
             info.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(info, here.files.read(blob.sha))
-    headers = {"Content-Disposition": f'attachment; filename="{found.name}.zip"'}
-    return Response(packed.getvalue(), media_type="application/zip", headers=headers)
+    content = packed.getvalue()
+    return MadeFile(content, here.scratch, "application/zip", f"{found.name}.zip", headers)
 
 
 def known_file(here: Service, job: str, name: str) -> Blob:

@@ -7,6 +7,7 @@ A thread plans as many jobs at once as there are worker processes.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import logging
@@ -33,7 +34,7 @@ from planner.service.jobs import (
     remove,
 )
 from planner.service.models import ELEMENT_JOBS, JOBS, OPEN, SESSIONS, Database, State
-from planner.service.security import issue_json
+from planner.service.security import MB, issue_json
 from planner.service.storage import Blob, Files
 
 MOST_ATTEMPTS: Final = 3
@@ -125,6 +126,14 @@ class Work:
         with self._database.write() as db:
             db.execute(update(JOBS).where(mine).values(lease=self._until()))
 
+    def drop_others(self, held: Collection[str]) -> None:
+        """Queue jobs that this host has by the store and does not plan: it failed as it took them. Such an
+        attempt does not count."""
+        mine = and_(JOBS.c.host == self._host, JOBS.c.state == "running", JOBS.c.id.not_in(held))
+        with self._database.write() as db:
+            for row in db.execute(select(JOBS).where(mine)).mappings().all():
+                self._give_back(db, row["id"], row["attempts"] - 1, row["cancel"])
+
     def take_over(self, alone: bool = False) -> int:
         """Queue the jobs of hosts that are gone; ``alone``: no other host can be at work. Their number."""
         gone = and_(JOBS.c.state == "running", JOBS.c.host != self._host)
@@ -137,10 +146,10 @@ class Work:
         return len(rows)
 
     def give_back(self, claimed: Claimed) -> None:
-        """Queue a job of this host again, because the service stops; this attempt does not count."""
+        """Queue a job of this host again, because the service stops or has no room for its result; this
+        attempt does not count."""
         with self._database.write() as db:
             if self._held(db, claimed):
-                db.execute(update(JOBS).where(JOBS.c.id == claimed.id).values(attempts=claimed.attempt - 1))
                 self._give_back(db, claimed.id, claimed.attempt - 1, 0)
 
     def _give_back(self, db: Connection, job: str, attempts: int, cancel: int) -> None:
@@ -158,6 +167,7 @@ class Work:
             )
             issues = (Issue("service.gave_up", message, value=attempts, limit=MOST_ATTEMPTS),)
         values = {"state": state, "host": None, "lease": None, "stage": "", "fraction": 0.0}
+        values["attempts"] = attempts
         if issues:
             values["issues"] = issues_json(issues)
             record_event(db, job, "issues", {"issues": [issue_json(issue) for issue in issues]})
@@ -274,6 +284,10 @@ SWEEP_S: Final = 600.0
 """Time [s] between two looks for what is old enough to be forgotten."""
 AGAIN_S: Final = 2.0
 """After an error of the database or the workers it is tried again so much later."""
+ROOM_MB: Final = 32.0
+"""With less room on the disk no job is begun."""
+ROOM_S: Final = 20.0
+"""After a job that found the disk full, none is begun for so long."""
 
 
 class Team(Protocol):
@@ -314,11 +328,18 @@ class Runner(threading.Thread):
         self._folders: dict[str, Path] = {}
         self._due: dict[str, float] = {}
         self.alive_at = time.monotonic()
+        self._troubled = False
+        self._room_at = 0.0
 
     @property
     def healthy(self) -> bool:
-        """Whether it has come round lately."""
+        """Whether it has come round lately, be it to find the database away."""
         return self.is_alive() and time.monotonic() - self.alive_at < max(30.0, self._lease_s)
+
+    @property
+    def working(self) -> bool:
+        """Whether jobs are begun and their ends stored."""
+        return self.healthy and not self._troubled
 
     def stop(self) -> None:
         """End the team; jobs that run wait again."""
@@ -333,9 +354,9 @@ class Runner(threading.Thread):
             try:
                 team = team or self._make_team()
                 self._round(team)
+                self._troubled = False
             except (SQLAlchemyError, TandemError, OSError):
-                LOG.exception("the runner tries again in %g s", AGAIN_S)
-                self._ending.wait(AGAIN_S)
+                self._wait_again("the runner tries again in %g s", AGAIN_S)
         if team is not None:
             team.close()
         for claimed in self._claimed.values():
@@ -346,15 +367,22 @@ class Runner(threading.Thread):
         for folder in self._folders.values():
             shutil.rmtree(folder, ignore_errors=True)
 
+    def _wait_again(self, what: str, told: object) -> None:
+        LOG.exception(what, told)
+        self._troubled = True
+        self._ending.wait(AGAIN_S)
+        self.alive_at = time.monotonic()
+
     def _round(self, team: Team) -> None:
         if self._is_due("lease", self._lease_s / 4):
+            self._work.drop_others([claimed.id for claimed in self._claimed.values()])
             self._work.renew()
             if self._work.take_over(alone=self._alone):
                 LOG.warning("jobs of a service that is gone wait again")
         if self._is_due("sweep", SWEEP_S):
             self._work.forget(self._keep_s)
             self._files.sweep(self._shas)
-        while len(self._claimed) < self._count:
+        while len(self._claimed) < self._count and self._has_room():
             claimed = self._work.claim()
             if claimed is None:
                 break
@@ -391,28 +419,54 @@ class Runner(threading.Thread):
                 self._last_progress[event.name] = (event.stage, time.monotonic())
                 self._work.progress(claimed, event.stage, event.fraction)
         elif isinstance(event, Found):
-            self._work.found(claimed, event.issues)
+            self._work.found(claimed, self._told(event.issues))
         elif isinstance(event, Finished):
             self._finish(claimed, event.name, event.done)
 
     def _finish(self, claimed: Claimed, name: str, done: Done) -> None:
-        """Store the end of a job, however long the database is away."""
+        """Store the end of a job, however long the database is away or its disk full."""
         folder = self._folders[name]
         while not self._ending.is_set():
             try:
-                stored = self._stored(folder / "result")
-                kept = self._work.finish(claimed, done.state, done.issues, done.metrics, done.seconds, stored)
+                if any(issue.code == "output.disk_full" for issue in done.issues):
+                    LOG.warning("job %s waits for room on the disk", claimed.id)
+                    self._room_at = time.monotonic() + ROOM_S
+                    self._work.give_back(claimed)
+                    break
+                stored, told = self._stored(folder / "result"), self._told(done.issues)
+                kept = self._work.finish(claimed, done.state, told, done.metrics, done.seconds, stored)
                 if not kept:
                     LOG.warning("job %s was taken over; what was planned here is dropped", claimed.id)
                 break
             except (SQLAlchemyError, OSError):
-                LOG.exception("the end of job %s cannot be stored now", claimed.id)
-                self._ending.wait(AGAIN_S)
+                self._wait_again("the end of job %s cannot be stored now", claimed.id)
+                with contextlib.suppress(SQLAlchemyError):
+                    self._work.renew()
         else:
             return  # it is planned again
         del self._claimed[name], self._folders[name]
         self._last_progress.pop(name, None)
         shutil.rmtree(folder, ignore_errors=True)
+
+    def _told(self, issues: Collection[Issue]) -> tuple[Issue, ...]:
+        """Without where on this host it was: users have no use for that, and others might."""
+
+        def without(text: str) -> str:
+            return text.replace(str(self._scratch), "the service's folder")
+
+        return tuple(
+            dataclasses.replace(
+                one,
+                message=without(one.message),
+                file=one.file and without(one.file),
+                hint=one.hint and without(one.hint),
+            )
+            for one in issues
+        )
+
+    def _has_room(self) -> bool:
+        free = shutil.disk_usage(self._scratch).free
+        return free >= ROOM_MB * MB and time.monotonic() >= self._room_at
 
     def _stored(self, result: Path) -> dict[str, Blob]:
         paths = sorted(path for path in result.rglob("*") if path.is_file() and not path.is_symlink())

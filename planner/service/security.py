@@ -278,6 +278,10 @@ HEADERS: Final = {
 """Headers of every answer: nothing is guessed, framed or told to other sites."""
 
 
+HTTPS_ALONE: Final = "max-age=31536000"
+"""What browsers that came by TLS are told (RFC 6797): for a year they come by it alone."""
+
+
 class Guard:
     """Wraps the application. ``open_hosts``: the names by which an instance without tokens may be addressed;
     None where tokens are required."""
@@ -296,6 +300,8 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)
+                if scope["scheme"] == "https":
+                    headers.setdefault("Strict-Transport-Security", HTTPS_ALONE)
             await send(message)
 
         try:

@@ -21,6 +21,7 @@ from typing import IO, Any, Final, TypeVar
 
 import anyio
 import anyio.to_thread
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.requests import Request
 
 from planner.batch.job import PROBLEM, all_versions
@@ -42,7 +43,8 @@ REMEMBERED: Final = 256
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """How a service is started. ``data``: folder of the files, and of the database where no URL is given."""
+    """How a service is started. ``data``: folder of the files, and of the database where no URL is given.
+    ``trusted_proxies``: addresses, or networks, whose word is taken on how a request came to them."""
 
     data: Path
     host: str = "127.0.0.1"
@@ -52,6 +54,7 @@ class Options:
     examiners: int = 2
     cluster: str | None = None
     require_token: bool = False
+    trusted_proxies: tuple[str, ...] = ("127.0.0.1", "::1")
     lease_s: float = 30.0
     limits: Limits = dataclasses.field(default_factory=Limits)
 
@@ -119,15 +122,15 @@ class Service:
         """
         reading = Reading()
         found: list[Read] = []
-        refused: list[RefusedError] = []
+        failed: list[Exception] = []
         async with anyio.create_task_group() as tasks:
 
             async def wait_and_read() -> None:
                 try:
                     async with self._turn(owner):
                         found.append(await anyio.to_thread.run_sync(read, reading))
-                except RefusedError as error:  # a task group would wrap it
-                    refused.append(error)
+                except Exception as error:  # a task group would wrap it
+                    failed.append(error)
                 tasks.cancel_scope.cancel()
 
             tasks.start_soon(wait_and_read)
@@ -135,8 +138,8 @@ class Service:
                 pass
             reading.break_off()  # the thread is not given up: it ends with its process
             tasks.cancel_scope.cancel()
-        if refused:
-            raise refused[0]
+        if failed:
+            raise failed[0]
         if not found:
             raise connection_closed()
         return found[0]
@@ -158,6 +161,21 @@ class Service:
     def start(self) -> None:
         """Begin to plan."""
         self.runner.start()
+
+    def unready(self) -> list[Issue]:
+        """Why jobs are not taken in or not planned now; nothing where they are."""
+        issues = []
+        try:
+            self.database.ping()
+        except SQLAlchemyError:
+            issues.append(Issue("service.database", "the database is away"))
+        try:
+            self.storage.allow()
+        except RefusedError as refused:
+            issues += refused.issues
+        if not issues and not self.runner.working:
+            issues.append(Issue("service.not_planning", "jobs are taken in, and none is planned now"))
+        return issues
 
     def stop_reading(self) -> None:
         """End the reading of uploads; requests that wait for it are told."""
@@ -253,13 +271,13 @@ class Service:
         of: OfElement | None = None,
         after: str = "",
     ) -> NewJob:
-        """A job for what was read; its answer depends on that, and on the key of the one that it comes
-        ``after``."""
+        """A job for what was read; its answer depends on that, on what the files are called, for results name
+        them, and on the key of the one that it comes ``after``."""
         return NewJob(
             owner=owner,
             name=name,
             digest=read.digest,
-            key=_key(f"{read.digest} {after}".strip()),
+            key=_key(" ".join((read.digest, *sorted(read.files), after)).strip()),
             processes=read.processes,
             files=files,
             timeout_s=min(timeout_s or self.limits.job_s, self.limits.job_s),

@@ -11,12 +11,12 @@ What a user uploads (`take`), a problem and its files, is told all at once what 
 from __future__ import annotations
 
 import dataclasses
-import errno
 import hashlib
 import io
 import os
 import re
 import shutil
+import sqlite3
 import tempfile
 import threading
 import time
@@ -27,11 +27,13 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
 
 import anyio.to_thread
+from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
+from sqlalchemy.exc import TimeoutError as NoConnectionError
 from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 
-from planner.files import base_name
+from planner.files import base_name, is_disk_full
 from planner.issues import Issue
 from planner.reading.strict_yaml import MAX_YAML_BYTES
 from planner.service.security import MB, Limits, RefusedError, too_large
@@ -184,8 +186,6 @@ FREE_MB: Final = 256.0
 """So much of the disk is left to the database and to the results of jobs that run."""
 KNOWN_S: Final = 10.0
 """So long a token's use is taken to be what it was, unless that would be a refusal."""
-DISK_FULL: Final = (errno.ENOSPC, errno.EDQUOT)
-"""Errors of the system when a disk, or what a user may have of it, is full."""
 
 
 class Storage:
@@ -207,6 +207,11 @@ class Storage:
         with self._room(owner, blobs):
             return [self._files.put(*one) for one in zip(streams, blobs, strict=True)]
 
+    def allow(self) -> None:
+        """Raises :class:`RefusedError`, 507, where there is no room for anything."""
+        with self._lock:
+            self._allow_all([])
+
     def used(self, owner: str) -> int:
         """What a token's files take [bytes]."""
         return sum(self._charged(owner, fresh=True).values())
@@ -223,8 +228,8 @@ class Storage:
         try:
             yield
         except OSError as error:
-            if error.errno in DISK_FULL:
-                raise _full("the disk of this service is full", None, None) from error
+            if is_disk_full(error):
+                raise _disk_full() from error
             raise
         finally:
             with self._lock:
@@ -252,7 +257,7 @@ class Storage:
             )
             raise _full(what, total / MB, limit)
         free = shutil.disk_usage(self._files.root).free - there - more
-        if more and free < FREE_MB * MB:
+        if free < FREE_MB * MB:  # what is stored already is asked about again all the same
             what = (
                 f"this upload would leave {_mb(max(free, 0))} of the service's disk, {FREE_MB:g} MB must be"
             )
@@ -271,8 +276,32 @@ class Storage:
         return {sha: size for sha, (size, _) in sent.items()} | dict(known)
 
 
+def store_refusal(error: Exception) -> RefusedError | None:
+    """What to answer where the disk or the database fails: 507 where there is no room, 503 while the database
+    is away; None for faults of ours."""
+    if is_disk_full(error) or (isinstance(error, DBAPIError) and _is_full(error.orig)):
+        return _disk_full()
+    if isinstance(error, OperationalError | InterfaceError | NoConnectionError) or (
+        isinstance(error, DBAPIError) and error.connection_invalidated
+    ):
+        issue = Issue("service.database", "the database of this service is away; send the request again")
+        return RefusedError(503, issue, {"Retry-After": "5"})
+    return None
+
+
+def _is_full(error: BaseException | None) -> bool:
+    """By SQLite's code, and PostgreSQL's (disk_full)."""
+    code = getattr(error, "sqlite_errorcode", None)
+    return code == sqlite3.SQLITE_FULL or getattr(error, "sqlstate", None) == "53100"
+
+
 def _mb(size: float) -> str:
     return f"{size / MB:,.1f} MB"
+
+
+def _disk_full() -> RefusedError:
+    """507, with nothing of where on the disk."""
+    return _full("the disk of this service is full", None, None)
 
 
 def _full(what: str, value: float | None, limit: float | None, hint: str | None = None) -> RefusedError:
@@ -328,10 +357,9 @@ async def take_upload(request: Request, storage: Storage, owner: str, limits: Li
     except ClientDisconnect as error:
         raise RefusedError(422, _fault("body", "the upload broke off; send it again")) from error
     except OSError as error:
-        if error.errno not in DISK_FULL:
+        if not is_disk_full(error):
             raise
-        what = "the disk that uploads come in on is full; send it later, or ask who runs the service"
-        raise RefusedError(507, Issue("service.storage", what, field="files")) from error
+        raise _disk_full() from error
     except (ValueError, LookupError) as error:  # charsets that are none, and the like
         raise RefusedError(422, _fault("body", "the form cannot be read; send UTF-8")) from error
 

@@ -34,7 +34,7 @@ from planner import processes
 from planner.batch.job import ELEMENT, PROBLEM
 from planner.element import element_file
 from planner.element.element_file import ElementFile
-from planner.files import FILE_KEYS, base_name
+from planner.files import FILE_KEYS, base_name, carried_name
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -47,8 +47,6 @@ from planner.service.upload_processes import Examined
 
 NOWHERE: Final = "files/not-uploaded"
 """Stands for a file that was not uploaded; there is none of this name."""
-_SUFFIX: Final = re.compile(r"\.[A-Za-z0-9]{1,8}")
-"""An ending of a name that is kept."""
 PROCESS: Final = "targets"
 """Its targets are as good as read from a file; those of other processes take planning."""
 MOST: Final = 3000
@@ -166,8 +164,7 @@ class Uploaded:
             self._faults.append(self._not_uploaded(name, bool(found), document, place))
             return NOWHERE
         source = self._uploads[found[0]]
-        suffix = Path(base_name(found[0])).suffix
-        laid = f"files/{source.name[:16]}{suffix.lower() if _SUFFIX.fullmatch(suffix) else ''}"
+        laid = f"files/{carried_name(found[0], source.name)}"
         if not (self._folder / laid).exists():
             _link_or_copy(source, self._folder / laid)
         self._names[str(self._folder / laid)] = found[0]
@@ -460,12 +457,20 @@ def _elements(head: str) -> Iterator[tuple[str, int, list[tuple[str, ...]]]]:
 
 
 def _texts(path: Path) -> Iterator[bytes]:
-    """The file in parts that end with a line."""
+    """The file in parts that end with a line, without the line ends that a backslash takes away."""
     with path.open("rb") as stream:
         while part := stream.read(LINES):
-            yield part + stream.readline()
+            pieces = [part, stream.readline()]
+            while pieces[-1] and (pieces[-2] + pieces[-1]).endswith(CONTINUED):
+                pieces.append(stream.readline())
+            whole = b"".join(pieces)
+            for end in CONTINUED:
+                whole = whole.replace(end, b"")
+            yield whole
 
 
+CONTINUED: Final = (b"\\\r\n", b"\\\n")
+"""How a line of an OBJ file ends that goes on in the next one."""
 ARCHIVES: Final = (
     b"PK\x03\x04",
     b"PK\x05\x06",

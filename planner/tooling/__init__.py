@@ -21,6 +21,7 @@ from planner.tooling.holding_tools import (
     vacuum_cup,
     wire_holder,
 )
+from planner.tooling.torch import TORCH_SIZE, Torch, TorchKind, torch
 from planner.tooling.working_tools import (
     DISK_RIM,
     MILL_HOLDER,
@@ -37,18 +38,18 @@ from planner.tooling.working_tools import (
     profile,
 )
 
-Tool = WireHolder | Bow | Gripper | FormingTool | Mill | PlainTool
+Tool = WireHolder | Bow | Gripper | FormingTool | Mill | Torch | PlainTool
 """A tool on a flange: one of these kinds, each with what it really has."""
 
 
 def working_solid(tool: Tool) -> Shape | None:
     """The solid, in the flange frame, with which a tool works the stock: the wire of a bow, the head of a
-    forming tool, a mill's cutter; it alone may touch the stock, in segments that work it. None for tools that
-    work with nothing rigid of their own."""
+    forming tool, a mill's cutter, a torch with its nozzle; it alone may touch the stock, in segments that
+    work it. None for tools that work with nothing rigid of their own."""
     match tool:
         case Bow():
             return tool.wire
-        case FormingTool() | Mill():
+        case FormingTool() | Mill() | Torch():
             return tool.solid
         case WireHolder() | Gripper() | PlainTool():
             return None
@@ -65,6 +66,7 @@ __all__ = [
     "MILL_HOLDER",
     "MILL_SPINDLE",
     "REACH",
+    "TORCH_SIZE",
     "Bow",
     "Cutter",
     "CutterKind",
@@ -74,6 +76,8 @@ __all__ = [
     "Mill",
     "PlainTool",
     "Tool",
+    "Torch",
+    "TorchKind",
     "WireHolder",
     "ball_tool",
     "bow",
@@ -83,6 +87,7 @@ __all__ = [
     "mill",
     "plain",
     "profile",
+    "torch",
     "vacuum_cup",
     "wire_holder",
     "working_solid",

@@ -28,7 +28,7 @@ from planner.claims.claim import (
 )
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
-from planner.problem import Arm, Problem, Setup, Stock
+from planner.problem import STOCK, Arm, Problem, Setup, Stock, Turntable
 from planner.verify import job as job_text
 from planner.verify import job as setup_text
 from planner.verify.job import JobText, SetupClaims, Spans, Stage, TaskText
@@ -43,8 +43,41 @@ FEED_SLACK = 1.05
 """The replay's ramps and corners may pass feeds by this factor."""
 
 
-MOST_TRACK = 1e3
-"""Values of a track [m] beyond are none: 9E9 is an axis that is not there."""
+MOST_OUTER = 1e6
+"""Values of external axes [mm, deg] beyond are none: 9E9 is an axis that is not there."""
+
+
+@dataclasses.dataclass(frozen=True)
+class OuterAxis:
+    """An external axis that a task of the text moves: what it ``carries``, an arm by its name or
+    :data:`STOCK`; its ``unit``, its ``column`` [from 0] in targets, whose values times ``scale`` are in m or
+    rad, as ``low``, ``high``, ``home`` and ``speed`` are; ``sign`` is the unit of values in texts."""
+
+    carries: str
+    unit: str
+    column: int
+    scale: float
+    sign: str
+    low: float
+    high: float
+    home: float
+    speed: float
+
+    def shown(self, value: float) -> str:
+        """A value [m, rad] for messages."""
+        return f"{round(value / self.scale, 6):g} {self.sign}"
+
+
+def outer_axes(arm: Arm, table: Turntable | None) -> tuple[OuterAxis, ...]:
+    """The external axes that the task of an arm moves: its track, the first one, and the turntable."""
+    out = []
+    if (track := arm.track) is not None:
+        ends = (track.low, track.high, track.home, track.speed)
+        out.append(OuterAxis(arm.name, track.unit, 0, 1e-3, "mm", *ends))
+    if table is not None and table.arm == arm.name:
+        ends = (table.low, table.high, table.home, table.speed)
+        out.append(OuterAxis(STOCK, table.unit, table.column, np.pi / 180.0, "deg", *ends))
+    return tuple(out)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -288,17 +321,18 @@ class Context:
 
     @cached_property
     def stations(self) -> dict[int, dict[str, float]]:
-        """{index of an operation: {arm: value [m] of its track}}, as targets of the text have them: that of
-        the last move of each setup, whose others :mod:`planner.verify.rules.external_axes` compares."""
+        """{index of an operation: {arm, or STOCK: value [m, rad] of its track or the turntable}}, as targets
+        of the text have them: those of the last move of each setup, whose others
+        :mod:`planner.verify.rules.external_axes` compares."""
         out: dict[int, dict[str, float]] = {}
-        tracks = {arm.name: arm.track for arm in self.problem.cell.arms if arm.track is not None}
-        if not tracks:
+        if not self.problem.homes:
             return out
         for number, _, task, moves in self.moves():
-            value = float(moves[-1].target.external[0]) * 1e-3
-            if task.arm.name in tracks and abs(value) < MOST_TRACK:
-                for index in self.setups[int(self.spans.of_stage[number])].operations:
-                    out.setdefault(index, {})[task.arm.name] = value
+            for axis in outer_axes(task.arm, self.problem.cell.turntable):
+                value = float(moves[-1].target.external[axis.column])
+                if abs(value) < MOST_OUTER:
+                    for index in self.setups[int(self.spans.of_stage[number])].operations:
+                        out.setdefault(index, {})[axis.carries] = axis.scale * value
         return out
 
     def based(self, index: int) -> dict[str, FloatArray]:

@@ -137,7 +137,7 @@ def _runs(problem: Problem, one: Read, count: _Count) -> list[tuple[list[MoveSte
         why = (
             "something that is not read may shift all targets from there on"
             if shifted
-            else _strange(part, one.arm.track is not None)
+            else _strange(part, one.arm.track is not None, problem.cell.turntable is not None)
         )
         if why:
             close()
@@ -174,7 +174,7 @@ def _by_joints(one: Read, move: MoveStep) -> MoveStep:
     return dataclasses.replace(move, kind="MoveAbsJ", target=target)
 
 
-def _strange(move: MoveStep, tracked: bool) -> str:
+def _strange(move: MoveStep, tracked: bool, turned: bool) -> str:
     """Why the way of a move is not known, "" where it is."""
     if move.kind not in KNOWN_MOVES:
         return f"the way of {move.kind} between its targets is not known"
@@ -183,6 +183,8 @@ def _strange(move: MoveStep, tracked: bool) -> str:
     outer = move.target.external
     if tracked:
         return "its arm stands on a track, which moves that are left out may have moved"
+    if turned:
+        return "its block stands on a turntable, which moves that are left out may have turned"
     if (np.abs(outer) > 0.0).any() and (outer < 8.9e9).any():
         return "it moves an external axis"
     if {"conc", "corr", "z"} & set(move.switches):

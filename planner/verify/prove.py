@@ -55,9 +55,12 @@ from planner.verify.rules import (
     straight_wire,
     synchronisation,
     text,
+    trim,
     waiting_time,
     wire,
 )
+from planner.verify.trim import outlines
+from planner.verify.trim.torch_motion import Trimming
 from planner.verify.wire.wire_motion import Wire
 from planner.verify.wire.wire_motion import wires as all_wires
 
@@ -193,6 +196,17 @@ MILLING_RULES: tuple[Rule[[Context, Milling], Outcome], ...] = (
 )
 """Rules about mills."""
 
+TRIM_RULES: tuple[Rule[[Context, Trimming], Outcome], ...] = (
+    trim.trim_cut,
+    trim.trim_kept,
+    trim.trim_torch,
+    trim.trim_arc,
+    trim.trim_order,
+    trim.trim_feed,
+    trim.trim_clear,
+)
+"""Rules about sheets that are trimmed."""
+
 SPLINE_RULES: tuple[Rule[..., Any], ...] = (krl_spline.spline,)
 """The rule about spline blocks."""
 
@@ -218,7 +232,7 @@ _ALL_RULES = (
         FORMING_RULES,
         FORMED_RULES,
     ),
-    *(MILLED_RULES, MILLING_RULES, WIRE_RULES, OTHER_RULES),
+    *(MILLED_RULES, MILLING_RULES, TRIM_RULES, WIRE_RULES, OTHER_RULES),
 )
 """All rules, in the order in which they run."""
 RULE_CODES: tuple[str, ...] = tuple(rule.code for table in _ALL_RULES for rule in table)
@@ -271,7 +285,9 @@ class Prover:
         """The proof of ``programs``. ``first_error``: stop at the first rule that is broken (the verdict is
         the same). ``last``: stop behind that rule; such a proof never holds."""
         if self._worked_out is None:
-            self._worked_out = wanted_ways.worked_out(self.claims)
+            milled, unmilled = wanted_ways.worked_out(self.claims)
+            trimmed, untrimmed = outlines.worked_out(milled)
+            self._worked_out = trimmed, (*unmilled, *untrimmed)
         read = Context(self.problem, self._worked_out[0], programs, self._worked_out[1])
         context = chosen_groups(external_axes.standing(read))
         run = _Run(context)
@@ -376,6 +392,10 @@ class Prover:
         yield
         for mill_rule in MILLING_RULES:
             run.add(mill_rule.code, mill_rule(context, milling))
+            yield
+        trimming = Trimming(context)
+        for trim_rule in TRIM_RULES:
+            run.add(trim_rule.code, trim_rule(context, trimming))
             yield
         wires = all_wires(context)
         run.wires = wires

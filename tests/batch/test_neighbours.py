@@ -146,6 +146,7 @@ def test_an_earlier_batch_gives_its_plans_by_name(tmp_path: Path) -> None:
     assert "holds no plan of any" in error.value.issues[0].message
 
 
+@pytest.mark.long
 def test_a_batch_of_neighbours_is_what_planning_each_like_its_neighbour_is(tmp_path: Path) -> None:
     element(tmp_path, "AB")
     request = Batch((tmp_path / "panels",), tmp_path / "out", workers=1, like="neighbour")

@@ -1,4 +1,4 @@
-"""The way of a track: its bound against plain trials, and where it ends."""
+"""The ways of tracks and turntables: their bounds against plain trials, and where they end."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
+from shapely.affinity import rotate
 
 from planner.cell import axis_way, clearance, plant
-from tests import track_job
+from tests import table_job, track_job
 
 
 @pytest.mark.parametrize(("side", "clear"), [(1500.0, True), (-450.0, True), (150.0, False)])
@@ -29,3 +31,42 @@ def test_no_plain_trial_is_nearer_than_the_bound(tmp_path: Path, side: float, cl
         least = min(least, float(clearance.least(there, {"left": arm.home[None]}, 0.5).distance[0]))
     assert way.least <= least + 1e-9
     assert way.looks < 2000
+
+
+@pytest.mark.parametrize(("side", "clear"), [(470.0, True), (430.0, True), (405.0, False)])
+@pytest.mark.parametrize("end", [140.0, -140.0])
+def test_a_turning_block_is_no_nearer_than_the_bound(
+    tmp_path: Path, side: float, clear: bool, end: float
+) -> None:
+    """Upright blocks, so shapely's turned outlines in the plane are the truth."""
+    pose = {"xyz_mm": [900, float(np.sign(end)) * side, 300]}
+    post = {"name": "post", "shapes": [{"kind": "box", "size_mm": [40, 20, 600], "pose": pose}]}
+    problem = table_job.problem(tmp_path, obstacles=[post])
+    setup, table = problem.setups[0], problem.cell.turntable
+    assert setup.stock.place is not None and table is not None
+    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    homes = {arm.name: arm.home for arm in setup.cell.arms}
+    way = axis_way.turning(model, table, (0.0, np.deg2rad(end)), homes, 0.01)
+    assert way.clear == clear
+    block = rotate(shapely.box(630, -180, 1230, 220), 10.0, origin=(930, 20))
+    corner = np.sign(end) * side
+    fixed = shapely.box(880, corner - 10, 920, corner + 10)
+    least = min(
+        rotate(block, angle, origin=(900, 0)).distance(fixed)
+        for angle in np.linspace(0.0, end if clear else np.rad2deg(way.at), 401)
+    )
+    assert 1e3 * way.least <= least + 1e-6
+    if clear:  # looks are dense enough to be of use
+        assert 1e3 * way.least > 0.5 * (least + 10.0) - 0.1
+        assert way.pair == ("stock", "post")
+    assert way.looks < 2000
+
+
+def test_the_plate_and_what_stands_on_it_do_not_come_nearer(tmp_path: Path) -> None:
+    problem = table_job.problem(tmp_path)
+    setup, table = problem.setups[0], problem.cell.turntable
+    assert setup.stock.place is not None and table is not None
+    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    homes = {arm.name: arm.home for arm in setup.cell.arms}
+    way = axis_way.turning(model, table, (0.0, np.pi), homes, 0.01)
+    assert way.clear and "turntable" not in way.pair

@@ -327,6 +327,7 @@ def test_wrong_fields_are_told_with_their_lines(tmp_path: Path) -> None:
     assert all(issue.line for issue in found.values())
 
 
+@pytest.mark.long
 def test_the_facade_among_the_problems_divides(tmp_path: Path) -> None:
     told = run_element(ElementRequest(ROOT / "problems" / "wave_facade" / "element.yaml", tmp_path))
     assert "element.held" not in {issue.code for issue in told}

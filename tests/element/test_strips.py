@@ -323,6 +323,7 @@ def test_inches_are_as_good_and_mirrored_normals_are_thick_to_the_other_side(
             assert np.sign((front - back)[..., 2].mean()) == side
 
 
+@pytest.mark.long
 def test_a_surface_that_strips_cannot_follow_is_refused_with_the_tolerance_and_the_count_that_do(
     tmp_path: Path,
 ) -> None:

@@ -172,6 +172,7 @@ def excess(file: str) -> tuple[int, float]:
     return len(panels), len(rows) * 75.0 - shell
 
 
+@pytest.mark.long
 def test_boxes_take_at_most_three_fifths_of_the_pieces_and_half_the_excess_of_the_puzzle() -> None:
     """The dissertation claims half of both for its wall, of 108 puzzle pieces."""
     (few, waste), (many, more) = excess("boxes.yaml"), excess("element.yaml")

@@ -1,4 +1,4 @@
-"""Tracks in a cell file: what is read, and what cannot be a track."""
+"""Tracks and turntables in a cell file: what is read, and what cannot be one."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import yaml
 
 import planner
 from planner.issues import TandemError
+from tests import table_job
 from tests.track_job import ARM, TRACK, problem
 
 
@@ -81,3 +82,71 @@ def test_two_arms_on_one_unit_and_two_controllers_are_refused(
     with pytest.raises(TandemError) as refused:
         planner.load(path)
     assert {issue.code for issue in refused.value.issues} == {code}
+
+
+# ---- turntables ----
+
+
+def test_a_turntable_is_read_in_si_units_and_turns_all_that_stands_on_it(tmp_path: Path) -> None:
+    given = {**table_job.TABLE, "axis": [0, 0, -2], "home_deg": 30, "external_axis": 3}
+    made = table_job.problem(tmp_path, given)
+    table = made.cell.turntable
+    assert table is not None
+    assert (table.arm, table.unit, table.column) == ("left", "STN_1", 2)
+    np.testing.assert_allclose([table.low, table.high, table.home], np.deg2rad([-180, 180, 30]))
+    np.testing.assert_allclose(table.centre, [0.9, 0.0, 0.2])
+    (plate,) = [body for body in made.cell.obstacles if body.name == "turntable"]
+    np.testing.assert_allclose(plate.shapes[0].pose[:3, 3], [0.9, 0.0, 0.1])  # its top is the centre's height
+    stood = made.stationed({0: {"stock": np.pi / 2}})
+    for (
+        setup
+    ) in stood.setups:  # where nothing is said it stays; a quarter turn clockwise, as its axis is down
+        place = setup.stock.place
+        assert place is not None
+        np.testing.assert_allclose(place[:3, 3], [0.9 + 0.02, -0.03, 0.24], atol=1e-12)
+        angle = np.deg2rad(10 - 90)
+        np.testing.assert_allclose(place[:2, 0], [np.cos(angle), np.sin(angle)], atol=1e-12)
+        np.testing.assert_allclose(setup.stock.attitude, place[:3, :3])
+        assert "to 90.0000 deg" in setup.steps[-1] and "STN_1" in setup.steps[-1]
+    (home, _) = made.setups
+    assert home.stock.station == pytest.approx(np.deg2rad(30)) and "to 30.0000 deg" in home.steps[-1]
+    assert made.stock.place is not None
+    np.testing.assert_allclose(made.stock.place[:3, 3], [0.93, 0.02, 0.24])  # that of value 0
+
+
+def test_without_a_turntable_setups_are_as_they_were(tmp_path: Path) -> None:
+    block = {**table_job.STOCK, "support": "pedestal"}
+    made = table_job.problem(tmp_path, None, stock=block)
+    assert [setup.operations for setup in made.setups] == [(0, 1)] and not made.setups[0].steps
+
+
+KUKA = {**table_job.ARM, "robot": "kr16_2"}
+NO_TABLE: list[tuple[dict[str, Any], dict[str, Any], str]] = [
+    ({"axis": [0, 0, 0]}, {}, "its length is 0"),
+    ({"axis": [0, 1, 0]}, {}, "it leans"),
+    ({"range_deg": [180, -180]}, {}, "the least value first"),
+    ({"range_deg": [-4000, 0]}, {}, "up to 3600"),
+    ({"home_deg": 200}, {}, "outside the range"),
+    ({"speed_deg_s": 0}, {}, "speed_deg_s"),
+    ({"external_axis": 7}, {}, "external_axis"),
+    ({"unit": "rob_1"}, {}, "that of a robot"),
+    ({"arm": "other"}, {}, "'other' is not an arm"),
+    ({}, {"arms": [KUKA]}, "KRL's E1"),
+    ({}, {"arms": [{**table_job.ARM, "track": TRACK}]}, "together with an arm on a track"),
+    ({"centre_mm": [900, 600, 200]}, {}, "does not stand on the turntable"),
+    ({"centre_mm": [900, 0, 100]}, {}, "100 mm above the plate"),
+    ({}, {"stock": {**table_job.STOCK, "support": "pedestal"}}, "does not turn; state the shapes"),
+    ({}, {"stock": {**table_job.STOCK, "place": "auto"}}, "state stock.place"),
+]
+
+
+@pytest.mark.parametrize(("table", "rest", "words"), NO_TABLE, ids=[words for _, _, words in NO_TABLE])
+def test_what_cannot_be_a_turntable_is_told(
+    tmp_path: Path, table: dict[str, Any], rest: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(TandemError) as refused:
+        table_job.problem(tmp_path, {**table_job.TABLE, **table}, **rest)
+    found = [str(issue) for issue in refused.value.issues]
+    assert [text for text in found if words in text], found
+    own = ("problem.turntable", "problem.field", "problem.unknown_arm", "problem.duplicate_name")
+    assert {issue.code for issue in refused.value.issues} <= set(own)

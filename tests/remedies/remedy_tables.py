@@ -23,7 +23,22 @@ ELSEWHERE: Final = {
         "test_long_wall",
         "test_one_operation_that_no_station_reaches_is_told_with_what_to_do",
     ),
+    **dict.fromkeys(
+        (
+            "trim.crosses", "trim.in_waste", "trim.off_part", "trim.narrow", "trim.joints", "trim.lead",
+            "trim.wall", "trim.corner",
+        ),
+        ("trim/test_input", "test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps"),
+    ),
+    "forming.holes": (
+        "trim/test_holes", "test_forming_behind_trimming_is_refused_with_the_distance",
+    ),
+    "trim.open": ("trim/test_input", "test_an_open_drawing_is_refused"),
+    "trim.tool": ("trim/test_input", "test_a_forming_tool_cuts_no_sheet"),
+    "trim.no_sheet": ("trim/test_input", "test_without_a_formed_sheet_nothing_is_trimmed"),
+    "trim.slow": ("trim/test_input", "test_an_arm_that_is_too_slow_is_told"),
     "problem.track": ("reading/test_axes", "test_what_cannot_be_a_track_is_told"),
+    "problem.turntable": ("reading/test_axes", "test_what_cannot_be_a_turntable_is_told"),
     "scan.file": ("scan/test_scan_fit", "test_bad_files_are_refused_in_words"),
     "scan.no_marks": ("scan/test_scan_fit", "test_without_marks_height_and_tilt_are_found_and_said"),
     "scan.hole": ("scan/test_adjustment", "test_a_scan_that_shows_too_little_is_refused_with_the_place"),
@@ -82,7 +97,7 @@ ELSEWHERE: Final = {
     ),
     "forming.springback_mesh": (
         "forming/springback/test_springback",
-        "test_too_few_triangles_are_told_and_twice_as_many_do",
+        "test_too_few_triangles_are_told_and_as_many_as_advised_do",
     ),
     "forming.plate_test": (
         "forming/springback/test_clamp_calibration", "test_what_are_no_readings_is_refused_by_line",
@@ -226,7 +241,8 @@ NONE: Final = {
             "batch.cluster", "batch.versions", "batch.in_use", "service.database", "service.start",
             "service.token", "service.foreign", "service.link", "service.too_many", "service.stopping",
             "service.storage", "service.check_stopped", "service.gave_up", "service.answer",
-            "service.timeout", "service.version", "report.replay_failed",
+            "service.timeout", "service.version", "report.replay_failed", "output.disk_full",
+            "service.state", "service.not_planning",
         ),
         STATE,
     ),

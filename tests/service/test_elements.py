@@ -442,7 +442,7 @@ def test_other_peoples_elements_are_404(tmp_path: Path) -> None:
         ):
             assert ask.status_code == 404
         assert made.http.get("/v1/elements").json() == {"elements": []}
-        assert made.http.get(f"/v1/jobs/{element}/files/element.html").status_code == 403
+        assert made.http.get(f"/v1/jobs/{element}/files/element.html").status_code == 404
         made.http.headers.update(ann)
         assert made.http.get(f"/v1/elements/{job}").status_code == 404  # a job is no element
 

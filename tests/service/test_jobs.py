@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import time
@@ -68,6 +69,24 @@ def test_identical_problems_are_answered_from_the_store(here: InProcess) -> None
     assert second["digest"] == first["digest"]
     assert len(here.team.started) == before
     assert here.http.get(f"/v1/jobs/{second['id']}/files/programs/main.mod").text == "MODULE main"
+
+
+def test_uploaded_files_keep_their_names_with_their_hash(here: InProcess) -> None:
+    problem = named("traced").replace("targets.csv", "My way rev B.csv")
+    sent = [("problem", ("p.yaml", problem)), ("files", ("My way rev B.csv", TABLE))]
+    job = here.http.post("/v1/jobs", files=sent).json()["id"]
+    here.ended(job)
+    files = {one["name"]: one for one in here.http.get(f"/v1/jobs/{job}/files").json()["files"]}
+    name = f"problem/files/My-way-rev-B-{hashlib.sha256(TABLE).hexdigest()[:16]}.csv"
+    assert files[name]["sha256"] == hashlib.sha256(TABLE).hexdigest()
+    text = here.http.get(f"/v1/jobs/{job}/files/problem/problem.yaml").text
+    assert name.removeprefix("problem/") in text
+    before = len(here.team.started)
+    other = [("problem", ("p.yaml", named("traced"))), ("files", ("targets.csv", TABLE))]
+    again = here.http.post("/v1/jobs", files=other).json()
+    assert not again["from_store"], "its report would name the other file"
+    here.ended(again["id"])
+    assert len(here.team.started) == before + 1
 
 
 def test_identical_problems_that_wait_are_planned_once(held: InProcess) -> None:

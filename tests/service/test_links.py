@@ -115,8 +115,8 @@ def test_only_the_owner_gets_a_link(closed: tuple[InProcess, str, str]) -> None:
     job = done(here, "owned", ann)
     asked = f"/v1/jobs/{job}/links?name=report.html"
     answer = here.http.post(asked, headers=bearer(bob))
-    assert answer.status_code == 403
-    assert codes(answer) == [("service.foreign", None)]
+    assert answer.status_code == 404
+    assert codes(answer) == [("service.unknown_job", None)]
     assert stranger(here).post(asked).status_code == 401
     (query,) = [urlsplit(link(here, job, ann)).query]
     assert stranger(here).post(f"{asked}&{query}").status_code == 401, "a link makes no further links"

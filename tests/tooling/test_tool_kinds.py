@@ -32,6 +32,7 @@ from planner.tooling import (
     Mill,
     PlainTool,
     Tool,
+    Torch,
     WireHolder,
     ball_tool,
     bow,
@@ -65,9 +66,10 @@ FILES: dict[str, tuple[dict[str, Any], type[OnFlange]]] = {
     "disk_tool": ({"kind": "disk_tool"}, FormingTool),
     "heat_tool": ({"kind": "heat_tool"}, FormingTool),
     "mill": (MILL, Mill),
+    "torch": ({"kind": "torch", "cuts_by": "plasma", "kerf_mm": 1.2}, Torch),
     "plain": (PLAIN, PlainTool),
 }
-WORKS = (Bow, FormingTool, Mill)
+WORKS = (Bow, FormingTool, Mill, Torch)
 
 
 def read(kind: str) -> Tool:

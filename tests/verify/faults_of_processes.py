@@ -242,6 +242,7 @@ def _always_absolute(old: Any) -> Any:
 
 
 ELASTIC: Final = (
+    Fault("trim_no_kerf", "trim", {"trim.slots:offset": given(2, _scaled(0.1))}),
     Fault("elastic_other_side_of_kerf", "elastic", {"geometry.mesh:offset": given(1, lambda d: -d)}),
     Fault("elastic_no_kerf", "elastic", {"geometry.mesh:offset": given(1, _scaled(0.0))}),
     Fault("elastic_half_kerf", "elastic", {"geometry.mesh:offset": given(1, _scaled(0.5))}),

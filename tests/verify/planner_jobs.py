@@ -22,6 +22,7 @@ from tests import small_forming
 from tests.forming.shapes import cone
 from tests.milling import small_mill
 from tests.rhino_files import Model, curve, ruled_surface
+from tests.trim import small_trim
 
 CELLS = data_dir("problems") / "cells"
 UPRIGHT = {"xyz_mm": [250, -1030, 900], "rpy_deg": [90, 0, -84.5]}
@@ -508,8 +509,13 @@ def deepening(path: Path) -> Path:
     return _write(path.parent, data)
 
 
+ROUND: Final = {"name": "round", "circle": {"at_mm": [0, 0], "diameter_mm": 16}}
+"""A hole that a torch cuts."""
 JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "posed": posed,
+    "trim": lambda folder: small_forming.write(
+        folder, small_trim.data(outlines=[ROUND]), small_forming.dish()
+    ),
     "posed_two": lambda folder: posed(folder, 2),
     "posed_krl": lambda folder: posed(folder, 1, kuka=True),
     "handshake": lambda folder: posed(folder, 2, handshake=True),

@@ -25,6 +25,7 @@ MODULES: Final = (faults_of_parts, faults_of_processes, faults_of_motion, faults
 FAULTS: Final = {fault.name: fault for module in MODULES for fault in module.FAULTS}
 SAMPLE: Final = (
     "mesh_unit",
+    "trim_no_kerf",
     "sheet_mesh_shallower",
     "naca_half_thickness",
     "elastic_half_kerf",

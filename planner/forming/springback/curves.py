@@ -12,7 +12,9 @@ constructing local monotone piecewise cubic interpolants, SIAM Journal on Scient
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -27,7 +29,7 @@ from planner.forming.springback.formed_sheet import thickness, walls
 from planner.geometry.arrays import FloatArray, IntArray, Mesh
 from planner.geometry.units import MM
 from planner.shell.element import Sheet
-from planner.shell.mesh import mesh_walls
+from planner.shell.mesh import SheetMesh, Wall, mesh_walls
 from planner.shell.newton import LimitLoadError, Loading, clamped, pressure
 
 LOAD_SHARES: Final = np.array([0.15, 0.35, 0.65, 1.0, 1.4])
@@ -36,6 +38,8 @@ TRIANGLES: Final = 4000
 """Triangles of an elastic sheet at most: within half a percent of five times as many."""
 SQUARE: Final = 3.0 * MM
 """Width [m] of the square that a tool presses on."""
+MORE: Final = (1.0, 1.5, 2.25)
+"""Times as many triangles that are tried, one after the other, where a sheet has no mesh of those allowed."""
 NEAR: Final = SQUARE / 3.0
 """Elements there at most [m]: beside a sharp rim or on a narrow ledge it decides, not how many there are."""
 
@@ -54,11 +58,13 @@ class Point:
 @dataclasses.dataclass(frozen=True)
 class Curve:
     """Displacement along the tool's way over force: ``force`` (K,) [N], ``springback`` (K,) [m], from 0 and
-    growing. ``snaps``: beyond the last force the sheet has no state in balance near by."""
+    growing. ``snaps``: beyond the last force the sheet has no state in balance near by. ``allowed``: as many
+    triangles its mesh might have; 0 of one that was read."""
 
     force: FloatArray
     springback: FloatArray
     snaps: bool
+    allowed: int = 0
 
     def at(self, force: float | FloatArray) -> FloatArray:
         """Springback [m] under ``force`` [N], NaN beyond the last force."""
@@ -146,13 +152,14 @@ def forces(work: Work, one: Pass, points: FloatArray, angle: FloatArray) -> Floa
 
 def solved(work: Work, point: Point, triangles: int = TRIANGLES, shares: FloatArray = LOAD_SHARES) -> Curve:
     """The curve at a point of a pass, on the sheet as formed when the tool is there, at ``shares`` (K,) of
-    the expected force; where more is expected around, at this force and at shares of that one up to it.
+    the expected force; where more is expected around, at this force and at shares of that one up to it. Of
+    more ``triangles`` where the sheet has no mesh of so few: `MORE`.
 
-    Raises ``ValueError`` where the sheet as formed cannot be divided into triangles.
+    Raises ``ValueError`` where the sheet as formed cannot be divided into so many triangles either.
     """
     one = work.passes[point.number]
     formed = walls(work, point.number, float(point.place[2]))
-    made = mesh_walls(formed, work.sheet.opening, triangles, point.place[None], NEAR)
+    made, allowed = _meshed(formed, work.sheet.opening, triangles, point.place)
     mesh = Mesh(made.nodes, made.triangles)
     metal = work.sheet.metal
     sheet = Sheet(made.nodes, made.triangles, thickness(work, point.number, mesh), metal.young, metal.poisson)
@@ -166,7 +173,18 @@ def solved(work: Work, point: Point, triangles: int = TRIANGLES, shares: FloatAr
     except LimitLoadError as error:
         moved, snaps = error.displacements, True
     count = len(moved)
-    return Curve(np.append(0.0, loads[:count]), np.append(0.0, moved @ way), snaps)
+    return Curve(np.append(0.0, loads[:count]), np.append(0.0, moved @ way), snaps, allowed)
+
+
+def _meshed(
+    formed: Sequence[Wall], opening: FloatArray, triangles: int, place: FloatArray
+) -> tuple[SheetMesh, int]:
+    """A mesh of a sheet with a node at a place (3,) [m], and how many triangles it was allowed."""
+    *first, last = (int(share * triangles) for share in MORE)
+    for allowed in first:
+        with contextlib.suppress(ValueError):  # the last one tells why
+            return mesh_walls(formed, opening, allowed, place[None], NEAR), allowed
+    return mesh_walls(formed, opening, last, place[None], NEAR), last
 
 
 def _border(work: Work) -> str | float:

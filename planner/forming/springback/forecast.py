@@ -17,6 +17,7 @@ from planner.forming.process_plan import Work
 from planner.forming.springback.control_points import MOST_POINTS, ControlPoints, control_points
 from planner.forming.springback.curves import (
     LOAD_SHARES,
+    MORE,
     TRIANGLES,
     Curve,
     PassSpringback,
@@ -148,7 +149,7 @@ def curves(
                 f"pass {work.passes[point.number].name}: the sheet as formed at z = "
                 f"{point.place[2] / MM:.2f} mm has no mesh: {error}"
             )
-            hint = f"allow more triangles: {2 * triangles}"
+            hint = f"allow more triangles: {int(2.0 * MORE[-1] * triangles)}"
             raise TandemError(Issue("forming.springback_mesh", what, field="triangles", hint=hint)) from error
         yield found
 

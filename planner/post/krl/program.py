@@ -53,6 +53,7 @@ from planner.post.program import (
     SyncOn,
     TaskProgram,
     kilobytes,
+    no_input,
     parts,
     short,
 )
@@ -243,6 +244,8 @@ class Main:
                 return [self._switch(action.signal, action.kind == "on")]
             case "wait":
                 return [f"WAIT SEC {short(action.seconds, 3)}"]
+            case "input":
+                raise no_input(action, self.task.arm.name)
 
     def _switch(self, signal: str, on: bool) -> str:
         number = self.controller.number(self.task.arm.name, signal)

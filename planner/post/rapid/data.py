@@ -12,6 +12,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from planner.cell import axis_way
+from planner.cell.bodies import own_shapes
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.issues import Issue, TandemError
@@ -19,7 +21,7 @@ from planner.plans import Plan
 from planner.post.program import Carry, Job, Joints, Load, OperationProgram, TaskProgram, number, short
 from planner.post.rapid.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
 from planner.post.steps import LEAST_MASS
-from planner.problem import Problem
+from planner.problem import Problem, Setup, Turntable
 from planner.tooling import Tool
 
 TASK_LIST = "all_tasks"
@@ -91,8 +93,7 @@ class Stations:
     def __init__(self, task: TaskProgram) -> None:
         self.task = task
         self.names: dict[str, tuple[str, FloatArray]] = {}
-        track = task.arm.track
-        self.of(Joints(task.arm.home, "home", station=None if track is None else track.home), 0)
+        self.of(Joints(task.arm.home, "home", station=task.home_station), 0)
         for number_, operation in enumerate(task.operations, 1):
             for step in operation.steps:
                 if isinstance(step, Joints):
@@ -130,11 +131,16 @@ def data_lines(
     out += ["! tool and work objects" if len(tools.names) == 1 else "! tools and work objects"]
     out += [*tools.lines(), *_wobjs(task, job, plan), *_loads(task), ""]
     speed = outer = short(min(problem.settings.tcp_speed * 1e3, _ENTRY_SPEED), 3)
+    turning = str(_ENTRY_TURN_RATE)
     if task.arm.track is not None:
         outer = short(min(task.arm.track.speed * 1e3, _ENTRY_SPEED), 3)
+    if task.table is not None:
+        rim = max(_rim(setup, plan, task.table) for setup in problem.setups)
+        rate = min(np.rad2deg(min(task.table.speed, _ENTRY_SPEED * 1e-3 / rim)), _ENTRY_TURN_RATE)
+        turning = short(np.floor(rate * 1e3) / 1e3, 3)
     out += ["! on the way to the first target and home again"]
     out += [
-        f"CONST speeddata {ENTRY_SPEED_NAME}:=[{speed},{_ENTRY_TURN_RATE},{outer},{_ENTRY_TURN_RATE}];",
+        f"CONST speeddata {ENTRY_SPEED_NAME}:=[{speed},{_ENTRY_TURN_RATE},{outer},{turning}];",
         *stations.lines(),
     ]
     own = own_zones(set(zones))
@@ -147,6 +153,12 @@ def data_lines(
         out += [f"VAR syncident {meet(n)};" for n in range(1, job.meets + 1)]
         out += [f"VAR syncident {block(n, end)};" for n in range(1, job.blocks + 1) for end in ("on", "off")]
     return out
+
+
+def _rim(setup: Setup, plan: Plan, table: Turntable) -> float:
+    """How far [m] what a turntable turns in a setup reaches from its axis."""
+    shapes = (*own_shapes(setup.cell, setup.stock)["stock"], *setup.stock.support)
+    return axis_way.swing(shapes, np.asarray(plan.places[setup.number - 1]), table)
 
 
 def _tool(tool: Tool) -> str:

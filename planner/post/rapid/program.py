@@ -197,7 +197,7 @@ def _moves(task: TaskProgram, job: Job, zone: Sequence[Mapping[int, NameArray]])
         ids = program.ids if len(_moving(job, i)) > 1 and job.handshake is None else None
         names = (tools.of(program.arm.tool), wobj_name(program.track.frame, program.setup))
         own = zone[i][task.number]
-        out.append(move_lines(task.robot, program.track, ids, own, *names, program.arm.station))
+        out.append(move_lines(task.robot, program.track, ids, own, *names, program.station))
     return out
 
 
@@ -294,8 +294,8 @@ class _Task:
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.coupling is not None else "On"
         body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
-        if self.task.arm.track is not None:
-            body += [f"ActUnit {identifier(self.task.arm.track.unit)};"]
+        moved = (self.task.arm.track, self.task.table)
+        body += [f"ActUnit {identifier(one.unit)};" for one in moved if one is not None]
         clear = (vocabulary.CLEAR if self.problem.setups[0].steps else vocabulary.READY).filled()
         if self.partner is not None:
             body += [

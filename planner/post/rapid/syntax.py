@@ -21,7 +21,7 @@ from planner.claims.vocabulary import HEADER, Segment, fold
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError
-from planner.post.program import Part, Track, number, plain, short
+from planner.post.program import OUTER_DECIMALS, Outer, Part, Track, number, plain, short
 from planner.targets import Action
 
 NAME_LENGTH: Final = 32
@@ -57,13 +57,16 @@ def pose(matrix: FloatArray) -> str:
     return f"[{vector(matrix[:3, 3] * 1e3, 4)},{vector(to_quaternion(matrix[:3, :3]), 8)}]"
 
 
-def external_axes(station: float | None) -> str:
-    """RAPID's extjoint: a track's value [m] in mm with 4 decimals as the first axis; None: no axis."""
-    return UNUSED_AXES if station is None else UNUSED_AXES.replace("9E9", number(1e3 * station, 4), 1)
+def external_axes(station: Outer | None) -> str:
+    """RAPID's extjoint: values of external axes [mm or deg] in their columns; None: no axis."""
+    if not station:
+        return UNUSED_AXES
+    values = dict(station)
+    return f"[{','.join(number(values[k], OUTER_DECIMALS) if k in values else '9E9' for k in range(6))}]"
 
 
-def jointtarget(degrees: FloatArray, station: float | None = None) -> str:
-    """RAPID's jointtarget of the controller's joint values (6,) [deg] and of a track's value [m]."""
+def jointtarget(degrees: FloatArray, station: Outer | None = None) -> str:
+    """RAPID's jointtarget of the controller's joint values (6,) [deg] and of external axes."""
     return f"[{vector(degrees, 6)},{external_axes(station)}]"
 
 
@@ -120,6 +123,8 @@ def action_lines(action: Action) -> list[str]:
             return [f"SetDO {identifier(action.signal)},0;"]
         case "wait":
             return [f"WaitTime {short(action.seconds, 3)};"]
+        case "input":
+            return [f"WaitDI {identifier(action.signal)},1\\MaxTime:={short(action.seconds, 3)};"]
 
 
 LONG_KIND_MARK: Final = "__k"
@@ -273,10 +278,10 @@ def move_lines(
     zone: NameArray,
     tool: str,
     wobj: str,
-    station: float | None = None,
+    station: Outer | None = None,
 ) -> list[str]:
-    """One MoveL a row, with ``\\T`` and, where the move has a partner, ``\\ID``; the base stands at
-    ``station`` [m] of its track, if it has one."""
+    """One MoveL a row, with ``\\T`` and, where the move has a partner, ``\\ID``; external axes stand at
+    ``station``, if there are any."""
     outer = external_axes(station)
     conf = confdata(robot, track.q)
     tail = f",{tool}\\WObj:={wobj};"

@@ -31,6 +31,7 @@ from planner.post.program import (
     Step,
     TaskProgram,
     kilobytes,
+    no_input,
     number,
     short,
 )
@@ -209,6 +210,8 @@ class _Main:
                 return [self._switch(action.signal, action.kind == "on")]
             case "wait":
                 return [f"sleep({syntax.real(action.seconds, 3)})"]
+            case "input":
+                raise no_input(action, self.task.arm.name)
 
     def _switch(self, signal: str, on: bool) -> str:
         found = self.problem.cell.controller.number(self.task.arm.name, signal)

@@ -61,7 +61,7 @@ class Spoken:
 
     @property
     def kind(self) -> str:
-        """``told``, ``asked``, ``on``, ``off`` or ``wait``; "" for what no program should have."""
+        """``told``, ``asked``, ``on``, ``off``, ``wait`` or ``input``; "" for what no program should have."""
         step = self.step
         if isinstance(step, MessageStep):
             if step.confirm:
@@ -69,7 +69,9 @@ class Spoken:
             return "told" if step.panel == "line" else ""
         if isinstance(step, SignalStep):
             return {1.0: "on", 0.0: "off"}.get(step.value, "")
-        return "wait" if isinstance(step, WaitStep) and not step.signal else ""
+        if isinstance(step, WaitStep) and step.signal:
+            return "input" if step.value == 1.0 and not step.flag else ""
+        return "wait" if isinstance(step, WaitStep) else ""
 
     @property
     def at_joints(self) -> bool:

@@ -306,7 +306,7 @@ def changed(source: Any) -> tuple[str, ...]:
             path = Path(value) if key in _FILE_KEYS and isinstance(value, str) else None
             if path is None:
                 out += changed(value)
-            elif path.parent.name == "files" and _DIGEST.fullmatch(path.stem) and _other(path):
+            elif path.parent.name == "files" and _DIGEST.fullmatch(_stated(path)) and _other(path):
                 out.append(f"{path.parent.name}/{path.name}")
     elif isinstance(source, list | tuple):
         for value in source:
@@ -314,6 +314,11 @@ def changed(source: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(out))
 
 
+def _stated(path: Path) -> str:
+    """The digest in the name of a carried file: all of it, or what follows the user's name."""
+    return path.stem.rpartition("-")[2]
+
+
 def _other(path: Path) -> bool:
     """Whether a file has other contents than its name says."""
-    return path.is_file() and not hashlib.sha256(path.read_bytes()).hexdigest().startswith(path.stem)
+    return path.is_file() and not hashlib.sha256(path.read_bytes()).hexdigest().startswith(_stated(path))

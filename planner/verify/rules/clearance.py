@@ -151,12 +151,15 @@ def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray
     block in cuts, the heads of forming tools and the sheet between them where they form it."""
     claims = context.setup_claims[index]
     arms = [arm.name for arm in context.setups[index].cell.arms]
-    arms = [arm for arm in arms if arm in claims.straight or claims.forms(arm) or claims.mills(arm)]
+    arms = [arm for arm in arms if arm in claims.straight or claims.works(arm)]
     if not arms or not len(rows):
         return [(rows, frozenset())] if len(rows) else []
     labels = context.motion.labels(rows)
     forms = np.stack([np.isin(labels, list(claims.forms(arm))) for arm in arms], axis=1)
-    cuts = np.stack([np.isin(labels, list(claims.cuts((arm,)) | claims.mills(arm))) for arm in arms], axis=1)
+    cuts = np.stack(
+        [np.isin(labels, list(claims.cuts((arm,)) | claims.mills(arm) | claims.trims(arm))) for arm in arms],
+        axis=1,
+    )
     flags = np.concatenate([forms, cuts & ~forms], axis=1)
     out = []
     for flag in np.unique(flags, axis=0):

@@ -44,6 +44,7 @@ DIFFERENCES = (
     "comes in place of it",
     "waits for another time",
     "switches something else",
+    "waits for another input, or for another time at most",
 )
 """How a step may differ from what is wanted."""
 WAIT_ROUNDING = 0.0005
@@ -161,6 +162,9 @@ def _taken(step: DialogueStep, place: Place, rest: list[Spoken]) -> Heard | str:
     elif step.kind == "wait":
         if not isinstance(one.step, WaitStep) or abs(one.step.pause - step.seconds) > WAIT_ROUNDING + 1e-9:
             return DIFFERENCES[2]
+    elif step.kind == "input":
+        if not _waits_as(one.step, step):
+            return DIFFERENCES[4]
     elif getattr(one.step, "signal", "").lower() != step.signal.lower() or getattr(one.step, "delay", 0.0):
         return DIFFERENCES[3]
     for other in rest[:taken]:
@@ -173,6 +177,16 @@ def _taken(step: DialogueStep, place: Place, rest: list[Spoken]) -> Heard | str:
             return f"comes while an arm may move (line {other.meanwhile.line} of {other.meanwhile.module})"
     del rest[:taken]
     return Heard(step, place, one, result)
+
+
+def _waits_as(own: Step, step: DialogueStep) -> bool:
+    """Whether a wait is for the wanted input, with the wanted limit of time."""
+    return (
+        isinstance(own, WaitStep)
+        and own.signal.lower() == step.signal.lower()
+        and own.seconds is not None
+        and abs(own.seconds - step.seconds) <= WAIT_ROUNDING + 1e-9
+    )
 
 
 def _run(rest: Sequence[Spoken], kind: str) -> list[MessageStep]:
@@ -242,6 +256,8 @@ def _fits(one: Spoken, step: DialogueStep) -> bool:
         return isinstance(own, MessageStep) and fit(step.sentence, step.figures, [own.text]).whole
     if step.kind == "wait":
         return isinstance(one.step, WaitStep) and abs(one.step.pause - step.seconds) <= WAIT_ROUNDING
+    if step.kind == "input":
+        return _waits_as(one.step, step)
     return getattr(one.step, "signal", "").lower() == step.signal.lower()
 
 
@@ -262,6 +278,8 @@ def _named(step: DialogueStep) -> str:
         return f"{verb} {sentence_of(step.sentence, step.figures)!r}"
     if step.kind == "wait":
         return f"a wait of {step.seconds:g} s"
+    if step.kind == "input":
+        return f"a wait for {step.signal}, for {step.seconds:g} s at most,"
     return f"switching {step.signal} {step.kind}"
 
 

@@ -1,29 +1,42 @@
-"""Rules on tracks under arms: who moves them, where targets have them stand, and the way between.
+"""Rules on tracks under arms and a turntable under the block: who moves them, where targets have them stand,
+and the way between.
 
-verify.external_axes: units, values and folded arms, from the text. verify.track_way: what comes near on the
-way from station to station. Where arms stand in all other rules is read here as well.
+verify.external_axes: units, values and folded arms, from the text, and the place of the block that follows.
+verify.track_way: what comes near on the way from station to station. Where arms and the block stand in all
+other rules is read here as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from planner.cell import axis_way
+from planner.cell.axis_way import AxisWay
 from planner.cell.plant import CellModel
+from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
-from planner.problem import LinearTrack
-from planner.verify.context import MOST_TRACK, Context, Outcome, at_step, mm, rule
+from planner.problem import STOCK, Setup, Stock, Turntable
+from planner.verify.context import (
+    MOST_OUTER,
+    Context,
+    Outcome,
+    OuterAxis,
+    at_step,
+    mm,
+    outer_axes,
+    rule,
+)
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import JointTarget, MoveStep, SettingStep
 from planner.verify.rapid.syntax_tree import UNUSED_AXIS
-from planner.verify.rules.setups_and_frames import at_home
+from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
 BLIND_SPEED = 0.25
-"""Highest speed [m/s] of a track: people may be near."""
+"""Highest speed [m/s] of a track, and of what a turntable carries: people may be near."""
 SAME_VALUE = 1e-6
-"""Values of a track [m] that differ by no more are one station."""
+"""Values [m, rad] that differ by no more are one station."""
 SLACK = 1.0 + 1e-6
 """Speeds may be higher by this factor: they are rounded."""
 _CODE = "verify.external_axes"
@@ -33,7 +46,7 @@ _WAY = "verify.track_way"
 
 
 def standing(context: Context) -> Context:
-    """The same proof of the problem whose arms stand where the text's targets have their tracks."""
+    """The same proof of the problem whose arms and block stand where the text's targets have them."""
     if not context.playable or not context.stations:
         return context
     problem = context.problem.stationed(context.stations)
@@ -44,124 +57,250 @@ def standing(context: Context) -> Context:
 
 @rule("verify.external_axes")
 def external_axes(context: Context) -> Outcome:
-    """A track is switched on once, before anything moves; each target has a value of it, within its range;
-    it moves as the first thing of a setup, alone, at most at 250 mm/s, its arm folded at home."""
+    """A track or turntable is switched on once, before anything moves; each target has a value of it, within
+    its range; it moves as the first thing of a setup, alone, what it carries at most at 250 mm/s, all arms
+    folded at home; a turned block is where the value has it."""
     issues: list[Issue] = []
     told = []
+    table = context.problem.cell.turntable
     for task in context.job.tasks:
-        track = task.arm.track
-        issues += _units(task, track)
-        if track is not None:
-            issues += _values(context, task, track)
-            stands = [s.cell.arm(task.arm.name).station for s in context.setups]
-            where = ", ".join(f"{mm(v):g}" for v in dict.fromkeys(stands) if v is not None)
-            told.append(f"{track.unit} ({task.arm.name}) at {where} mm")
-    return Outcome(tuple(issues), where="; ".join(told) or "no arm stands on a track")
+        axes = outer_axes(task.arm, table)
+        issues += _units(task, axes)
+        if axes:
+            issues += _values(context, task, axes)
+        for axis in axes:
+            where = ", ".join(axis.shown(v) for v in dict.fromkeys(_stations(context, axis)))
+            told.append(f"{axis.unit} ({task.arm.name}) at {where}")
+    if table is not None:
+        issues += _moved(context, table)
+        issues += _turned(context, table)
+    return Outcome(
+        tuple(issues), where="; ".join(told) or "no arm stands on a track, no block on a turntable"
+    )
 
 
-def _units(task: TaskText, track: LinearTrack | None) -> Iterator[Issue]:
+def _stations(context: Context, axis: OuterAxis) -> list[float]:
+    """Where an axis stands in the setups [m, rad]."""
+    on = axis.carries
+    found = [s.stock.station if on == STOCK else s.cell.arm(on).station for s in context.setups]
+    return [value for value in found if value is not None]
+
+
+def _units(task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
     """What is wrong with the units that a task switches."""
-    on, moved = 0, False
+    on, moved = dict.fromkeys((axis.unit.lower() for axis in axes), 0), False
+    names = {axis.unit.lower(): axis.unit for axis in axes}
     for step in task.steps:
         moved |= isinstance(step, MoveStep)
         if not isinstance(step, SettingStep) or step.kind not in ("ActUnit", "DeactUnit"):
             continue
-        wanted = "none" if track is None else track.unit
-        if track is None or step.unit != track.unit.lower():
+        if step.unit not in on:
+            wanted = " and ".join(names.values()) or "none"
             what = f"{step.kind} {step.unit}: the unit of {task.arm.name} is {wanted}"
             yield at_step(_CODE, what, task, step)
         elif step.kind == "DeactUnit":
-            yield at_step(_CODE, f"{track.unit} is switched off, and its brakes alone hold it", task, step)
+            what = f"{names[step.unit]} is switched off, and its brakes alone hold it"
+            yield at_step(_CODE, what, task, step)
         else:
-            on += 1
-            if moved or on > 1:
-                yield at_step(_CODE, f"{track.unit} is to be switched on once, before any move", task, step)
-    if track is not None and not on:
-        what = f"{track.unit} is not switched on: its values count for nothing"
-        yield Issue(_CODE, what, arm=task.arm.name, file=task.name, hint=f"ActUnit {track.unit};")
+            on[step.unit] += 1
+            if moved or on[step.unit] > 1:
+                what = f"{names[step.unit]} is to be switched on once, before any move"
+                yield at_step(_CODE, what, task, step)
+    for unit in (names[key] for key, count in on.items() if not count):
+        what = f"{unit} is not switched on: its values count for nothing"
+        yield Issue(_CODE, what, arm=task.arm.name, file=task.name, hint=f"ActUnit {unit};")
 
 
-def _values(context: Context, task: TaskText, track: LinearTrack) -> Iterator[Issue]:
-    """What is wrong with the values of a track, and with its moves."""
+def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
+    """What is wrong with the values of external axes, and with their moves."""
     before: MoveStep | None = None
-    last, came = track.home, -1
+    last = {axis.column: axis.home for axis in axes}
+    came = -1
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
         for move in stage.moves(task.name):
-            wrong = _unfit(move, track)
+            wrong = _unfit(move, axes)
             if wrong:
                 yield at_step(_CODE, wrong, task, move)
-                return  # where the arm stands from here on is not known
-            value = float(move.target.external[0]) * 1e-3
-            first = before is None or abs(value - last) > SAME_VALUE
-            if first:
-                home = task.arm.home
-                folded = [m for m in (before, move) if m is not None]
-                if not all(at_home(m, task.arm.data, home) for m in folded):
-                    yield at_step(
-                        _CODE, f"{track.unit} moves while {task.arm.name} is not at home", task, move
-                    )
-                if stage.synchronised:
-                    yield at_step(_CODE, f"{track.unit} moves together with other arms", task, move)
-                asked = [place.stage for place in context.spans.asked[index]]
-                if before is not None and not any(came < at < number for at in asked):
-                    what = f"{track.unit} moves within setup {index + 1}, where nobody was told to keep off"
-                    yield at_step(_CODE, what, task, move)
-                most = min(BLIND_SPEED, track.speed)
-                if not 0.0 < move.speed.linear <= most * SLACK:
-                    what = f"{track.unit} goes at {mm(move.speed.linear):g} mm/s; allowed: {mm(most):g}"
-                    yield at_step(_CODE, what, task, move)
-            if before is None and abs(value - track.home) > SAME_VALUE:
-                what = f"the first move takes {track.unit} to {mm(value):g} mm, not home ({mm(track.home):g})"
-                yield at_step(_CODE, what, task, move)
-            before, last, came = move, value, number
+                return  # where things stand from here on is not known
+            for axis in axes:
+                value = axis.scale * float(move.target.external[axis.column])
+                goes = abs(value - last[axis.column]) > SAME_VALUE
+                if before is None or goes:
+                    asked = [place.stage for place in context.spans.asked[index]]
+                    told = before is None or any(came < at < number for at in asked)
+                    for what in _move_faults(context, task, axis, before, move):
+                        yield at_step(_CODE, what, task, move)
+                    if stage.synchronised:
+                        yield at_step(_CODE, f"{axis.unit} moves together with other arms", task, move)
+                    if not told:
+                        what = (
+                            f"{axis.unit} moves within setup {index + 1}, where nobody was told to keep off"
+                        )
+                        yield at_step(_CODE, what, task, move)
+                if goes:
+                    for other in _not_home(context, task, number):
+                        yield at_step(_CODE, f"{axis.unit} moves while {other} is not at home", task, move)
+                if before is None and goes:
+                    what = f"the first move takes {axis.unit} to {axis.shown(value)}, not home "
+                    yield at_step(_CODE, f"{what}({axis.shown(axis.home)})", task, move)
+                last[axis.column] = value
+            before, came = move, number
 
 
-def _unfit(move: MoveStep, track: LinearTrack) -> str:
+def _move_faults(
+    context: Context, task: TaskText, axis: OuterAxis, before: MoveStep | None, move: MoveStep
+) -> Iterator[str]:
+    """What is wrong with a move that takes an axis somewhere: folded arm, speed."""
+    folded = [m for m in (before, move) if m is not None]
+    if not all(at_home(m, task.arm.data, task.arm.home) for m in folded):
+        yield f"{axis.unit} moves while {task.arm.name} is not at home"
+    table = context.problem.cell.turntable
+    if axis.carries == STOCK and table is not None:
+        rim = max((_rim(s.stock, s.stock.place, table) for s in context.setups), default=0.0)
+        speed, most = move.speed.rotary, min(BLIND_SPEED / max(rim, 1e-3), axis.speed)
+    else:
+        speed, most = move.speed.linear, min(BLIND_SPEED, axis.speed)
+    if not 0.0 < speed <= most * SLACK:
+        yield f"{axis.unit} goes at {axis.shown(speed)}/s; allowed: {axis.shown(most)}/s"
+
+
+def _not_home(context: Context, task: TaskText, number: int) -> Iterator[str]:
+    """Other arms that are not at home, by their last move before stage ``number`` and those in it."""
+    for other in context.job.tasks:
+        if other.name == task.name:
+            continue
+        came = [move for stage in context.job.stages[:number] for move in stage.moves(other.name)[-1:]]
+        moves = [*came[-1:], *context.job.stages[number].moves(other.name)]
+        if not came or not all(at_home(move, other.arm.data, other.arm.home) for move in moves):
+            yield other.arm.name
+
+
+def _unfit(move: MoveStep, axes: Sequence[OuterAxis]) -> str:
     """What is wrong with the external axes of one target."""
-    outer = move.target.external
-    if not np.isfinite(outer).all() or (np.abs(outer[1:] - UNUSED_AXIS) > 1e3).any():
-        return f"the target has values of other axes than {track.unit}, which are not there"
-    value = float(outer[0]) * 1e-3
-    if abs(value) >= MOST_TRACK:
-        return f"the target has no value of {track.unit} (eax_a)"
-    if not track.low - SAME_VALUE <= value <= track.high + SAME_VALUE:
-        return f"{track.unit} at {mm(value):g} mm; its range is {mm(track.low):g} to {mm(track.high):g}"
+    outer, names = move.target.external, " and ".join(axis.unit for axis in axes)
+    others = np.delete(outer, [axis.column for axis in axes])
+    if not np.isfinite(outer).all() or (np.abs(others - UNUSED_AXIS) > 1e3).any():
+        return f"the target has values of other axes than {names}, which are not there"
+    for axis in axes:
+        value = float(outer[axis.column])
+        if abs(value) >= MOST_OUTER:
+            return f"the target has no value of {axis.unit} (eax_{'abcdef'[axis.column]})"
+        at = axis.scale * value
+        if not axis.low - SAME_VALUE <= at <= axis.high + SAME_VALUE:
+            span = f"{axis.shown(axis.low)} to {axis.shown(axis.high)}"
+            return f"{axis.unit} at {axis.shown(at)}; its range is {span}"
     if move.by_joints and not isinstance(move.target, JointTarget):
-        return f"{track.unit} is moved to a pose, not to joints"
+        return f"{names} is moved to a pose, not to joints"
     return ""
+
+
+# ---- turntables ----
+
+
+def _moved(context: Context, table: Turntable) -> Iterator[Issue]:
+    """A turntable that no program moves."""
+    if all(task.arm.name != table.arm for task in context.job.tasks):
+        what = f"{table.unit} is moved by the program of {table.arm}, which is not there"
+        yield Issue(_CODE, what, arm=table.arm)
+
+
+def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
+    """Blocks that are not where the text's values have the turntable's stated axis take them: by a turn of
+    its own, in the plane, of what the problem says of value 0."""
+    at = context.problem.stock.place
+    for index, setup in enumerate(context.setups):
+        change = context.problem.changes.get(setup.operations[0])
+        if change is not None and "place" in change.stock:
+            at = change.stock["place"]
+        place, value = context.places[index], context.stations.get(setup.operations[0], {}).get(STOCK)
+        if at is None or place is None or value is None:
+            what = f"nothing says where {table.unit} has the block stand in setup {index + 1}"
+            yield Issue(_CODE, what, hint=f"a value of {table.unit} in each target")
+            continue
+        off, turn = _off(table, at, value, place)
+        if off > 2.0 * FRAME_POSITION or turn > 2.0 * FRAME_ANGLE:
+            what = f"{table.unit} at {np.rad2deg(value):g} deg has the block {mm(off):.4f} mm and "
+            what += f"{np.rad2deg(turn):.4f} deg off where its frame is in setup {index + 1}"
+            yield Issue(_CODE, what, value=mm(off), limit=mm(FRAME_POSITION), unit="mm")
+
+
+def _off(table: Turntable, at: FloatArray, value: float, place: FloatArray) -> tuple[float, float]:
+    """How far [m, about rad] the block at ``place`` is off that of value 0, turned: right-handed seen from
+    above where the axis goes up."""
+    spin = np.exp(1j * (value if table.axis[2] > 0.0 else -value))
+    about = complex(*table.centre[:2])
+    seen = spin * (complex(*at[:2, 3]) - about) + about
+    columns = spin * (at[0, :3] + 1j * at[1, :3])
+    off = np.array([seen.real - place[0, 3], seen.imag - place[1, 3], at[2, 3] - place[2, 3]])
+    lean = np.stack([columns.real - place[0, :3], columns.imag - place[1, :3], at[2, :3] - place[2, :3]])
+    return float(np.linalg.norm(off)), float(np.linalg.norm(lean) / np.sqrt(2.0))
+
+
+def _rim(stock: Stock, place: FloatArray | None, table: Turntable) -> float:
+    """How far [m] the block and its support reach from the axis that turns them."""
+    if place is None:
+        return 0.0
+    box = np.stack([stock.lower, stock.upper])
+    points = [np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)]
+    points += [transform(shape.pose, corners(shape)) for shape in stock.support]
+    seen = transform(place, np.concatenate(points)) - table.centre
+    return float(np.hypot(seen[:, 0], seen[:, 1]).max())
 
 
 @rule("verify.track_way")
 def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
-    """On the way of a track from station to station bodies keep their clearance, all arms folded at home."""
+    """On the way of a track or turntable from station to station bodies keep their clearance, all arms folded
+    at home."""
     limit = context.problem.settings.clearance
     issues: list[Issue] = []
     worst, where, looks = np.inf, "", 0
-    at = {arm.name: arm.track.home for arm in context.problem.cell.arms if arm.track is not None}
+    at = context.problem.homes
     for index, setup in enumerate(context.setups):
-        stands = dict(at)
-        for arm in setup.cell.arms:
-            if arm.track is None or arm.station is None or abs(arm.station - at[arm.name]) <= SAME_VALUE:
-                continue
-            tracks = {a.name: a.track for a in setup.cell.arms if a.track is not None}
-            bases = {n: t.moved(context.bases[n], stands[n]) for n, t in tracks.items()}
-            homes = {other.name: other.home for other in setup.cell.arms}
-            ends = (stands[arm.name], arm.station)
-            way = axis_way.along(
-                models(index).with_bases(bases), arm.name, arm.track.axis, ends, homes, limit
-            )
+        for axis, ends in _goes(context, setup, at):
+            way = _way(context, models(index), setup, at, axis, ends, limit)
             looks += way.looks
             if way.least < worst:
-                worst, where = way.least, f"{' and '.join(way.pair)} at {mm(way.at):g} mm"
+                worst, where = way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}"
             if way.least < limit or not way.clear:
-                what = f"on the way of {arm.track.unit} from {mm(ends[0]):g} to {mm(ends[1]):g} mm: "
-                what += f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {mm(way.at):g} mm"
-                issues.append(
-                    Issue(_WAY, what, arm=arm.name, value=mm(way.least), limit=mm(limit), unit="mm")
-                )
-            stands[arm.name] = arm.station
-        at = stands
+                what = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
+                what += f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
+                arm = None if axis.carries == STOCK else axis.carries
+                issues.append(Issue(_WAY, what, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm"))
+            at = {**at, axis.carries: ends[1]}
     if not np.isfinite(worst):
-        return Outcome(tuple(issues), where="no track moves")
+        return Outcome(tuple(issues), where="no track or turntable moves")
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", f"{where}, {looks} looks")
+
+
+def _goes(
+    context: Context, setup: Setup, at: dict[str, float]
+) -> Iterator[tuple[OuterAxis, tuple[float, float]]]:
+    """The axes that move before a setup, with both ends [m, rad] of their ways."""
+    table = context.problem.cell.turntable
+    for arm in setup.cell.arms:
+        for axis in outer_axes(arm, table):
+            value = setup.stock.station if axis.carries == STOCK else arm.station
+            if value is not None and abs(value - at[axis.carries]) > SAME_VALUE:
+                yield axis, (at[axis.carries], value)
+
+
+def _way(
+    context: Context,
+    model: CellModel,
+    setup: Setup,
+    at: dict[str, float],
+    axis: OuterAxis,
+    ends: tuple[float, float],
+    limit: float,
+) -> AxisWay:
+    """The way of one axis; ``at``: where all stand before it."""
+    tracks = {a.name: a.track for a in setup.cell.arms if a.track is not None}
+    model = model.with_bases({n: t.moved(context.bases[n], at[n]) for n, t in tracks.items()})
+    homes = {other.name: other.home for other in setup.cell.arms}
+    table = setup.cell.turntable
+    if table is not None and setup.stock.station is not None:
+        model = model.with_stock(table.turned(model.stock_pose, at[STOCK] - setup.stock.station))
+        if axis.carries == STOCK:
+            return axis_way.turning(model, table, ends, homes, limit)
+    return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit)

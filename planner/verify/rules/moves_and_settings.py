@@ -13,7 +13,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from planner.issues import Issue
-from planner.verify.context import Context, Outcome, at_step, mm, rule
+from planner.verify.context import Context, Outcome, at_step, mm, outer_axes, rule
 from planner.verify.job import TaskText, sync_points
 from planner.verify.programs.steps import (
     JointTarget,
@@ -210,8 +210,8 @@ _PATH_INSTRUCTIONS = (
 @rule("verify.move_kinds")
 def move_kinds(context: Context) -> Outcome:
     """Only moves whose path is known: MoveAbsJ, and MoveL with ConfL as the arm needs it; no \\Conc, no
-    external axes but tracks. KRL: PTP, and LIN or SLIN; URScript: movej, no faster up than the axes may,
-    and movel."""
+    external axes but tracks and turntables. KRL: PTP, and LIN or SLIN; URScript: movej, no faster up than
+    the axes may, and movel."""
     issues = []
     for task in context.job.tasks:
         if not task.rapid:
@@ -233,7 +233,8 @@ def move_kinds(context: Context) -> Outcome:
                 if switch in _REFUSED_OPTIONS:
                     issues += [at_step("verify.move_kinds", _REFUSED_OPTIONS[switch], task, step)]
             used = np.abs(step.target.external - UNUSED_AXIS) > 1e3  # in single precision 9E9 is off by 512
-            known = isinstance(step.target, RobTarget | JointTarget) and task.arm.track is None
+            known = isinstance(step.target, RobTarget | JointTarget)
+            known = known and not outer_axes(task.arm, context.problem.cell.turntable)
             if known and used.any():
                 issues.append(at_step("verify.move_kinds", "the target moves an external axis", task, step))
             if step.kind == "MoveL" and (state != wanted or not stated):

@@ -12,6 +12,7 @@ import numpy as np
 
 from planner.claims.claim import ContactOnlyIn, FeedWindow, WireJoins
 from planner.claims.forming import SinksHolder
+from planner.claims.trim import TrimsSheet
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.verify.context import FEED_SLACK, Context, Outcome, Phase, at_sample, at_step, mm, rule
@@ -287,11 +288,11 @@ def wire_issue(
 
 @rule("verify.signals")
 def signals(context: Context) -> Outcome:
-    """Only the signals of wires, of spindles and of clamps that sink are switched, to 0 or 1, at once, by
+    """Only the signals of wires, spindles, torches and clamps that sink are switched, to 0 or 1, at once, by
     one task between two synchronisation points, and are off before anybody is asked or an arm moves."""
     issues: list[Issue] = []
     known = {claim.signal.lower() for claim in context.contacts}
-    known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder)}
+    known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder | TrimsSheet)}
     known.add(context.problem.cell.controller.wire_signal.lower())
     issues += _left_on(context, known)
     for stage in context.job.stages:
@@ -302,7 +303,7 @@ def signals(context: Context) -> Outcome:
                     continue
                 faults = []
                 if step.signal.lower() not in known:
-                    faults.append(f"{step.signal} is no signal of a wire, a spindle or a clamp")
+                    faults.append(f"{step.signal} is no signal of a wire, a spindle, a clamp or a torch")
                 if step.value not in (0.0, 1.0):
                     faults.append(f"{step.signal} is set to {step.value:g}, neither 0 nor 1")
                 if step.delay:

@@ -59,6 +59,7 @@ def readings(truth: tuple[float, float, float], seed: int) -> Readings:
     return Readings(FORCES, kappa * pressed(thickness * 1e-3, grip) + noise, ERROR)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_in_nine_of_ten_tests() -> None:
     """100 made-up tests of four clamps: each figure is in its interval of 95 % in 90 at least."""
     held = np.zeros(3, dtype=np.int64)

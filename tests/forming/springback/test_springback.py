@@ -156,7 +156,7 @@ def test_a_sheet_that_snaps_is_told_by_its_limit_and_less_force_ends_it() -> Non
     assert of_force(float(issues[0].limit or 0.0)) == []
 
 
-def test_too_few_triangles_are_told_and_twice_as_many_do(tmp_path: Path) -> None:
+def test_too_few_triangles_are_told_and_as_many_as_advised_do(tmp_path: Path) -> None:
     made = of(tmp_path, shapes.cone(45.0, 0.020, 0.050, 240))
     point = curves.Point(0, np.array([0.034, 0.0, -0.015]), 300.0)
     triangles = 15
@@ -171,6 +171,18 @@ def test_too_few_triangles_are_told_and_twice_as_many_do(tmp_path: Path) -> None
         with pytest.raises(TandemError) as refused:
             list(forecast.curves(made, [point], triangles))
     raise AssertionError(f"{triangles} triangles do not do")
+
+
+def test_a_place_without_a_mesh_of_as_many_triangles_takes_more(cone: Work) -> None:
+    point = curves.Point(0, np.array([0.034, 0.0, -0.015]), 300.0)
+    formed = walls(cone, 0, float(point.place[2]))
+    with pytest.raises(ValueError, match="got 40 triangles"):
+        mesh_walls(formed, cone.sheet.opening, 40, point.place[None], curves.NEAR)
+    found = curves.solved(cone, point, 40)
+    assert found.allowed == 60
+    same = curves.solved(cone, point, 60)
+    np.testing.assert_array_equal(found.springback, same.springback)
+    assert same.allowed == 60
 
 
 @pytest.mark.parametrize("mode", ["adsif", "tpif"])

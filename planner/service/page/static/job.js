@@ -8,6 +8,7 @@ import { ago, bytes, duration, figureName, figureOrder, isOpen, number, processN
 
 const id = $("job").dataset.id;
 const MOST = 3;
+const AGAIN = ["crashed", "timeout", "memory", "cancelled"]; // the service tries no others
 const STAGES = ["waiting", "targets", "cell", "placement", "motion", "programs", "proof", "report"];
 let job = null;
 let issues = [];
@@ -29,6 +30,7 @@ function drawHead() {
   ];
   $("facts").textContent = facts.filter(Boolean).join(" · ");
   show($("cancel"), isOpen(job.state));
+  show($("retry"), AGAIN.includes(job.state));
   $("again").href = `/ui/new?job=${id}`;
   $("compare").href = `/ui/compare?a=${id}`;
 }
@@ -202,6 +204,26 @@ async function refresh() {
   banner("");
 }
 
+async function retry() {
+  try {
+    await post(`${path(id)}/retry`);
+  } catch (error) {
+    return tell(error);
+  }
+  [issues, stage, ended, files] = [[], "", false, []];
+  passed.clear();
+  show($("tabs"), false);
+  delete $("tabs").dataset.open;
+  for (const name of ["report", "replay", "files"]) {
+    $(`panel-${name}`).replaceChildren();
+    show($(`panel-${name}`), false);
+  }
+  show($("panel-issues"), true);
+  show($("download"), false);
+  await refresh().catch(tell);
+  if (isOpen(job.state)) listen();
+}
+
 const key = (issue) => JSON.stringify([issue.code, issue.message, issue.field, issue.arm, issue.index]);
 
 function listen() {
@@ -263,6 +285,8 @@ $("delete").prepend(icon("bin"));
 $("again").prepend(icon("again"));
 $("compare").prepend(icon("swap"));
 $("download").prepend(icon("down"));
+$("retry").prepend(icon("again"));
+$("retry").addEventListener("click", retry);
 $("cancel").addEventListener("click", () => post(`${path(id)}/cancel`).then(refresh).catch(tell));
 $("delete").addEventListener("click", () => $("sure").showModal());
 $("sure").addEventListener("close", async () => {

@@ -1,0 +1,1 @@
+"""The process `trim`: a torch cuts curves out of a formed sheet."""

@@ -1,0 +1,148 @@
+"""What would go wrong while a sheet is trimmed: curves that cross or leave the sheet, torches in the wall."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+import shapely
+
+from planner.geometry.arrays import FloatArray, unit
+from planner.geometry.mesh import small_pieces
+from planner.geometry.swept_body import RoundBody
+from planner.geometry.units import DEG, MM
+from planner.issues import Issue
+from planner.tooling import Torch
+from planner.trim.face import Face
+from planner.trim.operation import Trim
+from planner.trim.slots import Slot, Wanted
+
+SIGHT: Final = 20.0 * MM
+"""What is farther off a torch than this [m] is as good as any other."""
+FACE_SPACING: Final = 2.0 * MM
+"""Distance [m] of places of the face at which a torch is held against it."""
+MOST_PLACES: Final = 200_000
+"""Places of the face at most."""
+LEANS: Final = 6
+"""Directions to which a torch is tried to lean."""
+LEAST_RISE: Final = 15.0 * DEG
+"""A torch must rise from the flat sheet by this angle [rad] at least, or it never reaches the safe plane."""
+
+
+def curve_issues(wanted: Sequence[Wanted], opening: FloatArray, reach: float) -> Iterator[Issue]:
+    """Curves that cross themselves or each other, lie in the waste of another one, or leave the ``opening``
+    (K, 2) [m] of the clamp, with all that is cut ``reach`` [m] beside them."""
+    free = shapely.Polygon(opening)
+    for one in wanted:
+        name = one.spec.name
+        if not one.area.is_valid:
+            what = f"{name}: {shapely.is_valid_reason(one.area)} [m]: the curve crosses itself"
+            yield Issue("trim.crosses", what, hint="draw it anew, as one closed curve that meets nothing")
+            continue
+        side = 0.0 if one.inside else reach
+        out = shapely.distance(free, shapely.points(one.laid.point[:, :2]))
+        near = float(shapely.distance(free.exterior, one.area.exterior)) - side
+        if out.max() > 0.0 or near < 0.0:
+            k = int(np.argmax(out)) if out.max() > 0.0 else _nearest(one, free)
+            x, y, _ = one.laid.point[k] / MM
+            beyond = float(out.max()) + side if out.max() > 0.0 else -near
+            what = (
+                f"{name}: at ({x:.1f}, {y:.1f}) mm the curve, with slot and ways in, is {beyond / MM:.1f} mm "
+            )
+            what += "beyond the opening of the clamp"
+            hint = "move the curve inwards, or take a larger opening"
+            yield Issue("trim.off_part", what, value=beyond / MM, limit=0.0, unit="mm", hint=hint)
+    for one, other in itertools.combinations([w for w in wanted if w.area.is_valid], 2):
+        names = f"{one.spec.name} and {other.spec.name}"
+        if shapely.intersects(one.area.exterior, other.area.exterior):
+            where = (
+                shapely.get_coordinates(shapely.intersection(one.area.exterior, other.area.exterior))[0] / MM
+            )
+            what = f"{names} cross or meet, at ({where[0]:.1f}, {where[1]:.1f}) mm"
+            yield Issue("trim.crosses", what, hint="move one of them, or join them to one curve")
+            continue
+        for a, b in ((one, other), (other, one)):
+            if bool(a.waste(b.laid.point[:1, :2])[0]):
+                what = f"{b.spec.name} lies in what {a.spec.name} lets drop, so that nothing is cut there"
+                yield Issue("trim.in_waste", what, hint="leave it out, or turn drops of one of them")
+
+
+def _nearest(one: Wanted, free: shapely.Polygon) -> int:
+    return int(np.argmin(shapely.distance(free.exterior, shapely.points(one.laid.point[:, :2]))))
+
+
+def body(torch: Torch) -> RoundBody:
+    """A torch as a body of revolution about its axis, from the TCP backwards. Its distances are those from
+    the planes of nozzle's end, cone and body, never more than the true ones."""
+    slope = np.arctan2(torch.body - torch.nozzle, torch.cone)
+
+    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
+        cone = (beside - torch.nozzle) * np.cos(slope) - (back - torch.standoff) * np.sin(slope)
+        ends = np.maximum(torch.standoff - back, back - torch.back)
+        return np.asarray(np.maximum(np.maximum(cone, beside - torch.body), ends))
+
+    return RoundBody(torch.standoff, torch.back, torch.body, distance)
+
+
+def clear_of(torch: Torch, places: FloatArray, tips: FloatArray, axes: FloatArray) -> FloatArray:
+    """Least distance (N,) [m] of the torch, at each of ``tips`` with ``axes`` (N, 3) from there into the
+    torch, from ``places`` (P, 3); at most ``SIGHT``."""
+    own = body(torch)
+    out = np.empty(len(tips))
+    for k, (tip, axis) in enumerate(zip(tips, axes, strict=True)):
+        rest = places - tip
+        back = rest @ axis
+        some = (back > torch.standoff - SIGHT) & (back < torch.back + SIGHT)
+        rest, back = rest[some], back[some]
+        beside = np.sqrt(np.maximum((rest * rest).sum(axis=1) - back * back, 0.0))
+        out[k] = own.distance(back, beside).min(initial=SIGHT)
+    return out
+
+
+def face_places(face: Face, size: FloatArray) -> FloatArray:
+    """Places (P, 3) of the sheet of ``size`` (2,) [m], ``FACE_SPACING`` from one another at most."""
+    vertices, faces = face.beyond(size)
+    return np.concatenate(
+        [vertices, small_pieces(vertices[faces], FACE_SPACING, MOST_PLACES)[0].mean(axis=1)]
+    )
+
+
+def wall_issue(slot: Slot, tips: FloatArray, off: FloatArray, op: Trim, torch: Torch) -> Iterator[Issue]:
+    """A torch square to the face that is nearer to the sheet than it may be."""
+    k = int(np.argmin(off))
+    if off[k] >= op.clear_mm * MM:
+        return
+    x, y, z = tips[k] / MM
+    what = f"{slot.outline}: at ({x:.1f}, {y:.1f}, {z:.1f}) mm the torch, square to the sheet, "
+    what += (
+        f"{'stands in it by' if off[k] < 0.0 else 'is off its wall by'} {abs(off[k]) / MM:.2f} mm; wanted: "
+    )
+    what += f"{op.clear_mm:g} mm"
+    hint = f"move the curve away from the wall, take a slimmer nozzle (now {2e3 * torch.nozzle:g} mm, "
+    hint += f"{2e3 * torch.body:g} mm from {torch.cone / MM:g} mm on), or a larger standoff_mm"
+    yield Issue("trim.wall", what, value=float(off[k]) / MM, limit=op.clear_mm, unit="mm", hint=hint)
+
+
+def rise_issue(slot: Slot, axes: FloatArray, side: int) -> Iterator[Issue]:
+    """A torch so flat at a pierce point or at an end that it never rises to the safe plane."""
+    up = float((side * axes[[0, -1], 2]).min())
+    if up < np.sin(LEAST_RISE):
+        lean = float(np.rad2deg(np.arccos(np.clip(up, -1.0, 1.0))))
+        most = 90.0 - LEAST_RISE / DEG
+        what = f"{slot.outline}: where its slot begins or ends the wall is {lean:.0f} deg steep, and a torch "
+        what += f"square to it does not come down to it from the safe plane; allowed: {most:g} deg"
+        yield Issue(
+            "trim.wall", what, value=lean, limit=most, unit="deg", hint="let it begin on a flatter place"
+        )
+
+
+def leans(axes: FloatArray, angle: float) -> list[FloatArray]:
+    """Axes (N, 3) leant by ``angle`` [rad] to ``LEANS`` sides."""
+    one = unit(np.cross(axes, np.eye(3)[int(np.abs(axes).max(axis=0).argmin())]))
+    other = np.cross(axes, one)
+    turn = 2.0 * np.pi * np.arange(LEANS) / LEANS
+    return [
+        np.asarray(np.cos(angle) * axes + np.sin(angle) * (np.cos(t) * one + np.sin(t) * other)) for t in turn
+    ]

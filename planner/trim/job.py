@@ -1,0 +1,416 @@
+"""The process `trim`: from closed curves on a formed sheet and a torch to targets of one arm, and its claims.
+
+See `face` (curves laid on the face, slots beside them), `slots` (ways in and out, micro-joints),
+`check` (what would go wrong), `claims`.
+
+**Poses**: the TCP is the place that is cut, z the torch's axis, which points into the sheet. Motion may
+spin the torch, and lean it within its cone where that keeps it clear of the sheet.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import shapely
+
+from planner.claims import vocabulary
+from planner.claims.claim import Claim
+from planner.claims.vocabulary import Segment
+from planner.forming.job import poses
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, corners, transform
+from planner.geometry.corner_rounding import TURNING_LEVER_MM
+from planner.geometry.units import DEG, MM
+from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.milling.tool_path import sharp, thinned
+from planner.problem import Setup
+from planner.reading import sheet as sheet_file
+from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
+from planner.tooling import Torch
+from planner.trim import check
+from planner.trim.claims import claims, told
+from planner.trim.face import Face, lay
+from planner.trim.operation import Trim, outline_points
+from planner.trim.slots import Slot, Wanted, slots
+
+TRIM: Final = "trim"
+"""The kind of segments in which a torch cuts, and comes and goes."""
+CHORD_SHARE: Final = 0.1
+"""Share of the tolerance that straight moves between targets may cost."""
+AXIS_LEVER: Final = 0.03
+"""How far behind the TCP [m] the torch keeps within the chord between targets, too."""
+LEAN_SHARE: Final = 0.85
+"""Share of the cone that motion may use at targets; the rest is for what lies between them."""
+ROUNDED_SHARE: Final = 0.25
+"""Share of the tolerance that rounded corners may take."""
+MEAN_FEED_FROM_REST: Final = 0.66
+"""Part of the feed that moves from or to a stop have on average, as they are faster in between."""
+AIR_LEVER: Final = 0.05
+"""A point so far [m] behind the TCP counts for the speed in the air, where the torch turns."""
+SPIN_WAY: Final = 5e-4
+"""How far [m] what spins with the torch may be off, at the lever of its turning."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Route:
+    """N targets: ``tip`` and ``axis`` (N, 3), from the TCP into the torch; ``feed`` (N,) [m/s]; ``lean``:
+    how far [rad] the torch may lean; ``segment`` and ``stop`` (N,). ``height`` (N,) [m] of the nozzle off the
+    face in slots, NaN elsewhere. ``pierce`` and ``end`` are the rows at which each slot begins and ends."""
+
+    tip: FloatArray
+    axis: FloatArray
+    feed: FloatArray
+    lean: FloatArray
+    segment: tuple[Segment, ...]
+    stop: BoolArray
+    height: FloatArray
+    pierce: tuple[int, ...]
+    end: tuple[int, ...]
+
+
+class TrimJob(Job[Trim]):
+    """An operation that trims, with the torch and the sheet that it finds."""
+
+    @functools.cached_property
+    def torch(self) -> Torch:
+        """The torch of the arm. Raises ``TandemError`` (trim.tool)."""
+        tool = self.setup.cell.arm(self.operation.arms[0]).tool
+        if not isinstance(tool, Torch):
+            what = f"{self.operation.name}: arm {self.operation.arms[0]} carries {tool.name}, no torch"
+            raise TandemError(
+                Issue("trim.tool", what, hint="give it tool: {kind: torch, ...}, by a setup if need be")
+            )
+        return tool
+
+    @functools.cached_property
+    def face(self) -> Face:
+        """The face that the torch follows. Raises ``TandemError`` (trim.no_sheet) and issues of files."""
+        op, stock = self.operation, self.setup.stock
+        part = self.part
+        if not isinstance(op.surface, str):
+            place = None if op.surface.frame == "find" else np.eye(4)
+            part = sheet_file.build(op.surface, Path(), stock, place)
+        if stock.sheet is None or part is None or part.formed is None:
+            what = f"{op.name}: there is no formed sheet; give sheet: and a part of kind sheet_mesh"
+            raise TandemError(Issue("trim.no_sheet", what, field="sheet"))
+        return Face(part.formed.mesh, float(stock.size[2]), 1 if op.side == "top" else -1)
+
+    @functools.cached_property
+    def wanted(self) -> tuple[Wanted, ...]:
+        """The outlines in the order of cutting: those that lie in most others first."""
+        found = []
+        for one in self.operation.outlines:
+            laid = lay(one.name, outline_points(one), self.face)
+            found.append(Wanted(one, laid, shapely.Polygon(laid.point[:, :2])))
+        inside = [
+            sum(
+                shapely.contains_properly(o.area.buffer(0), shapely.Point(w.laid.point[0, :2])) for o in found
+            )
+            for w in found
+        ]
+        return tuple(found[k] for k in sorted(range(len(found)), key=lambda k: -inside[k]))
+
+    def targets(self) -> Targets:
+        """Targets of the operation; raises ``TandemError`` with the codes ``trim.*``."""
+        op, torch, wanted = self.operation, self.torch, self.wanted
+        sheet = self.setup.stock.sheet
+        if sheet is None:
+            raise TandemError(Issue("trim.no_sheet", f"{op.name}: there is no sheet to trim", field="sheet"))
+        reach = torch.kerf + op.lead.length_mm * MM
+        issues = list(check.curve_issues(wanted, sheet.opening, reach))
+        if issues:
+            raise TandemError(aggregate(issues))
+        made: list[Slot] = []
+        for one in wanted:
+            try:
+                made += slots(op, one, [o for o in wanted if o is not one], self.face, torch.kerf)
+            except TandemError as error:
+                issues += error.issues
+        if issues:
+            raise TandemError(aggregate(issues))
+        route, issues = _route(op, self.setup, self.face, torch, made)
+        if has_errors(issues):
+            raise TandemError(aggregate(issues))
+        return _targets(op, self.setup, torch, made, wanted, route, self.claims())
+
+    def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
+        """Slots in which the arm is slower on average than the operation allows: the torch then burns away
+        more than its kerf."""
+        out = []
+        op = self.operation
+        for segment in dict.fromkeys(s for s in targets.segment if s.kind == TRIM and not s.phase):
+            rows = np.array([s == segment for s in targets.segment])
+            spent = float(np.diff(time, prepend=time[0])[rows].sum())
+            full = targets.feed / np.where(
+                np.append(False, targets.stop[:-1]) | targets.stop, MEAN_FEED_FROM_REST, 1.0
+            )
+            ideal = float((targets.travel[rows] / full[rows]).sum())
+            share = ideal / max(spent, 1e-9)
+            if share < op.least_feed:
+                what = f"{segment}: the arm reaches {100 * share:.0f} % of the feed on average; wanted: "
+                what += f"{100 * op.least_feed:.0f} %"
+                hint = (
+                    f"take a lower feed_mm_s, round the corners, or allow it: least_feed: {0.95 * share:.2f}"
+                )
+                out.append(Issue("trim.slow", what, value=share, limit=op.least_feed, hint=hint))
+        return tuple(out)
+
+    def stated(self) -> tuple[Claim, ...]:
+        """What must hold of the job, from the problem alone."""
+        return claims(self.operation, self.setup, self.torch)
+
+
+def _route(op: Trim, setup: Setup, face: Face, torch: Torch, made: list[Slot]) -> tuple[Route, list[Issue]]:
+    """The way through all slots: down along the torch's axis to where it pierces, along the slot, up
+    again."""
+    level, issues = _level(op, setup, face), list[Issue]()
+    size = setup.stock.size[:2]
+    places = check.face_places(face, size)
+    tips: list[FloatArray] = []
+    axes: list[FloatArray] = []
+    feeds: list[FloatArray] = []
+    leans: list[FloatArray] = []
+    heights: list[FloatArray] = []
+    segments: list[Segment] = []
+    pierce: list[int] = []
+    end: list[int] = []
+    lift = (op.pierce.height_mm * MM if op.pierce.height_mm is not None else torch.standoff) - torch.standoff
+    cone = LEAN_SHARE * op.cone_deg * DEG
+    for number, slot in enumerate(made):
+        rows = _rows(slot, op)
+        point, axis = slot.point[rows], face.side * slot.normal[rows]
+        raised = lift * _above(slot, op)[rows]
+        tip = point + raised[:, None] * axis
+        off = check.clear_of(torch, places, tip, axis)
+        issues += [*check.wall_issue(slot, tip, off, op, torch), *check.rise_issue(slot, axis, face.side)]
+        if has_errors(issues):
+            continue
+        ok = np.ones(len(tip), dtype=bool)
+        for leant in check.leans(axis, op.cone_deg * DEG):
+            ok &= check.clear_of(torch, places, tip, leant) >= op.clear_mm * MM
+        lean = np.where(ok & np.append(ok[1:], True) & np.append(True, ok[:-1]), cone, 0.0)
+        above = [tip[k] + max((level - tip[k, 2]) / axis[k, 2], 2.0 * MM) * axis[k] for k in (0, -1)]
+        feed = op.feed_mm_s * MM / np.maximum(np.abs(axis[:, 2]), 0.1)
+        if op.feed_most_mm_s is not None:
+            feed = np.minimum(feed, op.feed_most_mm_s * MM)
+        # on the way to a target the wall may be flatter than there
+        feed[1:] = np.minimum(feed[1:], feed[:-1])
+        own = Segment(TRIM, slot.name)
+        pierce.append(sum(map(len, tips)) + 1)
+        end.append(pierce[-1] + len(tip) - 1)
+        tips += [above[0][None], tip, above[1][None]]
+        axes += [axis[:1], axis, axis[-1:]]
+        feeds += [
+            np.array([op.rapid_mm_s * MM, op.plunge_mm_s * MM]),
+            feed[1:],
+            np.array([op.rapid_mm_s * MM]),
+        ]
+        leans += [lean[:1], lean, lean[-1:]]
+        heights += [np.full(1, np.nan), torch.standoff + raised, np.full(1, np.nan)]
+        segments += [Segment("approach" if number == 0 else "link"), own.at("in")]
+        segments += [own] * (len(tip) - 1) + [own.at("out")]
+    if has_errors(issues):
+        return _nowhere(), issues
+    tip, axis = np.concatenate(tips), np.concatenate(axes)
+    stop = np.zeros(len(tip), dtype=bool)
+    for first, last in zip(pierce, end, strict=True):
+        stop[[first - 1, last + 1]] = True
+        stop[first : last + 1] = sharp(tip[first : last + 1])
+    rise = tip[-1] + op.safe_mm * MM * axis[-1]
+    return Route(
+        np.concatenate([tip, rise[None]]),
+        np.concatenate([axis, axis[-1:]]),
+        np.append(np.concatenate(feeds), op.rapid_mm_s * MM),
+        np.append(np.concatenate(leans), leans[-1][-1]),
+        (*segments, Segment("retreat")),
+        np.append(stop, True),
+        np.append(np.concatenate(heights), np.nan),
+        tuple(pierce),
+        tuple(end),
+    ), issues
+
+
+def _nowhere() -> Route:
+    none = np.zeros((0, 3))
+    return Route(none, none, none[:, 0], none[:, 0], (), none[:, 0] > 0.0, none[:, 0], (), ())
+
+
+LOW_TOLERANCES: Final = 2.0
+"""From so many tolerances before the curve on, a torch leads in at the height at which it cuts."""
+
+
+def _above(slot: Slot, op: Trim) -> FloatArray:
+    """How far (N,) the torch is still up on its way from the pierce height, from 1 to 0."""
+    step = np.linalg.norm(np.diff(slot.point[: slot.first + 1], axis=0), axis=1)
+    left = np.append(np.cumsum(step[::-1])[::-1], np.zeros(len(slot.point) - slot.first))
+    low = LOW_TOLERANCES * op.shape_tol_mm * MM
+    return np.asarray(np.clip((left - low) / max(float(left[0]) - low, 1e-9), 0.0, 1.0))
+
+
+def _rows(slot: Slot, op: Trim) -> IntArray:
+    """Rows of a slot's places that become targets."""
+    points = np.stack([slot.point, slot.point + AXIS_LEVER * slot.normal], axis=1)
+    chord = CHORD_SHARE * min(op.shape_tol_mm, op.height_tol_mm) * MM
+    low = int(np.argmax(_above(slot, op) == 0.0))
+    breaks = np.unique([0, low, slot.first, slot.last, len(slot.point) - 1])
+    found = [np.zeros(1, dtype=np.int64)]
+    for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
+        found.append(first + thinned(points[first : last + 1], chord, op.step_mm * MM)[1:])
+    return np.concatenate(found)
+
+
+def _level(op: Trim, setup: Setup, face: Face) -> float:
+    """Height [m] of the safe plane: off the clamp and all of the sheet, on the torch's side."""
+    heights = [face.side * face.mesh.vertices[:, 2], np.array([face.side * face.rise])]
+    heights += [face.side * transform(shape.pose, corners(shape))[:, 2] for shape in setup.stock.support]
+    return face.side * (float(np.concatenate(heights).max()) + op.safe_mm * MM)
+
+
+def _targets(
+    op: Trim,
+    setup: Setup,
+    torch: Torch,
+    made: list[Slot],
+    wanted: tuple[Wanted, ...],
+    route: Route,
+    stated: tuple[Claim, ...],
+) -> Targets:
+    arm, count = op.arms[0], len(route.segment)
+    actions = _actions(op, setup, torch, route)
+    stop = route.stop.copy()
+    stop[[action.at for action in actions]] = True
+    rest = np.append(False, stop[:-1]) | stop
+    return Targets(
+        arms=op.arms,
+        pose={arm: poses(route.tip, -route.axis)},
+        frame={arm: "stock"},
+        freedoms=_freedoms(arm, route.lean),
+        feed=np.where(rest, MEAN_FEED_FROM_REST, 1.0) * route.feed,
+        feed_min=np.zeros(count),
+        travel=_travel(route),
+        stop=stop,
+        segment=route.segment,
+        actions=actions,
+        claims=stated,
+        exhibits=exhibits(op, torch, made, wanted, route),
+        rounding=_rounding(op, arm),
+        may_stop=True,
+        may_join=True,
+    )
+
+
+def _freedoms(arm: str, lean: FloatArray) -> tuple[ScrewFreedom, ...]:
+    """Spin of the torch, and leans about its x and y within the circle of ``lean`` (N,) [rad]; all turn about
+    the place that is cut."""
+    out = []
+    for name, k in (("tilt_x", 0), ("tilt_y", 1)):
+        bound = lean / np.sqrt(2.0)
+        out.append(ScrewFreedom(f"{name}_{arm}", {arm: np.eye(6)[k]}, -bound, bound))
+    turn = np.full(len(lean), np.pi)
+    return (*out, ScrewFreedom(f"spin_{arm}", {arm: np.eye(6)[2]}, -turn, turn, None, True))
+
+
+def _rounding(op: Trim, arm: str) -> Rounding:
+    """Corners take a share of what the cut edge may be off."""
+    work = min(Rounding.work, ROUNDED_SHARE * min(op.shape_tol_mm, op.height_tol_mm) * MM)
+    spin = TURNING_LEVER_MM * MM * work / SPIN_WAY
+    levers = {arm: np.array([TURNING_LEVER_MM * MM, TURNING_LEVER_MM * MM, spin])}
+    return Rounding(work, work, min(Rounding.air, work), levers)
+
+
+def _travel(route: Route) -> FloatArray:
+    """Way (N,) [m] of the TCP on the move to each target; in the air that of a point behind it, where
+    longer."""
+    out = np.zeros(len(route.tip))
+    out[1:] = np.linalg.norm(np.diff(route.tip, axis=0), axis=1)
+    far = np.linalg.norm(np.diff(route.tip + AIR_LEVER * route.axis, axis=0), axis=1)
+    air = np.array([s.kind != TRIM or s.phase != "" for s in route.segment[1:]])
+    out[1:] = np.where(air, np.maximum(out[1:], far), out[1:])
+    return out
+
+
+def _actions(op: Trim, setup: Setup, torch: Torch, route: Route) -> tuple[Action, ...]:
+    """What the operator is told and asked, and the arc."""
+    out = [
+        Action(0, "message", vocabulary.TORCH.filled(**told(setup, torch))),
+        Action(0, "confirm", vocabulary.TORCH_READY.filled()),
+    ]
+    for first, last in zip(route.pierce, route.end, strict=True):
+        out.append(Action(first, "on", signal=op.signal))
+        if op.ok_signal is not None:
+            out.append(Action(first, "input", signal=op.ok_signal, seconds=op.ok_timeout_s))
+        if op.pierce.seconds > 0.0:
+            out.append(Action(first, "wait", seconds=op.pierce.seconds))
+        out.append(Action(last, "off", signal=op.signal))
+    return (*out, Action(len(route.segment) - 1, "confirm", vocabulary.TORCH_COLD.filled()))
+
+
+def exhibits(
+    op: Trim, torch: Torch, made: list[Slot], wanted: tuple[Wanted, ...], route: Route
+) -> dict[str, Any]:
+    """Exhibits by name, in the forms that the report knows."""
+    ok = (
+        "none: the program does not wait"
+        if op.ok_signal is None
+        else f"{op.ok_signal}, {op.ok_timeout_s:g} s at most"
+    )
+    items = [
+        ("torch", f"{torch.cuts_by}, nozzle {2.0 * torch.nozzle / MM:g} mm, kerf {torch.kerf / MM:g} mm"),
+        ("TCP", f"{torch.standoff / MM:g} mm before the nozzle, on its axis; z out of the torch"),
+        ("output that starts the arc", op.signal),
+        ("input that says it burns", ok),
+        ("configure at the controller", "both signals; the programs do not load without them"),
+        ("pierce", f"{op.pierce.seconds:g}", "s behind that, at rest in the waste"),
+        ("feed in the flat sheet", f"{op.feed_mm_s:g}", "mm/s; over the cosine of the wall's angle"),
+        ("safe plane", f"{op.safe_mm:g} mm off clamp and sheet, {op.side}"),
+        ("before", "return lead on the sheet, grease off it, fumes drawn off, nothing that burns near by"),
+        ("below the sheet", "a way for sparks and for what drops, and a tray for it; it is hot"),
+        ("afterwards", "dross off, micro-joints broken, edges broken before the sheet is formed on"),
+    ]
+    rows = []
+    for slot in made:
+        way = float(np.linalg.norm(np.diff(slot.point[slot.first : slot.last + 1], axis=0), axis=1).sum())
+        wall = np.rad2deg(np.arccos(np.clip(np.abs(slot.normal[:, 2]), 0.0, 1.0)))
+        own = next(w.spec for w in wanted if w.spec.name == slot.outline)
+        joints = f"{own.joints} of {own.joint_mm:g}" if own.joints else "none"
+        rows.append(
+            (slot.name, own.drops, f"{way / MM:.1f}", f"{wall.min():.0f} to {wall.max():.0f}", joints)
+        )
+    columns = ("slot", "drops", "way [mm]", "wall [deg]", "micro-joints [mm]")
+    series = []
+    for slot, first, last in zip(made, route.pierce, route.end, strict=True):
+        steps = np.linalg.norm(np.diff(route.tip[first : last + 1], axis=0), axis=1)
+        along = np.append(0.0, np.cumsum(steps))
+        series.append({"name": slot.name, "x": along / MM, "y": route.height[first : last + 1] / MM})
+    off = torch.standoff / MM
+    return {
+        "setup": {"kind": "setup", "title": "Trimming", "items": items},
+        "slots": {"kind": "table", "title": "Slots in order", "columns": columns, "rows": rows},
+        "curves": {
+            "kind": "paths",
+            "title": "Cut curves, with the nozzle's end over them and pierce points",
+            "near": True,
+            "curves": [
+                *(np.concatenate([w.laid.point, w.laid.point[:1]]) for w in wanted),
+                *(
+                    route.tip[a : b + 1] + torch.standoff * route.axis[a : b + 1]
+                    for a, b in zip(route.pierce, route.end, strict=True)
+                ),
+            ],
+            "points": route.tip[list(route.pierce)],
+        },
+        "standoff": {
+            "kind": "curve",
+            "title": "Nozzle over the sheet, from where it pierces",
+            "x_label": "way of the TCP [mm]",
+            "y_label": "nozzle off the sheet [mm]",
+            "series": tuple(series[:6]),
+            "limits": (
+                {"name": "highest", "value": off + op.height_tol_mm},
+                {"name": "lowest", "value": off - op.height_tol_mm},
+            ),
+        },
+    }

@@ -1,0 +1,222 @@
+"""The `trim` operation of a problem file: what a torch cuts out of a sheet, and how.
+
+Lengths are in mm, angles in degrees, speeds in mm/s.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Final, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
+
+from planner.claims.vocabulary import fold
+from planner.geometry.arrays import FloatArray
+from planner.geometry.units import LENGTH_UNITS, MM
+from planner.issues import Issue, TandemError
+from planner.problem import Stock
+from planner.reading.drawing import read_dxf
+from planner.reading.part_ruled import GuideFile, guide
+from planner.reading.sheet import SheetMeshFile
+from planner.reading.strict_yaml import Name, Strict
+
+Signal = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
+
+
+class CircleFile(Strict):
+    """A circle in the sheet's plane."""
+
+    at_mm: Annotated[tuple[float, float], Field(description="its middle, in the sheet's frame")]
+    diameter_mm: Annotated[float, Field(gt=0, le=10_000)]
+
+
+class OutlineFile(Strict):
+    """A closed curve that is projected along the sheet's z onto its formed face and cut there: exactly one of
+    a ``curve``, whose z is not looked at, and a ``circle``.
+
+    What is ``inside`` of it drops, or what is ``outside``. ``joints`` of a width stay between what drops and
+    the part until somebody breaks them.
+    """
+
+    name: Name
+    curve: GuideFile | None = None
+    circle: CircleFile | None = None
+    drops: Annotated[Literal["inside", "outside"], Field(description="the waste")] = "inside"
+    joints: Annotated[int, Field(ge=0, le=50, description="micro-joints, evenly about the curve")] = 0
+    joint_mm: Annotated[float, Field(ge=0.1, le=50, description="metal left at each, across")] = 1.0
+
+    @field_validator("curve")
+    @classmethod
+    def _from_the_problem_file(cls, value: GuideFile | None, info: ValidationInfo) -> GuideFile | None:
+        """A drawing is looked up from the folder of the problem file."""
+        folder: Path = (info.context or {}).get("folder", Path())
+        return None if value is None else value.looked_up(folder)
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.curve is None) == (self.circle is None):
+            raise ValueError("give exactly one of curve and circle")
+        if self.curve is not None and self.curve.rhino is not None:
+            raise ValueError("curves to cut are not read from Rhino files; save them as DXF (dxf:)")
+        return self
+
+
+class LeadFile(Strict):
+    """How the slot begins and ends, in the waste: a straight ``line`` at right angles to the curve, or an
+    ``arc`` that runs into it, as far from the curve as it is long."""
+
+    shape: Literal["arc", "line"] = "line"
+    length_mm: Annotated[float, Field(ge=0.5, le=200, description="from the pierce point to the curve")] = 4.0
+    out_mm: Annotated[
+        float, Field(ge=0, le=200, description="straight off the closed curve; none behind micro-joints")
+    ] = 1.0
+    overcut_mm: Annotated[float, Field(ge=0, le=50, description="past the start of a closed curve")] = 1.0
+
+
+class PierceFile(Strict):
+    """How the sheet is pierced, with the torch at rest in the waste."""
+
+    height_mm: Annotated[
+        float | None, Field(ge=0.2, le=100, description="of the nozzle off the sheet; none: its stand-off")
+    ] = None
+    seconds: Annotated[float, Field(ge=0, le=60, description="from the arc's OK to the first move")] = 0.5
+    off_mm: Annotated[
+        float, Field(ge=0.2, le=200, description="least distance of the pierce point from any curve")
+    ] = 2.0
+
+
+def _resolved(value: SheetMeshFile | str, info: ValidationInfo) -> SheetMeshFile | str:
+    """The file of a surface, looked up from the folder of the problem file."""
+    folder: Path = (info.context or {}).get("folder", Path())
+    if isinstance(value, str):
+        return value
+    return value.model_copy(update={"file": str(folder / value.file)})
+
+
+class Trim(Strict):
+    """One arm's torch cuts closed curves out of the formed sheet, inner ones before outer ones.
+
+    ``surface``: the face that the torch follows: the ``wanted`` part, or a mesh of the sheet as it really is,
+    scanned or released, in the sheet's frame. ``feed_mm_s`` is for the sheet's own thickness t0; on walls of
+    the angle a, where t0 cos a is left of it, the torch goes at ``feed_mm_s`` / cos a.
+    """
+
+    name: Name
+    process: Literal["trim"]
+    arms: Annotated[tuple[Name, ...], Field(min_length=1, max_length=1)]
+    side: Annotated[Literal["top", "bottom"], Field(description="of the sheet, on which the torch is")] = (
+        "top"
+    )
+    surface: Annotated[Literal["wanted"] | SheetMeshFile, AfterValidator(_resolved)] = "wanted"
+    outlines: Annotated[tuple[OutlineFile, ...], Field(min_length=1, max_length=500)]
+    lead: LeadFile = LeadFile()
+    pierce: PierceFile = PierceFile()
+    feed_mm_s: Annotated[float, Field(ge=0.5, le=1000, description="in the sheet's own thickness")]
+    feed_most_mm_s: Annotated[
+        float | None, Field(ge=0.5, le=1000, description="on thin walls; none: as the thickness says")
+    ] = None
+    least_feed: Annotated[
+        float,
+        Field(ge=0.05, le=0.95, description="share of its feed that each cut has to reach on average"),
+    ] = 0.5
+    cone_deg: Annotated[
+        float, Field(ge=1, le=45, description="how far the torch may lean off the sheet's normal")
+    ] = 5.0
+    signal: Annotated[Signal, Field(description="output that starts the arc, or the beam")] = "doArc"
+    ok_signal: Annotated[
+        Signal | None, Field(description="input that says that it burns; none: no such wait")
+    ] = "diArcOk"
+    ok_timeout_s: Annotated[
+        float, Field(ge=0.1, le=60, description="behind which the program breaks off")
+    ] = 5.0
+    shape_tol_mm: Annotated[float, Field(ge=0.02, le=10, description="of the cut edge to the curve")] = 0.3
+    height_tol_mm: Annotated[float, Field(ge=0.02, le=10, description="of the stand-off")] = 0.5
+    clear_mm: Annotated[
+        float, Field(ge=0.1, le=50, description="least distance of the torch to the formed sheet")
+    ] = 1.0
+    safe_mm: Annotated[
+        float, Field(ge=1, le=2000, description="of the safe plane off clamp and formed sheet")
+    ] = 30.0
+    plunge_mm_s: Annotated[float, Field(ge=0.5, le=500, description="down to the pierce height")] = 40.0
+    rapid_mm_s: Annotated[float, Field(ge=1, le=5000, description="on the safe plane")] = 150.0
+    step_mm: Annotated[float, Field(ge=0.2, le=100, description="longest way between targets of a cut")] = 4.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len({fold(one.name) for one in self.outlines}) != len(self.outlines):
+            raise ValueError(
+                "outlines: each has a name of its own, where case and runs of underscores do not count"
+            )
+        if self.lead.shape == "arc" and any(one.joints for one in self.outlines):
+            raise ValueError(
+                "lead: an arc would cut through the micro-joint before it; take shape: line, or joints: 0"
+            )
+        if self.feed_most_mm_s is not None and self.feed_most_mm_s < self.feed_mm_s:
+            raise ValueError("feed_most_mm_s is below feed_mm_s; the flat sheet could not be cut")
+        if self.lead.length_mm < 3.0 * self.shape_tol_mm:
+            raise ValueError(
+                f"lead: length_mm {self.lead.length_mm:g} is less than three times shape_tol_mm, so that "
+                f"it cannot "
+                "be told from the curve; lengthen it"
+            )
+        if self.signal.lower() == (self.ok_signal or "").lower():
+            raise ValueError(
+                "signal and ok_signal: one is an output, the other an input; give them two names"
+            )
+        return self
+
+    def leaves(self, stock: Stock) -> Stock:
+        """The sheet as it stays clamped, with holes; bodies keep clear of what was cut out of it, too."""
+        if stock.sheet is None:
+            return stock
+        try:
+            cut = tuple((one.name, _in_plan(one)) for one in self.outlines)
+        except TandemError:
+            return stock  # a file that cannot be read is told by the operation itself
+        return dataclasses.replace(
+            stock, sheet=dataclasses.replace(stock.sheet, holes=(*stock.sheet.holes, *cut))
+        )
+
+
+CIRCLE_POINTS: Final = 720
+"""Points of a circle."""
+_PLANS: dict[str, FloatArray] = {}
+"""Curves in plan by all that is stated of them."""
+
+
+def _in_plan(one: OutlineFile) -> FloatArray:
+    """Points (K, 2) [m] of an outline in plan, read once."""
+    key = one.model_dump_json()
+    if key not in _PLANS:
+        _PLANS[key] = outline_points(one)[:, :2]
+    return _PLANS[key]
+
+
+def outline_points(one: OutlineFile) -> FloatArray:
+    """Points (K, 2 or 3) [m] of an outline. Raises ``TandemError``: issues of files, ``part.guide``."""
+    if one.circle is not None:
+        around = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
+        ring = np.stack([np.cos(around), np.sin(around)], axis=1)
+        return np.asarray((np.array(one.circle.at_mm) + 0.5 * one.circle.diameter_mm * ring) * MM)
+    field = f"operations.outlines.{one.name}"
+    curve = one.curve
+    if curve is None:
+        raise ValueError("an outline is a curve or a circle")
+    if curve.dxf is not None:
+        _require_closed(curve, field)
+    return guide(curve, True, Path(), field)[0].points
+
+
+def _require_closed(curve: GuideFile, field: str) -> None:
+    """Raises ``TandemError`` (trim.open) for a drawing with open curves, which no slot goes round."""
+    if curve.dxf is None:
+        return
+    found = read_dxf(Path(curve.dxf.file), LENGTH_UNITS[curve.dxf.unit], curve.dxf.layer, f"{field}.dxf")[0]
+    if len(found) == 1 and not found[0].closed:
+        gap = float(np.linalg.norm(found[0].points[0] - found[0].points[-1])) / MM
+        what = f"{Path(curve.dxf.file).name}: the curve is open by {gap:.3g} mm; only closed ones are cut"
+        raise TandemError(
+            Issue("trim.open", what, field=field, value=gap, limit=0.01, unit="mm", hint="close it")
+        )

@@ -1,0 +1,392 @@
+"""Rules on sheets that a torch trims: what is cut and what stays, the torch, its arc, order, feed and room.
+
+verify.trim_cut: each outline is cut, closed but for its joints. verify.trim_kept: nothing is cut off
+the part. verify.trim_torch: stand-off and lean. verify.trim_arc: when it burns. verify.trim_order,
+trim_feed, trim_clear.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.claims.trim import TrimsSheet
+from planner.geometry.arrays import BoolArray, FloatArray
+from planner.issues import Issue
+from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
+from planner.verify.files import UnreadError
+from planner.verify.job import TaskText
+from planner.verify.programs.steps import MoveStep, SignalStep, Step, WaitStep
+from planner.verify.trim.outlines import TRIM, Curve, winding
+from planner.verify.trim.torch_motion import Trimming, TrimWork, Way, off_sheet
+
+NOTHING_TRIMMED = "nothing is trimmed"
+"""Why rules about trimming have not run."""
+PLACE_ERROR = 0.02e-3
+"""What places of ways and curves, between which nothing is looked at, may hide [m]."""
+ANGLE_ERROR = np.deg2rad(0.5)
+"""What facets of a mesh may turn its normals by [rad]."""
+STANDING = 0.05e-3
+"""A torch that moves by no more than this [m] stands."""
+AVERAGE_SLACK = 0.95
+"""Share of the least average feed that is accepted, as ramps of the replay are those of no controller."""
+CLEAR_SHARE = 0.1
+"""How much less than the wanted room is accepted between targets, as a share of it."""
+WAIT_ROUNDING = 0.001
+"""Times are written with three decimals [s]."""
+ISSUES_SHOWN = 20
+"""Issues of one slot at most."""
+
+
+@rule("verify.trim_cut", TrimsSheet)
+def trim_cut(context: Context, trimming: Trimming) -> Outcome:
+    """Each outline, as the proof reads it and the part once more, is cut all the way round with the slot's
+    edge within the tolerance of it, but for as many micro-joints as wanted, as wide as wanted; nothing else
+    is trimmed."""
+    issues = [*trimming.issues, *(i for i in context.unread if i.code == "verify.trim_cut")]
+    issues += _unclaimed(context, trimming)
+    worst, limit, where = -np.inf, None, ""
+    for work in trimming.works:
+        for curve in work.curves:
+            ways = [way for way in work.ways(curve).values() if way is not None]
+            if len(ways) < len(work.ways(curve)):
+                what = (
+                    f"{curve.one.name} is not cut" if not ways else f"a slot of {curve.one.name} is not cut"
+                )
+                issues.append(Issue("verify.trim_cut", what, field=curve.one.name))
+                continue
+            left, found = _closed(work, curve, ways)
+            issues += found
+            if left > worst:
+                worst, limit, where = left, mm(work.claim.tolerance + work.sheet.tolerance), curve.one.name
+    if limit is None:
+        return Outcome(tuple(issues), where="" if issues else NOTHING_TRIMMED)
+    return Outcome(tuple(issues), mm(worst), limit, "mm", where)
+
+
+def _closed(work: TrimWork, curve: Curve, ways: list[Way]) -> tuple[float, list[Issue]]:
+    """How far [m] the slot's edge is off the outline where it is cut, and what is wrong with its joints."""
+    claim, one, half = work.claim, curve.one, 0.5 * work.claim.torch.kerf
+    near = claim.tolerance + work.sheet.tolerance + PLACE_ERROR
+    foot = np.concatenate([way.feet.foot for way in ways])
+    off, at = (np.concatenate([getattr(way, name) for way in ways]) for name in ("off", "at"))
+    apart = np.asarray(cKDTree(foot).query(curve.ring)[0]) - half
+    bare = apart > near
+    left = float(np.abs(apart[~bare]).max(initial=0.0))
+    on = np.abs(off - half) <= near
+    if not on.any():
+        what = f"the slot is nowhere within {mm(claim.tolerance):g} mm of {one.name}, on the side that "
+        what += "drops; the "
+        what += f"nearest place of it is {mm(float(np.abs(off - half).min())):.2f} mm off"
+        return left, [Issue("verify.trim_cut", what, field=one.name)]
+    issues = []
+    gaps = _runs(bare)
+    if len(gaps) != one.joints:
+        x, y, _ = curve.ring[gaps[0][0]] / 1e-3 if gaps else curve.ring[0] / 1e-3
+        what = f"{one.name} is left uncut in {len(gaps)} places, wanted: {one.joints}"
+        what += f"; the first is at ({x:.1f}, {y:.1f}) mm" if gaps else ""
+        count = {"value": float(len(gaps)), "limit": float(one.joints)}
+        issues.append(Issue("verify.trim_cut", what, field=one.name, **count))  # type: ignore[arg-type]
+    for first, last in gaps if one.joints else ():
+        before = foot[on][int(np.argmin((curve.along[first] - at[on]) % curve.length))]
+        behind = foot[on][int(np.argmin((at[on] - curve.along[last]) % curve.length))]
+        width = float(np.linalg.norm(behind - before)) - 2.0 * half
+        if abs(width - one.width) > near:
+            x, y, _ = curve.ring[first] / 1e-3
+            what = (
+                f"the micro-joint of {one.name} at ({x:.1f}, {y:.1f}) mm is {mm(width):.2f} mm wide; wanted: "
+            )
+            what += f"{mm(one.width):g} mm within {mm(claim.tolerance):g}"
+            issues.append(
+                Issue("verify.trim_cut", what, field=one.name, value=mm(width), limit=mm(one.width))
+            )
+    return left, issues
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """First and last places of runs of a closed row of flags."""
+    rows = np.flatnonzero(flags)
+    if not len(rows):
+        return []
+    groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    if len(groups) > 1 and groups[0][0] == 0 and groups[-1][-1] == len(flags) - 1:
+        groups = [np.concatenate([groups[-1], groups[0]]), *groups[1:-1]]
+    return [(int(group[0]), int(group[-1])) for group in groups]
+
+
+def _unclaimed(context: Context, trimming: Trimming) -> Iterator[Issue]:
+    """Segments that trim, of which nothing is claimed."""
+    known = {key for work in trimming.works for key in work.slots}
+    motion = context.motion
+    for segment in dict.fromkeys(motion.node_segment):
+        if segment.kind == TRIM and segment.at("").key not in known:
+            what = f"the programs trim in {segment}, of which the problem claims nothing"
+            yield Issue("verify.trim_cut", what, field=str(segment))
+
+
+@rule("verify.trim_kept", TrimsSheet)
+def trim_kept(context: Context, trimming: Trimming) -> Outcome:
+    """What must stay stays: the slot of a burning torch, with its pierce point and its ways in and out, lies
+    in what its outline lets drop, and reaches no farther over the outline than the tolerance."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, None, ""
+    for work, curve, key, way in _every(trimming):
+        near = work.claim.tolerance + work.sheet.tolerance + PLACE_ERROR
+        deep = 0.5 * work.claim.torch.kerf - way.off
+        if float(deep.max()) > worst:
+            worst, limit, where = float(deep.max()), mm(near), key
+        bad = np.flatnonzero(deep > near)
+        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+            x, y, z = way.feet.foot[i] / 1e-3
+            what = f"in {key} the slot is {mm(float(deep[i])):.2f} mm in the part, over {curve.one.name}, at "
+            what += f"({x:.1f}, {y:.1f}, {z:.1f}) mm; allowed: {mm(near):.2f} mm"
+            measure = (mm(float(deep[i])), mm(near), "mm")
+            row = int(way.rows[i])
+            issues.append(at_sample("verify.trim_kept", what, context.motion, work.claim.arm, row, measure))
+    if limit is None:
+        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+    return Outcome(tuple(issues), mm(worst), limit, "mm", where)
+
+
+@rule("verify.trim_torch", TrimsSheet)
+def trim_torch(context: Context, trimming: Trimming) -> Outcome:
+    """While it cuts the nozzle is off the sheet by its stand-off within the tolerance, no higher than its
+    pierce height where it leads in, and the torch leans off the sheet's normal no farther than its cone."""
+    issues: list[Issue] = []
+    worst, where = 0.0, ""
+    for work, _, key, way in _every(trimming):
+        claim = work.claim
+        near = claim.height + work.sheet.tolerance
+        lift = max(claim.pierce_height - claim.torch.standoff, 0.0)
+        drop = min(claim.pierce_height - claim.torch.standoff, 0.0)
+        leads = way.off > 0.5 * claim.torch.kerf + claim.tolerance
+        high = near + PLACE_ERROR + np.where(leads, lift, 0.0)
+        low = -near - PLACE_ERROR + np.where(leads, drop, 0.0)
+        lean = np.arccos(np.clip((way.axis * way.feet.normal).sum(axis=1), -1.0, 1.0))
+        share = np.maximum(way.feet.height / high, way.feet.height / low)
+        turned = lean / (claim.cone + ANGLE_ERROR)
+        pierced = abs(float(way.feet.height[0]) - (claim.pierce_height - claim.torch.standoff)) / near
+        for rate, kind in ((share, "height"), (turned, "lean"), (np.array([pierced]), "pierce")):
+            if float(rate.max()) > worst:
+                worst, where = float(rate.max()), f"{kind} in {key}"
+            bad = np.flatnonzero(rate > 1.0)
+            for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+                nozzle = mm(float(way.feet.height[i]) + claim.torch.standoff)
+                said = {
+                    "height": f"the nozzle is {nozzle:.2f} mm off the sheet; wanted: "
+                    f"{mm(claim.torch.standoff):g} mm within {mm(claim.height):g}",
+                    "lean": f"the torch leans {np.rad2deg(lean[i]):.1f} deg off the sheet's normal; allowed: "
+                    f"{np.rad2deg(claim.cone):g} deg",
+                    "pierce": f"the sheet is pierced from {nozzle:.2f} mm; wanted: "
+                    f"{mm(claim.pierce_height):g} mm within {mm(claim.height):g}",
+                }[kind]
+                row = int(way.rows[i])
+                issues.append(
+                    at_sample("verify.trim_torch", f"in {key} {said}", context.motion, claim.arm, row)
+                )
+    if not where:
+        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of what is allowed", where)
+
+
+@rule("verify.trim_arc", TrimsSheet)
+def trim_arc(context: Context, trimming: Trimming) -> Outcome:
+    """The arc starts with the torch at rest in the waste, far enough off all curves, and the program then
+    waits for it, no longer than it may; it burns all along its slot and nowhere else."""
+    issues: list[Issue] = []
+    count = 0
+    for work in trimming.works:
+        claim, motion = work.claim, context.motion
+        issues += _waits(context, claim)
+        track, burning = work.track, work.burning
+        inner = np.zeros(len(track.time), dtype=bool)
+        for begin, end in zip(burning.begin, burning.end, strict=True):
+            inside = (track.time > begin + 1e-6) & (track.time < end - 1e-6)
+            inner |= inside
+            start = min(int(np.searchsorted(track.time, begin, side="right")), len(track.time)) - 1
+            moved = np.linalg.norm(track.tip - track.tip[start], axis=1) > STANDING
+            stray = np.flatnonzero(inside & moved & ~np.isin(track.label, list(work.slots)))
+            for i in stray[:1]:
+                what = f"{claim.signal} is on in {track.label[i]}, where nothing is cut"
+                issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(track.rows[i])))
+            issues += _pierced(context, work, track.tip[start], int(track.rows[start]), begin)
+        for key in work.slots:
+            own = work.of_slot(key)
+            if len(own.time) < 2:
+                continue
+            count += 1
+            dark = np.flatnonzero(~burning.at(own.time))
+            for i in dark[:1]:
+                what = f"{claim.signal} is off in {key}: nothing is cut there"
+                issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(own.rows[i])))
+    return Outcome(tuple(issues), where=f"{count} slots" if trimming.works else NOTHING_TRIMMED)
+
+
+def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin: float) -> Iterator[Issue]:
+    """Where the arc starts: in the waste of some outline, off all curves; and for how long it stands."""
+    claim, motion = work.claim, context.motion
+    foot = work.sheet.feet(tip[None]).foot
+    off = np.array([float(curve.off(foot)[0][0]) for curve in work.curves])
+    waste = any(bool(curve.in_waste(foot)[0]) for curve in work.curves)
+    least = claim.pierce_off - work.sheet.tolerance - PLACE_ERROR
+    if not waste or off.min() < least:
+        what = f"the arc starts {'in the part, ' if not waste else ''}{mm(float(off.min())):.2f} mm off "
+        what += f"{work.curves[int(off.argmin())].one.name}; wanted: in the waste, "
+        what += f"{mm(claim.pierce_off):g} mm off"
+        yield at_sample("verify.trim_arc", what, motion, claim.arm, row)
+    moving = np.flatnonzero(
+        (work.track.time > begin) & (np.linalg.norm(work.track.tip - tip, axis=1) > STANDING)
+    )
+    stood = float(work.track.time[moving[0]]) - begin if len(moving) else 0.0
+    if stood < claim.pierce_seconds - WAIT_ROUNDING:
+        what = (
+            f"the torch moves {stood:.3f} s after {claim.signal} goes on; wanted: {claim.pierce_seconds:g} s"
+        )
+        yield at_sample("verify.trim_arc", what, motion, claim.arm, row)
+
+
+def _waits(context: Context, claim: TrimsSheet) -> Iterator[Issue]:
+    """Whether the program waits for the arc between its start and the next move, as the text has it."""
+    if claim.ok_signal is None:
+        return
+    for task in context.job.tasks:
+        if task.arm.name != claim.arm:
+            continue
+        started: Step | None = None
+        for step in task.steps:
+            if isinstance(step, SignalStep) and step.signal.lower() == claim.signal.lower():
+                started = step if step.value else None
+            elif isinstance(step, WaitStep) and started is not None and _is_ok(step, claim):
+                started = None
+            elif isinstance(step, MoveStep) and started is not None:
+                yield _unwaited(task, started, claim)
+                started = None
+
+
+def _is_ok(step: WaitStep, claim: TrimsSheet) -> bool:
+    return (
+        step.signal.lower() == (claim.ok_signal or "").lower()
+        and step.value == 1.0
+        and not step.flag
+        and step.seconds is not None
+        and step.seconds <= claim.timeout + WAIT_ROUNDING
+    )
+
+
+def _unwaited(task: TaskText, step: Step, claim: TrimsSheet) -> Issue:
+    what = (
+        f"behind {claim.signal} the torch moves without a wait for {claim.ok_signal} of {claim.timeout:g} s "
+    )
+    return at_step("verify.trim_arc", what + "at most, which breaks off where no arc burns", task, step)
+
+
+@rule("verify.trim_order", TrimsSheet)
+def trim_order(context: Context, trimming: Trimming) -> Outcome:
+    """An outline that lies in another one is cut before that, which would let it move; slots of one outline
+    are cut without others between them."""
+    issues: list[Issue] = []
+    pairs = 0
+    for work in trimming.works:
+        spans: list[tuple[float, float]] = []
+        for curve in work.curves:
+            tracks = [work.of_slot(key) for key in work.ways(curve)]
+            times = np.concatenate([track.time for track in tracks if len(track.time)] or [np.zeros(0)])
+            spans.append((float(times.min()), float(times.max())) if len(times) else (np.inf, -np.inf))
+        for (a, inner), (b, outer) in itertools.permutations(enumerate(work.curves), 2):
+            if not bool(winding(outer.flat, inner.flat[:1])[0]):
+                continue
+            pairs += 1
+            if spans[a][1] > spans[b][0]:
+                what = f"{outer.one.name} is begun before {inner.one.name}, which lies in it, is cut"
+                issues.append(Issue("verify.trim_order", what, field=outer.one.name, arm=work.claim.arm))
+    return Outcome(tuple(issues), where=f"{pairs} within others" if trimming.works else NOTHING_TRIMMED)
+
+
+@rule("verify.trim_feed", TrimsSheet)
+def trim_feed(context: Context, trimming: Trimming) -> Outcome:
+    """While it cuts the torch goes no faster than its feed over the cosine of the wall's angle, by the
+    thickness that the sine law leaves there, and on average no slower than the wanted share of that."""
+    issues: list[Issue] = []
+    worst, where = 0.0, ""
+    for work, _, key, _way in _every(trimming):
+        claim, track = work.claim, work.of_slot(key)
+        time, length = np.diff(track.time), np.linalg.norm(np.diff(track.tip, axis=0), axis=1)
+        time, length = time[track.joined], length[track.joined]
+        feet = work.sheet.feet(track.tip)
+        wall = np.maximum(np.abs(feet.normal[:, 2]), 0.05)
+        limit = np.minimum(claim.feed / wall, claim.feed_most)
+        there = np.maximum(limit[:-1], limit[1:])[track.joined]
+        speed = length / np.maximum(time, 1e-6)
+        share = speed / there
+        if float(share.max()) > worst:
+            worst, where = float(share.max()), key
+        rows = track.rows[1:][track.joined]
+        bad = np.flatnonzero(share > FEED_SLACK)
+        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+            what = f"the torch cuts at {mm(float(speed[i])):.2f} mm/s in {key}; allowed there: "
+            what += f"{mm(float(there[i])):.2f}"
+            measure = (mm(float(speed[i])), mm(float(there[i])), "mm/s")
+            issues.append(
+                at_sample("verify.trim_feed", what, context.motion, claim.arm, int(rows[i]), measure)
+            )
+        mean = float((length / there).sum() / max(float(time.sum()), 1e-9))
+        if mean < AVERAGE_SLACK * claim.least_feed:
+            what = f"the torch cuts at {100 * mean:.0f} % of its feed in {key} on average; wanted: "
+            what += f"{100 * claim.least_feed:.0f} %"
+            issues.append(Issue("verify.trim_feed", what, field=key, value=mean, limit=claim.least_feed))
+    if not where:
+        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+    return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
+
+
+@rule("verify.trim_clear", TrimsSheet)
+def trim_clear(context: Context, trimming: Trimming) -> Outcome:
+    """The torch that is mounted is the claimed one, and in slots and on the ways to them and from them no
+    part of it is nearer to the formed sheet than it may be."""
+    issues: list[Issue] = []
+    worst, limit, where = np.inf, None, ""
+    for work in trimming.works:
+        claim = work.claim
+        issues += _same_torch(context, work)
+        rows = np.flatnonzero(np.char.startswith(work.track.label.astype(str), f"{TRIM}/"))
+        if not len(rows):
+            continue
+        try:
+            off, row = off_sheet(work, rows)
+        except UnreadError as error:
+            issues.append(
+                Issue("verify.trim_clear", str(error), hint="take a smaller sheet or a coarser mesh")
+            )
+            continue
+        least = (1.0 - CLEAR_SHARE) * claim.clear - work.sheet.tolerance
+        if off < worst:
+            worst, limit, where = off, mm(least), str(work.track.label[row])
+        if off < least:
+            what = f"in {work.track.label[row]} the torch is {mm(off):.2f} mm off the sheet; wanted: "
+            what += f"{mm(claim.clear):g} mm"
+            measure = (mm(off), mm(least), "mm")
+            sample = int(work.track.rows[row])
+            issues.append(at_sample("verify.trim_clear", what, context.motion, claim.arm, sample, measure))
+    if limit is None:
+        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+    return Outcome(tuple(issues), mm(worst), limit, "mm", where)
+
+
+def _same_torch(context: Context, work: TrimWork) -> Iterator[Issue]:
+    own, said = context.setups[work.index].cell.arm(work.claim.arm).tool, work.claim.torch
+    names = ("standoff", "kerf", "nozzle", "cone", "body", "back")
+    if not all(abs(getattr(own, name, np.inf) - getattr(said, name)) < 1e-9 for name in names):
+        what = f"the tool of {work.claim.arm} in setup {work.index + 1} is another torch than the claimed one"
+        yield Issue("verify.trim_clear", what, arm=work.claim.arm)
+
+
+def _every(trimming: Trimming) -> Iterator[tuple[TrimWork, Curve, str, Way]]:
+    """All slots that are cut."""
+    for work in trimming.works:
+        for curve in work.curves:
+            for key, way in work.ways(curve).items():
+                if way is not None:
+                    yield work, curve, key, way

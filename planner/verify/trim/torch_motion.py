@@ -1,0 +1,201 @@
+"""Where a torch is while it trims, whether its arc burns then, and how far its body is off the sheet."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from functools import cached_property
+
+import numpy as np
+
+from planner.claims.trim import TrimsSheet
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.swept_body import RoundBody, least_distances, places_near
+from planner.issues import Issue
+from planner.tooling import Torch
+from planner.verify.context import Context
+from planner.verify.files import UnreadError
+from planner.verify.milling.tool_motion import Milling, Track
+from planner.verify.programs.steps import SignalStep
+from planner.verify.trim.outlines import TRIM, Curve, Feet, SheetSide, slot_names
+
+SIGHT = 20e-3
+"""What is farther off a torch than this [m] is not told apart."""
+FACE_SPACING = 0.8e-3
+"""How near [m] to one another places of a face are at which a torch is looked for."""
+PLACE_STEP = 0.2e-3
+"""Places of a torch's way are no farther apart than this [m];"""
+BEND_SHARE = 0.05
+"""straight lines between them leave its way by no more than this part of the tolerance."""
+MOST_FACE_PLACES = 1_000_000
+"""Places of a face at most."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Burning:
+    """Intervals [s] in which a signal is on: ``begin`` and ``end`` (B,)."""
+
+    begin: FloatArray
+    end: FloatArray
+
+    @staticmethod
+    def of(context: Context, signal: str) -> Burning:
+        """When the programs have a signal on."""
+        steps = [
+            (at, step.value)
+            for at, _, _, step in context.motion.step_time
+            if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
+        ]
+        begin: list[float] = []
+        end: list[float] = []
+        for at, value in sorted(steps, key=lambda one: one[0]):
+            if value and len(begin) == len(end):
+                begin.append(at)
+            elif not value and len(begin) > len(end):
+                end.append(at)
+        if len(begin) > len(end):
+            end.append(float("inf"))
+        return Burning(np.array(begin), np.array(end))
+
+    def at(self, time: FloatArray) -> BoolArray:
+        """(T,) whether it is on at some times, the ends of intervals among them."""
+        place = np.searchsorted(self.begin, time, side="right") - 1
+        inside = place >= 0
+        out = np.zeros(len(time), dtype=bool)
+        out[inside] = time[inside] <= self.end[place[inside]]
+        return out
+
+
+@dataclasses.dataclass(frozen=True)
+class Way:
+    """Places of the torch in one slot, ``PLACE_STEP`` apart at most: ``axis`` (N, 3), from the TCP into the
+    torch, ``feet`` on the face, and ``rows`` (N,) of the motion; ``off`` (N,) [m] from the curve that it
+    cuts, below zero on the part, and where along that, ``at`` (N,) [m]."""
+
+    axis: FloatArray
+    feet: Feet
+    rows: IntArray
+    off: FloatArray
+    at: FloatArray
+
+
+class TrimWork:
+    """One claim on a trimmed sheet, with the motion of its torch. Raises `UnreadError` where part or curves
+    cannot be read once more."""
+
+    def __init__(self, context: Context, index: int, claim: TrimsSheet) -> None:
+        self.context, self.index, self.claim = context, index, claim
+        self.sheet = SheetSide(claim, context.problem.source.get("part"))
+        self.curves = tuple(Curve(one, self.sheet) for one in claim.outlines)
+        self._milling = Milling(context)
+        labels = tuple(sorted(set(context.motion.node_label.tolist())))
+        self.track: Track = self._milling.track(index, claim.arm, labels)
+        self._ways: dict[str, Way | None] = {}
+        self.burning = Burning.of(context, claim.signal)
+
+    @cached_property
+    def on(self) -> BoolArray:
+        """(T,) whether the arc burns."""
+        return self.burning.at(self.track.time)
+
+    @cached_property
+    def slots(self) -> dict[str, Curve]:
+        """The curve that each slot cuts, by the key of its segment."""
+        return {Segment(TRIM, name).key: c for c in self.curves for name in slot_names(c.one)}
+
+    def of_slot(self, key: str) -> Track:
+        """The track in one slot."""
+        return self._milling.track(self.index, self.claim.arm, (key,))
+
+    def way(self, key: str) -> Way | None:
+        """The way of the torch in one slot, None where it has none."""
+        if key not in self._ways:
+            track, curve = self.of_slot(key), self.slots[key]
+            self._ways[key] = None
+            if len(track.rows) > 1:
+                tip, axis, rows = track.spaced(PLACE_STEP, BEND_SHARE * self.claim.tolerance)
+                order = np.argsort(rows, kind="stable")
+                tip, axis, rows = tip[order], axis[order], rows[order]
+                feet = self.sheet.feet(tip)
+                off, at = curve.off(feet.foot)
+                off = np.where(curve.in_waste(feet.foot), off, -off)
+                self._ways[key] = Way(axis, feet, rows, off, at)
+        return self._ways[key]
+
+    def ways(self, curve: Curve) -> dict[str, Way | None]:
+        """:meth:`way` of each slot of a curve, by its key."""
+        return {k: self.way(k) for k in (Segment(TRIM, name).key for name in slot_names(curve.one))}
+
+
+class Trimming:
+    """All claims on trimmed sheets of a proof; ``issues`` says what could not be read."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        works, self.issues = list[TrimWork](), list[Issue]()
+        for index, setup in enumerate(context.setup_claims):
+            for group in setup.groups:
+                for claim in group:
+                    if not isinstance(claim, TrimsSheet):
+                        continue
+                    try:
+                        works.append(TrimWork(context, index, claim))
+                    except (UnreadError, OSError) as error:
+                        what = f"part or curves cannot be read a second time: {error}"
+                        self.issues.append(Issue("verify.trim_cut", what, field="operations.outlines"))
+        self.works = tuple(works)
+
+
+def body(torch: Torch) -> RoundBody:
+    """A torch as a body of revolution, from the TCP backwards: cone and body, by its half section, a convex
+    polygon; distances outside of it are from its edges, inside from the nearest of them."""
+    corners = np.array(
+        [
+            [torch.standoff, 0.0],
+            [torch.standoff, torch.nozzle],
+            [torch.standoff + torch.cone, torch.body],
+            [torch.back, torch.body],
+            [torch.back, 0.0],
+        ]
+    )
+
+    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
+        shape, point = back.shape, np.stack([back.ravel(), beside.ravel()], axis=1)
+        best, inside = np.full(len(point), np.inf), np.ones(len(point), dtype=bool)
+        for a, b in itertools.pairwise(corners):
+            way, rest = b - a, point - a
+            inside &= way[0] * rest[:, 1] - way[1] * rest[:, 0] <= 0.0
+            share = np.clip(rest @ way / max(float(way @ way), 1e-24), 0.0, 1.0)
+            best = np.minimum(best, np.linalg.norm(rest - share[:, None] * way, axis=1))
+        return np.asarray(np.where(inside, -best, best).reshape(shape))
+
+    return RoundBody(torch.standoff, torch.back, torch.body, distance)
+
+
+def off_sheet(work: TrimWork, rows: IntArray) -> tuple[float, int]:
+    """Least distance [m] of the torch from the sheet at rows of its track, ``SIGHT`` at most, and the row."""
+    tip, axis, own = work.track.tip[rows], work.track.axis[rows], body(work.claim.torch)
+    corners = work.sheet.vertices[work.sheet.faces]
+    low, high = corners.reshape(-1, 3)[:, :2].min(axis=0), corners.reshape(-1, 3)[:, :2].max(axis=0)
+    size = 0.5 * np.asarray(work.context.stock(work.index).size)[:2]
+    flat = []
+    xs, ys = [min(-size[0], low[0]), max(size[0], high[0])], [min(-size[1], low[1]), max(size[1], high[1])]
+    for x0, y0, x1, y1 in (
+        (xs[0], ys[0], low[0], ys[1]),
+        (high[0], ys[0], xs[1], ys[1]),
+        (low[0], ys[0], high[0], low[1]),
+        (low[0], high[1], high[0], ys[1]),
+    ):
+        a, b, c, d = (np.array([x, y, work.sheet.rise]) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)))
+        flat += [np.array([a, b, c]), np.array([a, c, d])]
+    every = np.concatenate([corners, np.array(flat)])
+    places, _, count = places_near(every, tip, axis, own, SIGHT, FACE_SPACING, MOST_FACE_PLACES)
+    if count > MOST_FACE_PLACES:
+        raise UnreadError(
+            f"the sheet would have to be looked at in {count} places; {MOST_FACE_PLACES} may be"
+        )
+    places = np.concatenate([places, work.sheet.vertices])
+    off, where = least_distances(places, tip, axis, own, SIGHT)
+    k = int(np.argmin(off))
+    return float(off[k]), int(rows[where[k]])

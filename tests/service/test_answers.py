@@ -1,0 +1,200 @@
+"""What HTTP asks of every answer (RFC 9110, RFC 6797), and what the documented proxy passes on."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import socket
+import time
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fastapi.testclient import TestClient
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from planner.service.answers import HEAD_S
+from planner.service.jobs import put_files
+from planner.service.models import Database, default_url
+from planner.service.security import Auth, Limits
+from planner.service.upload_reader import mesh_size
+from tests.service.support import HERE, InProcess, Process, named
+
+TLS = {"X-Forwarded-Proto": "https", "X-Forwarded-For": "203.0.113.9"}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[InProcess, str]]:
+    """A service, and the address of a job that has ended."""
+    with InProcess(tmp_path_factory.mktemp("answers") / "data", Limits(check_s=60), examiners=1) as made:
+        job = made.post(named("answers")).json()["id"]
+        made.ended(job)
+        yield made, f"/v1/jobs/{job}"
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[InProcess, str]]:
+    """A service behind a proxy, and a token."""
+    data = tmp_path_factory.mktemp("proxied") / "data"
+    data.mkdir()
+    token = Auth(Database(default_url(data))).make("ann")
+    with InProcess(data, Limits(check_s=60), examiners=1, require_token=True) as made:
+        yield made, token
+
+
+class From:
+    """The application as a client at that address reaches it."""
+
+    def __init__(self, app: ASGIApp, address: str) -> None:
+        self.app, self.address = app, address
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await self.app({**scope, "client": (self.address, 1234)}, receive, send)
+
+
+@pytest.mark.parametrize("path", ["", "/files", "/files/report.html", "/programs.zip", "/events"])
+def test_head_tells_what_get_tells_without_a_body(done: tuple[InProcess, str], path: str) -> None:
+    here, job = done
+    head, get = here.http.head(job + path), here.http.get(job + path)
+    assert (head.status_code, head.content) == (200, b"")
+    for name in ("content-type", "content-length", "etag", "cache-control"):
+        assert head.headers.get(name) == get.headers.get(name), name
+    assert here.http.head("/v1/jobs/nothing").status_code == 404
+    assert here.http.head("/").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "allowed"),
+    [
+        ("PUT", "/v1/jobs", "GET, HEAD, POST"),
+        ("PATCH", "", "DELETE, GET, HEAD"),
+        ("GET", "/cancel", "POST"),
+        ("POST", "/v1/health", "GET, HEAD"),
+    ],
+)
+def test_a_wrong_method_is_told_all_right_ones(
+    done: tuple[InProcess, str], method: str, path: str, allowed: str
+) -> None:
+    here, job = done
+    answer = here.http.request(method, path if path.startswith("/v1") else job + path)
+    assert answer.status_code == 405
+    assert answer.headers["allow"] == allowed
+    assert f"use {allowed}" in answer.json()["issues"][0]["message"]
+
+
+@pytest.mark.parametrize("path", ["/files/report.html", "/programs.zip"])
+def test_what_a_browser_has_is_not_sent_again(done: tuple[InProcess, str], path: str) -> None:
+    here, job = done
+    tag = here.http.get(job + path).headers["etag"]
+    for known in (tag, f'"other", {tag}', f"W/{tag}", "*"):
+        again = here.http.get(job + path, headers={"If-None-Match": known})
+        assert (again.status_code, again.content) == (304, b""), known
+        assert again.headers["etag"] == tag
+    assert here.http.get(job + path, headers={"If-None-Match": '"other"'}).status_code == 200
+
+
+def test_a_broken_download_of_programs_goes_on_where_it_was(done: tuple[InProcess, str]) -> None:
+    here, job = done
+    whole = here.http.get(f"{job}/programs.zip")
+    assert zipfile.ZipFile(io.BytesIO(whole.content)).namelist() == ["main.mod"]
+    asked = {"Range": "bytes=20-", "If-Range": whole.headers["etag"]}
+    rest = here.http.get(f"{job}/programs.zip", headers=asked)
+    assert rest.status_code == 206
+    assert whole.content[:20] + rest.content == whole.content
+    beyond = here.http.get(f"{job}/programs.zip", headers={"Range": "bytes=100000-"})
+    assert beyond.status_code == 416
+    other = here.http.get(f"{job}/programs.zip", headers={**asked, "If-Range": '"other"'})
+    assert (other.status_code, other.content) == (200, whole.content)
+    left = [path for path in here.service.scratch.iterdir() if path.is_file()]
+    assert left == [], "an archive that was made for an answer stays"
+
+
+def test_large_texts_are_compressed_for_who_takes_that(done: tuple[InProcess, str]) -> None:
+    here, job = done
+    text = b"<p>replay</p>" * 5000
+    blob = here.service.files.put(io.BytesIO(text))
+    with here.service.database.write() as db:
+        put_files(db, job.rsplit("/", 1)[1], {"replay.html": blob})
+    path = f"{job}/files/replay.html"
+    plain = here.http.get(path, headers={"Accept-Encoding": "identity"})
+    assert plain.content == text
+    assert "content-encoding" not in plain.headers
+    with here.http.stream("GET", path, headers={"Accept-Encoding": "br, gzip;q=0.5"}) as packed:
+        raw = b"".join(packed.iter_raw())
+        assert packed.headers["content-encoding"] == "gzip"
+        assert packed.headers["vary"] == "Accept-Encoding"
+        assert packed.headers["etag"] != plain.headers["etag"]
+        assert "sandbox" in packed.headers["content-security-policy"]
+    assert len(raw) < len(text) / 20
+    assert gzip.decompress(raw) == text
+    again = here.http.get(path, headers={"Accept-Encoding": "gzip", "If-None-Match": packed.headers["etag"]})
+    assert again.status_code == 304
+    for headers in ({"Accept-Encoding": "gzip;q=0"}, {"Accept-Encoding": "gzip", "Range": "bytes=0-9"}):
+        answer = here.http.get(path, headers=headers)
+        assert "content-encoding" not in answer.headers
+    assert answer.content == text[:10]
+    saved = here.http.get(f"{path}?download=true", headers={"Accept-Encoding": "gzip"})
+    assert saved.headers["content-disposition"] == 'attachment; filename="replay.html"'
+
+
+def test_behind_the_proxy_cookies_are_secure_and_browsers_stay_with_tls(
+    closed: tuple[InProcess, str],
+) -> None:
+    here, token = closed
+    proxy = TestClient(From(here.http.app, "127.0.0.1"), base_url=HERE)
+    asked = {"Authorization": f"Bearer {token}"}
+    told = proxy.post("/v1/session", headers={**asked, **TLS})
+    assert told.status_code == 204
+    assert "; secure" in told.headers["set-cookie"].lower()
+    assert told.headers["strict-transport-security"] == "max-age=31536000"
+    clear = proxy.post("/v1/session", headers=asked)
+    assert "; secure" not in clear.headers["set-cookie"].lower()
+    assert "strict-transport-security" not in clear.headers
+
+
+def test_nobody_else_is_believed_to_be_a_proxy(closed: tuple[InProcess, str]) -> None:
+    here, token = closed
+    stranger = TestClient(From(here.http.app, "203.0.113.77"), base_url=HERE)
+    told = stranger.post("/v1/session", headers={"Authorization": f"Bearer {token}", **TLS})
+    assert told.status_code == 204
+    assert "; secure" not in told.headers["set-cookie"].lower()
+    assert "strict-transport-security" not in told.headers
+
+
+def test_connections_without_a_whole_head_are_cut_off(tmp_path: Path) -> None:
+    process = Process(tmp_path / "data").wait()
+    try:
+        request = b"GET /v1/health HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+        began = time.monotonic()
+        silent, slow, second, kept = (socket.create_connection(("127.0.0.1", process.port)) for _ in range(4))
+        slow.sendall(request[:30])
+        for one in (second, kept):
+            one.sendall(request)
+            assert _answer(one).startswith(b"HTTP/1.1 200")
+        second.sendall(request[:30])
+        for one in (silent, slow, second):
+            one.settimeout(3 * HEAD_S)
+            assert one.recv(100) == b"", "the connection is open still"
+        assert HEAD_S - 1 < time.monotonic() - began < 2 * HEAD_S
+        kept.sendall(request)
+        assert _answer(kept).startswith(b"HTTP/1.1 200")
+    finally:
+        process.stop()
+
+
+def _answer(connection: socket.socket) -> bytes:
+    """A whole answer of a connection that stays open."""
+    got = b""
+    while b"\r\n\r\n" not in got or not got.endswith(b"}"):
+        got += connection.recv(10_000)
+    return got
+
+
+@pytest.mark.parametrize("end", [b"\\\n", b"\\\r\n"])
+def test_faces_of_an_obj_file_over_several_lines_count_whole(tmp_path: Path, end: bytes) -> None:
+    path = tmp_path / "a.obj"
+    ring = b" ".join(b"%d" % n for n in range(1, 1001))
+    face = b"f " + ring.replace(b" ", b" " + end) + b"\nf" + end + b" 1 2 3\n"
+    path.write_bytes(b"v 0 0 0\n" * 1000 + face)
+    assert mesh_size(path, ".obj") == (998 + 1, 1000)

@@ -1,0 +1,240 @@
+"""A disk that is full and a database that is away: what is told, what waits, what goes on afterwards."""
+
+from __future__ import annotations
+
+import errno
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy.exc import OperationalError
+
+from planner.batch import run
+from planner.batch.job import Done, Finished, Job, Place
+from planner.issues import Issue, TandemError
+from planner.service import runner, storage
+from planner.service.models import Database
+from planner.service.security import Limits
+from tests.service.support import InProcess, codes, named, until
+
+FULL = Issue("output.disk_full", "full")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[InProcess]:
+    monkeypatch.setattr(runner, "AGAIN_S", 0.05)
+    monkeypatch.setattr(runner, "ROOM_S", 0.05)
+    with InProcess(tmp_path / "data", Limits(check_s=60), examiners=1, lease_s=0.4) as made:
+        yield made
+
+
+def away(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    @contextmanager
+    def fail(self: Database) -> Iterator[Any]:
+        raise error
+        yield
+
+    for name in ("read", "write"):
+        monkeypatch.setattr(Database, name, fail)
+
+
+def free(monkeypatch: pytest.MonkeyPatch, count: float) -> None:
+    usage = shutil.disk_usage("/")
+    monkeypatch.setattr(storage.shutil, "disk_usage", lambda root: usage._replace(free=int(count)))
+
+
+def test_while_the_database_is_away_requests_are_503_and_the_process_is_well(
+    here: InProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert here.http.get("/v1/ready").json() == {"ready": True, "issues": []}
+    away(OperationalError("SELECT", {}, sqlite3.OperationalError("gone")), monkeypatch)
+    for answer in (here.http.get("/v1/jobs"), here.post(named("away")), here.http.get("/v1/ready")):
+        assert answer.status_code == 503
+        assert answer.headers["retry-after"] == "5"
+        assert codes(answer) == [("service.database", None)]
+        assert "SELECT" not in answer.text
+    health = here.http.get("/v1/health")
+    assert health.status_code == 200
+    assert health.json()["status"] == "degraded"
+    assert "queued" not in health.json()
+    until(lambda: not here.service.runner.working)
+    assert here.service.runner.healthy
+    monkeypatch.undo()
+    until(lambda: here.http.get("/v1/ready").status_code == 200)
+    assert here.ended(here.post(named("back")).json()["id"])["state"] == "verified"
+
+
+def test_a_fault_of_ours_in_the_database_is_still_500(
+    here: InProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from sqlalchemy.exc import ProgrammingError
+
+    away(ProgrammingError("SELEC", {}, sqlite3.ProgrammingError("wrong")), monkeypatch)
+    answer = here.http.get("/v1/jobs")
+    assert (answer.status_code, codes(answer)) == (500, [("internal.error", None)])
+
+
+def test_a_full_disk_is_507_for_what_is_stored_already_too(
+    here: InProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = named("stored")
+    assert here.post(problem).status_code == 201
+    free(monkeypatch, 1e6)
+    for path in ("/v1/jobs", "/v1/check"):
+        answer = here.post(problem, path=path)
+        assert (answer.status_code, codes(answer)) == (507, [("service.storage", "files")])
+    ready = here.http.get("/v1/ready")
+    assert (ready.status_code, codes(ready)) == (503, [("service.storage", "files")])
+    assert str(here.service.options.data) not in ready.text
+    monkeypatch.undo()
+    assert here.post(problem).status_code == 201
+
+
+def test_a_database_whose_disk_is_full_is_507(here: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = sqlite3.OperationalError("database or disk is full")
+    full.sqlite_errorcode = sqlite3.SQLITE_FULL
+    error = OperationalError("INSERT", {}, full)
+    monkeypatch.setattr(here.service.jobs, "create", lambda new: (_ for _ in ()).throw(error))
+    late = here.post(named("late"))
+    away(error, monkeypatch)
+    for answer in (late, here.http.get("/v1/jobs")):
+        assert (answer.status_code, codes(answer)) == (507, [("service.storage", "files")])
+
+
+def test_a_job_that_finds_the_disk_full_waits_and_is_planned_when_there_is_room(here: InProcess) -> None:
+    team, tries = here.team, []
+    ordinary = team.events
+
+    def events(timeout_s: float) -> Iterator[Any]:
+        if len(tries) < 5 and team._open:
+            (name,) = team._open
+            team._open.clear()
+            tries.append(name)
+            yield Finished(name, Done(name, "crashed", (FULL,)))
+        yield from ordinary(timeout_s)
+
+    team.events = events  # type: ignore[method-assign]
+    job = here.post(named("roomy")).json()["id"]
+    found = here.ended(job)
+    assert len(tries) == 5
+    assert (found["state"], found["attempts"]) == ("verified", 1)
+
+
+def test_no_job_is_begun_without_room(here: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = here.post(named("later"))
+    here.ended(job.json()["id"])
+    monkeypatch.setattr(here.service.runner, "_has_room", lambda: False)
+    waits = here.post(named("waits")).json()["id"]
+    began = len(here.team.started)
+    until(lambda: here.service.runner.working)
+    assert here.http.get(f"/v1/jobs/{waits}").json()["state"] == "queued"
+    monkeypatch.undo()
+    assert here.ended(waits)["state"] == "verified"
+    assert len(here.team.started) == began + 1
+
+
+def test_a_job_that_could_not_be_begun_goes_back_and_loses_no_attempt(
+    here: InProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, failed = runner.tempfile.mkdtemp, []
+
+    def mkdtemp(*given: Any, **options: Any) -> str:
+        if options.get("prefix") == "job-" and len(failed) < 4:
+            failed.append(1)
+            raise OSError(errno.ENOSPC, "no space left on device", "/secret/place")
+        return str(real(*given, **options))
+
+    monkeypatch.setattr(runner.tempfile, "mkdtemp", mkdtemp)
+    found = here.ended(here.post(named("begun")).json()["id"])
+    assert (found["state"], found["attempts"], len(failed)) == ("verified", 1, 4)
+
+
+def test_no_place_of_the_server_is_told(here: InProcess) -> None:
+    place = f"{here.service.scratch}/job-x/result"
+    wrong = Issue("internal.error", f"{place}: odd", file=f"{place}/report.html", hint=f"see {place}")
+    ordinary = here.team.events
+
+    def events(timeout_s: float) -> Iterator[Any]:
+        for name in list(here.team._open):
+            here.team._open.clear()
+            yield Finished(name, Done(name, "crashed", (wrong,)))
+        yield from ordinary(timeout_s)
+
+    here.team.events = events  # type: ignore[method-assign]
+    found = here.ended(here.post(named("placed")).json()["id"])
+    assert found["state"] == "crashed"
+    assert str(here.service.options.data) not in str(found)
+    assert "the service's folder/job-x" in found["issues"][0]["message"]
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_planning_into_a_full_disk_is_told_as_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wrapped: bool
+) -> None:
+    def load(path: Path) -> None:
+        full = OSError(errno.ENOSPC, "no space left")
+        if wrapped:
+            raise TandemError(Issue("output.folder", f"{path} cannot be written")) from full
+        raise full
+
+    monkeypatch.setattr(run.pipeline, "load", load)
+    done = run.solve("a", tmp_path, tmp_path / "out", {}, lambda *_: None, lambda _: None)
+    assert (done.state, [issue.code for issue in done.issues]) == ("crashed", ["output.disk_full"])
+    assert str(tmp_path) not in done.issues[0].message
+
+
+def test_a_place_on_a_full_disk_is_told_as_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(self: Path, content: bytes) -> None:
+        raise OSError(errno.EDQUOT, "quota")
+
+    monkeypatch.setattr(Path, "write_bytes", write)
+    job = Job("a", {"problem.yaml": b""})
+    with pytest.raises(TandemError) as caught:
+        Place.claim(tmp_path / "a", None).prepare(job.files)
+    assert caught.value.issues[0].code == "output.disk_full"
+
+
+@pytest.mark.parametrize("state", ["crashed", "timeout", "memory"])
+def test_one_call_tries_again(here: InProcess, state: str) -> None:
+    ordinary, once = here.team.events, [state]
+
+    def events(timeout_s: float) -> Iterator[Any]:
+        for name in list(here.team._open):
+            if once:
+                here.team._open.clear()
+                issue = Issue("service.gave_up", "three times")
+                yield Finished(name, Done(name, once.pop(), (issue,), {"cycle_s": 3.0}, 0.1))  # type: ignore[arg-type]
+        yield from ordinary(timeout_s)
+
+    here.team.events = events  # type: ignore[method-assign]
+    job = here.post(named(f"again_{state}")).json()["id"]
+    assert here.ended(job)["state"] == state
+    again = here.http.post(f"/v1/jobs/{job}/retry")
+    assert again.status_code == 200
+    assert again.json()["id"] == job
+    assert "finished" not in again.json() or again.json()["state"] != state
+    found = here.ended(job)
+    assert (found["state"], found["attempts"], found["metrics"]) == ("verified", 1, {"cycle_s": 1.0})
+    assert "service.gave_up" not in str(found["issues"])
+    refused = here.http.post(f"/v1/jobs/{job}/retry")
+    assert (refused.status_code, codes(refused)) == (409, [("service.state", "state")])
+    assert "it is verified" in refused.text
+    events_told = here.http.get(f"/v1/jobs/{job}/events").text
+    assert events_told.rstrip().split("\n")[-2] == "event: end"
+
+
+def test_a_job_that_was_cancelled_is_tried_again_and_one_that_waits_is_not(here: InProcess) -> None:
+    here.team.hold.set()
+    running = here.post(named("running")).json()["id"]
+    until(lambda: here.http.get(f"/v1/jobs/{running}").json()["state"] == "running")
+    job = here.post(named("stopped")).json()["id"]
+    assert here.http.post(f"/v1/jobs/{job}/retry").status_code == 409
+    assert here.http.post(f"/v1/jobs/{job}/cancel").json()["state"] == "cancelled"
+    assert here.http.post(f"/v1/jobs/{job}/retry").json()["state"] == "queued"
+    here.team.hold.clear()
+    assert here.ended(job)["state"] == "verified"
+    assert here.http.post(f"/v1/jobs/{'0' * 32}/retry").status_code == 404

@@ -1,0 +1,92 @@
+"""A dish of 60 mm in which a torch on an IRB 140 cuts three apertures, and a slot around them."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from planner import pipeline, processes
+from planner.geometry.arrays import Mesh
+from planner.motion import solve
+from planner.post import write as post
+from planner.problem import Problem
+from planner.verify.prove import Prover
+from planner.verify.result import Proof
+from tests.small_forming import CELLS, dish
+from tests.small_forming import write as write_forming
+
+SLIM = {"nozzle_diameter_mm": 8, "nozzle_length_mm": 45, "body_diameter_mm": 26, "length_mm": 220}
+TORCH: dict[str, Any] = {"kind": "torch", "cuts_by": "plasma", "kerf_mm": 1.2, "standoff_mm": 3, **SLIM}
+OUTLINES: list[dict[str, Any]] = [
+    {"name": "round", "circle": {"at_mm": [0, 0], "diameter_mm": 16}},
+    {
+        "name": "wall",
+        "curve": {
+            "bspline_mm": [
+                [18, -6, 0],
+                [25, -6, 0],
+                [27, 0, 0],
+                [25, 6, 0],
+                [18, 6, 0],
+                [16, 0, 0],
+                [18, -6, 0],
+            ]
+        },
+    },
+    {"name": "rim", "circle": {"at_mm": [0, 0], "diameter_mm": 72}, "drops": "outside", "joints": 3},
+]
+TRIM: dict[str, Any] = {
+    "name": "cut",
+    "process": "trim",
+    "arms": ["robot"],
+    "feed_mm_s": 8,
+    "lead": {"length_mm": 2.5},
+    "pierce": {"height_mm": 4, "off_mm": 1.5},
+}
+
+
+def data(**fields: Any) -> dict[str, Any]:
+    """The problem as a file has it; ``fields`` are the operation's own, ``tool`` those of the torch."""
+    cell = yaml.safe_load((CELLS / "irb140_ball.yaml").read_text())
+    cell["arms"][0]["tool"] = {**TORCH, **fields.pop("tool", {})}
+    outlines = copy.deepcopy(fields.pop("outlines", OUTLINES))
+    return {
+        "tandem": 1,
+        "name": "trimmed",
+        "cell": cell,
+        "sheet": {
+            "size_mm": [160, 160],
+            "thickness_mm": 1,
+            "metal": "aa1100_o",
+            "opening_mm": 120,
+            "clamp": {"width_mm": 20, "above_mm": 10, "below_mm": 60},
+        },
+        "part": {"sheet_mesh": {"file": "part.ply", "unit": "mm", "face": "bottom"}},
+        "settings": {"clearance_mm": 5},
+        "operations": [{**TRIM, "outlines": outlines, **fields}],
+    }
+
+
+def problem(folder: Path, part: Mesh | None = None, **fields: Any) -> Problem:
+    """The problem, read."""
+    return pipeline.load(write_forming(folder, data(**fields), dish() if part is None else part))
+
+
+class Job:
+    """A planned job, its programs and a prover that keeps its models."""
+
+    def __init__(self, folder: Path, part: Mesh | None = None, **fields: Any) -> None:
+        self.problem = problem(folder, part, **fields)
+        targets = [processes.job(self.problem, 0).targets()]
+        self.plan = solve.solve(self.problem, targets)
+        self.programs: dict[str, str] = dict(post.programs(self.plan, self.problem))
+        self.prover = Prover(self.problem, processes.claims(self.problem))
+
+    def prove(self, programs: dict[str, str], last: str | None = "verify.trim_clear") -> Proof:
+        return self.prover.prove(programs, last=last)
+
+    def broken(self, programs: dict[str, str]) -> set[str]:
+        return {issue.code for issue in self.prove(programs).issues}

@@ -1,0 +1,61 @@
+"""A sheet with holes is not formed on: what is told of it, and what an operation that trims leaves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planner import pipeline, processes
+from planner.issues import TandemError
+from planner.problem import Problem
+from tests.small_forming import dish
+from tests.small_forming import write as write_forming
+from tests.trim.small_trim import data
+
+BALL = {"kind": "ball_tool", "radius_mm": 6, "length_mm": 180}
+FORM = {"name": "form", "process": "forming", "arms": ["robot"], "mode": "spif", "stepdown_mm": 2}
+
+
+def both(folder: Path, trim_first: bool) -> Problem:
+    """A dish that is formed, and trimmed before that or behind it."""
+    hole = {"name": "hole", "circle": {"at_mm": [0, 0], "diameter_mm": 16}}
+    whole = data(outlines=[hole])
+    (trim,) = whole["operations"]
+    torch = whole["cell"]["arms"][0]["tool"]
+    if trim_first:
+        whole["operations"] = [trim, {**FORM, "setup": {"tools": {"robot": BALL}}}]
+    else:
+        whole["cell"]["arms"][0]["tool"] = BALL
+        whole["operations"] = [FORM, {**trim, "setup": {"tools": {"robot": torch}}}]
+    whole["accept"] = ["forming.force"]
+    return pipeline.load(write_forming(folder, whole, dish()))
+
+
+def test_forming_behind_trimming_is_refused_with_the_distance(tmp_path: Path) -> None:
+    job = processes.job(both(tmp_path, True), 1)
+    with pytest.raises(TandemError) as error:
+        job.targets()
+    (issue,) = [one for one in error.value.issues if one.code == "forming.holes"]
+    # the wall of the dish ends on its floor at a radius of about 20 mm, the hole has one of 8 mm
+    assert issue.value == pytest.approx(12.0, abs=3.0)
+    assert "hole" in issue.message
+    assert issue.hint is not None and "before" in issue.hint
+
+
+def test_the_other_way_round_the_sheet_is_whole_when_it_is_formed(tmp_path: Path) -> None:
+    read = both(tmp_path, False)
+    first, second = (read.setup_of(k).stock.sheet for k in (0, 1))
+    assert first is not None and second is not None
+    assert first.holes == second.holes == ()
+    assert processes.job(read, 0).targets().count > 100
+
+
+def test_what_is_cut_is_left_to_the_next_operation(tmp_path: Path) -> None:
+    read = both(tmp_path, True)
+    sheet = read.setup_of(1).stock.sheet
+    assert sheet is not None
+    ((name, ring),) = sheet.holes
+    assert name == "hole"
+    assert np.linalg.norm(ring, axis=1) == pytest.approx(0.008)

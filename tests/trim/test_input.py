@@ -1,0 +1,222 @@
+"""What of trimming is refused before anything is planned, each with its own code; and slots by closed "
+"forms."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner import pipeline, processes
+from planner.geometry.arrays import Mesh
+from planner.issues import Issue, TandemError
+from planner.post import write as post
+from planner.tooling import torch
+from planner.trim.face import Face, apart, lay, offset
+from planner.verify.trim.outlines import winding
+from tests.small_forming import dish
+from tests.small_forming import write as write_forming
+from tests.trim.small_trim import data, problem
+
+ROUND = {"name": "round", "circle": {"at_mm": [0, 0], "diameter_mm": 16}}
+
+
+def refused(folder: Path, **fields: Any) -> list[Issue]:
+    with pytest.raises(TandemError) as error:
+        processes.job(problem(folder, **fields), 0).targets()
+    return list(error.value.issues)
+
+
+def square(half: float, at: float = 0.0) -> dict[str, Any]:
+    corners = [[at - half, -half, 0], [at + half, -half, 0], [at + half, half, 0], [at - half, half, 0]]
+    return {"polyline_mm": corners}
+
+
+CASES: dict[str, dict[str, Any]] = {
+    "trim.crosses": {
+        "outlines": [ROUND, {**ROUND, "name": "b", "circle": {"at_mm": [6, 0], "diameter_mm": 16}}]
+    },
+    "trim.in_waste": {
+        "outlines": [ROUND, {**ROUND, "name": "b", "circle": {"at_mm": [0, 0], "diameter_mm": 4}}]
+    },
+    "trim.off_part": {"outlines": [{**ROUND, "circle": {"at_mm": [50, 0], "diameter_mm": 40}}]},
+    "trim.narrow": {"outlines": [{**ROUND, "circle": {"at_mm": [0, 0], "diameter_mm": 1.1}}]},
+    "trim.corner": {"outlines": [{"name": "a", "curve": square(7.0)}], "shape_tol_mm": 0.1},
+    "trim.joints": {"outlines": [{**ROUND, "joints": 20, "joint_mm": 2}]},
+    "trim.lead": {"outlines": [ROUND], "lead": {"length_mm": 15}},
+    "trim.wall": {
+        "outlines": [{**ROUND, "circle": {"at_mm": [20, 0], "diameter_mm": 8}}],
+        "tool": {"nozzle_diameter_mm": 40, "body_diameter_mm": 40},
+    },
+}
+
+
+FOLLOWED: dict[str, dict[str, Any]] = {
+    "trim.crosses": {"outlines": [{**ROUND, "circle": {"at_mm": [0, 0], "diameter_mm": 8}}]},
+    "trim.in_waste": {"outlines": [ROUND]},
+    "trim.off_part": {"outlines": [ROUND]},
+    "trim.narrow": {"outlines": [ROUND]},
+    "trim.corner": {"shape_tol_mm": 0.3},
+    "trim.joints": {"outlines": [{**ROUND, "joints": 3, "joint_mm": 2}]},
+    "trim.lead": {"lead": {"length_mm": 2}},
+    "trim.wall": {"tool": {}},
+}
+"""What the hints of CASES say to change."""
+
+
+@pytest.mark.parametrize("code", CASES)
+def test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps(tmp_path: Path, code: str) -> None:
+    found = refused(tmp_path, **CASES[code])
+    assert code in {issue.code for issue in found}
+    assert all(issue.hint for issue in found)
+    made = processes.job(problem(tmp_path, **{**CASES[code], **FOLLOWED[code]}), 0).targets()
+    assert made.count > 10
+
+
+def test_a_curve_that_crosses_itself_is_refused(tmp_path: Path) -> None:
+    bow = {"polyline_mm": [[-8, -6, 0], [8, 6, 0], [8, -6, 0], [-8, 6, 0]]}
+    found = refused(tmp_path, outlines=[{"name": "bow", "curve": bow}])
+    assert {issue.code for issue in found} == {"trim.crosses"}
+
+
+def test_a_sharp_corner_that_the_tolerance_takes_is_cut(tmp_path: Path) -> None:
+    # a round slot of 1.2 mm leaves 0.6 (sqrt 2 - 1) = 0.249 mm in a right angle
+    (issue,) = refused(tmp_path, outlines=[{"name": "a", "curve": square(7.0)}], shape_tol_mm=0.1)
+    assert issue.value == pytest.approx(0.6 * (np.sqrt(2.0) - 1.0), abs=0.005)
+    made = processes.job(problem(tmp_path, outlines=[{"name": "a", "curve": square(7.0)}]), 0).targets()
+    assert made.count > 10
+
+
+def test_an_open_drawing_is_refused(tmp_path: Path) -> None:
+    ezdxf = pytest.importorskip("ezdxf")
+    drawing = ezdxf.new()
+    drawing.modelspace().add_lwpolyline([(0, 0), (10, 0), (10, 10), (0, 9)], close=False)
+    drawing.saveas(tmp_path / "open.dxf")
+    curve = {"dxf": {"file": "open.dxf", "unit": "mm"}}
+    found = refused(tmp_path, outlines=[{"name": "a", "curve": curve}])
+    assert {issue.code for issue in found} == {"trim.open"}
+
+
+def test_a_forming_tool_cuts_no_sheet(tmp_path: Path) -> None:
+    whole = data()
+    whole["cell"]["arms"][0]["tool"] = {"kind": "ball_tool", "radius_mm": 6, "length_mm": 180}
+    read = pipeline.load(write_forming(tmp_path, whole, dish()))
+    with pytest.raises(TandemError, match="no torch") as error:
+        processes.job(read, 0).targets()
+    assert [issue.code for issue in error.value.issues] == ["trim.tool"]
+
+
+def test_without_a_formed_sheet_nothing_is_trimmed(tmp_path: Path) -> None:
+    whole = dataclasses.replace(problem(tmp_path), part=None)
+    with pytest.raises(TandemError) as error:
+        processes.job(whole, 0).targets()
+    assert [issue.code for issue in error.value.issues] == ["trim.no_sheet"]
+
+
+def test_an_arm_that_is_too_slow_is_told(tmp_path: Path) -> None:
+    job = processes.job(problem(tmp_path, outlines=[ROUND]), 0)
+    made = job.targets()
+    clock = np.concatenate([[0.0], np.cumsum(made.travel[1:] / made.feed[1:])])
+    assert job.driven(made, clock) == ()
+    assert [issue.code for issue in job.driven(made, 4.0 * clock)] == ["trim.slow"]
+
+
+def test_controllers_of_other_makers_wait_for_no_arc(tmp_path: Path) -> None:
+    read = problem(tmp_path, outlines=[ROUND])
+    made = processes.job(read, 0).targets()
+    arm = dataclasses.replace(read.cell.arms[0], robot="kr10_r1100")
+    other = dataclasses.replace(read, cell=dataclasses.replace(read.cell, arms=(arm,)))
+    found = post.controller_refusals(other, [made])
+    assert "post.controller" in {issue.code for issue in found}
+
+
+def test_inner_curves_come_before_outer_ones(tmp_path: Path) -> None:
+    rim = {"name": "rim", "circle": {"at_mm": [0, 0], "diameter_mm": 72}, "drops": "outside"}
+    made = processes.job(problem(tmp_path, outlines=[rim, ROUND]), 0).targets()
+    names = list(dict.fromkeys(segment.name for segment in made.segment if segment.name))
+    assert names == ["round", "rim"]
+
+
+@pytest.mark.parametrize(
+    "field",
+    [{"lead": {"shape": "arc"}}, {"feed_most_mm_s": 2}, {"ok_signal": "doArc"}, {"lead": {"length_mm": 0.6}}],
+)
+def test_fields_that_contradict_each_other_are_refused(tmp_path: Path, field: dict[str, Any]) -> None:
+    with pytest.raises(TandemError) as error:
+        problem(tmp_path, **field)
+    assert {issue.code for issue in error.value.issues} == {"problem.field"}
+
+
+def test_feed_follows_the_thickness_of_the_sine_law(tmp_path: Path) -> None:
+    hole = {**ROUND, "circle": {"at_mm": [24, 0], "diameter_mm": 6}}
+    read = problem(tmp_path, outlines=[hole], lead={"length_mm": 1.0}, pierce={"off_mm": 0.9})
+    targets = processes.job(read, 0).targets()
+    axis = -targets.pose["robot"][:, :3, 2]
+    rows = np.flatnonzero([s.kind == "trim" and not s.phase for s in targets.segment])
+    rows = rows[~(targets.stop[rows] | targets.stop[rows - 1])]
+    wall = np.minimum(axis[rows, 2], 1.0)
+    assert (targets.feed[rows] <= 8e-3 / wall + 1e-9).all()
+    assert targets.feed[rows].max() > 1.2 * 8e-3  # on a wall of 40 deg 1.3 times as fast
+
+
+# ---- geometry, by closed forms ----
+
+
+def flat() -> Face:
+    corners = np.array([[-0.1, -0.1, 0.0], [0.1, -0.1, 0.0], [0.1, 0.1, 0.0], [-0.1, 0.1, 0.0]])
+    return Face(Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]])), 0.001, 1)
+
+
+@pytest.mark.parametrize(("inside", "radius"), [(True, 0.0092), (False, 0.0108)])
+def test_the_slot_beside_a_circle_is_a_circle(inside: bool, radius: float) -> None:
+    turn = 2.0 * np.pi * np.arange(720) / 720
+    laid = lay("a", 0.01 * np.stack([np.cos(turn), np.sin(turn)], axis=1), flat())
+    middle, out = offset(laid, flat(), 0.0008, inside)
+    assert np.linalg.norm(middle[:, :2], axis=1) == pytest.approx(radius, abs=2e-6)
+    assert middle[:, 2] == pytest.approx(0.001)
+    assert ((out[:, :2] * middle[:, :2]).sum(axis=1) * (-1.0 if inside else 1.0) > 0.0).all()
+
+
+def test_the_slot_around_a_square_goes_round_its_corners() -> None:
+    # outside: four sides of 20 mm and a full turn of 0.8 mm; inside: four sides of 18.4 mm
+    corners = 0.01 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    laid = lay("a", corners, flat())
+    for inside, length in ((False, 0.08 + 2.0 * np.pi * 0.0008), (True, 4.0 * 0.0184)):
+        middle, _ = offset(laid, flat(), 0.0008, inside)
+        ring = np.concatenate([middle, middle[:1]])
+        assert np.linalg.norm(np.diff(ring, axis=0), axis=1).sum() == pytest.approx(length, rel=5e-3)
+        assert apart(middle, laid.point).min() > 0.00077
+
+
+def test_the_slot_on_a_wall_is_as_wide_along_the_wall() -> None:
+    # a plane of 45 deg: along it the slot is its half width off the curve, in plan less
+    corners = np.array([[-0.1, -0.1, -0.1], [0.1, -0.1, 0.1], [0.1, 0.1, 0.1], [-0.1, 0.1, -0.1]])
+    face = Face(Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]])), 0.001, 1)
+    turn = 2.0 * np.pi * np.arange(720) / 720
+    laid = lay("a", 0.01 * np.stack([np.cos(turn), np.sin(turn)], axis=1), face)
+    middle, _ = offset(laid, face, 0.0008, False)
+    assert apart(middle, laid.point) == pytest.approx(0.0008, abs=3e-6)
+    assert middle[:, 0].max() == pytest.approx(0.01 + 0.0008 / np.sqrt(2.0), abs=5e-6)
+
+
+def test_what_a_curve_encloses_is_told_by_its_winding() -> None:
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-2.0, 2.0, (3000, 2))
+    turn = 2.0 * np.pi * np.arange(400) / 400
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    clear = np.abs(np.linalg.norm(places, axis=1) - 1.0) > 1e-3
+    assert (winding(ring, places) == (np.linalg.norm(places, axis=1) < 1.0))[clear].all()
+    assert (winding(ring[::-1], places) == winding(ring, places)).all()
+
+
+def test_sizes_that_make_no_torch_are_refused() -> None:
+    with pytest.raises(ValueError, match="too short"):
+        torch("plasma", 0.003, 0.001, (0.006, 0.03, 0.02, 0.12))
+    with pytest.raises(ValueError, match="no larger"):
+        torch("laser", 0.001, 0.0002, (0.03, 0.03, 0.02, 0.25))
+    made = torch("laser", 0.001, 0.0002, tilt=0.3)
+    assert made.tcp[:3, 2] @ [np.sin(0.3), 0.0, np.cos(0.3)] == pytest.approx(1.0)
+    assert np.linalg.norm(made.tcp[:3, 3]) == pytest.approx(0.251)

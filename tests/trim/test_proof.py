@@ -1,0 +1,197 @@
+"""A trimmed dish is planned and proven, and each fault that is put into its programs is told by the rule for
+it.
+
+Faults are in the text alone: the proof knows nothing else of how the programs were made.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner.verify.context import Context
+from planner.verify.prove import TRIM_RULES
+from planner.verify.trim import outlines
+from planner.verify.trim.torch_motion import Trimming
+from tests.trim.small_trim import Job
+from tests.verify.milling_job import in_procedure
+
+Programs = dict[str, str]
+NUMBER = r"(-?\d+\.\d+)"
+TARGET = re.compile(rf"MoveL \[\[{NUMBER},{NUMBER},{NUMBER}\],\[{NUMBER},{NUMBER},{NUMBER},{NUMBER}\]")
+MAIN = "operation_1"
+ON, OK, OFF = "SetDO doArc,1;", "WaitDI diArcOk,1\\MaxTime:=5;", "SetDO doArc,0;"
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
+    return Job(tmp_path_factory.mktemp("trim"))
+
+
+def found(job: Job, programs: Programs) -> set[str]:
+    """Codes of the rules on trimming that the programs break."""
+    claims, unread = outlines.worked_out(job.prover.claims)
+    context = Context(job.problem, claims, programs, unread)
+    assert context.playable
+    trimming = Trimming(context)
+    return {issue.code for rule in TRIM_RULES for issue in rule(context, trimming).issues}
+
+
+def moved(change: Callable[[Any], Any]) -> Callable[[str], str]:
+    """Changes the places [mm] of all targets of a procedure."""
+
+    def place(match: re.Match[str]) -> str:
+        x, y, z = change(np.array([float(match[k]) for k in (1, 2, 3)]))
+        turn = ",".join(match[k] for k in (4, 5, 6, 7))
+        return f"MoveL [[{x:.4f},{y:.4f},{z:.4f}],[{turn}]"
+
+    return lambda text: TARGET.sub(place, text)
+
+
+def leant(degrees: float) -> Callable[[str], str]:
+    """Turns the tool of all targets of a procedure about its own x axis."""
+    half = np.deg2rad(0.5 * degrees)
+
+    def turn(match: re.Match[str]) -> str:
+        w, x, y, z = (float(match[k]) for k in (4, 5, 6, 7))
+        c, s = np.cos(half), np.sin(half)
+        q = (w * c - x * s, x * c + w * s, y * c + z * s, z * c - y * s)
+        return f"MoveL [[{match[1]},{match[2]},{match[3]}],[{','.join(f'{v:.8f}' for v in q)}]"
+
+    return lambda text: TARGET.sub(turn, text)
+
+
+def timed(factor: float) -> Callable[[str], str]:
+    def slower(match: re.Match[str]) -> str:
+        return f"vmax\\T:={factor * float(match[1]):.5f}"
+
+    return lambda text: re.sub(r"v\w+\\T:=(\d+\.\d+)", slower, text)
+
+
+def without_moves(which: slice) -> Callable[[str], str]:
+    """Leaves moves of a procedure out."""
+
+    def cut(text: str) -> str:
+        lines = text.split("\n")
+        rows = [k for k, line in enumerate(lines) if "MoveL" in line][which]
+        return "\n".join(line for k, line in enumerate(lines) if k not in rows)
+
+    return cut
+
+
+def behind_first_move(what: str) -> Callable[[str], str]:
+    def put(text: str) -> str:
+        at = text.index("\n", text.index("MoveL"))
+        return f"{text[:at]}\n    {what}{text[at:]}"
+
+    return put
+
+
+def swapped(text: str) -> str:
+    """The round hole, and what belongs to it, behind all others."""
+    first = text.index("trim_round_in;")
+    last = text.index("trim_round_out;") + len("trim_round_out;")
+    end = text.rindex("trim_rim_p3_out;") + len("trim_rim_p3_out;")
+    return f"{text[:first]}{text[last:end]}\n    {text[first:last]}{text[end:]}"
+
+
+def replaced(old: str, new: str) -> Callable[[str], str]:
+    def put(text: str) -> str:
+        assert old in text
+        return text.replace(old, new, 1)
+
+    return put
+
+
+SHIFT, HIGHER, RADIUS = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.8]), 8.6 / 7.4
+FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
+    "a hole beside its place": ("verify.trim_kept", "trim_round", moved(lambda p: p + SHIFT)),
+    "the slot on the part's side": (
+        "verify.trim_kept",
+        "trim_round",
+        moved(lambda p: p * np.array([RADIUS, RADIUS, 1.0])),
+    ),
+    "a hole too small": (
+        "verify.trim_cut",
+        "trim_round",
+        moved(lambda p: p * np.array([0.9, 0.9, 1.0])),
+    ),
+    "a hole not closed": ("verify.trim_cut", "trim_round", without_moves(slice(-9, None))),
+    "a micro-joint too wide": ("verify.trim_cut", "trim_rim_p1", without_moves(slice(-2, None))),
+    "an outline left out": ("verify.trim_cut", MAIN, replaced("trim_wall;", "")),
+    "a slot between joints left out": ("verify.trim_cut", MAIN, replaced("trim_rim_p2;", "")),
+    "the torch too high": ("verify.trim_torch", "trim_round", moved(lambda p: p + HIGHER)),
+    "the torch too low": ("verify.trim_torch", "trim_round", moved(lambda p: p - HIGHER)),
+    "the torch leans": ("verify.trim_torch", "trim_round", leant(10.0)),
+    "pierced from too near": (
+        "verify.trim_torch",
+        "trim_round_in",
+        moved(lambda p: p - np.array([0.0, 0.0, 1.0])),
+    ),
+    "no arc": ("verify.trim_arc", MAIN, replaced(ON, "")),
+    "the arc too late": ("verify.trim_arc", "trim_round", behind_first_move(f"{OFF} {ON}")),
+    "the arc too early": (
+        "verify.trim_arc",
+        MAIN,
+        replaced("trim_round_in;", f"{ON}\n    trim_round_in;"),
+    ),
+    "the arc left on": (
+        "verify.trim_arc",
+        MAIN,
+        replaced(f"{OFF}\r\n    trim_round_out;", f"trim_round_out;\r\n    {OFF}"),
+    ),
+    "nobody waits for the arc": ("verify.trim_arc", MAIN, replaced(OK, "")),
+    "a wait without an end": ("verify.trim_arc", MAIN, replaced(OK, "WaitDI diArcOk,1;")),
+    "a wait for no arc": ("verify.trim_arc", MAIN, replaced(OK, "WaitDI diArcOk,0\\MaxTime:=5;")),
+    "not pierced through": ("verify.trim_arc", MAIN, replaced("WaitTime 0.5;", "WaitTime 0.05;")),
+    "pierced in the part": (
+        "verify.trim_arc",
+        "trim_round_in",
+        moved(lambda p: p + 6.0 * SHIFT),
+    ),
+    "an outer curve first": ("verify.trim_order", MAIN, swapped),
+    "twice as fast": ("verify.trim_feed", "trim_round", timed(0.5)),
+    "far too slow": ("verify.trim_feed", "trim_round", timed(4.0)),
+    "the nozzle in the sheet": (
+        "verify.trim_clear",
+        "trim_wall_out",
+        moved(lambda p: np.array([p[0], p[1], -12.0])),
+    ),
+}
+
+
+def test_the_programs_are_proven(job: Job) -> None:
+    proof = job.prove(job.programs, None)
+    assert proof.issues == ()
+    assert proof.ok
+
+
+SAMPLED = [pytest.param(name, marks=() if k % 3 == 0 else pytest.mark.long) for k, name in enumerate(FAULTS)]
+"""A third of them in make test, all in make test-long."""
+
+
+@pytest.mark.parametrize("name", SAMPLED)
+def test_a_fault_is_told_by_the_rule_for_it(job: Job, name: str) -> None:
+    code, procedure, change = FAULTS[name]
+    programs = in_procedure(job.programs, procedure, change)
+    assert programs != job.programs
+    assert code in found(job, programs)
+
+
+def test_the_dialogue_has_all_that_is_switched(job: Job) -> None:
+    for old, new in ((OK, ""), (ON, ""), (OFF, ""), (OK, "WaitDI diArcOk,1\\MaxTime:=50;")):
+        programs = in_procedure(job.programs, MAIN, replaced(f"\n    {old}", f"\n    {new}"))
+        assert "verify.dialogue" in {i.code for i in job.prove(programs, "verify.dialogue").issues}
+
+
+def test_the_report_has_the_curves_with_the_stand_off(job: Job) -> None:
+    shown = job.plan.operations[0].targets.exhibits
+    assert {"setup", "slots", "curves", "standoff"} <= set(shown)
+    heights = np.concatenate([row["y"] for row in shown["standoff"]["series"]])
+    assert heights.max() == pytest.approx(4.0)  # pierced from there
+    assert heights.min() == pytest.approx(3.0)
+    assert ("output that starts the arc", "doArc") in shown["setup"]["items"]
