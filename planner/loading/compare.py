@@ -5,31 +5,36 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, Severity, TandemError
+from planner.loading.literals import difference, turn_deg
 from planner.loading.rws import Rws
 from planner.problem import Arm, Problem
 from planner.verify.context import Context
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import SignalStep, WaitStep, poses
-from planner.verify.rapid.syntax_tree import Data, Literal
 
 BASE_SHIFT, BASE_TURN = 0.1, 0.02
 """How far a base frame may be off [mm], [deg]: what the programs themselves allow when they start."""
-DATUM_SHIFT: Final = 0.001
-"""How far numbers of a datum may be off: print of single precision [in the datum's own units]."""
-OPTIONS_BY_WORD: Final = {
-    r"\bWZ\w+": "World Zones",
-    r"\bSyncMoveOn\b|\bWaitSyncTask\b": "MultiMove",
-    r"\bSocket\w+": "PC Interface",
-    r"\bPath(?:Rec|AccLim)\w*": "Path Recovery",
-}
-"""A word of an option's name, by what of RAPID needs it."""
-_NUMBER: Final = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+NEEDS: Final = (
+    (r"\bSyncMove(?:On|Off|Undo)\b|\bMove\w+\b[^;!]*\\ID:=", ("MultiMove Coordinated",)),
+    (r"\bWaitSyncTask\b", ("MultiMove Coordinated", "MultiMove Independent", "Multitasking")),
+    (r"\bSyncMove(?:Suspend|Resume)\b|\bPath(?:Rec\w+|Level)\b", ("Path Recovery",)),
+    (r"\bWZ\w+", ("World Zones",)),
+)
+"""What of RAPID needs an option, and which do, by their names without numbers, which RobotWare 6 and 7 have
+different: Application manual MultiMove, 3HAC050961-001 (SyncMoveOn and \\ID need Coordinated; MultiMove has
+Multitasking in it), Application manual Controller software IRC5, 3HAC050798-001 (Multitasking, Path Recovery,
+World Zones). PathAccLim, StorePath and all else that programs of ours use is in every RobotWare."""
+WITHOUT: Final = "no controller tells the wiring behind its signals, the calibration of axes, what is mounted"
+"""What is never read."""
+DATA: Final = ("tooldata", "wobjdata", "loaddata")
+"""Types of data that are compared, where the controller has them under the same name."""
+_LITERAL: Final = re.compile(r':=\s*((?:"[^"\n]*"|[^;"])*);')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,10 +74,12 @@ def compare(rws: Rws, problem: Problem, programs: Mapping[str, str], arms: Seque
         agreed += [] if faults else [name]
     for task in tasks:
         faults, lost, same = _data(rws, problem, task)
-        differs += [Issue("upload.differs", fault, arm=task.arm.name) for fault in faults]
+        hint = (
+            "unload the module if an earlier program left it; what was measured there belongs into the cell"
+        )
+        differs += [Issue("upload.differs", fault, arm=task.arm.name, hint=hint) for fault in faults]
         unread += [_unread(what) for what in lost]
         agreed += same
-    unread += [_unread("loads, speed data, and the wiring behind signals"), _unread("joint calibration")]
     return Found(tuple(differs), tuple(unread), tuple(agreed))
 
 
@@ -89,13 +96,13 @@ def _robotware(version: str, problem: Problem) -> list[str]:
 
 def _options(installed: Sequence[str], problem: Problem, text: str) -> list[str]:
     own = [option.lower() for option in installed]
-    needed = [name for word, name in OPTIONS_BY_WORD.items() if re.search(word, text)]
-    stated = [name for name in problem.cell.controller.options or () if name.lower() not in own]
+    plain = re.sub(r"![^\n]*", "", text)
     out = [
-        f"option {name} is needed by the programs and not installed ({len(own)} options are)"
-        for name in needed
-        if not any(name.lower() in option for option in own)
+        f"option {' or '.join(names)} is needed by the programs and not installed ({len(own)} options are)"
+        for word, names in NEEDS
+        if re.search(word, plain) and not any(name.lower() in option for name in names for option in own)
     ]
+    stated = [name for name in problem.cell.controller.options or () if name.lower() not in own]
     return out + [f"option {name} stands in the cell and is not installed" for name in stated]
 
 
@@ -140,11 +147,8 @@ def _robots(there: Mapping[str, Mapping[str, str]], context: Context, tasks: Seq
 
 
 def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
-    """Distance [mm] and turn [deg] between two poses (4, 4)."""
-    turn = a[:3, :3].T @ b[:3, :3]
-    sine = 0.5 * np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    angle = np.degrees(np.arctan2(sine, 0.5 * (np.trace(turn) - 1.0)))
-    return 1e3 * float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(angle)
+    """Distance [mm] and turn [deg] between two poses (4, 4) [m]."""
+    return 1e3 * float(np.linalg.norm(a[:3, 3] - b[:3, 3])), turn_deg(a[:3, :3], b[:3, :3])
 
 
 def _signals(there: Mapping[str, str], tasks: Sequence[TaskText]) -> list[str]:
@@ -162,61 +166,43 @@ def _signals(there: Mapping[str, str], tasks: Sequence[TaskText]) -> list[str]:
             got = named.get(name.lower())
             if got is None:
                 out.append(f"signal {name} ({kind}) of {task.arm.name} is not on the controller")
-            elif got and got != kind:
+            elif not got:
+                what = f"the type of signal {name} is not told, wanted is {kind}"
+                raise TandemError(Issue("upload.controller", what))
+            elif got != kind:
                 out.append(f"signal {name} of {task.arm.name} is {got} on the controller, wanted is {kind}")
     return out
 
 
 def _data(rws: Rws, problem: Problem, task: TaskText) -> tuple[list[str], list[str], list[str]]:
-    """Tools and work objects that the controller has now under the same names: differences, what is not
-    there to compare, what agreed."""
+    """Tools, work objects and loads that the controller has now, against the text of the same datum in the
+    module that is sent: differences, what could not be compared, what agreed."""
     order = [arm.name for arm in problem.cell.arms]
     name = problem.cell.controller.tasks[order.index(task.arm.name)]
     out, lost, same = list[str](), list[str](), list[str]()
+    try:
+        loaded = {module.lower() for module in rws.modules(name)}
+    except TandemError as error:
+        return [], [f"tools and work objects of {name}: {error.issues[0].message}"], []
     for module in task.modules:
         for datum in module.data:
-            if datum.kind not in ("tooldata", "wobjdata") or datum.size is not None:
+            if datum.kind not in DATA or datum.size is not None:
                 continue
+            shown = f"{datum.kind} {datum.name}"
+            if module.name.lower() not in loaded:
+                same.append(f"{shown} (not loaded there yet, the program brings it)")
+                continue
+            written = _LITERAL.search(task.files[module.file], datum.start)
             try:
-                text = rws.datum(name, module.name, datum.name)
+                there = rws.datum(name, module.name, datum.name)
             except TandemError as error:
-                lost.append(f"{datum.kind} {datum.name}: {error.issues[0].message}")
+                lost.append(f"{shown}: {error.issues[0].message}")
                 continue
-            if text is None:
-                lost.append(f"{datum.kind} {datum.name}: {name} has none yet, the program brings its own")
-                continue
-            if not isinstance(datum.initial, Literal):
-                lost.append(f"{datum.kind} {datum.name}: the program works its value out")
-                continue
-            far = difference(datum_text(datum), text)
-            if far is None:
-                same.append(f"{datum.kind} {datum.name}")
+            if there is None or written is None:
+                why = "the controller tells no value" if there is None else "the program states no value"
+                lost.append(f"{shown} of {name}: module {module.name} is loaded, but {why}")
+            elif far := difference(written.group(1), there):
+                out.append(f"{shown} of {name} is another one in the loaded module {module.name}: {far}")
             else:
-                out.append(f"{datum.kind} {datum.name} of {name} on the controller is another one: {far}")
+                same.append(shown)
     return out, lost, same
-
-
-def datum_text(datum: Data) -> str:
-    """The literal of a datum as text of the same form as a controller's."""
-    value = datum.initial.value if isinstance(datum.initial, Literal) else datum.initial
-    return _text(value)
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return "[" + ",".join(_text(one) for one in value) + "]"
-    if isinstance(value, bool):
-        return "TRUE" if value else "FALSE"
-    return f'"{value}"' if isinstance(value, str) else repr(value)
-
-
-def difference(planned: str, there: str) -> str | None:
-    """In what two RAPID values differ, by words and by the largest difference of numbers; None if not."""
-    words = [_NUMBER.sub("#", t).upper().split() for t in (planned, there)]
-    first, second = ([float(n) for n in _NUMBER.findall(t)] for t in (planned, there))
-    if "".join(words[0]) != "".join(words[1]) or len(first) != len(second):
-        return f"{there[:120]}, planned is {planned[:120]}"
-    far = max((abs(a - b) for a, b in zip(first, second, strict=True)), default=0.0)
-    if far <= DATUM_SHIFT:
-        return None
-    return f"a number is {far:.4g} off (there {there[:160]}, planned {planned[:160]})"

@@ -31,6 +31,46 @@ class Login:
 
 
 @dataclasses.dataclass(frozen=True)
+class Trust:
+    """Whose certificates are trusted: those that this machine trusts, or those of the file ``authority``, or
+    the one of which ``fingerprint`` is the SHA-256, such as a controller's self-signed one."""
+
+    authority: Path | None = None
+    fingerprint: str | None = None
+
+    def context(self) -> ssl.SSLContext:
+        """What TLS is made with; with a fingerprint, :meth:`check` must follow before anything is sent.
+        Raises ``TandemError`` (``upload.address``)."""
+        if self.fingerprint is not None and not re.fullmatch(r"[0-9a-f]{64}", _plain(self.fingerprint)):
+            what = f"--fingerprint: got {self.fingerprint}, allowed are 64 hexadecimal digits (SHA-256)"
+            raise TandemError(Issue("upload.address", what, field="fingerprint"))
+        try:
+            context = ssl.create_default_context(cafile=None if not self.authority else str(self.authority))
+        except OSError as error:
+            what = f"the file of certificates {self.authority} cannot be used ({error})"
+            raise TandemError(Issue("upload.address", what, field="ca")) from error
+        if self.fingerprint is not None:
+            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        return context
+
+    def check(self, socket: object, url: str) -> None:
+        """Hold a certificate against the fingerprint. Raises ``TandemError`` (``upload.login``)."""
+        if self.fingerprint is None or not isinstance(socket, ssl.SSLSocket):
+            return
+        shown = socket.getpeercert(binary_form=True) or b""
+        got, wanted = hashlib.sha256(shown).hexdigest(), _plain(self.fingerprint)
+        if got != wanted:
+            what = f"the certificate of {url} has SHA-256 {got}, --fingerprint names {wanted}"
+            hint = "compare it with the controller's own before you trust it"
+            raise TandemError(Issue("upload.login", what, hint=hint))
+
+
+def _plain(fingerprint: str) -> str:
+    """A fingerprint without colons, spaces and the word before it."""
+    return re.sub(r"[\s:]", "", fingerprint.lower().removeprefix("sha256"))
+
+
+@dataclasses.dataclass(frozen=True)
 class Answer:
     """Status and body of an answer."""
 
@@ -41,15 +81,13 @@ class Answer:
 @dataclasses.dataclass
 class Link:
     """One connection to ``url``. ``basic``: login by RWS 2.0's basic scheme, which is refused without TLS.
-    ``authority``: a file of certificates; ``fingerprint``: SHA-256 of a self-signed certificate that is
-    trusted though no authority stands for it. ``timeout`` [s] of each wait."""
+    ``timeout`` [s] of each wait."""
 
     url: str
     login: Login
     basic: bool
     timeout: float = 20.0
-    authority: Path | None = None
-    fingerprint: str | None = None
+    trust: Trust = Trust()
 
     def __post_init__(self) -> None:
         parts = urlsplit(self.url)
@@ -68,13 +106,7 @@ class Link:
     def _connect(self, scheme: str, host: str, port: int | None) -> http.client.HTTPConnection:
         if scheme == "http":
             return http.client.HTTPConnection(host, port, timeout=self.timeout)
-        try:
-            context = ssl.create_default_context(cafile=None if not self.authority else str(self.authority))
-        except OSError as error:
-            what = f"the file of certificates {self.authority} cannot be used ({error})"
-            raise TandemError(Issue("upload.address", what, field="ca")) from error
-        if self.fingerprint is not None:
-            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        context = self.trust.context()
         return http.client.HTTPSConnection(host, port, timeout=self.timeout, context=context)
 
     def _open(self) -> None:
@@ -82,15 +114,11 @@ class Link:
         if self._connection.sock is not None:
             return
         self._connection.connect()
-        if self.fingerprint is None or not isinstance(self._connection.sock, ssl.SSLSocket):
-            return
-        shown = self._connection.sock.getpeercert(binary_form=True) or b""
-        got, wanted = hashlib.sha256(shown).hexdigest(), re.sub(r"[^0-9a-f]", "", self.fingerprint.lower())
-        if got != wanted:
+        try:
+            self.trust.check(self._connection.sock, self.url)
+        except TandemError:
             self._connection.close()
-            what = f"the certificate of {self.url} has SHA-256 {got}, --fingerprint names {wanted}"
-            hint = "compare it with the controller's own before you trust it"
-            raise TandemError(Issue("upload.login", what, hint=hint))
+            raise
 
     def ask(
         self, method: str, path: str, body: bytes | None = None, headers: Mapping[str, str] | None = None

@@ -12,11 +12,18 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from planner.files import STATEMENT, write_whole
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Problem
+from planner.verify.programs import program_text
 
+if TYPE_CHECKING:
+    from planner.verify.result import Proof
+
+AGAIN = "prove again: tandem verify OUT"
+"""What to do where a proof is missing or old: that writes it anew."""
 CONTROLLER = "controller"
 """Folder of files for controllers beside the programs."""
 
@@ -40,13 +47,15 @@ def read(folder: Path, problem: Problem) -> Proven:
         data: dict[str, Any] = json.loads(path.read_bytes())
         verified, stated, named = data["ok"], data["problem_digest"], dict(data.get("programs") or {})
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise _refused(path, f"cannot be read as a proof ({type(error).__name__}: {error})") from error
+        what = f"cannot be read as a proof ({type(error).__name__}: {error})"
+        raise _refused(path, what, AGAIN) from error
     if verified is not True:
-        raise _refused(path, "the verdict is not verified; only verified programs are sent")
+        raise _refused(path, "the verdict is not verified; only verified programs are sent", AGAIN)
     if stated != problem.digest:
-        raise _refused(path, f"the proof is of problem {stated}, the folder holds {problem.digest}")
+        what = f"the proof is of problem {stated}, the folder holds {problem.digest}"
+        raise _refused(path, what, AGAIN)
     if not named:
-        raise _refused(path, "the proof names no program files: it is of an older Tandem, or of no programs")
+        raise _refused(path, "the proof names no digests of programs: an older Tandem wrote it", AGAIN)
     root = folder / "programs"
     found = {p.relative_to(root).as_posix(): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
     faults = []
@@ -58,8 +67,33 @@ def read(folder: Path, problem: Problem) -> Proven:
         elif (got := hashlib.sha256(found[name]).hexdigest()) != named[name]:
             faults.append(f"{name} has digest {got[:16]}, the proof names {str(named[name])[:16]}")
     if faults:
-        raise _refused(root, "; ".join(faults))
+        raise _refused(root, "; ".join(faults), "plan again; or prove what is there: tandem verify OUT")
     return Proven(problem, found)
+
+
+def record(folder: Path, programs: Mapping[str, str], proof: Proof, again: bool = False) -> bool:
+    """Write ``proof.json`` of a result folder anew, of the ``proof`` of its ``programs``, with the SHA-256 of
+    their files; what the plan has accepted stays.
+
+    False, and nothing is written, where that would change what is signed, unless it is signed ``again``.
+    Raises ``TandemError`` (``upload.unproven``) where the files are others by now, and ``OSError``.
+    """
+    from planner.report import output
+
+    path, root = folder / "proof.json", folder / "programs"
+    digests = {}
+    for name, text in programs.items():
+        content = (root / name).read_bytes()
+        if program_text.decode(content, name) != text:
+            raise _refused(root / name, f"{name} was changed while it was proven", AGAIN)
+        digests[name] = hashlib.sha256(content).hexdigest()
+    old = path.read_text(encoding="utf-8") if path.is_file() else ""
+    new = output.proof_text(proof, output.accepted_of(old), digests)
+    if new != old and (folder / STATEMENT).is_file() and not again:
+        return False
+    if new != old:
+        write_whole(path, new)
+    return True
 
 
 def chosen(proven: Proven, arm: str | None) -> tuple[tuple[Arm, ...], dict[str, bytes]]:
@@ -99,6 +133,5 @@ def folder_name(problem: Problem) -> str:
     return f"tandem_{plain}_{(problem.digest or '')[:8]}"
 
 
-def _refused(path: Path, what: str) -> TandemError:
-    hint = "plan the problem again, and send nothing that was changed behind its proof"
+def _refused(path: Path, what: str, hint: str) -> TandemError:
     return TandemError(Issue("upload.unproven", what, file=str(path), hint=hint))

@@ -1,18 +1,29 @@
-"""ABB controllers by Robot Web Services: states, configuration and files, never a start or a pointer.
+"""ABB controllers by Robot Web Services: states, configuration and files, never a start, a pointer or a mode.
 
-1.0 (IRC5): application manual Robot Web Services, 3HAC050973-001, and its pages at
-developercenter.robotstudio.com/api/rwsApi (fs_file_upload_page, fs_directory_create_page,
-cfg_domain_type_instances, panel_opmode_get_page, rapid_execution_page, ios_signals_get_page,
-msh_domain_request_page). 2.0 (OmniCore): 3HAC073675-001, developercenter.robotstudio.com/api/RWS; of
-that only the panel's page was at hand, other paths are from memory. No controller has answered to this.
+1.0 (IRC5, RobotWare 6; digest login): ABB, Application manual Robot Web Services, 3HAC050973-001 revision M,
+pages at developercenter.robotstudio.com/api/rwsApi: fs_directory_get_page, fs_directory_create_page,
+fs_file_get_page, fs_file_upload_page, cfg_get_instance_page, panel_opmode_get_page, rapid_execution_page,
+rapid_tasks_page, rapid_modules_get_page, rapid_symbol_data_page, rwsystem_get_system (options too),
+msh_domain_request_page. ``json=1`` asks for JSON.
+
+2.0 (OmniCore, RobotWare 7; basic login by TLS): 3HAC073675-001 revision L, at
+developercenter.robotstudio.com/api/RWS, Swagger_Doc/RAPID_Service.yaml for RAPID; actions are the last word
+of the path, media types carry ``v=2.0``. For files, mastership (domain ``edit``) and configuration its pages
+were not at hand: those are as public clients have them, such as rpiRobotics/abb_robot_client (RobotWare 7)
+and others who say that a virtual RobotWare 7 took them. No controller has answered to this code.
+
+Base frames are read from MOC, where ``base_frame_pos_x`` is in metres (Technical reference manual System
+parameters; abb_librws of ros-industrial reads the same).
 """
 
 from __future__ import annotations
 
+import contextlib
+import html
 import json
 from collections.abc import Iterator
 from typing import Any
-from urllib.parse import quote, urlencode
+from urllib.parse import parse_qsl, quote, urlencode, urljoin, urlsplit
 
 from planner.issues import Issue, TandemError
 from planner.loading.http_link import Answer, Link
@@ -61,6 +72,13 @@ class Rws:
         found = self._items("/rw/rapid/tasks")
         return tuple(str(one["name"]) for one in found if str(one.get("_type", "")).startswith("rap-task"))
 
+    def modules(self, task: str) -> tuple[str, ...]:
+        """Names of the modules that are loaded in a task."""
+        one, two = f"/rw/rapid/modules?task={quote(task)}", f"/rw/rapid/tasks/{quote(task)}/modules"
+        found = self._items(one if self.version == 1 else two)
+        modules = (one for one in found if str(one.get("_type", "")).startswith("rap-module-info"))
+        return tuple(str(one["name"]) for one in modules if "name" in one)
+
     @property
     def signals(self) -> dict[str, str]:
         """Types (DO, DI ...) of all signals, by name."""
@@ -79,7 +97,8 @@ class Rws:
         return out
 
     def datum(self, task: str, module: str, name: str) -> str | None:
-        """Text of a RAPID datum as it is now, None where the controller has none of that name."""
+        """Text of a RAPID datum as it is now, None where the controller tells none of that name: 404, or 400
+        with a code of its own."""
         where = f"RAPID/{quote(task)}/{quote(module)}/{quote(name)}"
         path = f"/rw/rapid/symbol/data/{where}" if self.version == 1 else f"/rw/rapid/symbol/{where}/data"
         answer = self._get(path)
@@ -132,7 +151,7 @@ class Rws:
 
     def read(self, name: str) -> bytes | None:
         """A file's bytes, None where there is none."""
-        answer = self.link.ask("GET", self._file(name), None, {})
+        answer = self.link.ask("GET", self._file(name), None, self._headers())
         if answer.status == 404:
             return None
         if answer.status != 200:
@@ -142,6 +161,12 @@ class Rws:
     def remove(self, name: str) -> bool:
         """Delete a file or an empty folder; whether it is gone."""
         return self.link.ask("DELETE", self._file(name), None, self._headers()).status in (200, 204, 404)
+
+    def close(self) -> None:
+        """End the session, of which a controller has only so many, and the connection."""
+        with contextlib.suppress(TandemError):  # nothing hangs on it: sessions end by themselves
+            self.link.ask("GET", "/logout", None, self._headers())
+        self.link.close()
 
     # ---- requests ----
 
@@ -177,14 +202,20 @@ class Rws:
                 return out
             data = self._read(following, self._get(following))
             out += _all(data)
-            link = data.get("_links", {}).get("next", {}).get("href") if isinstance(data, dict) else None
-            following = None if not link else self._absolute(str(link), path)
+            links = data.get("_links", {}) if isinstance(data, dict) else {}
+            link = links.get("next", {}).get("href")
+            following = None if not link else self._next(str(link), links.get("base", {}).get("href"), path)
         raise TandemError(Issue("upload.controller", f"{path}: over {MOST_PAGES} pages"))
 
-    @staticmethod
-    def _absolute(link: str, path: str) -> str:
-        plain = link.replace("&json=1", "").replace("?json=1", "")
-        return plain if plain.startswith("/") else f"{path.rpartition('/')[0]}/{plain}"
+    def _next(self, link: str, base: str | None, path: str) -> str:
+        """Path of the next page: links are relative to the page's ``base`` where it tells one, and have
+        ampersands as in XML. Raises ``TandemError`` where they lead to another machine."""
+        start = urljoin(f"{self.link.url}/", base or f"{path.partition('?')[0].rpartition('/')[0]}/")
+        whole = urlsplit(urljoin(start, html.unescape(link)))
+        kept = [(k, v) for k, v in parse_qsl(whole.query) if k != "json"]
+        if base is None and whole.netloc != urlsplit(self.link.url).netloc:
+            raise TandemError(Issue("upload.controller", f"{path}: the next page is elsewhere ({link})"))
+        return whole.path + (f"?{urlencode(kept)}" if kept else "")
 
     def _value(self, path: str, key: str) -> str:
         answer = self._get(path)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 
 from planner.issues import Issue, Severity, TandemError
-from planner.loading import compare
+from planner.loading import compare, krc
 from planner.loading.proven import Proven, chosen, folder_name
 from planner.loading.rws import Rws
 from planner.loading.store import Store
@@ -19,8 +19,8 @@ MOST_FOLDERS = 99
 
 @dataclasses.dataclass(frozen=True)
 class Sent:
-    """What is on the controller now: ``folder`` there and its ``files``; ``issues`` that stand against
-    loading it, or were not looked at; what ``agreed``."""
+    """What is on the controller now: ``folder`` there and its ``files``; ``issues`` that were not looked at,
+    or stand against loading it; what ``agreed``."""
 
     folder: str
     files: tuple[str, ...]
@@ -29,8 +29,8 @@ class Sent:
 
     @property
     def ready(self) -> bool:
-        """Whether nothing that was read differs."""
-        return not any(issue.severity is Severity.ERROR for issue in self.issues)
+        """Whether all was looked at and agreed: a file alone on a disk is not ready to be loaded."""
+        return bool(self.agreed) and not self.issues
 
 
 def to_controller(rws: Rws, proven: Proven, arm: str | None = None) -> Sent:
@@ -57,11 +57,14 @@ def to_controller(rws: Rws, proven: Proven, arm: str | None = None) -> Sent:
 
 
 def to_store(store: Store, proven: Proven, arm: str | None = None) -> Sent:
-    """Send programs to a share or an FTP folder; of the controller behind it nothing is read."""
-    _, files = chosen(proven, arm)
+    """Send programs to a share or an FTP folder; of a KUKA controller behind it the files are compared that
+    are there. Raises ``TandemError`` (``upload.*``); where they differ nothing is written."""
+    arms, files = chosen(proven, arm)
+    found = krc.compare(store, files, arms)
+    if found.differs:
+        raise TandemError((*found.differs, *found.not_looked_at))
     folder = put(store, folder_name(proven.problem), files)
-    what = "not looked at: base frame ($ROBROOT), tools, bases, inputs and outputs, mode, version of the "
-    return Sent(folder, tuple(sorted(files)), (_warning(what + "controller: a folder tells none of them"),))
+    return Sent(folder, tuple(sorted(files)), found.not_looked_at, found.agreed)
 
 
 def _warning(what: str) -> Issue:
@@ -69,7 +72,7 @@ def _warning(what: str) -> Issue:
 
 
 def _stands(rws: Rws) -> None:
-    """Raise unless the controller is in automatic and runs nothing."""
+    """Raise unless the controller is in automatic and runs nothing; neither is ever changed from here."""
     mode, running = rws.mode, rws.execution
     if running != "stopped":
         what = f"RAPID execution is {running!r}, allowed is 'stopped'; nothing was written"
@@ -105,11 +108,14 @@ def put(store: Store, name: str, files: Mapping[str, bytes]) -> str:
             store.write(f"{folder}/{file}", content)
         for file, content in sorted(files.items()):
             _same(file, content, store.read(f"{folder}/{file}"))
-    except (TandemError, KeyboardInterrupt) as error:
+    except BaseException as error:  # whatever it is, half a program must not stay
         left = _cleaned(store, made)
-        if not isinstance(error, TandemError):
-            raise
         after = f"left behind, take it away by hand: {', '.join(left)}" if left else "nothing of it was left"
+        if not made and isinstance(error, TandemError) and error.issues[0].code == "upload.controller":
+            after = f"{folder} may be there, empty"
+        if not isinstance(error, TandemError):
+            error.add_note(f"upload of {folder}: {after}")
+            raise
         told = [dataclasses.replace(issue, message=f"{issue.message}; {after}") for issue in error.issues]
         raise TandemError(told) from error
     return folder
@@ -132,7 +138,7 @@ def _cleaned(store: Store, made: Sequence[str]) -> list[str]:
     for name in reversed(made):
         try:
             gone = store.remove(name)
-        except TandemError:
+        except Exception:  # the others are still to be taken away
             gone = False
         left += [] if gone else [name]
     return left

@@ -177,7 +177,9 @@ def proof_files(plan: Plan, proof: Proof | None, programs: Mapping[str, str] | N
     ``simulated_part.obj``, by name."""
     out: dict[str, str] = {}
     if proof is not None:
-        out["proof.json"] = _verdict(proof, accepted(plan.issues), programs or {})
+        texts = (programs or {}).items()
+        digests = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts}
+        out["proof.json"] = proof_text(proof, accepted(plan.issues), digests)
         if proof.part_obj:
             out["simulated_part.obj"] = proof.part_obj
     return out
@@ -237,9 +239,18 @@ def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:
     return render(problem, None, None, Extra(shown, filtered, issues=issues))
 
 
-def _verdict(proof: Proof, taken: Sequence[str], programs: Mapping[str, str]) -> str:
-    """The proof as JSON: verdict, what the problem accepts beside it, SHA-256 of the programs, rules, issues,
-    faces without their points."""
+def accepted_of(text: str) -> list[str]:
+    """What a ``proof.json`` says is accepted; nothing where it is none."""
+    try:
+        found = json.loads(text)["accepted"]
+    except (ValueError, KeyError, TypeError):
+        return []
+    return [str(code) for code in found] if isinstance(found, list) else []
+
+
+def proof_text(proof: Proof, taken: Sequence[str], digests: Mapping[str, str]) -> str:
+    """The proof as JSON: verdict, what the problem accepts beside it, SHA-256 of the proven program files by
+    name, rules, issues, faces without their points."""
     faces = [
         {"segment": face.title, **{k: v for k, v in vars(face).items() if isinstance(v, float)}}
         for face in proof.surfaces
@@ -249,7 +260,7 @@ def _verdict(proof: Proof, taken: Sequence[str], programs: Mapping[str, str]) ->
         "ok": proof.ok and not has_errors(found),
         "accepted": list(taken),
         "problem_digest": proof.problem_digest,
-        "programs": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in programs.items()},
+        "programs": dict(digests),
         "rules": [dataclasses.asdict(rule) for rule in proof.rules],
         "issues": [issue.to_dict() for issue in found],
         "surfaces": faces,
