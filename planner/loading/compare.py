@@ -54,7 +54,7 @@ def compare(rws: Rws, problem: Problem, programs: Mapping[str, str], arms: Seque
     text = "\n".join(programs.values())
     looks: dict[str, Callable[[], list[str]]] = {
         "RobotWare": lambda: _robotware(rws.robotware, problem),
-        "options": lambda: _options(rws.options, problem, text),
+        "options": lambda: missing_options(rws.options, problem, text),
         "tasks": lambda: _tasks(rws.tasks, problem, tasks),
         "base frames and robot types": lambda: _robots(rws.robots, context, tasks),
         "signals": lambda: _signals(rws.signals, tasks),
@@ -94,7 +94,8 @@ def _robotware(version: str, problem: Problem) -> list[str]:
     return [f"RobotWare is {version}, the programs are for RobotWare {wanted}; set robotware and plan again"]
 
 
-def _options(installed: Sequence[str], problem: Problem, text: str) -> list[str]:
+def missing_options(installed: Sequence[str], problem: Problem, text: str) -> list[str]:
+    """Options that the programs' ``text`` needs or the cell states, and that are not ``installed``."""
     own = [option.lower() for option in installed]
     plain = re.sub(r"![^\n]*", "", text)
     out = [

@@ -94,7 +94,7 @@ def changes(name: str, first: str, second: str) -> list[str]:
 def _pairs(old: Sequence[Piece], new: Sequence[Piece]) -> Iterator[tuple[Piece | None, Piece | None]]:
     """Statements beside what became of them."""
     keys = [[one.shape.key for one in side] for side in (old, new)]
-    for tag, a, b, c, d in difflib.SequenceMatcher(None, *keys, autojunk=False).get_opcodes():
+    for tag, a, b, c, d in difflib.SequenceMatcher(None, keys[0], keys[1], autojunk=False).get_opcodes():
         if tag == "equal" or b - a == d - c:
             yield from zip(old[a:b], new[c:d], strict=True)
         else:
@@ -110,7 +110,7 @@ def _by_words(old: Sequence[Piece], new: Sequence[Piece]) -> Iterator[tuple[Piec
         yield from ((None, one) for one in new[shorter:])
         return
     words = [[one.shape.words for one in side] for side in (old, new)]
-    for tag, a, b, c, d in difflib.SequenceMatcher(None, *words, autojunk=False).get_opcodes():
+    for tag, a, b, c, d in difflib.SequenceMatcher(None, words[0], words[1], autojunk=False).get_opcodes():
         if tag == "equal":
             yield from zip(old[a:b], new[c:d], strict=True)
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Iterator
@@ -10,13 +11,16 @@ from pathlib import Path
 import pytest
 
 from planner.issues import TandemError
-from planner.loading import download, proven, upload
-from planner.loading.http_link import Link, Login
+from planner.loading import compare, proven, upload
+from planner.loading.http_link import Link, Login, Trust
 from planner.loading.proven import Proven
 from planner.loading.rws import Rws
 from planner.loading.store import Share
-from tests.loading.rws_server import SECRET, USER, Controller
+from tests.loading.rws_server import SECRET, USER, Controller, certificate, fingerprint
 from tests.verify import bead_job
+
+TOOL = "[TRUE,[[0,0,160],[1,0,0,0]],[0.9,[0,0,60],[1,0,0,0],0,0,0]]"
+OBJECT = '[FALSE,TRUE,"",[[560,0,220],[1,0,0,0]],[[0,0,0],[1,0,0,0]]]'
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +36,32 @@ def controller() -> Iterator[Controller]:
     made.close()
 
 
-def rws(controller: Controller, password: str = SECRET, timeout: float = 5.0) -> Rws:
-    return Rws(Link(controller.url, Login(USER, password), False, timeout), 1)
+@pytest.fixture(params=[1, 2])
+def either(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Controller]:
+    """A controller of each version of the services."""
+    pem = certificate(tmp_path_factory.mktemp("tls"))
+    made = Controller(request.param, pem if request.param == 2 else None)
+    made.pem = pem  # type: ignore[attr-defined]
+    yield made
+    made.close()
+
+
+def rws(
+    controller: Controller, password: str = SECRET, timeout: float = 5.0, trust: Trust | None = None
+) -> Rws:
+    two = controller.version == 2
+    if two and trust is None:
+        trust = Trust(fingerprint=fingerprint(controller.pem))  # type: ignore[attr-defined]
+    return Rws(Link(controller.url, Login(USER, password), two, timeout, trust or Trust()), 1 + two)
+
+
+def for_robotware_7(result: Proven) -> Proven:
+    """The same files, sent to a controller of RobotWare 7."""
+    cell = result.problem.cell
+    own = dataclasses.replace(cell.controller, robotware=7)
+    return Proven(
+        dataclasses.replace(result.problem, cell=dataclasses.replace(cell, controller=own)), result.files
+    )
 
 
 def refused(controller: Controller, result: Proven, code: str, *words: str, **more: object) -> None:
@@ -44,53 +72,123 @@ def refused(controller: Controller, result: Proven, code: str, *words: str, **mo
     assert SECRET not in str(caught.value)
 
 
-def nothing_started(controller: Controller) -> None:
-    wrong = ("execution", "pcp", "motors", "ctrlstate", "ctrl-state", "loadmod", "cfg", "symbol", "signals")
-    posts = [path for verb, path in controller.asked if verb != "GET"]
-    assert not [path for path in posts if any(word in path for word in wrong)]
-
-
 def test_programs_go_into_a_new_folder_each_time_and_nothing_starts(
-    controller: Controller, result: Proven
+    either: Controller, result: Proven
 ) -> None:
-    first = upload.to_controller(rws(controller), result)
-    before = dict(controller.files)
-    second = upload.to_controller(rws(controller), result)
-    assert (first.ready, second.folder) == (True, f"{first.folder}_2")
-    assert {k: controller.files[k] for k in before} == before
-    for name, content in result.files.items():
-        assert controller.files[f"{second.folder}/{name}"] == content
-    assert "base frames and robot types" in first.agreed
-    nothing_started(controller)
-    kept = [path for verb, path in controller.asked if "mastership" in path and verb == "POST"]
-    assert [path.rpartition("=")[2] for path in kept] == ["request", "release"] * 2
+    sent = for_robotware_7(result) if either.version == 2 else result
+    first = upload.to_controller(rws(either), sent)
+    before = dict(either.files)
+    link = rws(either)
+    second = upload.to_controller(link, sent)
+    link.close()
+    assert (first.issues, first.ready, second.folder) == ((), True, f"{first.folder}_2")
+    assert {k: either.files[k] for k in before} == before
+    for name, content in sent.files.items():
+        assert either.files[f"{second.folder}/{name}"] == content
+    assert {"base frames and robot types", "options", "signals", "tasks", "RobotWare"} <= set(first.agreed)
+    posts = [path for verb, path in either.asked if verb == "POST" and "fileservice" not in path]
+    domain = "/rw/mastership/rapid?action=" if either.version == 1 else "/rw/mastership/edit/"
+    assert posts == [f"{domain}request", f"{domain}release"] * 2, "all that is asked of it but files"
+    assert all("fileservice" in path for verb, path in either.asked if verb in ("PUT", "DELETE"))
+    assert either.asked[-1] == ("GET", "/logout")
+
+
+def test_a_certificate_is_trusted_by_its_fingerprint_alone(tmp_path: Path, result: Proven) -> None:
+    controller = Controller(2, certificate(tmp_path))
+    try:
+        refused(controller, result, "upload.login", "not trusted", "--fingerprint", trust=Trust())
+        wrong = Trust(fingerprint="ab" * 32)
+        refused(controller, result, "upload.login", "--fingerprint names abab", trust=wrong)
+        assert controller.asked == [], "nothing, and no password, goes to a stranger"
+        short = Trust(fingerprint="ab:cd")
+        refused(controller, result, "upload.address", "64 hexadecimal digits", trust=short)
+        shown = fingerprint(certificate(tmp_path)).upper()
+        colons = "SHA256:" + ":".join(shown[k : k + 2] for k in range(0, 64, 2))
+        assert rws(controller, trust=Trust(fingerprint=colons)).mode == "AUTO"
+        assert rws(controller, trust=Trust(fingerprint=shown)).robotware == "7.13.1"
+    finally:
+        controller.close()
 
 
 def test_a_controller_that_is_not_ready_is_refused_and_nothing_is_written(
     controller: Controller, result: Proven
 ) -> None:
     refused(controller, result, "upload.login", "401", password="wrong")
-    controller.values["opmode"] = "MANR"
+    controller.mode = "MANR"
     refused(controller, result, "upload.busy", "MANR", "allowed is AUTO")
-    controller.values |= {"opmode": "AUTO", "ctrlexecstate": "running"}
+    controller.mode, controller.running = "AUTO", "running"
     refused(controller, result, "upload.busy", "running")
-    controller.values["ctrlexecstate"] = "stopped"
+    controller.running = "stopped"
     controller.fail = {"mastership": 403}
     refused(controller, result, "upload.busy", "mastership")
     controller.fail, controller.slow = {}, 0.6
     refused(controller, result, "upload.controller", "no answer in time", timeout=0.2)
     assert list(controller.files) == [""]
+    assert not [path for verb, path in controller.asked if verb == "POST" and "mastership" not in path]
 
 
 def test_differences_are_told_with_figures(controller: Controller, result: Proven) -> None:
     controller.base[0] = 0.0025
-    controller.values["rwversion"] = "7.10.0"
+    controller.robotware, controller.model = "7.10.0", "ROB1_4400_60_1.96"
     controller.tasks = ["T_ROB2"]
-    refused(controller, result, "upload.differs", "2.500 mm", "7.10.0", "task T_ROB1 is not there")
+    refused(controller, result, "upload.differs", "2.500 mm", "7.10.0", "task T_ROB1 is not there", "4400")
     assert list(controller.files) == [""]
 
 
-@pytest.mark.parametrize(("fault", "words"), [("full", "full"), ("half", "bytes came back")])
+def test_options_are_those_that_the_text_needs() -> None:
+    problem = bead_job.problem("abb")
+
+    def lost(text: str, *installed: str) -> list[str]:
+        return compare.missing_options(installed, problem, text)
+
+    assert lost("PathAccLim TRUE\\AccMax:=1;\nStorePath;\nMoveL p1,v40,fine,t;") == []
+    assert lost("! SyncMoveOn is no word here\nMoveL p1,v40,fine,t;") == []
+    for text in (
+        "SyncMoveOn on1,all;",
+        "MoveL p1\\ID:=10,v40,fine,t;",
+        "MoveL [[1,2,3],[1,0,0,0]]\\ID:=1,v40;",
+    ):
+        (told,) = lost(text, "604-2 MultiMove Independent", "623-1 Multitasking")
+        assert "MultiMove Coordinated" in told
+        assert lost(text, "604-1 MultiMove Coordinated") == lost(text, "3102-1 MultiMove Coordinated") == []
+    assert lost("WaitSyncTask s1,all;", "623-1 Multitasking") == []
+    assert "Multitasking" in lost("WaitSyncTask s1,all;", "608-1 World Zones")[0]
+
+
+def test_tools_are_compared_with_the_text_of_the_module(controller: Controller, result: Proven) -> None:
+    controller.loaded["TandemData_1"] = {"t_plain": TOOL, "w_stock": OBJECT}  # as a controller prints them
+    sent = upload.to_controller(rws(controller), result)
+    assert {"tooldata t_plain", "wobjdata w_stock"} <= set(sent.agreed)
+    assert sent.ready
+    controller.loaded["TandemData_1"]["t_plain"] = TOOL.replace("160", "162.5")
+    refused(controller, result, "upload.differs", "t_plain", "1 of 18 numbers", "2.5", "162.5")
+    controller.loaded["TandemData_1"]["t_plain"] = TOOL.replace("TRUE", "FALSE")
+    refused(controller, result, "upload.differs", "t_plain", "FALSE")
+    controller.loaded["TandemData_1"] = {"t_plain": TOOL}
+    sent = upload.to_controller(rws(controller), result)
+    assert not sent.ready, "a module that is loaded, and does not tell one of its data"
+    assert any("w_stock" in issue.message for issue in sent.issues)
+
+
+@pytest.mark.parametrize("part", ["/rw/cfg", "/rw/system/options", "/rw/iosystem", "/rw/rapid/modules"])
+def test_ready_is_said_only_where_all_was_looked_at(
+    controller: Controller, result: Proven, part: str
+) -> None:
+    controller.fail = {part: 403}
+    sent = upload.to_controller(rws(controller), result)
+    assert not sent.ready
+    (issue,) = sent.issues
+    assert issue.code == "upload.not_looked_at"
+    assert "403" in issue.message
+
+
+def test_lists_are_read_to_their_last_page(either: Controller) -> None:
+    either.signals["DO_LAST"] = "DO"
+    assert len(rws(either).signals) == len(either.signals)
+    assert rws(either).signals["DO_LAST"] == "DO"
+
+
+@pytest.mark.parametrize(("fault", "words"), [("full", "disk is full"), ("half", "bytes came back")])
 def test_what_was_begun_is_taken_away(controller: Controller, result: Proven, fault: str, words: str) -> None:
     controller.fail = {"PUT ": 507} if fault == "full" else {}
     controller.cut = 3 if fault == "half" else 0
@@ -98,55 +196,83 @@ def test_what_was_begun_is_taken_away(controller: Controller, result: Proven, fa
     assert list(controller.files) == [""]
 
 
+def test_a_connection_that_breaks_half_way_leaves_nothing(controller: Controller, result: Proven) -> None:
+    last = sorted(result.files)[-1]
+    controller.drop = {f"{last}"}
+    controller.files["old"] = b"kept"
+    with pytest.raises(TandemError) as caught:
+        upload.to_controller(rws(controller), result)
+    assert caught.value.issues[0].code == "upload.controller"
+    assert "PUT" in str(caught.value)
+    assert "left behind" in str(caught.value), "the server answers nothing for that name, not even DELETE"
+    controller.drop, controller.files = (
+        {f"PUT /fileservice/$home/{upload.folder_name(result.problem)}"},
+        {"": None},
+    )
+    refused(controller, result, "upload.controller", "nothing of it was left")
+    assert list(controller.files) == [""]
+    assert controller.asked[-1][1].endswith("release"), "mastership is given back"
+
+
 def test_what_cannot_be_taken_away_is_named(controller: Controller, result: Proven) -> None:
     controller.cut, controller.fail = 3, {"DELETE": 403}
     refused(controller, result, "upload.write", "take it away by hand")
 
 
-def test_what_cannot_be_read_is_not_said_to_agree(controller: Controller, result: Proven) -> None:
-    controller.fail = {"/rw/cfg": 403}
-    sent = upload.to_controller(rws(controller), result)
-    assert "base frames and robot types" not in sent.agreed
-    assert any(i.code == "upload.not_looked_at" and "base frames" in i.message for i in sent.issues)
+@pytest.mark.parametrize("kind", [RuntimeError, KeyboardInterrupt, SystemExit, MemoryError])
+def test_whatever_happens_half_way_nothing_is_left(
+    tmp_path: Path, result: Proven, kind: type[BaseException]
+) -> None:
+    class Broken(Share):
+        def read(self, name: str) -> bytes | None:
+            raise kind("half-way")
+
+    (tmp_path / "own.txt").write_text("kept")
+    with pytest.raises(kind) as caught:
+        upload.to_store(Broken(tmp_path), result)
+    assert [path.name for path in tmp_path.iterdir()] == ["own.txt"]
+    assert any("nothing of it was left" in note for note in caught.value.__notes__)
+
+
+def written(folder: Path, result: Proven, **changes: object) -> None:
+    for name, content in result.files.items():
+        (folder / "programs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "programs" / name).write_bytes(content)
+    named = {name: hashlib.sha256(content).hexdigest() for name, content in result.files.items()}
+    data = {"ok": True, "problem_digest": result.problem.digest, "programs": named} | changes
+    (folder / "proof.json").write_text(json.dumps(data))
 
 
 def test_only_files_that_the_proof_names(tmp_path: Path, result: Proven) -> None:
-    for name, content in result.files.items():
-        (tmp_path / "programs" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "programs" / name).write_bytes(content)
-    named = {name: hashlib.sha256(content).hexdigest() for name, content in result.files.items()}
-    data = {"ok": True, "problem_digest": result.problem.digest, "programs": named}
-    (tmp_path / "proof.json").write_text(json.dumps(data))
+    written(tmp_path, result)
     assert proven.read(tmp_path, result.problem).files == result.files
-    first = next(name for name in named if name.endswith(".mod"))
+    first = next(name for name in result.files if name.endswith(".mod"))
+    for change, words in (
+        ({"ok": False}, "not verified"),
+        ({"programs": {}}, "no digests"),
+        ({"programs": None}, "no digests"),
+        ({"problem_digest": "0" * 64}, "the folder holds"),
+    ):
+        written(tmp_path, result, **change)
+        with pytest.raises(TandemError, match=words) as caught:
+            proven.read(tmp_path, result.problem)
+        assert "prove again: tandem verify" in str(caught.value)
+    written(tmp_path, result)
     (tmp_path / "programs" / first).write_bytes(b"!" + result.files[first])
-    with pytest.raises(TandemError, match="the proof names") as caught:
+    (tmp_path / "programs" / "extra.mod").write_bytes(b"MODULE m ENDMODULE")
+    with pytest.raises(TandemError, match=r"extra.mod is not named") as caught:
         proven.read(tmp_path, result.problem)
     assert caught.value.issues[0].code == "upload.unproven"
-    (tmp_path / "proof.json").write_text(json.dumps(data | {"ok": False}))
-    with pytest.raises(TandemError, match="not verified"):
-        proven.read(tmp_path, result.problem)
+    assert "the proof names" in str(caught.value)
 
 
-def test_a_share_keeps_what_is_there_and_touched_data_are_named(tmp_path: Path, result: Proven) -> None:
-    sent = upload.to_store(Share(tmp_path), result)
-    assert upload.to_store(Share(tmp_path), result).folder == f"{sent.folder}_2"
-    assert {i.code for i in sent.issues} == {"upload.not_looked_at"}
-    back = download.fetch(Share(tmp_path), sent.folder)
-    assert download.touched(result.files, back) == ()
-    old = {
-        "a.mod": b"MODULE a\r\n"
-        b"CONST robtarget p1:=[[1,2,3],[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\r\nENDMODULE\r\n"
-    }
-    new = {"a.mod": old["a.mod"].replace(b"[[1,2,3],[1,0,0,0]", b"[[4,6,3],[0.70710678,0.70710678,0,0]")}
-    (found,) = download.touched(old, new)
-    assert (found.code, "robtarget p1: moved by 5.000 mm, turned by 90.000 deg" in found.message) == (
-        "upload.touched",
-        True,
-    )
-    with pytest.raises(TandemError, match="no such folder") as caught:
-        download.fetch(Share(tmp_path), "other")
-    assert caught.value.issues[0].code == "upload.missing"
+def test_a_result_names_the_digests_of_its_files(tmp_path: Path) -> None:
+    outcome = bead_job.outcome("abb")
+    outcome.save(tmp_path / "out", pages=False)
+    named = json.loads((tmp_path / "out" / "proof.json").read_text())["programs"]
+    root = tmp_path / "out" / "programs"
+    there = {path.relative_to(root).as_posix(): path for path in root.rglob("*") if path.is_file()}
+    assert named == {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in there.items()}
 
 
 def test_passwords_never_go_in_urls_or_without_tls() -> None:
