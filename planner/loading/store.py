@@ -240,7 +240,8 @@ class Ftp:
             except ftplib.all_errors:
                 return False
             return True
-        return False
+        above, _, own = name.rpartition("/")
+        return own not in (self.listing(above) or {})
 
     def close(self) -> None:
         """As :class:`Store` has it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -80,18 +81,20 @@ def test_programs_go_by_ftp_into_a_new_folder_and_come_back(
     assert not second.ready
     with pytest.raises(TandemError, match=f"more than one is there: {first.folder}, {second.folder}"):
         download.folder(store, first.folder)
-    with pytest.raises(TandemError, match="no such folder"):
+    with pytest.raises(TandemError, match="no such folder") as caught:
         download.folder(store, "tandem_other_00000000")
+    assert caught.value.issues[0].code == "upload.missing"
     handler.abstracted_fs = FullDisk
     with pytest.raises(TandemError, match="disk there is full") as caught:
         upload.to_store(Ftp(url, Login("kuka", "secret"), 5.0), result)
     assert caught.value.issues[0].code == "upload.write"
     assert "nothing of it was left" in str(caught.value)
     assert {path.name for path in root.iterdir()} == {"old.src", first.folder, second.folder}
-    store.close()
-    with pytest.raises(TandemError) as caught:
+    store._link.sock.shutdown(socket.SHUT_RDWR)  # type: ignore[union-attr]
+    with pytest.raises(TandemError, match="try again") as caught:
         upload.to_store(store, result)
-    assert caught.value.issues[0].code in ("upload.controller", "upload.write")
+    assert caught.value.issues[0].code == "upload.controller"
+    store.close()
 
 
 def test_ftp_that_refuses_or_is_not_there_is_told(server: tuple[str, Any, Path]) -> None:

@@ -125,6 +125,8 @@ def test_a_controller_that_is_not_ready_is_refused_and_nothing_is_written(
     refused(controller, result, "upload.controller", "no answer in time", timeout=0.2)
     assert list(controller.files) == [""]
     assert not [path for verb, path in controller.asked if verb == "POST" and "mastership" not in path]
+    controller.slow = 0.0
+    assert upload.to_controller(rws(controller), result).ready
 
 
 def test_differences_are_told_with_figures(controller: Controller, result: Proven) -> None:
@@ -168,6 +170,8 @@ def test_tools_are_compared_with_the_text_of_the_module(controller: Controller, 
     sent = upload.to_controller(rws(controller), result)
     assert not sent.ready, "a module that is loaded, and does not tell one of its data"
     assert any("w_stock" in issue.message for issue in sent.issues)
+    del controller.loaded["TandemData_1"]  # unloaded, as the hint says
+    assert upload.to_controller(rws(controller), result).ready
 
 
 @pytest.mark.parametrize("part", ["/rw/cfg", "/rw/system/options", "/rw/iosystem", "/rw/rapid/modules"])
@@ -194,6 +198,8 @@ def test_what_was_begun_is_taken_away(controller: Controller, result: Proven, fa
     controller.cut = 3 if fault == "half" else 0
     refused(controller, result, "upload.write", words, "nothing of it was left")
     assert list(controller.files) == [""]
+    controller.fail, controller.cut = {}, 0
+    assert upload.to_controller(rws(controller), result).ready
 
 
 def test_a_connection_that_breaks_half_way_leaves_nothing(controller: Controller, result: Proven) -> None:
