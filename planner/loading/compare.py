@@ -37,6 +37,16 @@ DATA: Final = ("tooldata", "wobjdata", "loaddata")
 _LITERAL: Final = re.compile(r':=\s*((?:"[^"\n]*"|[^;"])*);')
 
 
+_SIGNALS: Final = (
+    ("DO", re.compile(r"\bSetDO\b\s*(?:\\[^,;]+,\s*)*(\w+)\s*,", re.IGNORECASE)),
+    ("DO", re.compile(r"\b(?:Set|Reset)\s+(\w+)\s*;", re.IGNORECASE)),
+    ("DO", re.compile(r"\bDOutput\s*\(\s*(\w+)", re.IGNORECASE)),
+    ("DI", re.compile(r"\bWaitDI\s+(\w+)", re.IGNORECASE)),
+    ("DI", re.compile(r"\b(?:DInput|TestDI)\s*\(\s*(\w+)", re.IGNORECASE)),
+)
+"""Where RAPID names digital signals."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Found:
     """``differs`` with figures, and what was ``not_looked_at`` with why."""
@@ -51,7 +61,7 @@ def compare(rws: Rws, problem: Problem, programs: Mapping[str, str], arms: Seque
     told and stops no other. Raises ``TandemError`` for a login that is refused."""
     context = Context(problem, {}, programs)
     tasks = [task for task in context.job.tasks if task.arm.name in {arm.name for arm in arms}]
-    text = "\n".join(programs.values())
+    text = "\n".join(one for task in tasks for one in task.files.values())
     looks: dict[str, Callable[[], list[str]]] = {
         "RobotWare": lambda: _robotware(rws.robotware, problem),
         "options": lambda: missing_options(rws.options, problem, text),
@@ -163,16 +173,29 @@ def _signals(there: Mapping[str, str], tasks: Sequence[TaskText]) -> list[str]:
                 wanted[step.signal] = "DO"
             if isinstance(step, WaitStep) and step.signal:
                 wanted.setdefault(step.signal, "DI")
+        own = {name.lower() for name in wanted}
+        for kind, name in _read("\n".join(task.files.values())):
+            if name.lower() not in own:
+                own.add(name.lower())
+                wanted[name] = kind
         for name, kind in sorted(wanted.items()):
             got = named.get(name.lower())
             if got is None:
-                out.append(f"signal {name} ({kind}) of {task.arm.name} is not on the controller")
+                what = f"signal {name} ({kind}) of {task.arm.name} is not on the controller; "
+                out.append(what + "where programs/controller/ has it, load that first")
             elif not got:
                 what = f"the type of signal {name} is not told, wanted is {kind}"
                 raise TandemError(Issue("upload.controller", what))
             elif got != kind:
                 out.append(f"signal {name} of {task.arm.name} is {got} on the controller, wanted is {kind}")
     return out
+
+
+def _read(text: str) -> list[tuple[str, str]]:
+    """Kinds and names of the signals in RAPID text, also where no step of the straight way has them."""
+    plain = re.sub(r'"[^"\n]*"', '""', text)
+    plain = re.sub(r"![^\n]*", "", plain)
+    return [(kind, name) for kind, pattern in _SIGNALS for name in pattern.findall(plain)]
 
 
 def _data(rws: Rws, problem: Problem, task: TaskText) -> tuple[list[str], list[str], list[str]]:

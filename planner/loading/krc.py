@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, from_rpy
-from planner.issues import Issue, Severity
+from planner.issues import Issue, Severity, TandemError
 from planner.loading.compare import BASE_SHIFT, BASE_TURN, Found
 from planner.loading.literals import difference, turn_deg
 from planner.loading.pieces import kind
@@ -87,13 +87,23 @@ def _found(store: Store, name: str) -> str | None:
             if step == "..":
                 path = f"{path}/..".lstrip("/")
                 continue
-            there = store.listing(path) or {}
+            there = _listing(store, path)
             real = next((one for one in there if one.lower() == step.lower()), None)
             path = None if real is None else f"{path}/{real}".lstrip("/")
         content = store.read(path) if path else None
         if content is not None:
             return program_text.decode(content, name)
     return None
+
+
+def _listing(store: Store, path: str) -> dict[str, bool]:
+    """What is in a folder; nothing where it is above the one that was given and closed to us."""
+    try:
+        return store.listing(path) or {}
+    except TandemError:
+        if not path.startswith(".."):
+            raise
+        return {}
 
 
 def _foot(machine: str | None) -> str | None:

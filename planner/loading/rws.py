@@ -21,7 +21,7 @@ from __future__ import annotations
 import contextlib
 import html
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode, urljoin, urlsplit
 
@@ -90,10 +90,11 @@ class Rws:
     def robots(self) -> dict[str, dict[str, str]]:
         """Attributes of each instance of ROBOT in MOC.cfg, by its name."""
         out: dict[str, dict[str, str]] = {}
-        for one in self._items("/rw/cfg/moc/ROBOT/instances"):
-            if str(one.get("_type", "")).startswith("cfg-dt-instance"):
-                inside = [i for i in _all(one) if str(i.get("_type", "")).startswith("cfg-ia-t")]
-                out[str(one["_title"])] = {str(i["_title"]): str(i.get("value", "")) for i in inside}
+        path = "/rw/cfg/moc/ROBOT/instances"
+        for one in self._items(path):
+            if str(one.get("_type", "")).startswith("cfg-dt-instance") and "_title" in one:
+                name = str(one["_title"])
+                out[name] = _attributes([one]) or _attributes(self._items(f"{path}/{quote(name)}"))
         return out
 
     def datum(self, task: str, module: str, name: str) -> str | None:
@@ -247,6 +248,12 @@ def _all(data: Any) -> Iterator[dict[str, Any]]:
     elif isinstance(data, list):
         for value in data:
             yield from _all(value)
+
+
+def _attributes(found: Iterable[dict[str, Any]]) -> dict[str, str]:
+    """Names and values of the attributes of a configuration's instance."""
+    inside = (i for one in found for i in _all(one) if str(i.get("_type", "")).startswith("cfg-ia-t"))
+    return {str(i["_title"]): str(i.get("value", "")) for i in inside if "_title" in i}
 
 
 def _why(answer: Answer) -> str:

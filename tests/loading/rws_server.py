@@ -69,6 +69,7 @@ class Controller:
         self.files: dict[str, bytes | None] = {"": None}
         self.fail: dict[str, int] = {}
         self.drop: set[str] = set()
+        self.short = False  # whether lists of instances tell their names alone
         self.cut, self.slow, self.asked = 0, 0.0, list[tuple[str, str]]()
         outer = self
 
@@ -190,7 +191,8 @@ class Controller:
             "/rw/iosystem/signals": [
                 {"_type": "ios-signal-li", "name": n, "type": t} for n, t in self.signals.items()
             ],
-            "/rw/cfg/moc/ROBOT/instances": [self.robot()],
+            "/rw/cfg/moc/ROBOT/instances": [{**self.robot(), "attrib": []} if self.short else self.robot()],
+            "/rw/cfg/moc/ROBOT/instances/ROB_1": [self.robot()],
         }
         if path in lists:
             return self.json(lists[path], query, path)

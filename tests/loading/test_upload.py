@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from planner.issues import TandemError
-from planner.loading import compare, proven, upload
+from planner.loading import compare, download, proven, upload
 from planner.loading.http_link import Link, Login, Trust
 from planner.loading.proven import Proven
 from planner.loading.rws import Rws
@@ -190,6 +190,40 @@ def test_lists_are_read_to_their_last_page(either: Controller) -> None:
     either.signals["DO_LAST"] = "DO"
     assert len(rws(either).signals) == len(either.signals)
     assert rws(either).signals["DO_LAST"] == "DO"
+
+
+def test_signals_are_those_of_the_text(controller: Controller, result: Proven) -> None:
+    name = "T_ROB1/TandemMain_1.mod"
+    text = result.files[name].replace(
+        b"    operation_1;", b"    SetDO\\SDelay:=0.2,do_heat,1;\r\n    operation_1;", 1
+    )
+    text = text.replace(
+        b"PROC operation_1()", b"PROC operation_1()\r\n    ! SetDO do_none,1;\r\n    WaitDI di_ok,1;", 1
+    )
+    changed = Proven(result.problem, {**result.files, name: text})
+    refused(controller, changed, "upload.differs", "signal do_heat (DO)", "signal di_ok (DI)")
+    controller.signals |= {"DO_HEAT": "DO", "di_ok": "DO"}
+    refused(controller, changed, "upload.differs", "di_ok of robot is DO on the controller, wanted is DI")
+    controller.signals["di_ok"] = "DI"
+    assert upload.to_controller(rws(controller), changed).ready
+
+
+def test_base_frames_are_read_one_by_one_where_lists_are_short(either: Controller) -> None:
+    whole = rws(either).robots
+    either.short = True
+    assert rws(either).robots == whole
+    assert whole["ROB_1"]["base_frame_orient_u0"] == "1.0"
+
+
+@pytest.mark.parametrize("name", ["..", "../x.mod", "/etc/x.mod", "a\\x.mod"])
+def test_a_controller_names_no_files_outside_of_its_folder(tmp_path: Path, name: str) -> None:
+    class Strange(Share):
+        def listing(self, folder: str) -> dict[str, bool] | None:
+            return {name: False}
+
+    with pytest.raises(TandemError, match="no name of a file") as caught:
+        download.fetch(Strange(tmp_path), "folder")
+    assert caught.value.issues[0].code == "upload.controller"
 
 
 @pytest.mark.parametrize(("fault", "words"), [("full", "disk is full"), ("half", "bytes came back")])
