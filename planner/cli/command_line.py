@@ -1,7 +1,7 @@
 """The command line.
 
-``tandem plan | check | verify | robots | materials | kerf | align | features | batch | compare | serve |
-token | issues``
+``tandem plan | check | verify | upload | download | robots | materials | kerf | align | features | batch |
+compare | serve | token | issues``
 """
 
 from __future__ import annotations

@@ -69,6 +69,7 @@ class Controller:
         self.files: dict[str, bytes | None] = {"": None}
         self.fail: dict[str, int] = {}
         self.drop: set[str] = set()
+        self.nonce, self.expires = "n1", 0  # after so many requests the nonce is another one
         self.short = False  # whether lists of instances tell their names alone
         self.cut, self.slow, self.asked = 0, 0.0, list[tuple[str, str]]()
         outer = self
@@ -101,8 +102,12 @@ class Controller:
         body = h.rfile.read(int(h.headers.get("Content-Length", 0)))
         parts = urlsplit(h.path)
         time.sleep(self.slow)
+        if self.expires and len(self.asked) == self.expires:
+            self.nonce, self.expires = "n2", 0
         if not self.allowed(h):
-            asked = f'Digest realm="{REALM}", nonce="n1", qop="auth", opaque="o"'
+            old = 'nonce="n1"' in h.headers.get("Authorization", "") and self.nonce != "n1"
+            asked = f'Digest realm="{REALM}", nonce="{self.nonce}", qop="auth", opaque="o"'
+            asked += ", stale=true" if old else ""
             self.send(h, 401, b"", asked if self.version == 1 else "Basic")
             return
         self.asked.append((h.command, h.path))
@@ -136,7 +141,7 @@ class Controller:
             return given == "Basic " + base64.b64encode(f"{USER}:{SECRET}".encode()).decode()
         v = dict(re.findall(r'(\w+)="?([^",]+)"?', given))
         first, second = md5(f"{USER}:{REALM}:{SECRET}"), md5(f"{h.command}:{v.get('uri')}")
-        wanted = md5(f"{first}:n1:{v.get('nc')}:{v.get('cnonce')}:auth:{second}")
+        wanted = md5(f"{first}:{self.nonce}:{v.get('nc')}:{v.get('cnonce')}:auth:{second}")
         return v.get("response") == wanted and v.get("uri") == h.path
 
     @staticmethod

@@ -192,6 +192,15 @@ def test_lists_are_read_to_their_last_page(either: Controller) -> None:
     assert rws(either).signals["DO_LAST"] == "DO"
 
 
+@pytest.mark.parametrize("after", [1, 12, 20])
+def test_a_session_that_expires_half_way_is_renewed(
+    controller: Controller, result: Proven, after: int
+) -> None:
+    controller.expires = after
+    assert upload.to_controller(rws(controller), result).ready
+    assert controller.nonce == "n2"
+
+
 def test_signals_are_those_of_the_text(controller: Controller, result: Proven) -> None:
     name = "T_ROB1/TandemMain_1.mod"
     text = result.files[name].replace(
