@@ -18,9 +18,11 @@ from pyftpdlib.servers import ThreadedFTPServer
 
 from planner.issues import TandemError
 from planner.loading import download, upload
-from planner.loading.http_link import Login
+from planner.loading.http_link import Login, Trust
 from planner.loading.proven import Proven
 from planner.loading.store import Ftp, Share
+from tests.loading.ftps_server import Ftps
+from tests.loading.rws_server import certificate, fingerprint
 from tests.verify import bead_job
 
 MACHINE = '$TRAFONAME[]="#KR60HA C4 FLR"\n$ROBROOT={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}\n'
@@ -110,6 +112,34 @@ def test_ftp_that_refuses_or_is_not_there_is_told(server: tuple[str, Any, Path])
             Ftp(place, login, 2.0)
         assert caught.value.issues[0].code == code, place
         assert "secret" not in str(caught.value)
+
+
+def test_ftp_by_tls_trusts_the_pinned_certificate_alone(tmp_path: Path, result: Proven) -> None:
+    for name in ("root", "own", "other"):
+        (tmp_path / name).mkdir()
+    own, other = certificate(tmp_path / "own"), certificate(tmp_path / "other")
+    server = Ftps(tmp_path / "root", own)
+    login, pinned = Login("kuka", "secret"), Trust(fingerprint=fingerprint(own))
+    store = Ftp(server.url, login, 5.0, pinned)
+    sent = upload.to_store(store, result)
+    assert download.fetch(store, sent.folder) == dict(result.files)
+    assert "PROT P" in server.said
+    server.said.clear()
+    for trust, words in (
+        (Trust(), "is not trusted"),
+        (Trust(fingerprint=fingerprint(other)), "--fingerprint names"),
+    ):
+        with pytest.raises(TandemError, match=words) as caught:
+            Ftp(server.url, login, 5.0, trust)
+        assert caught.value.issues[0].code == "upload.login"
+    assert not [word for word in server.said if "secret" in word or "USER" in word]
+    server.close()
+    between = Ftps(tmp_path / "root", own, other)
+    with pytest.raises(TandemError, match="--fingerprint names") as caught:
+        upload.to_store(Ftp(between.url, login, 5.0, pinned), result)
+    assert caught.value.issues[0].code == "upload.login"
+    assert [path.name for path in (tmp_path / "root").iterdir()] == [sent.folder]
+    between.close()
 
 
 @pytest.mark.parametrize(
