@@ -93,7 +93,7 @@ class Outcome:
 
         tell = progress or _silent
         tell("report", 0.0)
-        files: dict[str, str | bytes] = dict(output.proof_files(self.plan, self.proof))
+        files: dict[str, str | bytes] = dict(output.proof_files(self.plan, self.proof, self.programs))
         if pages:
             files |= output.pages(self.problem, self.plan, self.proof, self.pictures)
         files |= plans.dump(self.plan)

@@ -296,6 +296,18 @@ CODES: Final[dict[str, Code]] = {
     "sign.signature": Code("a signature is not by the keys given, or not of this text"),
     "sign.content": Code("a result is not what was signed"),
     "sign.good": Code("a result is signed and as it was then"),
+    "upload.unproven": Code(
+        "a result that is not verified, or whose files are not those of its proof", given=True
+    ),
+    "upload.address": Code("the address of a controller, or what to send there, is not stated", given=True),
+    "upload.controller": Code("a controller cannot be reached, or answers otherwise than it should"),
+    "upload.login": Code("a controller refuses the login, or its certificate is not trusted"),
+    "upload.busy": Code("a controller runs, is in manual mode, or is held by somebody else"),
+    "upload.write": Code("a file is not on the controller as it was sent"),
+    "upload.differs": Code("the controller is not as the programs were planned for"),
+    "upload.not_looked_at": Code("something of a controller was not read, and so not compared"),
+    "upload.missing": Code("programs that were looked for on a controller are not there"),
+    "upload.touched": Code("a target or datum on the controller is not that of the result"),
     "verify.task_list": Code("a synchronisation point does not name all tasks"),
     "verify.sync_order": Code(
         "the tasks do not pass the same synchronisation points in the same order, each once"

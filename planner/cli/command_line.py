@@ -1,7 +1,7 @@
 """The command line.
 
-``tandem plan | check | verify | robots | materials | kerf | align | features | batch | compare | serve |
-token | issues``
+``tandem plan | check | verify | upload | download | robots | materials | kerf | align | features | batch |
+compare | serve | token | issues``
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -28,6 +28,7 @@ from planner.cli import batch as compare_commands
 from planner.cli import clamp as clamp_commands
 from planner.cli import element as element_commands
 from planner.cli import forming as forming_commands
+from planner.cli import loading as loading_commands
 from planner.cli import loop as loop_commands
 from planner.cli import preparation as align_commands
 from planner.cli import preparation as feature_commands
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from planner.problem import Problem
     from planner.verify.result import Proof
 
-DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
+DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN, NOT_COMPARED = 0, 1, 2, 3, 4, 5
 """Exit codes of the command."""
 MOST_FIELDS_SHOWN = 40
 """Fields of two problems that are listed at most."""
@@ -130,8 +131,9 @@ def verify(
     """Prove the programs in a result folder again, from their text and the problem alone.
 
     Args:
-        folder: a result folder; of it, only programs/ and problem/ are read. With ``problem``, also a folder
-            of programs that somebody else has written: what of them can be read and proven is told.
+        folder: a result folder; of it, only programs/ and problem/ are read, and proof.json is written anew.
+            With ``problem``, also a folder of programs that somebody else has written: what of them can be
+            read and proven is told, and nothing is written.
         problem: your own problem file, to prove against instead of the copy in the folder, and to compare
             that copy with.
         sign: an Ed25519 key of OpenSSH, by which the result is signed if it is proven.
@@ -167,6 +169,8 @@ def verify(
         f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}"
     )
     _print_accepted(loaded.accept)
+    if problem is None:
+        _recorded(folder, programs, proof, key is not None)
     if key is not None and not _signed(folder, loaded, proof, key):
         return NOT_PROVEN
     return DONE if proof.ok and not has_errors(signature) else NOT_PROVEN
@@ -212,6 +216,46 @@ def export(
         return _refused(error, BAD_INPUT)
     out.print(f"written to {written}", highlight=False, markup=False)
     return DONE
+
+
+@app.command
+def upload(request: tyro.conf.OmitArgPrefixes[loading_commands.Upload]) -> int:
+    """Send verified programs to a controller, a share or an FTP folder; nothing is loaded or started. Exit 0
+    where all that is read of the controller agreed, 5 where something of it was not looked at."""
+    _pipeline()
+    try:
+        sent = loading_commands.run_upload(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+    return DONE if sent.ready else NOT_COMPARED
+
+
+@app.command
+def download(request: tyro.conf.OmitArgPrefixes[loading_commands.Download]) -> int:
+    """Bring programs back from a controller, name what was touched up there, and prove them again: the exit
+    code is that of the proof."""
+    _pipeline()
+    try:
+        found, proof = loading_commands.run_download(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+    _print_issues(loading_commands.shortened(found))
+    _print_issues(proof.issues)
+    sent = f"touched up in {len(found)} places" if found else "as it was sent"
+    out.print(f"{sent}; {'proven' if proof.ok else 'NOT proven'}", highlight=False)
+    out.print("These are the files there; what is loaded was not read: save modules before.", highlight=False)
+    return DONE if proof.ok else NOT_PROVEN
+
+
+def _recorded(folder: Path, programs: Mapping[str, str], proof: Proof, signed: bool) -> None:
+    """Write the proof into the result folder, unless it is part of what somebody has signed."""
+    from planner.loading import proven
+
+    try:
+        if not proven.record(folder, programs, proof, signed):
+            out.print("proof.json is signed and stays as it is; --sign writes it anew", highlight=False)
+    except (OSError, TandemError) as error:
+        out.print(f"proof.json is not written ({error})", highlight=False, markup=False, soft_wrap=True)
 
 
 def _signed(folder: Path, problem: Problem, proof: Proof, key: statement.PrivateKey) -> bool:

@@ -7,8 +7,9 @@ is no plan, too. The proof is written as data.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -171,11 +172,14 @@ def files(
     return pages(problem, plan, proof, drawn) | proof_files(plan, proof)
 
 
-def proof_files(plan: Plan, proof: Proof | None) -> dict[str, str]:
-    """With a proof ``proof.json`` and ``simulated_part.obj``, by name."""
+def proof_files(plan: Plan, proof: Proof | None, programs: Mapping[str, str] | None = None) -> dict[str, str]:
+    """With a proof ``proof.json``, which names the SHA-256 of each of the proven ``programs``, and
+    ``simulated_part.obj``, by name."""
     out: dict[str, str] = {}
     if proof is not None:
-        out["proof.json"] = _verdict(proof, accepted(plan.issues))
+        texts = (programs or {}).items()
+        digests = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts}
+        out["proof.json"] = proof_text(proof, accepted(plan.issues), digests)
         if proof.part_obj:
             out["simulated_part.obj"] = proof.part_obj
     return out
@@ -235,9 +239,18 @@ def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:
     return render(problem, None, None, Extra(shown, filtered, issues=issues))
 
 
-def _verdict(proof: Proof, taken: Sequence[str]) -> str:
-    """The proof as JSON: verdict, what the problem accepts beside it, rules, issues, faces without their
-    points."""
+def accepted_of(text: str) -> list[str]:
+    """What a ``proof.json`` says is accepted; nothing where it is none."""
+    try:
+        found = json.loads(text)["accepted"]
+    except (ValueError, KeyError, TypeError):
+        return []
+    return [str(code) for code in found] if isinstance(found, list) else []
+
+
+def proof_text(proof: Proof, taken: Sequence[str], digests: Mapping[str, str]) -> str:
+    """The proof as JSON: verdict, what the problem accepts beside it, SHA-256 of the proven program files by
+    name, rules, issues, faces without their points."""
     faces = [
         {"segment": face.title, **{k: v for k, v in vars(face).items() if isinstance(v, float)}}
         for face in proof.surfaces
@@ -247,6 +260,7 @@ def _verdict(proof: Proof, taken: Sequence[str]) -> str:
         "ok": proof.ok and not has_errors(found),
         "accepted": list(taken),
         "problem_digest": proof.problem_digest,
+        "programs": dict(digests),
         "rules": [dataclasses.asdict(rule) for rule in proof.rules],
         "issues": [issue.to_dict() for issue in found],
         "surfaces": faces,

@@ -199,6 +199,21 @@ ELSEWHERE: Final = {
         "reading/test_sheet",
         "test_noise_beyond_the_stated_tolerance_is_told_and_its_remedy_works",
     ),
+    "upload.unproven": (
+        "loading/test_loading_commands",
+        "test_what_was_changed_is_not_sent_and_an_old_result_is_proven_again",
+    ),
+    "upload.missing": ("loading/test_loading_commands", "test_programs_come_back_from_a_controller"),
+    **dict.fromkeys(
+        ("upload.login", "upload.address"),
+        ("loading/test_upload", "test_a_certificate_is_trusted_by_its_fingerprint_alone"),
+    ),
+    **dict.fromkeys(
+        ("upload.busy", "upload.controller"),
+        ("loading/test_upload", "test_a_controller_that_is_not_ready_is_refused_and_nothing_is_written"),
+    ),
+    "upload.differs": ("loading/test_upload", "test_tools_are_compared_with_the_text_of_the_module"),
+    "upload.write": ("loading/test_upload", "test_what_was_begun_is_taken_away"),
     **dict.fromkeys(
         (
             "service.request", "service.not_found", "service.unknown_job", "service.unknown_file",
@@ -242,10 +257,11 @@ NONE: Final = {
             "service.token", "service.foreign", "service.link", "service.too_many", "service.stopping",
             "service.storage", "service.check_stopped", "service.gave_up", "service.answer",
             "service.timeout", "service.version", "report.replay_failed", "output.disk_full",
-            "service.state", "service.not_planning",
+            "service.state", "service.not_planning", "upload.not_looked_at",
         ),
         STATE,
     ),
+    "upload.touched": "somebody has meant it: it is planned with, or the result is sent again",
     "sign.unproven": "what is not proven is planned again, then signed: see verify.*",
     "sign.signature": "a text or signature that somebody changed cannot be mended, only signed again",
     "sign.content": "a result that somebody changed is planned or fetched again",

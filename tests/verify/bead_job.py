@@ -122,12 +122,13 @@ def claims(job: str) -> dict[str, tuple[Claim, ...]]:
 
 
 @functools.cache
-def _planned(job: str) -> tuple[tuple[str, str], ...]:
-    outcome = pipeline.plan(problem(job))
-    assert outcome.verified, outcome.proof.issues
-    return tuple(outcome.programs.items())
+def outcome(job: str) -> pipeline.Outcome:
+    """A job as it is planned and proven."""
+    made = pipeline.plan(problem(job))
+    assert made.verified, made.proof.issues
+    return made
 
 
 def programs(job: str) -> dict[str, str]:
     """The proven programs of a job."""
-    return dict(_planned(job))
+    return dict(outcome(job).programs)

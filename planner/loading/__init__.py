@@ -1,0 +1,1 @@
+"""Verified programs to controllers and back: files alone, nothing is started."""

@@ -1,0 +1,196 @@
+"""HTTP to one controller: digest login of RWS 1.0, basic login of RWS 2.0 by TLS, no hidden retries.
+
+Digest access authentication: RFC 7616 (MD5, qop "auth"). The password is in no message and no log.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import http.client
+import re
+import secrets
+import ssl
+from collections.abc import Mapping
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from planner.issues import Issue, TandemError
+
+MOST_BYTES = 50_000_000
+"""Bytes of an answer that are read at most."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Login:
+    """Who logs in; ``password`` is never shown."""
+
+    user: str
+    password: str = dataclasses.field(repr=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trust:
+    """Whose certificates are trusted: those that this machine trusts, or those of the file ``authority``, or
+    the one of which ``fingerprint`` is the SHA-256, such as a controller's self-signed one."""
+
+    authority: Path | None = None
+    fingerprint: str | None = None
+
+    def context(self) -> ssl.SSLContext:
+        """What TLS is made with; with a fingerprint, :meth:`check` must follow before anything is sent.
+        Raises ``TandemError`` (``upload.address``)."""
+        if self.fingerprint is not None and not re.fullmatch(r"[0-9a-f]{64}", _plain(self.fingerprint)):
+            what = f"--fingerprint: got {self.fingerprint}, allowed are 64 hexadecimal digits (SHA-256)"
+            raise TandemError(Issue("upload.address", what, field="fingerprint"))
+        try:
+            context = ssl.create_default_context(cafile=None if not self.authority else str(self.authority))
+        except OSError as error:
+            what = f"the file of certificates {self.authority} cannot be used ({error})"
+            raise TandemError(Issue("upload.address", what, field="ca")) from error
+        if self.fingerprint is not None:
+            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        return context
+
+    def check(self, socket: object, url: str) -> None:
+        """Hold a certificate against the fingerprint. Raises ``TandemError`` (``upload.login``)."""
+        if self.fingerprint is None or not isinstance(socket, ssl.SSLSocket):
+            return
+        shown = socket.getpeercert(binary_form=True) or b""
+        got, wanted = hashlib.sha256(shown).hexdigest(), _plain(self.fingerprint)
+        if got != wanted:
+            what = f"the certificate of {url} has SHA-256 {got}, --fingerprint names {wanted}"
+            hint = "compare it with the controller's own before you trust it"
+            raise TandemError(Issue("upload.login", what, hint=hint))
+
+
+def _plain(fingerprint: str) -> str:
+    """A fingerprint without colons, spaces and the word before it."""
+    return re.sub(r"[\s:]", "", fingerprint.lower().removeprefix("sha256"))
+
+
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """Status and body of an answer."""
+
+    status: int
+    body: bytes
+
+
+@dataclasses.dataclass
+class Link:
+    """One connection to ``url``. ``basic``: login by RWS 2.0's basic scheme, which is refused without TLS.
+    ``timeout`` [s] of each wait."""
+
+    url: str
+    login: Login
+    basic: bool
+    timeout: float = 20.0
+    trust: Trust = Trust()
+
+    def __post_init__(self) -> None:
+        parts = urlsplit(self.url)
+        if parts.username or parts.password:
+            what = "a URL must hold no user or password; use --user and TANDEM_CONTROLLER_PASSWORD"
+            raise TandemError(Issue("upload.address", what))
+        if parts.scheme not in ("http", "https") or not parts.hostname or parts.path not in ("", "/"):
+            what = f"got {self.url}, allowed: http://HOST[:PORT] or https://HOST[:PORT]"
+            raise TandemError(Issue("upload.address", what, field="controller"))
+        if self.basic and parts.scheme != "https":
+            what = "RWS 2.0 sends the password as it is, so it is used by https alone; give https://HOST"
+            raise TandemError(Issue("upload.address", what, field="controller"))
+        self._connection = self._connect(parts.scheme, parts.hostname, parts.port)
+        self._cookie, self._challenge, self._count = "", dict[str, str](), 0
+
+    def _connect(self, scheme: str, host: str, port: int | None) -> http.client.HTTPConnection:
+        if scheme == "http":
+            return http.client.HTTPConnection(host, port, timeout=self.timeout)
+        context = self.trust.context()
+        return http.client.HTTPSConnection(host, port, timeout=self.timeout, context=context)
+
+    def _open(self) -> None:
+        """Connect, and hold the certificate against the stated fingerprint before anything is sent."""
+        if self._connection.sock is not None:
+            return
+        self._connection.connect()
+        try:
+            self.trust.check(self._connection.sock, self.url)
+        except TandemError:
+            self._connection.close()
+            raise
+
+    def ask(
+        self, method: str, path: str, body: bytes | None = None, headers: Mapping[str, str] | None = None
+    ) -> Answer:
+        """One request; raises ``TandemError`` (``upload.controller``, ``upload.login``)."""
+        answer, challenge = self._once(method, path, body, headers or {})
+        again = bool(challenge) and (not self._sent or "stale=true" in challenge.lower())
+        if answer.status == 401 and not self.basic and again:  # the first half of a digest login
+            answer, _ = self._once(method, path, body, headers or {})
+        if answer.status == 401:
+            what = f"{self.url} refuses user {self.login.user!r} (HTTP 401 at {path})"
+            raise TandemError(Issue("upload.login", what, hint="give --user and the right password"))
+        return answer
+
+    def _once(
+        self, method: str, path: str, body: bytes | None, headers: Mapping[str, str]
+    ) -> tuple[Answer, str]:
+        own = dict(headers)
+        self._sent = bool(self.basic or self._challenge)
+        if self.basic:
+            plain = f"{self.login.user}:{self.login.password}".encode()
+            own["Authorization"] = "Basic " + base64.b64encode(plain).decode()
+        elif self._challenge:
+            own["Authorization"] = self._digest(method, path)
+        if self._cookie:
+            own["Cookie"] = self._cookie
+        try:
+            self._open()
+            self._connection.request(method, path, body, own)
+            response = self._connection.getresponse()
+            content = response.read(MOST_BYTES + 1)
+        except ssl.SSLCertVerificationError as error:
+            what = f"the certificate of {self.url} is not trusted ({error.verify_message})"
+            hint = "give --ca FILE, or --fingerprint SHA256 for a self-signed one that you have compared"
+            raise TandemError(Issue("upload.login", what, hint=hint)) from error
+        except (OSError, http.client.HTTPException) as error:
+            self._connection.close()
+            name = "no answer in time" if isinstance(error, TimeoutError) else type(error).__name__
+            what = f"{method} {self.url}{path}: {name} ({error}), waited up to {self.timeout:g} s"
+            hint = "see that the controller is on and reachable, and try again"
+            raise TandemError(Issue("upload.controller", what, hint=hint)) from error
+        if len(content) > MOST_BYTES:
+            self._connection.close()
+            raise TandemError(Issue("upload.controller", f"{path}: over {MOST_BYTES} bytes came back"))
+        kept = [value.split(";")[0] for value in response.headers.get_all("Set-Cookie") or ()]
+        self._cookie = "; ".join(kept) or self._cookie
+        asked = response.headers.get("WWW-Authenticate", "")
+        if asked.lower().startswith("digest"):
+            pairs = re.findall(r'(\w+)=(?:"([^"]*)"|([^\s,]+))', asked)
+            self._challenge, self._count = {k.lower(): a or b for k, a, b in pairs}, 0
+        return Answer(response.status, content), asked
+
+    def _digest(self, method: str, path: str) -> str:
+        """The header of RFC 7616, section 3.4."""
+        given, own = self._challenge, self.login
+        self._count += 1
+        count, client = f"{self._count:08x}", secrets.token_hex(8)
+        realm, nonce = given.get("realm", ""), given.get("nonce", "")
+        first = _md5(f"{own.user}:{realm}:{own.password}")
+        second = _md5(f"{method}:{path}")
+        quality = "qop" in given
+        middle = f"{nonce}:{count}:{client}:auth" if quality else nonce
+        out = f'Digest username="{own.user}", realm="{realm}", nonce="{nonce}", uri="{path}", '
+        out += f'response="{_md5(f"{first}:{middle}:{second}")}"'
+        if quality:
+            out += f', qop=auth, nc={count}, cnonce="{client}"'
+        return out + (f', opaque="{given["opaque"]}"' if "opaque" in given else "")
+
+    def close(self) -> None:
+        """End the connection."""
+        self._connection.close()
+
+
+def _md5(text: str) -> str:
+    return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()

@@ -1,0 +1,261 @@
+"""ABB controllers by Robot Web Services: states, configuration and files, never a start, a pointer or a mode.
+
+1.0 (IRC5, RobotWare 6; digest login): ABB, Application manual Robot Web Services, 3HAC050973-001 revision M,
+pages at developercenter.robotstudio.com/api/rwsApi: fs_directory_get_page, fs_directory_create_page,
+fs_file_get_page, fs_file_upload_page, cfg_get_instance_page, panel_opmode_get_page, rapid_execution_page,
+rapid_tasks_page, rapid_modules_get_page, rapid_symbol_data_page, rwsystem_get_system (options too),
+msh_domain_request_page. ``json=1`` asks for JSON.
+
+2.0 (OmniCore, RobotWare 7; basic login by TLS): 3HAC073675-001 revision L, at
+developercenter.robotstudio.com/api/RWS, Swagger_Doc/RAPID_Service.yaml for RAPID; actions are the last word
+of the path, media types carry ``v=2.0``. For files, mastership (domain ``edit``) and configuration its pages
+were not at hand: those are as public clients have them, such as rpiRobotics/abb_robot_client (RobotWare 7)
+and others who say that a virtual RobotWare 7 took them. No controller has answered to this code.
+
+Base frames are read from MOC, where ``base_frame_pos_x`` is in metres (Technical reference manual System
+parameters; abb_librws of ros-industrial reads the same).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import html
+import json
+from collections.abc import Iterable, Iterator
+from typing import Any
+from urllib.parse import parse_qsl, quote, urlencode, urljoin, urlsplit
+
+from planner.issues import Issue, TandemError
+from planner.loading.http_link import Answer, Link
+
+MOST_PAGES = 500
+"""Pages of one list that are followed at most."""
+
+
+class Rws:
+    """A controller that speaks RWS ``version`` 1 or 2."""
+
+    def __init__(self, link: Link, version: int) -> None:
+        self.link, self.version = link, version
+
+    # ---- states ----
+
+    @property
+    def mode(self) -> str:
+        """AUTO, MANR, MANF ..."""
+        return self._value("/rw/panel/opmode", "opmode")
+
+    @property
+    def state(self) -> str:
+        """motoron, motoroff, guardstop ..."""
+        path = "/rw/panel/ctrlstate" if self.version == 1 else "/rw/panel/ctrl-state"
+        return self._value(path, "ctrlstate")
+
+    @property
+    def execution(self) -> str:
+        """running or stopped."""
+        return self._value("/rw/rapid/execution", "ctrlexecstate")
+
+    @property
+    def robotware(self) -> str:
+        """Version of RobotWare."""
+        return self._value("/rw/system", "rwversion")
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Options that are installed."""
+        return tuple(str(one["option"]) for one in self._items("/rw/system/options") if "option" in one)
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """RAPID tasks by name."""
+        found = self._items("/rw/rapid/tasks")
+        return tuple(str(one["name"]) for one in found if str(one.get("_type", "")).startswith("rap-task"))
+
+    def modules(self, task: str) -> tuple[str, ...]:
+        """Names of the modules that are loaded in a task."""
+        one, two = f"/rw/rapid/modules?task={quote(task)}", f"/rw/rapid/tasks/{quote(task)}/modules"
+        found = self._items(one if self.version == 1 else two)
+        modules = (one for one in found if str(one.get("_type", "")).startswith("rap-module-info"))
+        return tuple(str(one["name"]) for one in modules if "name" in one)
+
+    @property
+    def signals(self) -> dict[str, str]:
+        """Types (DO, DI ...) of all signals, by name."""
+        found = self._items("/rw/iosystem/signals")
+        kinds = (one for one in found if str(one.get("_type", "")).startswith("ios-signal"))
+        return {str(one["name"]): str(one.get("type", "")) for one in kinds if "name" in one}
+
+    @property
+    def robots(self) -> dict[str, dict[str, str]]:
+        """Attributes of each instance of ROBOT in MOC.cfg, by its name."""
+        out: dict[str, dict[str, str]] = {}
+        path = "/rw/cfg/moc/ROBOT/instances"
+        for one in self._items(path):
+            if str(one.get("_type", "")).startswith("cfg-dt-instance") and "_title" in one:
+                name = str(one["_title"])
+                out[name] = _attributes([one]) or _attributes(self._items(f"{path}/{quote(name)}"))
+        return out
+
+    def datum(self, task: str, module: str, name: str) -> str | None:
+        """Text of a RAPID datum as it is now, None where the controller tells none of that name: 404, or 400
+        with a code of its own."""
+        where = f"RAPID/{quote(task)}/{quote(module)}/{quote(name)}"
+        path = f"/rw/rapid/symbol/data/{where}" if self.version == 1 else f"/rw/rapid/symbol/{where}/data"
+        answer = self._get(path)
+        if answer.status in (400, 404):
+            return None
+        values = [one["value"] for one in _all(self._read(path, answer)) if "value" in one]
+        return str(values[0]) if values else None
+
+    def hold(self) -> None:
+        """Take mastership of RAPID, so that nobody else changes it meanwhile. Raises (``upload.busy``)."""
+        one, two = "/rw/mastership/rapid?action=request", "/rw/mastership/edit/request"
+        answer = self._post(one if self.version == 1 else two, {})
+        if answer.status not in (200, 204):
+            what = f"mastership of RAPID is refused ({_why(answer)}): somebody else holds it"
+            hint = "let go of it at the pendant or in RobotStudio, and try again"
+            raise TandemError(Issue("upload.busy", what, hint=hint))
+
+    def release(self) -> bool:
+        """Give mastership back; whether the controller says so."""
+        one, two = "/rw/mastership/rapid?action=release", "/rw/mastership/edit/release"
+        return self._post(one if self.version == 1 else two, {}).status in (200, 204)
+
+    # ---- files ----
+
+    def listing(self, folder: str) -> dict[str, bool] | None:
+        """{name: whether it is a folder} under the home folder, None where there is no such folder."""
+        path = self._file(folder)
+        answer = self._get(path)
+        if answer.status == 404:
+            return None
+        found = [i for i in _all(self._read(path, answer)) if str(i.get("_type", "")).startswith("fs-")]
+        return {str(i["_title"]): str(i["_type"]).startswith("fs-dir") for i in found if "_title" in i}
+
+    def make(self, folder: str) -> None:
+        """Make a folder in one that is there."""
+        above, _, name = folder.rpartition("/")
+        if self.version == 1:
+            answer = self._post(self._file(above), {"fs-newname": name, "fs-action": "create"})
+        else:
+            answer = self._post(f"{self._file(above)}/create", {"fs-newname": name})
+        if answer.status not in (200, 201, 204):
+            raise self._unwritten(folder, answer)
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file."""
+        kind = "application/octet-stream" + ("" if self.version == 1 else ";v=2.0")
+        answer = self.link.ask("PUT", self._file(name), content, self._headers({"Content-Type": kind}))
+        if answer.status not in (200, 201, 204):
+            raise self._unwritten(name, answer)
+
+    def read(self, name: str) -> bytes | None:
+        """A file's bytes, None where there is none."""
+        answer = self.link.ask("GET", self._file(name), None, self._headers())
+        if answer.status == 404:
+            return None
+        if answer.status != 200:
+            raise self._strange(name, answer)
+        return answer.body
+
+    def remove(self, name: str) -> bool:
+        """Delete a file or an empty folder; whether it is gone."""
+        return self.link.ask("DELETE", self._file(name), None, self._headers()).status in (200, 204, 404)
+
+    def close(self) -> None:
+        """End the session, of which a controller has only so many, and the connection."""
+        with contextlib.suppress(TandemError):  # nothing hangs on it: sessions end by themselves
+            self.link.ask("GET", "/logout", None, self._headers())
+        self.link.close()
+
+    # ---- requests ----
+
+    def _file(self, name: str) -> str:
+        home = "$home" if self.version == 1 else "$HOME"
+        return "/".join(["/fileservice", home, *(quote(part) for part in name.split("/") if part)])
+
+    def _headers(self, more: dict[str, str] | None = None) -> dict[str, str]:
+        return {**({} if self.version == 1 else {"Accept": "application/hal+json;v=2.0"}), **(more or {})}
+
+    def _get(self, path: str) -> Answer:
+        asked = path + ("&" if "?" in path else "?") + "json=1" if self.version == 1 else path
+        return self.link.ask("GET", asked, None, self._headers())
+
+    def _post(self, path: str, values: dict[str, str]) -> Answer:
+        kind = "application/x-www-form-urlencoded" + ("" if self.version == 1 else ";v=2.0")
+        return self.link.ask("POST", path, urlencode(values).encode(), self._headers({"Content-Type": kind}))
+
+    def _read(self, path: str, answer: Answer) -> Any:
+        if answer.status != 200:
+            raise self._strange(path, answer)
+        try:
+            return json.loads(answer.body)
+        except ValueError as error:
+            raise self._strange(path, answer) from error
+
+    def _items(self, path: str) -> list[dict[str, Any]]:
+        """All objects of a list, page by page."""
+        out: list[dict[str, Any]] = []
+        following: str | None = path
+        for _ in range(MOST_PAGES):
+            if following is None:
+                return out
+            data = self._read(following, self._get(following))
+            out += _all(data)
+            links = data.get("_links", {}) if isinstance(data, dict) else {}
+            link = links.get("next", {}).get("href")
+            following = None if not link else self._next(str(link), links.get("base", {}).get("href"), path)
+        raise TandemError(Issue("upload.controller", f"{path}: over {MOST_PAGES} pages"))
+
+    def _next(self, link: str, base: str | None, path: str) -> str:
+        """Path of the next page: links are relative to the page's ``base`` where it tells one, and have
+        ampersands as in XML. Raises ``TandemError`` where they lead to another machine."""
+        start = urljoin(f"{self.link.url}/", base or f"{path.partition('?')[0].rpartition('/')[0]}/")
+        whole = urlsplit(urljoin(start, html.unescape(link)))
+        kept = [(k, v) for k, v in parse_qsl(whole.query) if k != "json"]
+        if base is None and whole.netloc != urlsplit(self.link.url).netloc:
+            raise TandemError(Issue("upload.controller", f"{path}: the next page is elsewhere ({link})"))
+        return whole.path + (f"?{urlencode(kept)}" if kept else "")
+
+    def _value(self, path: str, key: str) -> str:
+        answer = self._get(path)
+        for one in _all(self._read(path, answer)):
+            if key in one:
+                return str(one[key])
+        raise self._strange(path, answer)
+
+    def _strange(self, path: str, answer: Answer) -> TandemError:
+        what = (
+            f"{self.link.url}{path} answers otherwise than RWS {self.version}.0 is described: {_why(answer)}"
+        )
+        return TandemError(Issue("upload.controller", what, hint="see that --rws is the controller's"))
+
+    def _unwritten(self, name: str, answer: Answer) -> TandemError:
+        full = answer.status == 507 or b"space" in answer.body.lower() or b"full" in answer.body.lower()
+        what = f"{name} is not written: {_why(answer)}" + ("; the controller's disk is full" if full else "")
+        hint = "make room on the controller, then send again" if full else "see the rights of the user there"
+        return TandemError(Issue("upload.write", what, hint=hint))
+
+
+def _all(data: Any) -> Iterator[dict[str, Any]]:
+    """All objects of an answer, at any depth: 1.0 has them in ``_embedded._state``, 2.0 in ``state`` and
+    ``_embedded.resources``."""
+    if isinstance(data, dict):
+        yield data
+        for value in data.values():
+            yield from _all(value)
+    elif isinstance(data, list):
+        for value in data:
+            yield from _all(value)
+
+
+def _attributes(found: Iterable[dict[str, Any]]) -> dict[str, str]:
+    """Names and values of the attributes of a configuration's instance."""
+    inside = (i for one in found for i in _all(one) if str(i.get("_type", "")).startswith("cfg-ia-t"))
+    return {str(i["_title"]): str(i.get("value", "")) for i in inside if "_title" in i}
+
+
+def _why(answer: Answer) -> str:
+    text = " ".join(answer.body[:200].decode("utf-8", "replace").split())
+    return f"HTTP {answer.status}" + (f" {text}" if text else "")

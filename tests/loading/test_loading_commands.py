@@ -1,0 +1,164 @@
+"""``tandem upload`` and ``tandem download`` as a user meets them: words, files and exit codes."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from planner.cli import command_line
+from tests.loading.rws_server import SECRET, Controller
+from tests.verify import bead_job
+
+Run = Callable[..., tuple[int, str]]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("beads") / "out"
+    bead_job.outcome("abb").save(out, pages=False)
+    return out
+
+
+@pytest.fixture
+def out(made: Path, tmp_path: Path) -> Path:
+    """A result folder of one's own."""
+    return Path(shutil.copytree(made, tmp_path / "out"))
+
+
+@pytest.fixture
+def controller() -> Iterator[Controller]:
+    made = Controller()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """The command as the shell calls it: exit code, and all that it says."""
+    monkeypatch.setenv("TANDEM_CONTROLLER_PASSWORD", SECRET)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+
+    def call(*arguments: object) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["tandem", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            command_line.main()
+        said = capsys.readouterr()
+        return int(str(ended.value.code)), said.out + said.err
+
+    return call
+
+
+def test_a_controller_that_is_as_planned_is_ready(run: Run, out: Path, controller: Controller) -> None:
+    code, said = run("upload", out, "--controller", controller.url)
+    assert (code, "Ready to load" in said, "Nothing was loaded or started" in said) == (0, True, True), said
+    assert "base frames and robot types" in said
+    assert SECRET not in said
+    controller.fail = {"/rw/iosystem": 403}
+    code, said = run("upload", out, "--controller", controller.url)
+    assert (code, "NOT said to be ready" in said, "Ready to load" in said) == (5, True, False), said
+    assert "signals: " in said
+    controller.fail, controller.mode = {}, "MANR"
+    code, said = run("upload", out, "--controller", controller.url)
+    assert (code, "upload.busy" in said) == (1, True), said
+    controller.mode, controller.base[2] = "AUTO", 0.01
+    code, said = run("upload", out, "--controller", controller.url)
+    assert (code, "10.000 mm" in said, "Ready" in said) == (1, True, False), said
+
+
+def test_a_folder_is_never_ready_and_what_was_there_stays(run: Run, out: Path, tmp_path: Path) -> None:
+    share = tmp_path / "share"
+    share.mkdir()
+    code, said = run("upload", out, "--controller", share)
+    assert (code, "a folder tells none of them" in said, "NOT said to be ready" in said) == (5, True, True), (
+        said
+    )
+    first = next(share.iterdir()).name
+    code, said = run("upload", out, "--controller", share)
+    assert {path.name for path in share.iterdir()} == {first, f"{first}_2"}
+    code, said = run("upload", out, "--controller", tmp_path / "nowhere")
+    assert (code, "mount the controller's share" in said) == (1, True), said
+    code, said = run("upload", out, "--controller", share, "--arm", "other")
+    assert (code, "upload.address" in said) == (2, True), said
+
+
+def test_what_was_changed_is_not_sent_and_an_old_result_is_proven_again(
+    run: Run, out: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "share").mkdir()
+    proof = out / "proof.json"
+    proof.write_text(json.dumps({k: v for k, v in json.loads(proof.read_text()).items() if k != "programs"}))
+    code, said = run("upload", out, "--controller", tmp_path / "share")
+    assert (code, "prove again: tandem verify" in said) == (2, True), said
+    code, said = run("verify", out)
+    assert (code, "proven" in said) == (0, True), said
+    assert json.loads(proof.read_text())["accepted"] == ["stock.hangs"]
+    code, said = run("upload", out, "--controller", tmp_path / "share")
+    assert code == 5, said
+    program = next((out / "programs").rglob("TandemCut1_1.mod"))
+    program.write_bytes(program.read_bytes().replace(b"v40", b"v45"))
+    code, said = run("upload", out, "--controller", tmp_path / "share")
+    assert (code, "upload.unproven" in said, "has digest" in said) == (2, True, True), said
+    assert len(list((tmp_path / "share").iterdir())) == 1
+
+
+def test_what_is_signed_stays_as_it_is_unless_it_is_signed_again(run: Run, out: Path) -> None:
+    (out / "statement.json").write_text("{}")
+    before = (out / "proof.json").read_text().replace('"accepted"', '"taken"')
+    (out / "proof.json").write_text(before)
+    code, said = run("verify", out)
+    assert (code, "proof.json is signed and stays" in said) == (0, True), said
+    assert (out / "proof.json").read_text() == before
+
+
+def saved(path: Path, change: Callable[[str], str] = lambda text: text) -> None:
+    """A module as a controller may have saved it, changed."""
+    text = re.sub(r"(?<=[\[,])(-?\d+)\.0+(?=[\],])", r"\1", path.read_text().replace("9E9", "9E+09"))
+    path.write_bytes(change(text).encode())
+
+
+def test_touched_up_targets_are_named_and_the_proof_says_the_rest(
+    run: Run, out: Path, tmp_path: Path
+) -> None:
+    share = tmp_path / "share"
+    share.mkdir()
+    run("upload", out, "--controller", share)
+    code, said = run("download", share, "--result", out, "-o", tmp_path / "back")
+    assert (code, "as it was sent; proven" in said) == (0, True), said
+    folder = next(share.iterdir())
+    cut = next(folder.rglob("TandemCut1_1.mod"))
+    saved(cut)
+    code, said = run("download", share, "--result", out, "-o", tmp_path / "printed")
+    assert (code, "as it was sent; proven" in said) == (0, True), said
+    saved(cut, lambda text: text.replace("[-18,-15,90]", "[-18.3,-15.4,90]", 1))
+    code, said = run("download", share, "--result", out, "-o", tmp_path / "touched")
+    assert re.search(r"cut_there, target 3 \(line \d+\): moved by 0\.500 mm, turned by 0\.000 deg", said), (
+        said
+    )
+    assert (code, "touched up in 1 places; NOT proven" in said) == (4, True), said
+    assert next((tmp_path / "touched").rglob("TandemCut1_1.mod")).read_bytes() == cut.read_bytes()
+    code, said = run("download", share, "--result", out, "-o", tmp_path / "touched")
+    assert (code, "is not an empty folder" in said) == (2, True), said
+    code, said = run("verify", tmp_path / "touched")
+    assert code == 4, "what came back is a folder that can be proven by itself"
+
+
+def test_programs_come_back_from_a_controller(
+    run: Run, out: Path, tmp_path: Path, controller: Controller
+) -> None:
+    run("upload", out, "--controller", controller.url)
+    code, said = run("download", controller.url, "--result", out, "-o", tmp_path / "back")
+    assert (code, "save modules before" in said) == (0, True), said
+    run("upload", out, "--controller", controller.url)
+    code, said = run("download", controller.url, "--result", out, "-o", tmp_path / "again")
+    assert (code, "more than one is there" in said, "--there" in said) == (1, True, True), said
+    first = min((name for name in controller.files if name), key=len)
+    code, said = run("download", controller.url, "--result", out, "-o", tmp_path / "again", "--there", first)
+    assert code == 0, said
+    code, said = run("download", controller.url, "--result", out, "-o", tmp_path / "no", "--there", "other")
+    assert (code, "upload.missing" in said) == (1, True), said
