@@ -132,7 +132,7 @@ def test_the_proof_is_the_same(second: Told, job: ModuleType, settings: dict[str
     one, two = prove(*given), prove(*given, second.begin)
     assert second.done == [True, True]
     assert bool(settings) == ("verify.clearance" in {issue.code for issue in one.issues})
-    assert output._verdict(one, ()) == output._verdict(two, ())
+    assert output.proof_text(one, (), {}) == output.proof_text(two, (), {})
     assert one.part_obj == two.part_obj
     assert list(one.series) == list(two.series)
     for name, values in one.series.items():
@@ -151,7 +151,7 @@ def test_the_proof_of_a_long_motion_is_the_same(second: Told, monkeypatch: pytes
         assert all(second.done)
         assert bool(settings) == ("verify.clearance" in {issue.code for issue in one.issues})
         assert one.surfaces
-        assert output._verdict(one, ()) == output._verdict(two, ())
+        assert output.proof_text(one, (), {}) == output.proof_text(two, (), {})
         assert one.part_obj == two.part_obj
         for name, values in one.series.items():
             assert np.asarray(values).tobytes() == np.asarray(two.series[name]).tobytes(), name

@@ -48,7 +48,7 @@ def test_a_cell_is_sound(path: Path) -> None:
     facing = "facing" in path.stem or path.stem == "two_irb1200"
     model = plant.build(cell, BLOCK, from_rpy((0.0, 0.0, 0.6) if facing else (0.0, 0.0, 9.0), UP))
     assert clearance.overlaps(model) == ()
-    assert clearance.free(model, {}, 0.018).all()
+    assert clearance.free(model, {}, 0.012).all()
     for arm in cell.arms:
         assert model.robots[arm.name].limit_margin(arm.home) > np.deg2rad(20.0)
     if not all(arm.tool.kind == "wire_holder" for arm in spec.arms):
