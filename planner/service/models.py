@@ -414,6 +414,13 @@ class LinkOut(Sent):
     expires: dt.datetime
 
 
+class LookedAt(Sent):
+    """At how many targets a check looked."""
+
+    targets: int = Field(description="targets that were looked at")
+    of: int = Field(description="targets that there are")
+
+
 class CheckOut(Sent):
     """What is known of a problem without planning it. ``summary``: arms, operations, and the boxes of stock
     and part [mm] in the stock's frame."""
@@ -424,6 +431,7 @@ class CheckOut(Sent):
     processes: list[str]
     summary: dict[str, Any]
     issues: list[Issue]
+    looked_at: LookedAt | None = Field(default=None, description="where reach was tested")
 
 
 class Health(Sent):

@@ -45,6 +45,7 @@ from planner.service.models import (
     JobOut,
     Kind,
     LinkOut,
+    LookedAt,
     Ready,
     Refusal,
     State,
@@ -410,10 +411,24 @@ async def check(
     owner: Caller,
     here: Here,
     reach: Annotated[bool, Query(description="make the targets and test their reach too")] = False,
+    targets: Annotated[
+        int | None,
+        Query(
+            ge=1,
+            le=1000,
+            description="a first look: reach and clearance of about so many targets, one by one",
+        ),
+    ] = None,
 ) -> CheckOut:
-    """Read a problem and say what is in its way; a file that cannot be read is 422."""
+    """Read a problem and say what is in its way; a file that cannot be read is 422. A first look, at some
+    ``targets`` evenly spread, is quick and says nothing of what lies between them; ``looked_at`` tells the
+    share. Whether there is a way through all of them, ``reach`` alone tells. Who hangs up ends the check."""
     upload = await take_upload(request, here.storage, owner, here.limits)
-    read = await here.in_turn(request, owner, lambda reading: here.examine(upload, reach, reading=reading))
+    far = reach or targets is not None
+    some = None if reach else targets
+    read = await here.in_turn(
+        request, owner, lambda reading: here.examine(upload, far, reading=reading, targets=some)
+    )
     return CheckOut(
         ok=not has_errors(read.issues),
         name=read.name,
@@ -421,6 +436,7 @@ async def check(
         processes=list(read.processes),
         summary=dict(read.summary),
         issues=list(read.issues),
+        looked_at=None if read.looked_at is None else LookedAt(**read.looked_at),
     )
 
 
