@@ -275,12 +275,14 @@ FIRST_TARGETS = 40
 
 @dataclasses.dataclass(frozen=True)
 class Looked:
-    """What a check found, and at how many ``targets`` of all of them it looked; none ``of`` none where
-    the targets cannot be made."""
+    """What a check found, and at how many ``targets`` of all of them it looked; none of none where they
+    cannot be made. ``placed``: whether a first look has a place for the block, which a whole one searches
+    longer."""
 
     issues: tuple[Issue, ...]
     targets: int
     of: int
+    placed: bool = True
 
 
 @_contained()
@@ -295,8 +297,9 @@ def looked_over(
     problem: Problem | spec.Problem, most: int | None = FIRST_TARGETS, make: Make | None = None
 ) -> Looked:
     """As :func:`check`, at about ``most`` targets alone, evenly spread over all operations: whether
-    each has a posture with all margins that is free, and whether there is a place for a block whose
-    place is searched. None of it says that there is a path; with ``most`` None it is the whole check."""
+    each has a posture with all margins that is free, and whether one of the first places will do for a
+    block whose place is searched. None of it says that there is a path; with ``most`` None it is the whole
+    check."""
     return _checked(problem, most is None, most, make)
 
 
@@ -319,7 +322,8 @@ def _checked(problem: Problem | spec.Problem, advise: bool, most: int | None, ma
         found = [*notes, *_stands(problem), *(issue for item in targets for issue in item.issues)]
         found += [*write.refusals(problem, targets), *solve.check(problem, targets, advise, first)]
         looked = of if first is None else sum(first.looked.values())
-        return Looked(aggregate([*found, *_unused(problem, found)]), looked, of)
+        placed = first is None or first.placed
+        return Looked(aggregate([*found, *_unused(problem, found)]), looked, of, placed)
     except TandemError as error:
         return Looked((*notes, *error.issues), looked, of)
 

@@ -19,9 +19,9 @@ from planner.issues import Issue
 from planner.motion import diagnosis
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Blocked
-from planner.motion.search.path_search import COARSE_SPIN_STEP, find_path
-from planner.motion.search.reach import Reach, reach, sample
-from planner.motion.search.subsampling import subset
+from planner.motion.search.path_search import find_path
+from planner.motion.search.reach import Grid, Reach, reach
+from planner.motion.search.subsampling import few_samples, subset
 from planner.targets import Targets
 
 LEAST_TARGETS: Final = 2
@@ -32,11 +32,13 @@ FIRST_POSTURES: Final = 8
 
 class FirstLook:
     """Some of the ``counts`` targets of each operation, evenly spread with both ends, about ``most`` in all;
-    ``looked`` {operation: number} counts those that were looked at."""
+    ``looked`` {operation: number} counts those that were looked at; ``placed``: whether the block's place is
+    stated, or one of the few that are tried will do."""
 
     def __init__(self, counts: tuple[int, ...], most: int) -> None:
         self._counts, self._most = counts, most
         self.looked: dict[int, int] = {}
+        self.placed = True
 
     def rows(self, operation: int) -> IndexArray:
         """The targets (K,) of an operation that are looked at."""
@@ -71,7 +73,8 @@ def _fault(scene: Scene, targets: Targets, row: int) -> list[Issue]:
 
 def _passed(scene: Scene, one: Targets) -> bool:
     """Whether coarse samples of a single target have a posture with all margins that is free."""
-    grid = sample(one, COARSE_SPIN_STEP, 1)
+    values = few_samples(one)
+    grid = Grid(values, np.zeros((0, values.shape[1]), dtype=np.intp))
     table = reach(scene, one, grid)
     if not all(found.branches for found in table.values()):
         return False

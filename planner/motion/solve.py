@@ -189,7 +189,8 @@ def check(
 ) -> list[Issue]:
     """Issues of reach and collision without optimising or timing; empty if every operation has a path.
     ``advise``: changes that may help are tried. With ``first`` some targets alone are looked at, one by one:
-    empty if each of these has a free posture, at a place where the block's is searched."""
+    empty if each of these has a free posture; where the block's place is searched, at one of a few places, or
+    if none of these will do."""
     problem, targets = with_room(problem, targets)
     try:
         problem = stations.stationed(problem, targets, None if first is None else first.passes)
@@ -479,10 +480,12 @@ def _look(
         for place in _search(problem, stand).soon(stand.each(models)):
             if not _no_path(problem, stand, models, place, at, first):
                 return place, []
+        first.placed = False
+        return None, []
     places, trace = _search(problem, stand).run(stand.each(models))
-    tried, reasons = _tried(problem, stand, models, places, trace, at, first)
+    tried, reasons = _tried(problem, stand, models, places, trace, at)
     for place in tried:
-        found = _no_path(problem, stand, models, place, at, first)
+        found = _no_path(problem, stand, models, place, at)
         if not found:
             return place, []
         reasons = reasons or found
@@ -616,7 +619,6 @@ def _tried(
     places: Sequence[Place],
     trace: Trace,
     at: list[int],
-    first: FirstLook | None = None,
 ) -> tuple[Sequence[Place], list[Issue]]:
     """The places to try. The search looks at few postures of a target: where it finds no place, the first of
     its freest that has a path after all is tried; if none has, what is in the way at the very freest."""
@@ -624,7 +626,7 @@ def _tried(
         return places[:PLACES_TRIED], []
     reasons: list[Issue] = []
     for _, place in trace.freest:
-        found = _no_path(problem, stand, models, place, at, first)
+        found = _no_path(problem, stand, models, place, at)
         if not found:
             return [place], []
         reasons = reasons or found

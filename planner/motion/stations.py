@@ -125,7 +125,8 @@ Passes = Callable[[Scene, Targets, int], bool]
 
 def stationed(problem: Problem, targets: Sequence[Targets], passes: Passes | None = None) -> Problem:
     """The problem with a station of each arm on a track, and of the block on a turntable, in each operation;
-    where an axis can stand says ``passes``, by default whether there is a path. Raises :class:`TandemError`
+    where an axis can stand says ``passes``, which asks for no way there, by default whether there is a way
+    there and a path. Raises :class:`TandemError`
     (``motion.station``) where there is none, with the operation, and ``problem.track`` for a block whose
     place is not stated."""
     axes: dict[str, _Axis] = {
@@ -144,7 +145,7 @@ def stationed(problem: Problem, targets: Sequence[Targets], passes: Passes | Non
         for name in (*own.arms, STOCK):
             if name in axes:
                 there = problem.stationed({**out, index: at})
-                at = {**at, name: _station(there, index, own, axes[name], at, passes or _has_path)}
+                at = {**at, name: _station(there, index, own, axes[name], at, passes)}
         out[index] = at
     return problem.stationed(out)
 
@@ -178,13 +179,13 @@ def _homes(setup: Setup) -> dict[str, FloatArray]:
     return {arm.name: arm.home for arm in setup.cell.arms}
 
 
-def _has_path(scene: Scene, targets: Targets, index: int) -> bool:
-    del index
-    return isinstance(find_path(scene, targets)[1], Found)
-
-
 def _station(
-    problem: Problem, index: int, targets: Targets, axis: _Axis, at: Mapping[str, float], passes: Passes
+    problem: Problem,
+    index: int,
+    targets: Targets,
+    axis: _Axis,
+    at: Mapping[str, float],
+    passes: Passes | None,
 ) -> float:
     setup = problem.setup_of(index)
     grid = axis.values()
@@ -228,11 +229,11 @@ def _fault(
     axis: _Axis,
     at: Mapping[str, float],
     value: float,
-    passes: Passes,
+    passes: Passes | None,
 ) -> str:
     """Why an axis cannot stand at a value; empty where it can."""
     there = problem.stationed({**problem.stations, index: {**at, axis.name: value}})
-    if value != at[axis.name]:
+    if value != at[axis.name] and passes is None:
         enough = problem.settings.clearance + WAY_ROOM_M
         way = axis.way(problem.setup_of(index), (at[axis.name], value), enough)
         if not way.clear:
@@ -240,7 +241,8 @@ def _fault(
     setup = there.setup_of(index)
     scene = _scene(there, index, targets, _model(setup))
     own = with_aims(scene, targets)
-    return "" if passes(scene, own, index) else "bodies or joints leave no path there"
+    free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, index)
+    return "" if free else "bodies or joints leave no path there"
 
 
 def _nowhere(

@@ -419,6 +419,9 @@ class LookedAt(Sent):
 
     targets: int = Field(description="targets that were looked at")
     of: int = Field(description="targets that there are")
+    placed: bool = Field(
+        description="whether the block's place is stated, or found: a first look tries few places"
+    )
 
 
 class CheckOut(Sent):

@@ -47,7 +47,7 @@ class Examined:
     files: Mapping[str, str] = dataclasses.field(default_factory=dict)
     summary: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     shapes: tuple[Mapping[str, Any], ...] = ()
-    looked_at: Mapping[str, int] | None = None
+    looked_at: Mapping[str, Any] | None = None
 
     @property
     def readable(self) -> bool:

@@ -521,14 +521,15 @@ def examine(
     files = problem_file.bundle(read)
     text = files.pop(PROBLEM).decode()
     found = [*(read.part.notes if read.part is not None else ()), *read.notes]
-    looked_at = None
+    looked_at: dict[str, Any] | None = None
     if reach:
         from planner import pipeline  # loads Drake
 
         make = None if kept is None else kept_targets.maker(kept, read, alike=targets is not None)
         looked = pipeline.looked_over(read, targets, make)
         found += [issue for issue in looked.issues if issue not in found]
-        looked_at = {"targets": looked.targets, "of": looked.of} if looked.of else None
+        if looked.of:
+            looked_at = {"targets": looked.targets, "of": looked.of, "placed": looked.placed}
     drawn: list[dict[str, Any]] = []
     if draw:
         drawn, faults = shapes(read)
