@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel, ValidationError
 
 from planner.issues import Issue
+from planner.service.answers import tagged
 from planner.service.models import (
     Change,
     Chosen,
@@ -20,7 +21,7 @@ from planner.service.models import (
     JobOut,
     Marking,
 )
-from planner.service.routes import CURSOR, JOB_ID, PAGE_SIZE, REFUSALS, Caller, Here
+from planner.service.routes import CURSOR, JOB_ID, KNOWN, PAGE_SIZE, REFUSALS, Caller, Here
 from planner.service.security import MB, RefusedError, too_large
 from planner.service.storage import documented, take_upload
 
@@ -80,16 +81,18 @@ async def create(request: Request, owner: Caller, here: Here) -> ElementOut:
     return await here.in_turn(request, owner, lambda reading: here.elements.create(owner, upload, reading))
 
 
-@router.get("/elements", response_model_exclude_none=True, summary="List your elements")
+@router.get("/elements", response_model=ElementList, responses=KNOWN, summary="List your elements")
 def page(
+    request: Request,
     owner: Caller,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: CURSOR = None,
-) -> ElementList:
-    """The newest first, a page at a time."""
+) -> Response:
+    """The newest first, a page at a time; 304 for who asks again with ``If-None-Match`` and has it as it
+    is."""
     found, following = here.elements.page(owner, cursor, limit)
-    return ElementList(elements=found, next=following)
+    return tagged(request, ElementList(elements=found, next=following))
 
 
 @router.get("/elements/{element}", response_model_exclude_none=True, summary="An element with its panels")

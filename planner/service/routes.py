@@ -30,7 +30,7 @@ from sqlalchemy.exc import SQLAlchemyError
 import planner
 from planner.catalogue.issue_codes import CODES
 from planner.issues import Issue, has_errors
-from planner.service.answers import MadeFile, is_known, stored_file
+from planner.service.answers import MadeFile, is_known, stored_file, tagged
 from planner.service.jobs import Stream
 from planner.service.models import (
     API,
@@ -356,6 +356,8 @@ PARTS: Final[dict[int | str, dict[str, Any]]] = {
     416: {"description": "a `Range` beyond the end", "content": {"text/plain": {}}},
 }
 """Answers of files beside the whole one."""
+KNOWN: Final[dict[int | str, dict[str, Any]]] = {304: PARTS[304]}
+"""The answer of lists beside the whole one."""
 SANDBOX: Final = "sandbox allow-scripts allow-downloads allow-popups; frame-ancestors 'self'"
 """What is in a report came from a user: it runs apart from this site, without its cookies."""
 PAGE_SIZE: Final = 50
@@ -440,17 +442,19 @@ async def check(
     )
 
 
-@job_router.get("/jobs", response_model_exclude_none=True, summary="List your jobs")
+@job_router.get("/jobs", response_model=JobList, responses=KNOWN, summary="List your jobs")
 def page(
+    request: Request,
     owner: Caller,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: CURSOR = None,
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
-) -> JobList:
-    """The newest first, a page at a time."""
+) -> Response:
+    """The newest first, a page at a time; 304 for who asks again with ``If-None-Match`` and has it as it
+    is."""
     found, following = here.jobs.page(owner, state or [], cursor, limit)
-    return JobList(jobs=found, next=following)
+    return tagged(request, JobList(jobs=found, next=following))
 
 
 @job_router.get("/jobs/{job}", response_model_exclude_none=True, summary="State of a job")

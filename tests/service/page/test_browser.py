@@ -127,6 +127,19 @@ def test_a_whole_job_from_upload_to_download(
     expect(row).to_contain_text("small")
 
 
+def test_a_list_that_is_open_shows_jobs_that_others_send(page: Page, server: str, small: list[Path]) -> None:
+    page.goto(server)
+    page.locator("#rows tr, #empty").first.wait_for()
+    text = small[0].read_text()
+    small[0].write_text(text.replace("name: small", "name: sent_by_another"))
+    job = planner.Client(server).submit(planner.load(small[0]))
+    sent = page.locator("#rows tr", has_text="sent_by_another")
+    expect(sent).to_have_count(1)
+    expect(sent).to_contain_text("Verified", timeout=90_000)
+    planner.Client(server).delete(job)
+    expect(sent).to_have_count(0)
+
+
 def test_what_has_no_plan_says_what_where_and_what_to_do(page: Page, server: str) -> None:
     bundled(page, server, "infeasible/wire_too_short")
     expect(page.locator("#verdict")).to_contain_text("to correct", timeout=MOST_MS)
