@@ -355,7 +355,7 @@ class PanelOut(Sent):
     job: str | None = Field(None, description="the job that plans it")
     state: State | Literal["not_planned"] = "not_planned"
     stage: str = ""
-    cycle_s: float | None = Field(None, description="time of its programs [s]")
+    cycle_s: float | None = Field(None, description="time from first to last target [s]")
     issue: Issue | None = Field(None, description="the first of what stands in its way")
     mark: Mark | None = None
 

@@ -52,7 +52,8 @@ CUT_OFF: Final = """() => {
 
 NAMELESS: Final = """() => {
   const some = "a, button, input, select, textarea, summary, canvas, iframe, [tabindex='0']";
-  const named = (one) => one.ariaLabel || one.labels?.length || one.title || one.getAttribute("aria-labelledby");
+  const by = (one) => one.labels?.length || one.getAttribute("aria-labelledby");
+  const named = (one) => one.ariaLabel || one.title || by(one);
   return [...document.querySelectorAll(some)]
     .filter((one) => one.checkVisibility() && !one.closest("[aria-hidden=true]"))
     .filter((one) => !named(one) && !one.innerText?.trim())
@@ -124,7 +125,7 @@ def shown(page: Page, name: str, address: str) -> None:
     elif name == "element":
         expect(page.locator(".panel").first).to_be_visible()
     elif name == "compare":
-        expect(page.locator("#result")).to_contain_text("Cycle time")
+        expect(page.locator("#result")).to_contain_text("Motion time")
     if state == "form":
         page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
     page.wait_for_timeout(100)
@@ -198,7 +199,7 @@ def test_axe_finds_nothing(browser: Browser, served: dict[str, str], name: str) 
 
 
 def looks(name: str) -> list[tuple[Literal["light", "dark"], tuple[int, int]]]:
-    """Colours and sizes; of the large form, which is much the same in other states, its first state has all."""
+    """Colours and sizes: two of the large form's other states, which are much the same."""
     every = [(scheme, size) for scheme in SCHEMES for size in SIZES]
     return [every[0], every[-1]] if name in ("new: sheet", "new: faults") else every
 
