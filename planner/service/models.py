@@ -256,9 +256,9 @@ def _cannot_open(url: str, error: Exception) -> Issue:
     return Issue("service.database", f"database {shown}: {what}", field="database")
 
 
-API: Final = 4
+API: Final = 5
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
-data. 4: readiness, jobs that are tried again."""
+data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
