@@ -267,36 +267,75 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
     return Outcome(problem, made, proof, final, pictures=None if drawn is None else tuple(drawn))
 
 
+Make = Callable[[int, "Job[Any]"], "Targets"]
+"""What makes the targets of an operation, by its index; it may know those of an operation like it."""
+FIRST_TARGETS = 40
+"""Targets that a first look is at."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Looked:
+    """What a check found, and at how many ``targets`` of all of them it looked; none of none where they
+    cannot be made. ``placed``: whether a first look has a place for the block, which a whole one searches
+    longer."""
+
+    issues: tuple[Issue, ...]
+    targets: int
+    of: int
+    placed: bool = True
+
+
 @_contained()
 def check(problem: Problem | spec.Problem, advise: bool = True) -> tuple[Issue, ...]:
     """Validate and test reach without planning: the issues found, errors included. ``advise``: where there is
     no path, changes that may help are tried."""
+    return _checked(problem, advise, None, None).issues
+
+
+@_contained()
+def looked_over(
+    problem: Problem | spec.Problem, most: int | None = FIRST_TARGETS, make: Make | None = None
+) -> Looked:
+    """As :func:`check`, at about ``most`` targets alone, evenly spread over all operations: whether
+    each has a posture with all margins that is free, and whether one of the first places will do for a
+    block whose place is searched. None of it says that there is a path; with ``most`` None it is the whole
+    check."""
+    return _checked(problem, most is None, most, make)
+
+
+def _checked(problem: Problem | spec.Problem, advise: bool, most: int | None, make: Make | None) -> Looked:
     try:
         problem = built(problem)
     except TandemError as error:
-        return error.issues
+        return Looked(error.issues, 0, 0)
     ready()
     from planner.motion import solve
+    from planner.motion.first_look import FirstLook
     from planner.post import write
 
     notes = _notes(problem)
+    looked, of = 0, 0
     try:
-        targets = _targets(problem, processes.jobs(problem))
+        targets = _targets(problem, processes.jobs(problem), make)
+        of = sum(item.count for item in targets)
+        first = None if most is None else FirstLook(tuple(item.count for item in targets), most)
         found = [*notes, *_stands(problem), *(issue for item in targets for issue in item.issues)]
-        found += [*write.refusals(problem, targets), *solve.check(problem, targets, advise)]
-        return aggregate([*found, *_unused(problem, found)])
+        found += [*write.refusals(problem, targets), *solve.check(problem, targets, advise, first)]
+        looked = of if first is None else sum(first.looked.values())
+        placed = first is None or first.placed
+        return Looked(aggregate([*found, *_unused(problem, found)]), looked, of, placed)
     except TandemError as error:
-        return (*notes, *error.issues)
+        return Looked((*notes, *error.issues), looked, of)
 
 
-def _targets(problem: Problem, jobs: Sequence[Job[Any]]) -> list[Targets]:
-    """The targets of all jobs, with what the problem accepts of their issues. Raises ``TandemError`` with the
-    errors of all of them."""
+def _targets(problem: Problem, jobs: Sequence[Job[Any]], make: Make | None = None) -> list[Targets]:
+    """The targets of all jobs, with what the problem accepts of their issues; ``make`` makes them where it is
+    given. Raises ``TandemError`` with the errors of all of them."""
     out: list[Targets] = []
     told = _stands(problem)
-    for job in jobs:
+    for index, job in enumerate(jobs):
         try:
-            made = job.targets()
+            made = job.targets() if make is None else make(index, job)
         except TandemError as error:
             told += error.issues
         else:

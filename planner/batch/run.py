@@ -426,13 +426,14 @@ share of a limit, least distance to a singularity, share of the cut faces within
 
 
 def figures(plan: Plan, rules: Iterable[RuleResult]) -> dict[str, float]:
-    """``targets``, ``cycle_s`` [s], ``path_cost``, and the worst values of `FIGURE_OF_RULE`.
+    """``targets``, ``cycle_s`` [s] from first to last target, ``path_cost``, and the worst values of
+    `FIGURE_OF_RULE`.
 
     What a plan or proof does not know, or is not finite, is left out.
     """
     out: dict[str, float] = {
         "targets": float(sum(operation.targets.count for operation in plan.operations)),
-        "cycle_s": sum(float(operation.time[-1]) for operation in plan.operations if len(operation.time)),
+        "cycle_s": plan.duration,
     }
     costs = [operation.metrics.get("trajopt_cost") for operation in plan.operations]
     known = [float(cost) for cost in costs if isinstance(cost, int | float)]

@@ -649,9 +649,9 @@ def _summary(outcome: object, output: Path, seconds: float) -> None:
     if not isinstance(outcome, Outcome):
         raise TypeError(f"expected an Outcome, got {type(outcome).__name__}")
     moves = sum(operation.targets.count for operation in outcome.plan.operations)
-    cycle = sum(float(operation.time[-1]) for operation in outcome.plan.operations)
+    cycle = outcome.plan.duration
     verdict = "verified" if outcome.verified else "NOT verified, no programs written"
-    out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.0f} s of motion, {verdict}")
+    out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.1f} s of motion, {verdict}")
     _print_accepted(outcome.accepted)
     stages = ", ".join(f"{name} {lap:.1f}" for name, lap in _laps(outcome.plan).items())
     spent = f" ({stages})" if stages else ""

@@ -39,6 +39,10 @@ MOST_CHECKED_PLACES: Final = 60
 
 MOST_FREE_PLACES: Final = 6
 """Free places with which the search ends."""
+MOST_SOON: Final = 12
+"""Places of the first draw that a first look tries at most,"""
+PLACES_SOON: Final = 2
+"""until so many of them are free."""
 FREEST_PLACES: Final = 3
 """Places that are kept where none is free for all of a few targets."""
 COARSE_TARGETS: Final = 10
@@ -188,6 +192,20 @@ class Search:
             places = [dataclasses.replace(p, number=p.number + len(trace.score)) for p in places]
             trace = trace.with_more(more)
         return places, trace
+
+    def soon(self, models: Sequence[CellModel]) -> Iterator[Place]:
+        """The first places of those drawn first at which a few targets have free postures, the best before
+        the others; they may be none although :meth:`run` has some."""
+        points = self._first()
+        fine = self._score(points, self._coarse)
+        looked = 0
+        for k in self._distinct(points, fine)[:MOST_SOON]:
+            place = Place(self._stock_pose(points[k]), self._bases(points[k]), float(fine[k]), k)
+            if self._share_free(models, place) == 1.0:
+                yield place
+                looked += 1
+            if looked == PLACES_SOON:
+                return
 
     def judged(
         self, stock: FloatArray, bases: Mapping[str, FloatArray], models: Sequence[CellModel]

@@ -22,6 +22,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.units import MM
 from planner.issues import Issue, Remedy, TandemError, aggregate
 from planner.motion import diagnosis, remedies, sag, stations, ways
+from planner.motion.first_look import FirstLook
 from planner.motion.former import Former, place_told, unlike_told
 from planner.motion.operation import NoCoarsePathError, plan_operation
 from planner.motion.placement import Place, Search, Trace
@@ -183,18 +184,22 @@ def _solve(
     )
 
 
-def check(problem: Problem, targets: Sequence[Targets], advise: bool = True) -> list[Issue]:
+def check(
+    problem: Problem, targets: Sequence[Targets], advise: bool = True, first: FirstLook | None = None
+) -> list[Issue]:
     """Issues of reach and collision without optimising or timing; empty if every operation has a path.
-    ``advise``: changes that may help are tried."""
+    ``advise``: changes that may help are tried. With ``first`` some targets alone are looked at, one by one:
+    empty if each of these has a free posture; where the block's place is searched, at one of a few places, or
+    if none of these will do."""
     problem, targets = with_room(problem, targets)
     try:
-        problem = stations.stationed(problem, targets)
+        problem = stations.stationed(problem, targets, None if first is None else first.passes)
     except TandemError as error:
         return list(error.issues)
     bases: Mapping[str, FloatArray] | None = None
     for stand in setup_groups(problem, targets):
         at = [0]
-        place, reasons = _look(problem, stand if bases is None else stand.based(bases), at)
+        place, reasons = _look(problem, stand if bases is None else stand.based(bases), at, first)
         if place is None:
             return _advised(problem, targets, at[0], reasons) if advise else reasons
         bases = {**(bases or {}), **place.bases}
@@ -468,17 +473,26 @@ def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -
             ways.require_home(scene, job)
 
 
-def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, list[Issue]]:
-    """A place at which every operation of a stand has a path, or why there is none."""
+def _look(
+    problem: Problem, stand: Stand, at: list[int], first: FirstLook | None = None
+) -> tuple[Place | None, list[Issue]]:
+    """A place at which every operation of a stand has a path, or the targets of a ``first`` look a posture;
+    or why there is none."""
     models = stand.models()
     if stand.settled:
         place = Place(stand.place, {}, 0.0, 0)
-        reasons = _inside(problem, stand, models) or _no_path(problem, stand, models, place, at)
+        reasons = _inside(problem, stand, models) or _no_path(problem, stand, models, place, at, first)
         return (None if reasons else place), reasons
     try:
         _require_home(problem, stand, models)
     except TandemError as error:
         return None, list(error.issues)
+    if first is not None:
+        for place in _search(problem, stand).soon(stand.each(models)):
+            if not _no_path(problem, stand, models, place, at, first):
+                return place, []
+        first.placed = False
+        return None, []
     places, trace = _search(problem, stand).run(stand.each(models))
     tried, reasons = _tried(problem, stand, models, places, trace, at)
     for place in tried:
@@ -575,9 +589,15 @@ def _in_mm(move: FloatArray) -> tuple[float, float, float]:
 
 
 def _no_path(
-    problem: Problem, stand: Stand, models: Sequence[CellModel], place: Place, at: list[int]
+    problem: Problem,
+    stand: Stand,
+    models: Sequence[CellModel],
+    place: Place,
+    at: list[int],
+    first: FirstLook | None = None,
 ) -> list[Issue]:
-    """Why operations have no path or no free home; ``at`` is set to the first of them."""
+    """Why operations have no path, or targets of a ``first`` look no posture, or no free home; ``at`` is set
+    to the first of them."""
     out: list[Issue] = []
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         placed = model.with_stock(place.stock).with_bases(place.bases)
@@ -588,6 +608,9 @@ def _no_path(
                 ways.require_home(scene, job)
             except TandemError as error:  # as the plan does, which asks for this first
                 out += error.issues
+                continue
+            if first is not None:
+                out += first.faults(scene, job, index)
                 continue
             grid, found = find_path(scene, job)
             if isinstance(found, Blocked):

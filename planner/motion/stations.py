@@ -8,7 +8,7 @@ else it goes the least way to where the margin is. The first place with a path t
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -119,10 +119,16 @@ class _Table:
 _Axis = _Track | _Table
 
 
-def stationed(problem: Problem, targets: Sequence[Targets]) -> Problem:
-    """The problem with a station of each arm on a track, and of the block on a turntable, in each operation.
-    Raises :class:`TandemError` (``motion.station``) where there is none, with the operation, and
-    ``problem.track`` for a block whose place is not stated."""
+Passes = Callable[[Scene, Targets, int], bool]
+"""Whether the targets of an operation, by its index, can be worked at where all stands in the scene."""
+
+
+def stationed(problem: Problem, targets: Sequence[Targets], passes: Passes | None = None) -> Problem:
+    """The problem with a station of each arm on a track, and of the block on a turntable, in each operation;
+    where an axis can stand says ``passes``, which asks for no way there, by default whether there is a way
+    there and a path. Raises :class:`TandemError`
+    (``motion.station``) where there is none, with the operation, and ``problem.track`` for a block whose
+    place is not stated."""
     axes: dict[str, _Axis] = {
         arm.name: _Track(arm.name, arm.track) for arm in problem.cell.arms if arm.track is not None
     }
@@ -138,7 +144,8 @@ def stationed(problem: Problem, targets: Sequence[Targets]) -> Problem:
     for index, own in enumerate(targets):
         for name in (*own.arms, STOCK):
             if name in axes:
-                at = {**at, name: _station(problem.stationed({**out, index: at}), index, own, axes[name], at)}
+                there = problem.stationed({**out, index: at})
+                at = {**at, name: _station(there, index, own, axes[name], at, passes)}
         out[index] = at
     return problem.stationed(out)
 
@@ -172,7 +179,14 @@ def _homes(setup: Setup) -> dict[str, FloatArray]:
     return {arm.name: arm.home for arm in setup.cell.arms}
 
 
-def _station(problem: Problem, index: int, targets: Targets, axis: _Axis, at: Mapping[str, float]) -> float:
+def _station(
+    problem: Problem,
+    index: int,
+    targets: Targets,
+    axis: _Axis,
+    at: Mapping[str, float],
+    passes: Passes | None,
+) -> float:
     setup = problem.setup_of(index)
     grid = axis.values()
     few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), FEW_TARGETS, False)
@@ -186,7 +200,7 @@ def _station(problem: Problem, index: int, targets: Targets, axis: _Axis, at: Ma
         if any(abs(value - other) < axis.apart for other in tried) and value != at[axis.name]:
             continue
         tried.append(value)
-        reasons = _fault(problem, index, targets, axis, at, value)
+        reasons = _fault(problem, index, targets, axis, at, value, passes)
         if not reasons:
             return value
     raise TandemError(_nowhere(problem, index, axis, grid, score, tried, reasons))
@@ -209,11 +223,17 @@ def _scene(problem: Problem, index: int, targets: Targets, model: plant.CellMode
 
 
 def _fault(
-    problem: Problem, index: int, targets: Targets, axis: _Axis, at: Mapping[str, float], value: float
+    problem: Problem,
+    index: int,
+    targets: Targets,
+    axis: _Axis,
+    at: Mapping[str, float],
+    value: float,
+    passes: Passes | None,
 ) -> str:
     """Why an axis cannot stand at a value; empty where it can."""
     there = problem.stationed({**problem.stations, index: {**at, axis.name: value}})
-    if value != at[axis.name]:
+    if value != at[axis.name] and passes is None:
         enough = problem.settings.clearance + WAY_ROOM_M
         way = axis.way(problem.setup_of(index), (at[axis.name], value), enough)
         if not way.clear:
@@ -221,8 +241,8 @@ def _fault(
     setup = there.setup_of(index)
     scene = _scene(there, index, targets, _model(setup))
     own = with_aims(scene, targets)
-    _, found = find_path(scene, own)
-    return "" if isinstance(found, Found) else "bodies or joints leave no path there"
+    free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, index)
+    return "" if free else "bodies or joints leave no path there"
 
 
 def _nowhere(

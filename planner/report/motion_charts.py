@@ -34,13 +34,15 @@ from planner.verify.result import Proof
 
 @dataclasses.dataclass(frozen=True)
 class ArmMotion:
-    """One arm over time (T,): serial joint angles, speeds, accelerations (T, 6); the margins [rad] (T,)."""
+    """One arm over time (T,): serial joint angles, speeds, accelerations (T, 6); the margins [rad] (T,);
+    ``singular`` (T,) [rad] off the nearest singular posture, where a proof says."""
 
     robot: RobotData
     time: FloatArray
     q: FloatArray
     speed: FloatArray
     acceleration: FloatArray | None
+    singular: FloatArray | None = None
 
     @property
     def limit_margin(self) -> FloatArray:
@@ -185,7 +187,8 @@ def _proven(problem: Problem, series: Mapping[str, Any]) -> dict[str, ArmMotion]
         given = series.get(f"speed/{arm.name}")
         speed = np.gradient(q, time, axis=0) if given is None else np.asarray(given)
         robot = arm.data
-        out[arm.name] = ArmMotion(robot, time, np.asarray(q), speed, series.get(f"acceleration/{arm.name}"))
+        more = (series.get(f"{name}/{arm.name}") for name in ("acceleration", "singular"))
+        out[arm.name] = ArmMotion(robot, time, np.asarray(q), speed, *more)
     return out
 
 
@@ -393,30 +396,48 @@ def closest_pairs(data: Clearance, count: int = 6) -> tuple[Figure, ...]:
     return (Figure("Closest pairs", shown),)
 
 
-def margins(motion: Motion, settings: Settings) -> list[Figure]:
-    """Distance to joint limits and to the wrist's singularity over time [deg]."""
+def margins(motion: Motion, settings: Settings, proof: Proof | None) -> list[Figure]:
+    """Distance to joint limits and to singular postures over time [deg]; without a proof, to that of the
+    wrist. The least of each is the proof's own figure, as everywhere else."""
+    proven = {r.code: r.worst for r in (proof.rules if proof is not None else ()) if r.worst is not None}
+    arms = motion.arms.values()
     out = []
-    for title, attribute, limit in (
-        ("Distance to the nearest joint limit", "limit_margin", settings.joint_margin),
-        ("Axis 5 from wrist singularity", "wrist_angle", settings.singularity_margin),
+    for title, code, told, values, limit in (
+        (
+            "Distance to the nearest joint limit",
+            "verify.joint_limits",
+            "least",
+            [arm.limit_margin for arm in arms],
+            settings.joint_margin,
+        ),
+        (
+            "Distance to the nearest singular posture",
+            "verify.singularity",
+            "least where tools move straight",
+            [arm.singular for arm in arms],
+            settings.singularity_margin,
+        ),
     ):
+        shown = [value for value in values if value is not None]
+        least = proven.get(code, min((float(np.min(value)) for value in shown), default=0.0) / DEG)
+        if len(shown) < len(values):
+            title, told = "Axis 5 from wrist singularity", "least between targets"
+            shown = [arm.wrist_angle for arm in arms]
+            least = min((motion.wrist(name) for name in motion.arms), default=0.0) / DEG
         lines = [
-            Line(name, arm.time, getattr(arm, attribute) / DEG, i)
-            for i, (name, arm) in enumerate(motion.arms.items())
+            Line(name, arm.time, value / DEG, i)
+            for i, ((name, arm), value) in enumerate(zip(motion.arms.items(), shown, strict=True))
         ]
-        least = min((float(np.min(line.y)) for line in lines), default=0.0)
-        note = f"least: {markup.fixed(least, 1)}°"
-        if attribute == "wrist_angle" and motion.arms:
-            at_work = min(motion.wrist(name) for name in motion.arms)
-            note = f"least between targets: {markup.fixed(at_work / DEG, 1)}°"
+        lowest = min((float(np.min(line.y)) for line in lines), default=0.0)
         body = chart(
             lines,
             x_label="s",
             y_label="deg",
             bands=motion.bands,
             levels=[Level(limit / DEG, "asked for")],
-            y_range=(min(0.0, least), max([float(np.max(line.y)) for line in lines] or [1.0]) * 1.08),
+            y_range=(min(0.0, lowest), max([float(np.max(line.y)) for line in lines] or [1.0]) * 1.08),
         )
+        note = f"{told}: {markup.fixed(least, 1)}°" if np.isfinite(least) else ""
         out.append(Figure(title, body, note))
     return out
 

@@ -79,7 +79,7 @@ def render(
     sections += drawn
     if problem is not None and plan is not None and plan.operations:
         motion = motion_charts.motion_series(problem, plan, proof)
-        sections += _motion(problem, motion)
+        sections += _motion(problem, motion, proof)
         sections.append(Section("setup", "Setup sheet", (setup_sheet.sheet(problem, plan, proof),)))
     if proof is not None and proof.rules:
         rules = page_sections.rule_table(proof.rules)
@@ -120,14 +120,14 @@ def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[Section]
     return sections, left_out
 
 
-def _motion(problem: Problem, motion: Motion) -> list[Section]:
+def _motion(problem: Problem, motion: Motion, proof: Proof | None) -> list[Section]:
     settings = problem.settings
     figures = [motion_charts.feed(motion)] if len(motion.feed.time) > 1 else []
     if motion.clearance is not None:
         figures.append(motion_charts.clearance(motion.clearance, motion, settings))
     if motion.gap is not None:
         figures.append(motion_charts.gap(motion.gap, motion))
-    figures += motion_charts.margins(motion, settings) if motion.arms else []
+    figures += motion_charts.margins(motion, settings, proof) if motion.arms else []
     figures += [figure for wire in motion.wires for figure in motion_charts.wire(wire, motion)]
     for name, arm in motion.arms.items():
         figures += motion_charts.speeds(name, arm, motion, settings)

@@ -81,8 +81,8 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
     """The figures that matter, each in a tile."""
     motion = motion_charts.motion_series(problem, plan, proof)
     count = sum(op.targets.count for op in plan.operations)
-    time = sum(float(op.time[-1]) for op in plan.operations if len(op.time))
-    out = [markup.Tile("targets", f"{count}"), markup.Tile(f"motion time {MOTION_TIME}", *duration(time))]
+    time = markup.Tile(f"motion time {MOTION_TIME}", *duration(plan.duration))
+    out = [markup.Tile("targets", f"{count}"), time]
     # one figure for each thing: where the proof has it, the page and the list of rules say the same
     proven = {r.code: r.worst for r in (proof.rules if proof is not None else ()) if r.worst is not None}
     if motion.clearance is not None:

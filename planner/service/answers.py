@@ -5,6 +5,7 @@ browser has already, parts of files, compression; and how long the head of a req
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import os
 import tempfile
 import zlib
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from fastapi.responses import FileResponse, StreamingResponse
+from pydantic import BaseModel
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import BaseRoute, Match
@@ -65,6 +67,16 @@ def is_known(request: Request, tag: str) -> bool:
     given = request.headers.get("if-none-match", "")
     tags = [one.strip().removeprefix("W/") for one in given.split(",")]
     return "*" in tags or tag in tags
+
+
+def tagged(request: Request, content: BaseModel) -> Response:
+    """JSON that is asked for again and again, without what is not there: 304 for who has it as it is."""
+    body = content.model_dump_json(exclude_none=True, by_alias=True).encode()
+    tag = f'"{hashlib.sha256(body).hexdigest()}"'
+    headers = {"ETag": tag, "Cache-Control": "private, no-cache"}
+    if is_known(request, tag):
+        return Response(status_code=304, headers=headers)
+    return Response(body, media_type="application/json", headers=headers)
 
 
 def stored_file(

@@ -274,10 +274,15 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
             title=app.title, version=app.version, description=app.description, routes=app.routes
         )
         made["components"]["schemas"] |= problem_schema(IN_OPENAPI)[1]
+        for name in ("HTTPValidationError", "ValidationError"):  # no answer has them
+            made["components"]["schemas"].pop(name, None)
         refusal = {"application/json": {"schema": {"$ref": "#/components/schemas/Refusal"}}}
         general = [str(one["description"]) for one in REFUSALS.values()]
         for path in made["paths"].values():
             for method in path.values():
+                said = method["responses"].get("422", {}).get("description")
+                if said != REFUSALS[422]["description"]:  # the framework lists it for all that has parameters
+                    method["responses"].pop("422", None)
                 for status, answer in method["responses"].items():
                     # JSON, whatever a good answer is
                     if (status[0] == "4" and status != "416") or answer["description"] in general:

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel, ValidationError
 
 from planner.issues import Issue
+from planner.service.answers import tagged
 from planner.service.models import (
     Change,
     Chosen,
@@ -20,11 +21,11 @@ from planner.service.models import (
     JobOut,
     Marking,
 )
-from planner.service.routes import CURSOR, JOB_ID, PAGE_SIZE, REFUSALS, Caller, Here
+from planner.service.routes import ASKED, CURSOR, JOB_ID, KNOWN, PAGE_SIZE, UPLOADED, Caller, Here, refusals
 from planner.service.security import MB, RefusedError, too_large
 from planner.service.storage import documented, take_upload
 
-router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=REFUSALS)  # type: ignore[arg-type]
+router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=ASKED)
 LONGEST: Final = MB
 """Bytes of a body that says what to do with an element."""
 Body = TypeVar("Body", bound=BaseModel)
@@ -71,6 +72,7 @@ async def _body(request: Request, model: type[Body]) -> Body:
     "/elements",
     status_code=201,
     response_model_exclude_none=True,
+    responses=UPLOADED,
     openapi_extra=UPLOADS,
     summary="Divide a building element",
 )
@@ -80,19 +82,28 @@ async def create(request: Request, owner: Caller, here: Here) -> ElementOut:
     return await here.in_turn(request, owner, lambda reading: here.elements.create(owner, upload, reading))
 
 
-@router.get("/elements", response_model_exclude_none=True, summary="List your elements")
+@router.get(
+    "/elements", response_model=ElementList, responses=KNOWN | refusals(422), summary="List your elements"
+)
 def page(
+    request: Request,
     owner: Caller,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: CURSOR = None,
-) -> ElementList:
-    """The newest first, a page at a time."""
+) -> Response:
+    """The newest first, a page at a time; 304 for who asks again with ``If-None-Match`` and has it as it
+    is."""
     found, following = here.elements.page(owner, cursor, limit)
-    return ElementList(elements=found, next=following)
+    return tagged(request, ElementList(elements=found, next=following))
 
 
-@router.get("/elements/{element}", response_model_exclude_none=True, summary="An element with its panels")
+@router.get(
+    "/elements/{element}",
+    responses=refusals(404),
+    response_model_exclude_none=True,
+    summary="An element with its panels",
+)
 def get(found: OwnElement, here: Here) -> ElementPanels:
     """State of the division, of each panel, and how far it is made."""
     return here.elements.get(found)
@@ -102,6 +113,7 @@ def get(found: OwnElement, here: Here) -> ElementPanels:
     "/elements/{element}/divide",
     status_code=201,
     response_model_exclude_none=True,
+    responses=refusals(404) | UPLOADED,
     openapi_extra=_described(Change),
     summary="Divide an element anew, with fields changed",
 )
@@ -128,6 +140,7 @@ async def divide(
     "/elements/{element}/plan",
     status_code=201,
     response_model_exclude_none=True,
+    responses=refusals(404) | UPLOADED,
     openapi_extra=_described(Chosen),
     summary="Plan panels of an element",
 )
@@ -144,6 +157,7 @@ async def plan(request: Request, found: OwnElement, owner: Caller, here: Here) -
 @router.post(
     "/elements/{element}/mark",
     response_model_exclude_none=True,
+    responses=refusals(404, 413, 422, 507),
     openapi_extra=_described(Marking),
     summary="Mark a panel as cut, glued or broken",
 )
@@ -157,6 +171,7 @@ async def mark(request: Request, found: OwnElement, owner: Caller, here: Here) -
 @router.post(
     "/elements/{element}/report",
     status_code=201,
+    responses=refusals(404, 429, 507),
     response_model_exclude_none=True,
     summary="Report on what was planned",
 )
@@ -166,14 +181,19 @@ def report(found: OwnElement, owner: Caller, here: Here) -> JobOut:
     return here.elements.report(owner, found)
 
 
-@router.post("/elements/{element}/cancel", response_model_exclude_none=True, summary="Cancel an element")
+@router.post(
+    "/elements/{element}/cancel",
+    responses=refusals(404),
+    response_model_exclude_none=True,
+    summary="Cancel an element",
+)
 def cancel(found: OwnElement, here: Here) -> ElementPanels:
     """What of it waits or runs is cancelled: its division, its panels, a report."""
     here.elements.cancel(found)
     return here.elements.get(found)
 
 
-@router.delete("/elements/{element}", status_code=204, summary="Delete an element")
+@router.delete("/elements/{element}", responses=refusals(404), status_code=204, summary="Delete an element")
 def delete(found: OwnElement, here: Here) -> Response:
     """What of it waits or runs is cancelled; panels that were planned stay as jobs."""
     here.elements.delete(found)

@@ -256,9 +256,9 @@ def _cannot_open(url: str, error: Exception) -> Issue:
     return Issue("service.database", f"database {shown}: {what}", field="database")
 
 
-API: Final = 4
+API: Final = 5
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
-data. 4: readiness, jobs that are tried again."""
+data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -355,7 +355,7 @@ class PanelOut(Sent):
     job: str | None = Field(None, description="the job that plans it")
     state: State | Literal["not_planned"] = "not_planned"
     stage: str = ""
-    cycle_s: float | None = Field(None, description="time of its programs [s]")
+    cycle_s: float | None = Field(None, description="time from first to last target [s]")
     issue: Issue | None = Field(None, description="the first of what stands in its way")
     mark: Mark | None = None
 
@@ -414,6 +414,16 @@ class LinkOut(Sent):
     expires: dt.datetime
 
 
+class LookedAt(Sent):
+    """At how many targets a check looked."""
+
+    targets: int = Field(description="targets that were looked at")
+    of: int = Field(description="targets that there are")
+    placed: bool = Field(
+        description="whether the block's place is stated, or found: a first look tries few places"
+    )
+
+
 class CheckOut(Sent):
     """What is known of a problem without planning it. ``summary``: arms, operations, and the boxes of stock
     and part [mm] in the stock's frame."""
@@ -424,6 +434,7 @@ class CheckOut(Sent):
     processes: list[str]
     summary: dict[str, Any]
     issues: list[Issue]
+    looked_at: LookedAt | None = Field(default=None, description="where reach was tested")
 
 
 class Health(Sent):

@@ -30,7 +30,7 @@ from sqlalchemy.exc import SQLAlchemyError
 import planner
 from planner.catalogue.issue_codes import CODES
 from planner.issues import Issue, has_errors
-from planner.service.answers import MadeFile, is_known, stored_file
+from planner.service.answers import MadeFile, is_known, stored_file, tagged
 from planner.service.jobs import Stream
 from planner.service.models import (
     API,
@@ -45,6 +45,7 @@ from planner.service.models import (
     JobOut,
     Kind,
     LinkOut,
+    LookedAt,
     Ready,
     Refusal,
     State,
@@ -83,7 +84,18 @@ REFUSALS: Final = {
     507: {"model": Refusal, "description": "no room for more files; see /v1/storage"},
     429: {"model": Refusal, "description": "too many jobs or streams; see Retry-After"},
 }
-"""Refusals that every request may get, by HTTP status."""
+"""Refusals by HTTP status."""
+
+
+def refusals(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """How the description of the interface tells of the refusals of one address."""
+    return {status: REFUSALS[status] for status in statuses}
+
+
+ASKED: Final = refusals(401, 403, 503)
+"""Refusals of every address that asks who asks."""
+UPLOADED: Final = refusals(413, 422, 429, 507)
+"""Refusals of what takes an upload."""
 
 
 def service(request: Request) -> Service:
@@ -212,12 +224,12 @@ def _figure(name: str, kind: str, about: str, rows: Iterable[tuple[Mapping[str, 
     return "\n".join([*lines, ""])
 
 
-about_router: Final = APIRouter(tags=["about"], responses=REFUSALS)  # type: ignore[arg-type]
+about_router: Final = APIRouter(tags=["about"])
 
 
 @about_router.get(
     "/v1/health",
-    responses={503: {"model": Health}},
+    responses={**refusals(403), 503: {"model": Health}},
     response_model_exclude_none=True,
     summary="Whether the process works",
 )
@@ -242,7 +254,9 @@ def health(here: Here, response: Response) -> Health:
 
 
 @about_router.get(
-    "/v1/ready", responses={503: {"model": Ready}}, summary="Whether jobs are taken and planned"
+    "/v1/ready",
+    responses={**refusals(403), 503: {"model": Ready}},
+    summary="Whether jobs are taken and planned",
 )
 def ready(here: Here, response: Response) -> Ready:
     """Needs no token. 503 with Retry-After while the database is away, the disk full, or nothing is planned:
@@ -254,14 +268,16 @@ def ready(here: Here, response: Response) -> Ready:
     return Ready(ready=not issues, issues=issues)
 
 
-@about_router.get("/metrics", response_class=PlainTextResponse, summary="Figures for Prometheus")
+@about_router.get(
+    "/metrics", responses=ASKED, response_class=PlainTextResponse, summary="Figures for Prometheus"
+)
 def metrics(owner: Caller, here: Here) -> PlainTextResponse:
     """In Prometheus's text format."""
     del owner
     return PlainTextResponse(text(here), media_type="text/plain; version=0.0.4; charset=utf-8")
 
 
-@about_router.get("/v1/processes", summary="The processes")
+@about_router.get("/v1/processes", responses=ASKED, summary="The processes")
 def known_processes(owner: Caller) -> dict[str, str]:
     """What each one does, by the word that problem files use."""
     del owner
@@ -270,7 +286,11 @@ def known_processes(owner: Caller) -> dict[str, str]:
     return {name: " ".join((m.__doc__ or "").split()) for name, m in processes.schemas().items()}
 
 
-@about_router.get("/v1/processes/{name}/schema", summary="JSON schema of a process's operation")
+@about_router.get(
+    "/v1/processes/{name}/schema",
+    responses=ASKED | refusals(404),
+    summary="JSON schema of a process's operation",
+)
 def process_schema(name: str, owner: Caller) -> dict[str, Any]:
     """The fields of an operation, with ranges, defaults and help; units end their names."""
     del owner
@@ -279,7 +299,7 @@ def process_schema(name: str, owner: Caller) -> dict[str, Any]:
     return catalogue.process(name)
 
 
-@about_router.get("/v1/schema", summary="JSON schema of problem files")
+@about_router.get("/v1/schema", responses=ASKED, summary="JSON schema of problem files")
 def problem_schema(owner: Caller) -> dict[str, Any]:
     """The whole file with the operations of all processes."""
     del owner
@@ -288,7 +308,7 @@ def problem_schema(owner: Caller) -> dict[str, Any]:
     return catalogue.problem_file()
 
 
-@about_router.get("/v1/catalogue/{kind}", summary="What is built in")
+@about_router.get("/v1/catalogue/{kind}", responses=ASKED | refusals(422), summary="What is built in")
 def catalogue_of(kind: Kind, owner: Caller) -> Catalogue:
     """Robots and materials with the sources of their figures, tools with their schemas, cells as problem
     files may have them inside."""
@@ -298,20 +318,20 @@ def catalogue_of(kind: Kind, owner: Caller) -> Catalogue:
     return Catalogue(entries=catalogue.entries(kind))
 
 
-@about_router.get("/v1/issues", summary="Issue codes")
+@about_router.get("/v1/issues", responses=ASKED, summary="Issue codes")
 def issue_codes(owner: Caller) -> dict[str, str]:
     """Every code with its meaning."""
     del owner
     return {code: row.meaning for code, row in CODES.items()}
 
 
-@about_router.get("/v1/storage", summary="Room for files")
+@about_router.get("/v1/storage", responses=ASKED, summary="Room for files")
 def storage(owner: Caller, here: Here) -> Storage:
     """What your files take, and may take."""
     return Storage(used_mb=here.storage.used(owner) / 1e6, limit_mb=here.limits.token_disk_mb)
 
 
-@about_router.post("/v1/session", status_code=204, summary="Log a browser in")
+@about_router.post("/v1/session", responses=ASKED, status_code=204, summary="Log a browser in")
 def log_in(request: Request, owner: Caller, here: Here) -> Response:
     """Sets a cookie in exchange for the token of the Authorization header; pages cannot read it."""
     response = Response(status_code=204)
@@ -327,7 +347,9 @@ def log_in(request: Request, owner: Caller, here: Here) -> Response:
     return response
 
 
-@about_router.delete("/v1/session", status_code=204, summary="Log a browser out")
+@about_router.delete(
+    "/v1/session", responses=refusals(403, 503), status_code=204, summary="Log a browser out"
+)
 def log_out(here: Here, tandem_session: Annotated[str | None, Cookie()] = None) -> Response:
     """Ends the session of the cookie."""
     if tandem_session is not None:
@@ -337,7 +359,7 @@ def log_out(here: Here, tandem_session: Annotated[str | None, Cookie()] = None) 
     return response
 
 
-job_router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=REFUSALS)  # type: ignore[arg-type]
+job_router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=ASKED)
 UPLOADS: Final = {"requestBody": documented({"$ref": "#/components/schemas/ProblemFile"})}
 """How the description of the interface tells of a body that is a problem."""
 TYPES: Final = {
@@ -355,6 +377,8 @@ PARTS: Final[dict[int | str, dict[str, Any]]] = {
     416: {"description": "a `Range` beyond the end", "content": {"text/plain": {}}},
 }
 """Answers of files beside the whole one."""
+KNOWN: Final[dict[int | str, dict[str, Any]]] = {304: PARTS[304]}
+"""The answer of lists beside the whole one."""
 SANDBOX: Final = "sandbox allow-scripts allow-downloads allow-popups; frame-ancestors 'self'"
 """What is in a report came from a user: it runs apart from this site, without its cookies."""
 PAGE_SIZE: Final = 50
@@ -379,6 +403,7 @@ EVENT_SCHEMA: Final = {
     "/jobs",
     status_code=201,
     response_model_exclude_none=True,
+    responses=UPLOADED,
     openapi_extra=UPLOADS,
     summary="Plan a problem",
 )
@@ -403,17 +428,35 @@ async def create(
 
 
 @job_router.post(
-    "/check", response_model_exclude_none=True, openapi_extra=UPLOADS, summary="Validate without planning"
+    "/check",
+    response_model_exclude_none=True,
+    responses=UPLOADED,
+    openapi_extra=UPLOADS,
+    summary="Validate without planning",
 )
 async def check(
     request: Request,
     owner: Caller,
     here: Here,
     reach: Annotated[bool, Query(description="make the targets and test their reach too")] = False,
+    targets: Annotated[
+        int | None,
+        Query(
+            ge=1,
+            le=1000,
+            description="a first look: reach and clearance of about so many targets, one by one",
+        ),
+    ] = None,
 ) -> CheckOut:
-    """Read a problem and say what is in its way; a file that cannot be read is 422."""
+    """Read a problem and say what is in its way; a file that cannot be read is 422. A first look, at some
+    ``targets`` evenly spread, is quick and says nothing of what lies between them; ``looked_at`` tells the
+    share. Whether there is a way through all of them, ``reach`` alone tells. Who hangs up ends the check."""
     upload = await take_upload(request, here.storage, owner, here.limits)
-    read = await here.in_turn(request, owner, lambda reading: here.examine(upload, reach, reading=reading))
+    far = reach or targets is not None
+    some = None if reach else targets
+    read = await here.in_turn(
+        request, owner, lambda reading: here.examine(upload, far, reading=reading, targets=some)
+    )
     return CheckOut(
         ok=not has_errors(read.issues),
         name=read.name,
@@ -421,23 +464,28 @@ async def check(
         processes=list(read.processes),
         summary=dict(read.summary),
         issues=list(read.issues),
+        looked_at=None if read.looked_at is None else LookedAt(**read.looked_at),
     )
 
 
-@job_router.get("/jobs", response_model_exclude_none=True, summary="List your jobs")
+@job_router.get("/jobs", response_model=JobList, responses=KNOWN | refusals(422), summary="List your jobs")
 def page(
+    request: Request,
     owner: Caller,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: CURSOR = None,
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
-) -> JobList:
-    """The newest first, a page at a time."""
+) -> Response:
+    """The newest first, a page at a time; 304 for who asks again with ``If-None-Match`` and has it as it
+    is."""
     found, following = here.jobs.page(owner, state or [], cursor, limit)
-    return JobList(jobs=found, next=following)
+    return tagged(request, JobList(jobs=found, next=following))
 
 
-@job_router.get("/jobs/{job}", response_model_exclude_none=True, summary="State of a job")
+@job_router.get(
+    "/jobs/{job}", responses=refusals(404), response_model_exclude_none=True, summary="State of a job"
+)
 def get(found: OwnJob) -> JobOut:
     """State, stage, issues, figures."""
     return found
@@ -447,7 +495,10 @@ def get(found: OwnJob) -> JobOut:
     "/jobs/{job}/events",
     summary="Events of a job as they happen",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {"schema": EVENT_SCHEMA}}}},
+    responses={
+        200: {"content": {"text/event-stream": {"schema": EVENT_SCHEMA}}},
+        **refusals(404, 422, 429),
+    },
 )
 def events(
     found: OwnJob,
@@ -464,28 +515,35 @@ def events(
     return Stream(here.hub, owner, found.id, after)
 
 
-@job_router.post("/jobs/{job}/cancel", response_model_exclude_none=True, summary="Cancel a job")
+@job_router.post(
+    "/jobs/{job}/cancel", responses=refusals(404), response_model_exclude_none=True, summary="Cancel a job"
+)
 def cancel(found: OwnJob, here: Here) -> JobOut:
     """A job that waits is cancelled at once; one that runs has its worker stopped within a second or two.
     One that has ended stays as it is."""
     return here.jobs.cancel(found.id)
 
 
-@job_router.post("/jobs/{job}/retry", response_model_exclude_none=True, summary="Plan a job again")
+@job_router.post(
+    "/jobs/{job}/retry",
+    responses=refusals(404, 409, 429),
+    response_model_exclude_none=True,
+    summary="Plan a job again",
+)
 def retry(found: OwnJob, here: Here) -> JobOut:
     """A job that crashed, met a limit or was cancelled waits again, as if it had come now. 409 for one that
     waits or runs, and for one whose end the problem alone decides: it would end so again."""
     return here.jobs.retry(found.id)
 
 
-@job_router.delete("/jobs/{job}", status_code=204, summary="Delete a job")
+@job_router.delete("/jobs/{job}", responses=refusals(404), status_code=204, summary="Delete a job")
 def delete(found: OwnJob, here: Here) -> Response:
     """Delete a job with its files; one that runs is cancelled."""
     here.jobs.cancel(found.id, also_delete=True)
     return Response(status_code=204)
 
 
-@job_router.get("/jobs/{job}/files", summary="Files of a job")
+@job_router.get("/jobs/{job}/files", responses=refusals(404), summary="Files of a job")
 def files(found: OwnJob, here: Here) -> FileList:
     """Its problem (``problem/...``), and its results when it has ended."""
     known = here.jobs.files(found.id)
@@ -496,7 +554,11 @@ def files(found: OwnJob, here: Here) -> FileList:
     "/jobs/{job}/files/{name:path}",
     summary="A file of a job",
     response_class=FileResponse,
-    responses={200: {"content": {"application/octet-stream": {"schema": {"type": "string"}}}}, **PARTS},
+    responses={
+        200: {"content": {"application/octet-stream": {"schema": {"type": "string"}}}},
+        **PARTS,
+        **refusals(404, 422),
+    },
 )
 def file(
     found: Annotated[JobOut, Depends(job_to_read)],
@@ -517,7 +579,7 @@ def file(
     return stored_file(request, here.files.path(blob.sha), blob.sha, content_type(name), headers, saved_as)
 
 
-@job_router.post("/jobs/{job}/links", summary="Link to a file of a job")
+@job_router.post("/jobs/{job}/links", responses=refusals(404, 422), summary="Link to a file of a job")
 def link(
     found: OwnJob,
     here: Here,
@@ -540,6 +602,7 @@ def link(
     responses={
         200: {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}},
         **PARTS,
+        **refusals(404),
     },
 )
 def programs(found: OwnJob, here: Here, request: Request) -> Response:

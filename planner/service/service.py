@@ -191,7 +191,12 @@ class Service:
         self._lock.close()
 
     def examine(
-        self, upload: Upload, reach: bool = False, draw: bool = False, reading: Reading | None = None
+        self,
+        upload: Upload,
+        reach: bool = False,
+        draw: bool = False,
+        reading: Reading | None = None,
+        targets: int | None = None,
     ) -> Examined:
         """Read an upload; one that was read is known again. Raises :class:`RefusedError`, 413, 422, or 499
         where ``reading`` is broken off."""
@@ -199,6 +204,7 @@ class Service:
             upload.problem.sha,
             reach,
             draw,
+            targets,
             sorted((name, blob.sha) for name, blob in upload.files.items()),
         ]
         key = hashlib.sha256(json.dumps(rows).encode()).hexdigest()
@@ -207,7 +213,7 @@ class Service:
         if known is None:
             uploads = {name: self.files.path(blob.sha) for name, blob in upload.files.items()}
             problem = self.files.path(upload.problem.sha)
-            known = _readable(self._examiners.examine(problem, uploads, reach, draw, reading))
+            known = _readable(self._examiners.examine(problem, uploads, reach, draw, reading, targets))
             if draw:  # pictures are large, and asked for once
                 return known
             with self._read_lock:

@@ -1,15 +1,20 @@
 """Processes that read what users upload, with limits of time and memory; a JSON line to and fro for each.
 
-A process that takes too long, too much memory or dies costs the one request that it was at.
+A process that takes too long, too much memory or dies costs the one request that it was at. Who reads is
+forked from a parent that has imported what reading needs, Drake once it is asked for: a reading that is
+broken off, as each change of an edited problem breaks off the check of the one before, costs a fork.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import gc
 import json
 import os
 import queue
 import resource
+import select
+import signal
 import subprocess
 import sys
 import tempfile
@@ -17,7 +22,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TextIO
 
 from planner.batch.workers import THREADS, module_path
 from planner.issues import Issue
@@ -25,6 +30,8 @@ from planner.service.security import RefusedError
 
 MB: Final = 1 << 20
 """Bytes of a megabyte, as limits of memory are counted (2^20)."""
+KEPT: Final = "targets"
+"""The folder of targets that are kept, beside those of readings."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,6 +47,7 @@ class Examined:
     files: Mapping[str, str] = dataclasses.field(default_factory=dict)
     summary: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     shapes: tuple[Mapping[str, Any], ...] = ()
+    looked_at: Mapping[str, Any] | None = None
 
     @property
     def readable(self) -> bool:
@@ -47,27 +55,101 @@ class Examined:
         return bool(self.text)
 
 
+class Reader:
+    """A process that reads what it is asked, one at a time, and its parent, which forks the next one."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+        self._begun = self._ending = False
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can be asked."""
+        return self._process.poll() is None
+
+    def renew(self) -> None:
+        """End who reads, and with it what is asked; another one takes its place."""
+        self._ending = True
+        self._process.send_signal(signal.SIGUSR2)
+
+    def end(self) -> None:
+        """End both."""
+        self._process.kill()
+        self._process.wait()
+
+    def ask(self, line: str) -> list[Any] | None:
+        """The answer to one line; None where who reads has ended."""
+        if not self._begun and not self._wait():
+            return None
+        if self._process.stdin is None:
+            raise RuntimeError("a reader has no pipes")
+        try:
+            self._process.stdin.write(line + "\n")
+            self._process.stdin.flush()
+        except OSError:
+            return None
+        answer = self._line()
+        found = _json_of(answer)
+        self._begun = found is not None
+        return found
+
+    def settle(self) -> None:
+        """Wait for the one that takes the place of who was ended; nobody calls :meth:`renew` any more."""
+        if self._ending or not self._begun:
+            self._ending = self._begun = False
+            if not self._wait():
+                self.end()
+
+    def _wait(self) -> bool:
+        """Whether somebody reads from now on."""
+        while not self._begun:
+            line = self._line()
+            if not line:
+                return False
+            self._begun = line == BEGUN
+        return True
+
+    def _line(self) -> str:
+        if self._process.stdout is None:
+            raise RuntimeError("a reader has no pipes")
+        return self._process.stdout.readline()
+
+
+BEGUN: Final = "reading\n"
+"""The line with which a process that reads begins."""
+
+
+def _json_of(line: str) -> list[Any] | None:
+    """A whole answer; None of what is broken off."""
+    if not line.endswith("\n"):
+        return None
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return None
+    return found if isinstance(found, list) else None
+
+
 class Reading:
     """One reading of an upload, which another thread can break off."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._process: subprocess.Popen[str] | None = None
+        self._reader: Reader | None = None
         self.off = False
 
-    def by(self, process: subprocess.Popen[str] | None) -> None:
-        """Name the process that reads, or None when it has read."""
+    def by(self, reader: Reader | None) -> bool:
+        """Name who reads, or None when it has read; whether the reading is still wanted."""
         with self._lock:
-            self._process = process
-            if self.off and process is not None:
-                process.kill()
+            self._reader = None if self.off else reader
+            return not self.off
 
     def break_off(self) -> None:
-        """End the reading, and the process with it."""
+        """End the reading, and who reads with it."""
         with self._lock:
             self.off = True
-            if self._process is not None:
-                self._process.kill()
+            if self._reader is not None:
+                self._reader.renew()
 
 
 class Examiners:
@@ -76,10 +158,11 @@ class Examiners:
     def __init__(self, count: int, scratch: Path, seconds: float, memory_mb: float, mesh_facets: int) -> None:
         self._scratch, self._seconds, self._memory = scratch, seconds, memory_mb
         self._facets = mesh_facets
-        self._idle: queue.Queue[subprocess.Popen[str] | None] = queue.Queue()
+        self._idle: queue.LifoQueue[Reader | None] = queue.LifoQueue()  # the warm one before the others
         for _ in range(count):
             self._idle.put(None)
-        self._all: set[subprocess.Popen[str]] = set()
+        self._all: set[Reader] = set()
+        self._kept = scratch / KEPT
         self._closed = False
         # the kernel ends a process with the thread that made it, so one thread makes them all and stays
         self._maker = ThreadPoolExecutor(1, "tandem-examiners")
@@ -91,10 +174,12 @@ class Examiners:
         reach: bool = False,
         draw: bool = False,
         reading: Reading | None = None,
+        targets: int | None = None,
     ) -> Examined:
         """As :func:`planner.service.upload_reader.examine`, in a process of its own; raises
         :class:`RefusedError`, 503, where the service stops meanwhile, 499 where ``reading`` is broken off."""
         more = {"problem": str(problem), "reach": reach, "draw": draw, "facets": self._facets}
+        more |= {"targets": targets, "kept": str(self._kept)}
         return self._asked("examine", uploads, more, reading)[0]
 
     def examine_element(
@@ -119,38 +204,36 @@ class Examiners:
         self, what: str, files: Mapping[str, Path], more: Mapping[str, Any], reading: Reading | None
     ) -> list[Examined]:
         reading = reading or Reading()
-        process = self._idle.get()
+        reader = self._idle.get()
         try:
             if self._closed:
                 raise _stopping()
             with tempfile.TemporaryDirectory(dir=self._scratch, prefix="examine-") as folder:
-                if process is None or process.poll() is not None:
-                    process = self._started()
+                if reader is None or not reader.alive:
+                    reader = self._started()
                 given = {name: str(path) for name, path in files.items()}
-                return self._ask(process, {"what": what, "folder": folder, "files": given, **more}, reading)
+                return self._ask(reader, {"what": what, "folder": folder, "files": given, **more}, reading)
         finally:
-            self._idle.put(process)
+            self._idle.put(reader)
 
     def close(self) -> None:
         """End the processes, and with them what they are asked."""
         self._closed = True
         self._maker.shutdown(cancel_futures=True)
-        for process in list(self._all):
-            process.kill()
-            process.wait()
+        for reader in list(self._all):
+            reader.end()
 
-    def _started(self) -> subprocess.Popen[str]:
+    def _started(self) -> Reader:
         try:
-            process = self._maker.submit(self._start).result()
+            reader = self._maker.submit(self._start).result()
         except (RuntimeError, CancelledError):  # closed meanwhile
             raise _stopping() from None
         if self._closed:  # it began while the others were ended
-            process.kill()
-            process.wait()
-        return process
+            reader.end()
+        return reader
 
-    def _start(self) -> subprocess.Popen[str]:
-        self._all = {process for process in self._all if process.poll() is None}
+    def _start(self) -> Reader:
+        self._all = {reader for reader in self._all if reader.alive}
         process = subprocess.Popen(
             [
                 sys.executable,
@@ -167,38 +250,36 @@ class Examiners:
             env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": module_path()},
             process_group=0,  # Ctrl-C is for the service, which ends them
         )
-        self._all.add(process)
-        return process
+        reader = Reader(process)
+        self._all.add(reader)
+        return reader
 
-    def _ask(
-        self, process: subprocess.Popen[str], asked: Mapping[str, Any], reading: Reading
-    ) -> list[Examined]:
-        late = threading.Event()
-
-        def stop() -> None:
-            late.set()
-            process.kill()
-
-        timer = threading.Timer(self._seconds, stop)
+    def _ask(self, reader: Reader, asked: Mapping[str, Any], reading: Reading) -> list[Examined]:
+        limit = Reading()  # ends the reading as somebody who hangs up does
+        timer = threading.Timer(self._seconds, limit.break_off)
         timer.daemon = True
+        if not reading.by(reader):
+            raise connection_closed()
+        limit.by(reader)
         timer.start()
-        reading.by(process)
         try:
-            answer = _exchange(process, json.dumps(asked))
+            answer = reader.ask(json.dumps(asked))
         finally:
             reading.by(None)
+            limit.by(None)
             timer.cancel()
-        if answer:
-            return [_from_json(one) for one in json.loads(answer)]
-        process.kill()
-        process.wait()
+        if answer is not None:
+            if not self._closed:
+                reader.settle()
+            return [_from_json(one) for one in answer]
         if self._closed:
             raise _stopping()
+        reader.settle()
         if reading.off:
             raise connection_closed()
         what = (
             f"took more than {self._seconds:g} s"
-            if late.is_set()
+            if limit.off
             else f"needs more than the {self._memory:g} MB that reading may take, or broke off"
         )
         message = f"the problem {what}; make its meshes, tables and step counts smaller"
@@ -215,19 +296,6 @@ def connection_closed() -> RefusedError:
     return RefusedError(499, Issue("service.request", "the connection was closed; send the request again"))
 
 
-def _exchange(process: subprocess.Popen[str], line: str) -> str:
-    """The answer to one line; nothing where the process is gone."""
-    if process.stdin is None or process.stdout is None:
-        raise RuntimeError("an examiner has no pipes")
-    try:
-        process.stdin.write(line + "\n")
-        process.stdin.flush()
-    except OSError:
-        return ""
-    answer = process.stdout.readline()
-    return answer if answer.endswith("\n") else ""
-
-
 def _to_json(examined: Examined) -> dict[str, Any]:
     return {**dataclasses.asdict(examined), "issues": [issue.to_dict() for issue in examined.issues]}
 
@@ -239,9 +307,9 @@ def _from_json(data: dict[str, Any]) -> Examined:
 
 
 def serve() -> None:
-    """Answer requests from standard input until it ends."""
+    """Fork who reads, and another one whenever it is ended, until standard input ends."""
     from planner.batch.worker import end_with
-    from planner.service.upload_reader import examine, examine_element, examine_panels
+    from planner.service import upload_reader  # noqa: F401
 
     end_with(int(sys.argv[1]))
     limit = int(float(sys.argv[2]) * MB)
@@ -249,9 +317,66 @@ def serve() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print is no answer
+    child = 0
+
+    def end_child(*_: object) -> None:
+        if child:
+            os.kill(child, signal.SIGKILL)
+
+    signal.signal(signal.SIGUSR1, _get_ready)
+    signal.signal(signal.SIGUSR2, end_child)
+    own, status = os.getpid(), -1
+    while status != 0:
+        gc.freeze()
+        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        child = os.fork()
+        if child == 0:
+            for number in SIGNALS:
+                signal.signal(number, signal.SIG_DFL)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+            end_with(own)
+            _drain(0)
+            answers.write("\n" + BEGUN)  # what another one had begun to write ends here
+            answers.flush()
+            _read_on(answers)
+            os._exit(0)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+        _, status = os.waitpid(child, 0)
+        child = 0
+
+
+SIGNALS: Final = (signal.SIGUSR1, signal.SIGUSR2)
+"""What the parent of who reads is told: that Drake is wanted, and that who reads is to be ended."""
+
+
+def _drain(pipe: int) -> None:
+    """Drop the request that was on its way to another one that has been ended."""
+    last = b"\n"
+    while last != b"\n" or select.select([pipe], [], [], 0.0)[0]:
+        read = os.read(pipe, 1 << 16)
+        if not read:
+            break
+        last = read[-1:]
+
+
+def _get_ready(*_: object) -> None:
+    from planner import pipeline
+
+    pipeline.ready()
+
+
+def _read_on(answers: TextIO) -> None:
+    """Answer requests from standard input until it ends."""
+    from planner.cell import plant
+    from planner.service.upload_reader import examine, examine_element, examine_panels
+
+    models = plant.keep_models()
     for line in sys.stdin:
         asked = json.loads(line)
+        if asked.get("reach") and "planner.motion.solve" not in sys.modules:
+            os.kill(os.getppid(), signal.SIGUSR1)
         folder, files = Path(asked["folder"]), {name: Path(path) for name, path in asked["files"].items()}
+        models.next_job()
         try:
             if asked["what"] == "examine_panels":
                 found = examine_panels(folder, files, asked["panels"])
@@ -259,8 +384,9 @@ def serve() -> None:
                 element = Path(asked["element"])
                 found = [examine_element(folder, element, files, asked["facets"], asked["fields"])]
             else:
-                problem = Path(asked["problem"])
-                found = [examine(folder, problem, files, asked["facets"], asked["reach"], asked["draw"])]
+                given = (folder, Path(asked["problem"]), files, asked["facets"])
+                more = (asked["reach"], asked["draw"], asked["targets"], Path(asked["kept"]))
+                found = [examine(*given, *more)]
             answer = json.dumps([_to_json(one) for one in found])
         except MemoryError:
             os._exit(1)  # who asked says what it means

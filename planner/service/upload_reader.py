@@ -43,6 +43,7 @@ from planner.reading import problem as problem_file
 from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Document
 from planner.report.raster import part_meshes
+from planner.service import kept_targets
 from planner.service.upload_processes import Examined
 
 NOWHERE: Final = "files/not-uploaded"
@@ -496,11 +497,14 @@ def examine(
     facets: int,
     reach: bool = False,
     draw: bool = False,
+    targets: int | None = None,
+    kept: Path | None = None,
 ) -> Examined:
     """Read the problem in the file ``problem``; ``uploads`` {name that the user gave: stored file}.
 
     ``folder`` is an empty one for this call alone. A mesh has at most ``facets``, three vertices for each.
-    With ``reach`` the targets are made and reach is tested, with ``draw`` there are ``shapes`` for the page.
+    With ``reach`` the targets are made and reach is tested, at about so many ``targets`` where they are
+    given; those made are kept in the folder ``kept``. With ``draw`` there are ``shapes`` for the page.
     """
     faults = [*_archives(uploads), *_large_meshes(uploads, facets)]
     if faults:
@@ -517,10 +521,15 @@ def examine(
     files = problem_file.bundle(read)
     text = files.pop(PROBLEM).decode()
     found = [*(read.part.notes if read.part is not None else ()), *read.notes]
+    looked_at: dict[str, Any] | None = None
     if reach:
         from planner import pipeline  # loads Drake
 
-        found += [issue for issue in pipeline.check(read) if issue not in found]
+        make = None if kept is None else kept_targets.maker(kept, read, alike=targets is not None)
+        looked = pipeline.looked_over(read, targets, make)
+        found += [issue for issue in looked.issues if issue not in found]
+        if looked.of:
+            looked_at = {"targets": looked.targets, "of": looked.of, "placed": looked.placed}
     drawn: list[dict[str, Any]] = []
     if draw:
         drawn, faults = shapes(read)
@@ -534,6 +543,7 @@ def examine(
         files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
         summary=_summary(read),
         shapes=tuple(drawn),
+        looked_at=looked_at,
     )
 
 

@@ -20,6 +20,8 @@ from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.krl.parser import without_comments
 from planner.verify.rapid.lexer import Cursor
+from planner.verify.replay import arm_model
+from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.replay.motion import differences
 from planner.verify.rules.wire import feed_speed
 from planner.verify.urscript.parser import without_comments as without_hash_comments
@@ -123,7 +125,7 @@ def series(
     wire_clearance: list[FloatArray],
 ) -> dict[str, Any]:
     """Names and units as they are: SI, per arm ``joints/<arm>`` (S, 6), ``speed/<arm>``,
-    ``acceleration/<arm>``, ``tcp_speed/<arm>``.
+    ``acceleration/<arm>``, ``tcp_speed/<arm>``, ``singular/<arm>`` (S,) [rad] off singular postures.
 
     The motion is thinned to a few thousand samples, extremes of speeds and accelerations kept within each.
     ``clearance/...`` over the looks of the clearance rule, ``wire/<n>/...`` over the stations of each wire;
@@ -146,6 +148,12 @@ def series(
             step, spent = (np.diff(values[begin - 1 : end], axis=0) for values in (place, motion.time))
             way[begin:end] = lengths(step) / np.maximum(spent, 1e-6)
         out[f"tcp_speed/{arm}"] = _peaks(way[:, None], rows)[:, 0]
+    for task in context.job.tasks:
+        arm = task.arm.name
+        q, machine = motion.q[arm], arm_model.machine_of(task.arm.data)
+        parts = np.array_split(q, len(q) // _SAMPLES_AT_ONCE + 1)
+        near = np.concatenate([singularity_distance(machine, part) for part in parts])
+        out[f"singular/{arm}"] = np.minimum.reduceat(near, rows)
     out["targets/time"] = motion.time[motion.node_sample]
     out["targets/label"] = motion.node_label
     if clearance is not None:

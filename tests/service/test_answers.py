@@ -94,6 +94,22 @@ def test_what_a_browser_has_is_not_sent_again(done: tuple[InProcess, str], path:
     assert here.http.get(job + path, headers={"If-None-Match": '"other"'}).status_code == 200
 
 
+def test_a_list_that_is_asked_for_again_is_sent_when_it_has_changed(done: tuple[InProcess, str]) -> None:
+    here, _ = done
+    for path in ("/v1/jobs", "/v1/jobs?limit=1", "/v1/elements"):
+        first = here.http.get(path)
+        assert first.headers["content-type"] == "application/json"
+        again = here.http.get(path, headers={"If-None-Match": first.headers["etag"]})
+        assert (again.status_code, again.content) == (304, b""), path
+    known = {"If-None-Match": here.http.get("/v1/jobs").headers["etag"]}
+    job = here.post(named("another")).json()["id"]
+    changed = here.http.get("/v1/jobs", headers=known)
+    assert changed.status_code == 200 and changed.json()["jobs"][0]["id"] == job
+    here.ended(job)
+    last = here.http.get("/v1/jobs", headers={"If-None-Match": changed.headers["etag"]})
+    assert last.json()["jobs"][0] == here.http.get(f"/v1/jobs/{job}").json()
+
+
 def test_a_broken_download_of_programs_goes_on_where_it_was(done: tuple[InProcess, str]) -> None:
     here, job = done
     whole = here.http.get(f"{job}/programs.zip")

@@ -212,6 +212,20 @@ def test_check_can_test_reach(here: InProcess) -> None:
     assert "motion.no_reach" in [issue["code"] for issue in found["issues"]]
 
 
+def test_a_first_look_says_what_share_was_looked_at(here: InProcess) -> None:
+    count = len(small_problem.ROWS)
+    some = here.post(named("looked"), path="/v1/check?targets=3").json()
+    assert some["ok"]
+    assert some["looked_at"] == {"targets": 3, "of": count, "placed": True}
+    whole = here.post(named("looked"), path="/v1/check?reach=true").json()
+    assert whole["looked_at"] == {"targets": count, "of": count, "placed": True}
+    both = here.post(named("looked"), path="/v1/check?reach=true&targets=3").json()
+    assert both["looked_at"]["targets"] == count
+    assert "looked_at" not in here.post(named("looked"), path="/v1/check").json()
+    for wrong in ("0", "1001", "x"):
+        assert codes(here.post(path=f"/v1/check?targets={wrong}")) == [("service.request", "targets")]
+
+
 def test_a_problem_alone_may_be_the_body(here: InProcess) -> None:
     text = named("alone").replace("file: targets.csv, ", "")
     answer = here.http.post("/v1/jobs", content=text, headers={"Content-Type": "application/yaml"})

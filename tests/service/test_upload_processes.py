@@ -107,6 +107,32 @@ def test_a_closed_connection_ends_its_reading_and_its_waiting(tmp_path: Path) ->
     assert len(begun) == 1 and begun[0].off
 
 
+def test_who_reads_next_is_ready_after_a_reading_was_broken_off(tmp_path: Path) -> None:
+    """Ten checks of reach are broken off at different moments; each time the next one is answered, and
+    the process that has loaded Drake stays."""
+    small = small_problem.write(tmp_path)
+    uploads = {"targets.csv": tmp_path / "targets.csv"}
+    readers = Examiners(1, tmp_path, 60.0, 4096.0, 1000)
+    try:
+        assert readers.examine(small, uploads, True, targets=2).looked_at is not None
+        (reader,) = readers._all
+        for k in range(10):
+            reading = Reading()
+            with ThreadPoolExecutor(1) as pool:
+                asked = pool.submit(readers.examine, small, uploads, True, reading=reading)
+                time.sleep(0.01 * k)
+                reading.break_off()
+                try:
+                    asked.result(30)  # it may have been quicker
+                except RefusedError as error:
+                    assert error.status == 499
+            assert readers.examine(small, uploads).readable
+        assert readers._all == {reader} and reader.alive
+        assert readers.examine(small, uploads, True, targets=2).looked_at is not None
+    finally:
+        readers.close()
+
+
 def test_a_reading_that_is_broken_off_costs_its_process_alone(tmp_path: Path) -> None:
     large = tmp_path / "large.yaml"
     large.write_text("tandem: 1\na: [" + "x, " * 400_000 + "x]")

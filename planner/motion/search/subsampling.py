@@ -99,14 +99,14 @@ def few_of(cell: Cell, targets: Targets, count: int, shifted: bool) -> Few:
     """About ``count`` targets of a job, with samples of long shifts as well where ``shifted``."""
     rows = np.unique(np.linspace(0, targets.count - 1, min(count, targets.count)).round().astype(np.intp))
     few = subset(targets, rows)
-    values = _samples(few)
+    values = few_samples(few)
     if shifted:
         values = _shifted(few, values)
     index = np.repeat(np.arange(few.count), values.shape[1])
     return Few(cell, few, index, few.poses(values.reshape(len(index), -1), index))
 
 
-def _samples(targets: Targets) -> FloatArray:
+def few_samples(targets: Targets) -> FloatArray:
     """Values (N, S, F): what turns at every 30 degrees, slides in their middle; of many freedoms those
     that turn without end, at every 60 degrees."""
     rings = np.array([full_turn(f) for f in targets.freedoms], dtype=bool)

@@ -68,7 +68,7 @@ def answers(address: str, timeout_s: float = 60.0) -> None:
 
 def was_read(page: Page) -> None:
     """Wait until the problem was read; the check of the whole may go on."""
-    expect(page.locator("#verdict")).to_contain_text(re.compile("Testing|Ready|to correct"))
+    expect(page.locator("#verdict")).to_contain_text(re.compile("Looking|Testing|Ready|to correct"))
 
 
 def start(page: Page) -> None:
@@ -127,6 +127,19 @@ def test_a_whole_job_from_upload_to_download(
     expect(row).to_contain_text("small")
 
 
+def test_a_list_that_is_open_shows_jobs_that_others_send(page: Page, server: str, small: list[Path]) -> None:
+    page.goto(server)
+    page.locator("#rows tr, #empty").first.wait_for()
+    text = small[0].read_text()
+    small[0].write_text(text.replace("name: small", "name: sent_by_another"))
+    job = planner.Client(server).submit(planner.load(small[0]))
+    sent = page.locator("#rows tr", has_text="sent_by_another")
+    expect(sent).to_have_count(1)
+    expect(sent).to_contain_text("Verified", timeout=90_000)
+    planner.Client(server).delete(job)
+    expect(sent).to_have_count(0)
+
+
 def test_what_has_no_plan_says_what_where_and_what_to_do(page: Page, server: str) -> None:
     bundled(page, server, "infeasible/wire_too_short")
     expect(page.locator("#verdict")).to_contain_text("to correct", timeout=MOST_MS)
@@ -153,10 +166,11 @@ def test_what_has_no_plan_says_what_where_and_what_to_do(page: Page, server: str
 def test_ready_is_said_when_the_whole_was_checked(page: Page, server: str, small: list[Path]) -> None:
     """A stock that is metres away is found by the check of reach alone."""
     waiting: list[Route] = []
-    page.route(re.compile("/v1/check"), lambda route: waiting.append(route))
-    with page.expect_request(re.compile("/v1/check")):
+    page.route(re.compile("/v1/check.reach"), lambda route: waiting.append(route))
+    with page.expect_request(re.compile("/v1/check.reach")):
         open_problem(page, server, small)
     verdict, button = page.locator("#verdict"), page.get_by_role("button", name="Start planning")
+    expect(verdict).to_contain_text("Looked at 6 of 6 targets: no fault so far")
     expect(verdict).to_contain_text("Testing the part, the tools and the reach")
     expect(button).to_be_disabled()
     for route in waiting:
@@ -170,6 +184,34 @@ def test_ready_is_said_when_the_whole_was_checked(page: Page, server: str, small
     expect(verdict).to_contain_text("to correct", timeout=MOST_MS)
     expect(page.locator("#check-issues")).to_contain_text("reach")
     expect(button).to_be_disabled()
+
+
+def test_the_next_change_breaks_off_the_look_at_the_one_before(
+    page: Page, server: str, small: list[Path]
+) -> None:
+    waiting: list[Route] = []
+    page.route(re.compile("/v1/check.targets"), lambda route: waiting.append(route))
+    with page.expect_request(re.compile("/v1/check.targets")):
+        open_problem(page, server, small)
+    with page.expect_event("requestfailed", lambda asked: "/v1/check" in asked.url):
+        page.locator("#f-name").fill("renamed")
+    page.unroute_all(behavior="ignoreErrors")
+    expect(page.locator("#verdict")).to_contain_text("Ready", timeout=MOST_MS)
+
+
+def test_a_fault_of_the_first_look_is_told_while_the_whole_goes_on(
+    page: Page, server: str, small: list[Path]
+) -> None:
+    waiting: list[Route] = []
+    page.route(re.compile("/v1/check.reach"), lambda route: waiting.append(route))
+    text = small[0].read_text()
+    small[0].write_text(text.replace("robot: irb140", "robot: irb140\n      base: {xyz_mm: [-1900, 0, 0]}"))
+    with page.expect_request(re.compile("/v1/check.reach")):
+        open_problem(page, server, small)
+    expect(page.locator("#verdict")).to_contain_text("1 thing to correct; looked at 1 of 6 targets so far")
+    expect(page.locator("#check-issues")).to_contain_text("cannot reach")
+    expect(page.get_by_role("button", name="Start planning")).to_be_disabled()
+    page.unroute_all(behavior="ignoreErrors")
 
 
 def test_a_refusal_shows_at_its_field(page: Page, server: str, small: list[Path]) -> None:

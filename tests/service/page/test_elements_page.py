@@ -87,7 +87,7 @@ def test_an_element_is_divided_by_sliders_and_ticked_off(page: Page, server: str
     page.get_by_role("button", name="A01 glued").click()  # a tap that was wrong
     expect(page.locator("#told")).to_contain_text("0 are glued, 0 cut")
 
-    page.get_by_role("button", name="Make a job of A02").click()
+    page.get_by_role("button", name="Make job of A02").click()
     row = page.locator('[data-panel="A02"]')
     expect(row.get_by_role("link", name="Job of A02")).to_have_attribute("href", re.compile("/ui/jobs/"))
     page.get_by_role("button", name="Stop what waits").click()

@@ -211,7 +211,7 @@ function row(panel) {
       h("span", { class: `badge ${STATE_KIND[state]}` }, h("i", { "aria-hidden": "true" }), stateWords(panel).replace(/^./, (c) => c.toUpperCase())),
       panel.job ? h("a", { href: `/ui/jobs/${panel.job}`, "aria-label": `Job of ${own}`, data: { key: `job-${own}` } }, "job") : null,
       panel.state === "verified" ? h("a", { href: `/v1/jobs/${panel.job}/programs.zip`, "aria-label": `Programs of ${own}`, data: { key: `programs-${own}` } }, "programs") : null,
-      panel.job && !["refused", "not_planned"].includes(state) ? null : h("button", { type: "button", class: "small", "aria-label": `Make a job of ${own}${panel.job ? " again" : ""}`, data: { key: `plan-${own}` }, onclick: () => plan([own]) }, panel.job ? "Plan again" : "Make job"),
+      panel.job && !["refused", "not_planned"].includes(state) ? null : h("button", { type: "button", class: "small", "aria-label": `${panel.job ? "Plan again" : "Make job"} of ${own}`, data: { key: `plan-${own}` }, onclick: () => plan([own]) }, panel.job ? "Plan again" : "Make job"),
       panel.issue ? h("p", { class: "why" }, h("b", {}, panel.issue.code), " ", panel.issue.message, panel.issue.hint ? h("span", { class: "soft" }, ` What to do: ${panel.issue.hint}`) : null) : null,
     ),
     h("div", { class: "tick", role: "group", "aria-label": `${own} at the robot` }, Object.entries(MARKS).map(([mark, word]) => h("button", { type: "button", class: `mark-button ${mark}`, "aria-pressed": String(panel.mark === mark), "aria-label": `${own} ${word.toLowerCase()}`, data: { key: `${mark}-${own}` }, onclick: () => tick(panel, mark) }, panel.mark === mark ? icon(mark === "broken" ? "cross" : "check") : null, word))),
@@ -340,5 +340,8 @@ $("more").addEventListener("click", () => {
   drawList();
 });
 addEventListener("visibilitychange", () => !document.hidden && again(0));
-await refresh().then(drawReport).catch(failed);
+await refresh().then(drawReport).catch((error) => {
+  show($("missing"), !element);
+  failed(error);
+});
 if (!gone) again();

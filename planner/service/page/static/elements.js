@@ -7,6 +7,7 @@ import { ago, isOpen } from "./words.js";
 import { readYaml } from "./yaml.js";
 
 const EVERY = 2000;
+const SELDOM = 5000; // where nothing is under way: somebody else may send an element
 let elements = new Map();
 let next = null;
 let examples = {};
@@ -38,11 +39,11 @@ function row(one) {
 
 async function again() {
   try {
-    if (!document.hidden && ([...elements.values()].some((one) => isOpen(one.state)) || !$("banner").hidden)) await load();
+    if (!document.hidden) await load();
   } catch (error) {
     tell(error);
   } finally {
-    setTimeout(again, EVERY);
+    setTimeout(again, [...elements.values()].some((one) => isOpen(one.state)) || !$("banner").hidden ? EVERY : SELDOM);
   }
 }
 

@@ -293,5 +293,8 @@ $("sure").addEventListener("close", async () => {
   if ($("sure").returnValue !== "yes") return;
   await remove(path(id)).then(() => location.assign("/"), tell);
 });
-await refresh().catch(tell);
+await refresh().catch((error) => {
+  show($("missing"), !job);
+  tell(error);
+});
 if (job && isOpen(job.state)) listen();

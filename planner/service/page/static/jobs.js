@@ -12,6 +12,8 @@ const GROUPS = [
   ["Stopped", ["crashed", "timeout", "memory", "cancelled"]],
 ];
 const EVERY = 1500;
+const SELDOM = 5000; // where nothing is under way: somebody else may send a job
+let drawn = "";
 let group = Math.max(GROUPS.findIndex(([name]) => name === new URLSearchParams(location.search).get("show")), 0);
 let jobs = new Map();
 let next = null;
@@ -24,7 +26,10 @@ async function load(cursor = null) {
   if (!cursor) jobs = new Map([...page.jobs.map((one) => [one.id, one]), ...[...jobs].filter(([id]) => jobs.size > 50 && !page.jobs.some((one) => one.id === id))]);
   else for (const one of page.jobs) jobs.set(one.id, one);
   if (cursor || jobs.size <= 50) next = page.next ?? null;
-  draw();
+  const now = JSON.stringify([[...jobs.values()], next, group]);
+  if (now !== drawn) draw();
+  else for (const time of document.querySelectorAll("#rows time")) time.textContent = ago(time.dateTime); // what is marked stays
+  drawn = now;
   banner("");
 }
 
@@ -97,11 +102,11 @@ async function choose(i) {
 
 async function again() {
   try {
-    if (!document.hidden && (!jobs.size || [...jobs.values()].some((one) => isOpen(one.state)) || !$("banner").hidden)) await load();
+    if (!document.hidden) await load();
   } catch (error) {
     tell(error);
   } finally {
-    setTimeout(again, EVERY);
+    setTimeout(again, [...jobs.values()].some((one) => isOpen(one.state)) || !$("banner").hidden ? EVERY : SELDOM);
   }
 }
 
@@ -109,4 +114,5 @@ $("older").addEventListener("click", () => load(next).catch(tell));
 filters();
 await load().then(room).catch(tell);
 setTimeout(again, EVERY);
+addEventListener("visibilitychange", () => !document.hidden && load().catch(tell));
 

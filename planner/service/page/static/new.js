@@ -11,7 +11,9 @@ import { boxOf } from "./mesh.js";
 import { at, differences, put, Schema } from "./schema.js";
 import { drawExamples, drawProcesses, fromExample, fromFiles, fromJob } from "./start.js";
 import { Viewer } from "./viewer.js";
+import { number } from "./words.js";
 
+const FIRST_TARGETS = 40; // of the first look, which answers within two seconds
 const BY_ARM = ["arms", "arm", "held_by", "signals", "tools", "io"];
 const asked = new URLSearchParams(location.search);
 const state = { problem: {}, origin: {}, files: new Map(), given: new Map(), cell: {}, process: "", example: "", shown: "" };
@@ -204,7 +206,11 @@ async function check() {
     present(found.shapes, box ?? found.summary.stock_mm, "", found.summary.stock_mm);
     banner("");
     if (errors(found.issues).length) return tellIssues(found.issues, true);
-    say("busy", "Nothing is wrong with the file. Testing the part, the tools and the reach of every target …");
+    say("busy", "Nothing is wrong with the file. Looking at the reach and the clearance of some targets …");
+    const some = await (await post(`/v1/check?targets=${FIRST_TARGETS}`, { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
+    if (errors(some.issues).length) tellIssues(some.issues, true, some.looked_at);
+    if (!some.looked_at) return; // there are no targets
+    if (!errors(some.issues).length) say("busy", `${some.looked_at.placed ? `Looked at ${share(some.looked_at)} targets: no fault so far` : "None of the first places of the block will do: more are tried"}. Testing the part, the tools and the reach of every target …`);
     const whole = await (await post("/v1/check?reach=true", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
     tellIssues(whole.issues, true);
   } catch (error) {
@@ -225,16 +231,19 @@ function say(kind, text) {
   $("verdict").replaceChildren(...(kind === "busy" ? [] : [icon(kind === "ok" ? "check" : kind === "warn" ? "warning" : "cross")]), text);
 }
 
-function tellIssues(issues, readable) {
+const share = ({ targets, of }) => `${number(targets)} of ${number(of)}`;
+
+// looked: {targets, of} where only so many were looked at; then nothing is ready yet, whatever was found
+function tellIssues(issues, readable, looked = null) {
   // the page wrote the problem's text itself: its lines say nothing to the user
   state.issues = issues.map((issue) => ({ ...issue, field: issue.field ?? fieldOf(issue), line: issue.code.startsWith("problem.") ? undefined : issue.line }));
   atFields(state.issues);
   const wrong = errors(issues).length;
-  if (wrong) say("bad", `${wrong} thing${wrong > 1 ? "s" : ""} to correct${readable ? "" : " before it can be planned"}`);
+  if (wrong) say("bad", `${wrong} thing${wrong > 1 ? "s" : ""} to correct${readable ? "" : " before it can be planned"}${looked ? `; looked at ${share(looked)} targets so far` : ""}`);
   else if (issues.length) say("warn", `Ready, with ${issues.length} remark${issues.length > 1 ? "s" : ""}`);
   else say("ok", "Ready: the arms reach every target");
   $("check-issues").replaceChildren(...sorted(state.issues).map((issue) => issueItem(issue, { edit: goTo, removes, remove })));
-  $("go").disabled = wrong > 0;
+  $("go").disabled = wrong > 0 || looked !== null;
 }
 
 // Whether a field is in the problem and not in the form: a key that nobody knows.

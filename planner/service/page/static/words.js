@@ -55,7 +55,7 @@ export const STATES = {
 export const isOpen = (state) => state === "queued" || state === "running";
 
 const FIGURES = {
-  cycle_s: "Cycle time",
+  cycle_s: "Motion time, first to last target",
   targets: "Targets",
   path_cost: "Path cost",
   clearance_mm: "Least clearance",

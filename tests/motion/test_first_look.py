@@ -1,0 +1,200 @@
+"""A first look at some targets says of them what the whole check says, and no more."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner import pipeline, processes
+from planner.issues import has_errors
+from planner.motion.first_look import FirstLook
+from planner.problem import Problem
+from planner.reading import strict_yaml
+from planner.service.kept_targets import maker, seen
+from planner.targets import Targets
+from tests import small_forming, small_problem
+
+FAR = "2450,50,500,0.5,-0.5,0.5,0.5,20"
+POST = """
+  obstacles:
+    - {name: post, shapes: [{kind: box, size_mm: [30, 30, 100], pose: {xyz_mm: [460, 60, 500]}}]}
+"""
+
+
+def small(folder: Path, problem: str = small_problem.PROBLEM, rows: list[str] | None = None) -> Problem:
+    table = "\n".join([small_problem.COLUMNS, *(rows or small_problem.ROWS)]) + "\n"
+    return pipeline.load(small_problem.write(folder, problem, table))
+
+
+def dense(count: int) -> list[str]:
+    return [f"450,{y:.4f},500,0.5,-0.5,0.5,0.5,20" for y in np.linspace(-50, 50, count)]
+
+
+def test_targets_are_spread_evenly_over_operations_with_both_ends() -> None:
+    look = FirstLook((1000, 10, 1), 40)
+    first, second, third = (look.rows(k) for k in range(3))
+    assert first[0] == 0 and first[-1] == 999 and len(first) == 40
+    assert np.ptp(np.diff(first)) <= 1
+    assert second.tolist() == [0, 9]
+    assert third.tolist() == [0]
+
+
+def test_a_problem_with_a_path_has_no_fault_at_any_share(tmp_path: Path) -> None:
+    problem = small(tmp_path, rows=dense(60))
+    for most, looked in ((5, 5), (1000, 60)):
+        found = pipeline.looked_over(problem, most)
+        assert (found.targets, found.of) == (looked, 60)
+        assert not has_errors(found.issues)
+    whole = pipeline.looked_over(problem, None)
+    assert (whole.targets, whole.of) == (60, 60)
+    assert whole.issues == pipeline.check(problem)
+
+
+def test_what_is_out_of_reach_is_told_as_the_whole_check_tells_it(tmp_path: Path) -> None:
+    problem = small(tmp_path, rows=[*dense(59), FAR])
+    found = pipeline.looked_over(problem, 6)
+    (fault,) = (issue for issue in found.issues if issue.code.startswith("motion."))
+    (whole,) = (issue for issue in pipeline.check(problem, advise=False) if issue.code.startswith("motion."))
+    assert (fault.code, fault.target, fault.index) == (whole.code, whole.target, whole.index)
+    assert (fault.code, fault.index) == ("motion.no_reach", 59)
+    assert fault.value == pytest.approx(whole.value)
+    assert (found.targets, found.of) == (6, 60)
+
+
+def test_a_fault_between_the_targets_is_left_to_the_whole_check(tmp_path: Path) -> None:
+    """One of sixty targets is out of reach, and not among those that are looked at."""
+    rows = dense(60)
+    rows[7] = FAR
+    problem = small(tmp_path, rows=rows)
+    assert 7 not in FirstLook((60,), 6).rows(0)
+    assert not has_errors(pipeline.looked_over(problem, 6).issues)
+    assert has_errors(pipeline.check(problem, advise=False))
+    assert has_errors(pipeline.looked_over(problem, 60).issues)
+
+
+def test_what_stands_in_the_way_is_found(tmp_path: Path) -> None:
+    text = small_problem.PROBLEM.replace("\nstock:", POST + "stock:")
+    found = pipeline.looked_over(small(tmp_path, text), 6)
+    (fault,) = (issue for issue in found.issues if issue.code == "motion.collision")
+    assert "post" in fault.bodies
+    whole = [i for i in pipeline.check(small(tmp_path, text), advise=False) if i.code == "motion.collision"]
+    assert whole and set(whole[0].bodies) == set(fault.bodies)
+
+
+def test_a_place_that_is_searched_is_found_or_left_to_the_whole_check(tmp_path: Path) -> None:
+    searched = small_problem.PROBLEM.replace("place: {xyz_mm: [450, 0, 0]}", "place: auto")
+    searched = searched.replace("frame: world", "frame: stock") + "accept: [stock.hangs]\n"
+    rows = [f"50,{y},150,0.5,-0.5,0.5,0.5,20" for y in range(-50, 51, 20)]
+    found = pipeline.looked_over(small(tmp_path, searched, rows), 6)
+    assert not has_errors(found.issues) and found.placed and found.targets == 6
+    apart = ["-2000,0,150,0.5,-0.5,0.5,0.5,20", *rows, "2000,0,150,0.5,-0.5,0.5,0.5,20"]
+    found = pipeline.looked_over(small(tmp_path, searched, apart), 6)
+    assert not found.placed and not has_errors(found.issues)  # the whole check searches on
+    told = {issue.code for issue in pipeline.check(small(tmp_path, searched, apart), advise=False)}
+    assert "motion.no_placement" in told
+
+
+def move_arm(data: dict[str, Any]) -> None:
+    for arm in data["cell"]["arms"]:
+        arm["base"] = {"xyz_mm": [-4000 if arm["name"] == "left" else 10, 20, 30]}
+
+
+def stand_home_elsewhere(data: dict[str, Any]) -> None:
+    for arm in data["cell"]["arms"]:
+        arm["home_deg"] = [5, -5, 5, 0, 40, 0]
+
+
+def put_an_obstacle(data: dict[str, Any]) -> None:
+    box = {"kind": "box", "size_mm": [10, 10, 10], "pose": {"xyz_mm": [0, 0, 3000]}}
+    data["cell"]["obstacles"] = [*data["cell"].get("obstacles", []), {"name": "other", "shapes": [box]}]
+
+
+def keep_more_room(data: dict[str, Any]) -> None:
+    data["settings"] = {**data.get("settings", {}), "clearance_mm": 17.0, "joint_margin_deg": 3.0}
+
+
+def rename(data: dict[str, Any]) -> None:
+    data["name"] = "another"
+
+
+def other_feed(data: dict[str, Any]) -> None:
+    data["operations"] = [*data["operations"][::-1], {"another": 1}]
+
+
+def other_tool(data: dict[str, Any]) -> None:
+    data["cell"]["arms"][0]["tool"] = {"kind": "bow"}
+
+
+def other_block(data: dict[str, Any]) -> None:
+    data["stock"] = {**data.get("stock", {}), "size_mm": [1, 2, 3]}
+
+
+UNSEEN = (move_arm, stand_home_elsewhere, put_an_obstacle, keep_more_room, rename)
+SEEN = (other_feed, other_tool, other_block)
+
+
+def data_of(name: str) -> dict[str, Any]:
+    problem = pipeline.load(name)
+    return json.loads(json.dumps(problem.source, default=str))  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("change", [*UNSEEN, *SEEN])
+def test_edits_of_what_no_process_sees_are_told_from_others(change: Callable[[dict[str, Any]], None]) -> None:
+    data = data_of("wing")
+    before = seen(data)
+    change(data)
+    assert (seen(data) == before) == (change in UNSEEN)
+
+
+ONE_OF_EACH = (
+    "wing",
+    pytest.param("wave_wall", marks=pytest.mark.long),
+    "gcode",
+    "gauge_lanes",
+    "plate_with_holes",
+    pytest.param("dish", marks=pytest.mark.long),
+)
+
+
+@pytest.mark.parametrize("name", ONE_OF_EACH)
+def test_processes_make_the_same_targets_whatever_they_do_not_see(name: str, tmp_path: Path) -> None:
+    """One problem of each process: kept targets are those that would be made, array by array."""
+    if name == "dish":
+        data = strict_yaml.read(small_forming.write(tmp_path, small_forming.problem())).data
+    else:
+        data = data_of(name)
+    first = tmp_path / "first.yaml"
+    first.write_text(strict_yaml.dump(data))
+    for change in (move_arm, put_an_obstacle, keep_more_room, rename):
+        change(data)
+    if isinstance(data.get("stock", {}).get("place"), dict):
+        data["stock"]["place"]["xyz_mm"] = [v + 10 for v in data["stock"]["place"]["xyz_mm"]]
+    second = tmp_path / "second.yaml"
+    second.write_text(strict_yaml.dump(data))
+    one, other = pipeline.load(first), pipeline.load(second)
+    assert one.digest != other.digest and seen(one.source) == seen(other.source)
+    for index, (a, b) in enumerate(zip(processes.jobs(one), processes.jobs(other), strict=True)):
+        made = maker(tmp_path / "kept", one, alike=True)(index, a)
+        kept = maker(tmp_path / "kept", other, alike=True)(index, no_job)
+        alike(kept, made)
+        alike(kept, b.targets())
+        with pytest.raises(AttributeError):  # a whole check makes its own
+            maker(tmp_path / "kept", other, alike=False)(index, no_job)
+
+
+no_job: Any = object()
+
+
+def alike(one: Targets, other: Targets) -> None:
+    assert one.arms == other.arms and one.frame == other.frame and one.segment == other.segment
+    for arm in one.arms:
+        np.testing.assert_array_equal(one.pose[arm], other.pose[arm])
+    np.testing.assert_array_equal(one.feed, other.feed)
+    for a, b in zip(one.freedoms, other.freedoms, strict=True):
+        np.testing.assert_array_equal(a.lower, b.lower)
+        np.testing.assert_array_equal(a.upper, b.upper)

@@ -1,0 +1,225 @@
+"""Every page at three widths, light and dark: axe-core (Deque, the referee of accessibility that browsers'
+developer tools have) finds nothing, nothing is cut off, and every control has a name.
+
+``TANDEM_AXE`` is the file ``axe.min.js`` of npm's package ``axe-core``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+import planner
+from planner.reading import strict_yaml
+from tests import small_problem
+from tests.element.shells import cap, shell
+from tests.service.page.test_elements_page import upload
+from tests.service.support import ROOT, until
+
+SIZES: Final = ((390, 844), (768, 1024), (1440, 900))
+SCHEMES: Final[tuple[Literal["light", "dark"], ...]] = ("light", "dark")
+AXE: Final = os.environ.get("TANDEM_AXE", "")
+LONG_NAME: Final = "W" * 24
+"""The longest name that a problem may have, of the widest letter."""
+
+CUT_OFF: Final = """() => {
+  const width = document.documentElement.clientWidth, out = [];
+  const moves = (one) => ["auto", "scroll"].includes(getComputedStyle(one).overflowX);
+  const inside = (one) => {
+    for (let up = one.parentElement; up; up = up.parentElement) if (moves(up)) return true;
+    return false;
+  };
+  for (const one of document.querySelectorAll("body *")) {
+    if (!one.checkVisibility() || one.closest(".unseen, .skip, svg, select, #labels")) continue;
+    const box = one.getBoundingClientRect();
+    const hides = ["hidden", "clip"].includes(getComputedStyle(one).overflowX);
+    const told = `${one.tagName} ${one.id} .${one.className}: `;
+    const out_of_page = box.width && box.height && (box.right > width + 1 || box.left < -1);
+    if (out_of_page && !inside(one)) out.push(`${told}to ${box.right}`);
+    const inner = one.scrollWidth, room = one.clientWidth;
+    if (hides && inner > room + 1) out.push(`${told}${inner} in ${room}`);
+  }
+  const whole = document.scrollingElement.scrollWidth;
+  if (whole > width) out.push(`page: ${whole}`);
+  return out;
+}"""
+"""What is wider than the page, or than the box that hides what is wider."""
+
+NAMELESS: Final = """() => {
+  const some = "a, button, input, select, textarea, summary, canvas, iframe, [tabindex='0']";
+  const by = (one) => one.labels?.length || one.getAttribute("aria-labelledby");
+  const named = (one) => one.ariaLabel || one.title || by(one);
+  return [...document.querySelectorAll(some)]
+    .filter((one) => one.checkVisibility() && !one.closest("[aria-hidden=true]"))
+    .filter((one) => !named(one) && !one.innerText?.trim())
+    .map((one) => one.outerHTML.slice(0, 200));
+}"""
+"""Controls without a name; text that is not shown is none."""
+
+
+@pytest.fixture(scope="module")
+def served(
+    server: str, browser: Browser, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[dict[str, str]]:
+    """Addresses of all pages, by name."""
+    client = planner.Client(server)
+    folder = tmp_path_factory.mktemp("jobs")
+    long = small_problem.PROBLEM.replace("name: small", f"name: {LONG_NAME}")
+    jobs = [
+        client.submit(planner.load(small_problem.write(folder, text)))
+        for text in (small_problem.PROBLEM, long)
+    ]
+    none = client.submit(planner.load(ROOT / "problems/infeasible/wire_too_short.yaml"))
+    held = tmp_path_factory.mktemp("element")
+    path = shell(held, cap(n=9), {"count": 24, "off_surface_mm": 60})
+    cell = Path(strict_yaml.read(held / "held.yaml").data["cell"])
+    tab = browser.new_page()
+    upload(tab, server, [held / "held.yaml", path, held / "shell.obj", cell])
+    element = tab.url
+    tab.close()
+    until(lambda: all(client.job(one)["state"] not in ("queued", "running") for one in (*jobs, none)))
+    yield {
+        "jobs": f"{server}/",
+        "new": f"{server}/ui/new",
+        "new: form": f"{server}/ui/new?example=wing",
+        "new: sheet": f"{server}/ui/new?example=cone_spif",
+        "new: faults": f"{server}/ui/new?example=wing",
+        "job": f"{server}/ui/jobs/{jobs[1]}",
+        "job: replay": f"{server}/ui/jobs/{jobs[0]}#replay",
+        "job: files": f"{server}/ui/jobs/{jobs[0]}#files",
+        "job: no plan": f"{server}/ui/jobs/{none}",
+        "job: missing": f"{server}/ui/jobs/{'0' * 32}",
+        "compare": f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}",
+        "compare: none": f"{server}/ui/compare",
+        "elements": f"{server}/ui/elements",
+        "element": element,
+        "element: missing": f"{server}/ui/elements/{'0' * 32}",
+        "login": f"{server}/ui/login",
+    }
+
+
+def shown(page: Page, name: str, address: str) -> None:
+    """The page as it is when all of it has come."""
+    page.goto(address)
+    kind, _, state = name.partition(": ")
+    if kind == "new" and state:
+        expect(page.locator("#verdict")).not_to_be_empty()
+        expect(page.locator("#operations-form input").first).to_be_attached()
+    if state == "faults":
+        page.locator("#f-name").fill("9 lives")
+        expect(page.locator("#check-issues li.error").first).to_be_visible()
+    elif state == "missing":
+        expect(page.locator("#banner")).not_to_be_empty()
+    elif kind == "job":
+        tab = {"replay": "Replay", "files": "Files"}.get(state)
+        expect(page.locator("#tabs")).to_be_visible()
+        if tab:
+            page.get_by_role("tab", name=tab).click()
+    elif kind == "jobs":
+        expect(page.locator("#rows tr")).not_to_have_count(0)
+    elif name == "element":
+        expect(page.locator(".panel").first).to_be_visible()
+    elif name == "compare":
+        expect(page.locator("#result")).to_contain_text("Motion time")
+    if state == "form":
+        page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
+    page.wait_for_timeout(100)
+
+
+PAGES: Final = (
+    "jobs",
+    "new",
+    "new: form",
+    "new: sheet",
+    "new: faults",
+    "job",
+    "job: replay",
+    "job: files",
+    "job: no plan",
+    "job: missing",
+    "compare",
+    "compare: none",
+    "elements",
+    "element",
+    "element: missing",
+    "login",
+)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_nothing_is_cut_off_and_every_control_has_a_name(
+    page: Page, served: dict[str, str], name: str
+) -> None:
+    page.set_viewport_size({"width": 390, "height": 844})
+    shown(page, name, served[name])
+    for width, height in SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        assert page.evaluate(CUT_OFF) == [], width
+        assert page.evaluate(NAMELESS) == [], width
+
+
+def test_what_is_cut_off_or_nameless_is_found(page: Page, served: dict[str, str]) -> None:
+    shown(page, "login", served["login"])
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.evaluate(
+        """() => {
+          const wide = document.createElement("p"), box = document.createElement("div");
+          wide.style.width = "500px"; wide.textContent = "wide";
+          box.style.overflow = "hidden"; box.append(wide.cloneNode(true));
+          document.querySelector("main").append(wide, box, document.createElement("button"));
+        }"""
+    )
+    assert len(page.evaluate(CUT_OFF)) >= 3
+    assert page.evaluate(NAMELESS) == ["<button></button>"]
+
+
+@pytest.mark.skipif(not AXE, reason="TANDEM_AXE names no axe.min.js: npm pack axe-core")
+@pytest.mark.parametrize("name", PAGES)
+def test_axe_finds_nothing(browser: Browser, served: dict[str, str], name: str) -> None:
+    context = browser.new_context(bypass_csp=True)  # its script is none of the page's own
+    context.add_init_script(path=AXE)
+    page = context.new_page()
+    page.set_default_timeout(30_000)
+    found = []
+    shown(page, name, served[name])
+    # what the card of the check lies over for the moment would be held against its colours
+    page.add_style_tag(content="#check-card { position: static !important; }")
+    for scheme, (width, height) in looks(name):
+        page.emulate_media(color_scheme=scheme)
+        page.set_viewport_size({"width": width, "height": height})
+        found += [
+            (scheme, width, one["id"], [node["html"][:200] for node in one["nodes"]])
+            for one in violations(page)
+        ]
+    context.close()
+    assert found == []
+
+
+def looks(name: str) -> list[tuple[Literal["light", "dark"], tuple[int, int]]]:
+    """Colours and sizes: two of the large form's other states, which are much the same."""
+    every = [(scheme, size) for scheme in SCHEMES for size in SIZES]
+    return [every[0], every[-1]] if name in ("new: sheet", "new: faults") else every
+
+
+def violations(page: Page) -> list[dict[str, Any]]:
+    """What axe says of the page; of what is in its frames, those pages' own tests do."""
+    asked = "axe.run({exclude: [['iframe']]}, {resultTypes: ['violations']}).then((all) => all.violations)"
+    out: list[dict[str, Any]] = page.evaluate(asked)
+    return out
+
+
+@pytest.mark.skipif(not AXE, reason="TANDEM_AXE names no axe.min.js: npm pack axe-core")
+def test_axe_sees_the_colours_of_both_schemes(browser: Browser, served: dict[str, str]) -> None:
+    """It is no judge that says yes to all."""
+    context = browser.new_context(bypass_csp=True, color_scheme="dark")
+    context.add_init_script(path=AXE)
+    page = context.new_page()
+    shown(page, "login", served["login"])
+    page.evaluate("document.querySelector('h1').style.color = '#333'")
+    assert "color-contrast" in [one["id"] for one in violations(page)]
+    context.close()
