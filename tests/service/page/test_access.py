@@ -7,7 +7,7 @@ developer tools have) finds nothing, nothing is cut off, and every control has a
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -22,7 +22,9 @@ from tests.service.page.test_elements_page import upload
 from tests.service.support import ROOT, until
 
 SIZES: Final = ((390, 844), (768, 1024), (1440, 900))
-SCHEMES: Final[tuple[Literal["light", "dark"], ...]] = ("light", "dark")
+Scheme = Literal["light", "dark"]
+SCHEMES: Final[tuple[Scheme, ...]] = ("light", "dark")
+LOOKS: Final = [(scheme, size) for scheme in SCHEMES for size in SIZES]
 AXE: Final = os.environ.get("TANDEM_AXE", "")
 LONG_NAME: Final = "W" * 24
 """The longest name that a problem may have, of the widest letter."""
@@ -179,8 +181,12 @@ def test_what_is_cut_off_or_nameless_is_found(page: Page, served: dict[str, str]
 
 
 @pytest.mark.skipif(not AXE, reason="TANDEM_AXE names no axe.min.js: npm pack axe-core")
+@pytest.mark.parametrize("looks", [LOOKS[:1] + LOOKS[-1:], pytest.param(LOOKS[1:-1], marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", PAGES)
-def test_axe_finds_nothing(browser: Browser, served: dict[str, str], name: str) -> None:
+def test_axe_finds_nothing(
+    browser: Browser, served: dict[str, str], name: str, looks: Sequence[tuple[Scheme, tuple[int, int]]]
+) -> None:
+    """Narrow and light, wide and dark; between these in the long run."""
     context = browser.new_context(bypass_csp=True)  # its script is none of the page's own
     context.add_init_script(path=AXE)
     page = context.new_page()
@@ -189,7 +195,7 @@ def test_axe_finds_nothing(browser: Browser, served: dict[str, str], name: str) 
     shown(page, name, served[name])
     # what the card of the check lies over for the moment would be held against its colours
     page.add_style_tag(content="#check-card { position: static !important; }")
-    for scheme, (width, height) in looks(name):
+    for scheme, (width, height) in looks:
         page.emulate_media(color_scheme=scheme)
         page.set_viewport_size({"width": width, "height": height})
         found += [
@@ -198,12 +204,6 @@ def test_axe_finds_nothing(browser: Browser, served: dict[str, str], name: str) 
         ]
     context.close()
     assert found == []
-
-
-def looks(name: str) -> list[tuple[Literal["light", "dark"], tuple[int, int]]]:
-    """Colours and sizes: two of the large form's other states, which are much the same."""
-    every = [(scheme, size) for scheme in SCHEMES for size in SIZES]
-    return [every[0], every[-1]] if name in ("new: sheet", "new: faults") else every
 
 
 def violations(page: Page) -> list[dict[str, Any]]:
