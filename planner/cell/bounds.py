@@ -36,6 +36,9 @@ NEAR_DISTANCE: Final = 0.012
 """Solids of one arm within this distance [m] in nearly all postures tell nothing when they are near."""
 NEAR_SHARE: Final = 0.95
 """Solids that are near each other in more than this share of postures always are."""
+KEPT_DISTANCE: Final = 0.03
+"""Solids of one arm within this distance [m] in nearly all postures that touch in none are kept apart by the
+arm's build, such as the round end of a wrist and what turns about it: wider clearance cannot be had there."""
 
 
 SolidPair = tuple[int, int]
@@ -88,22 +91,27 @@ class Bounds:
         return {}
 
     def always_near(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
-        """Pairs of solids of one arm, by their places in ``given``, that the arm's build keeps within
-        NEAR_DISTANCE of each other in body poses (B | 1, 4, 4) that were drawn. Of any two bodies they are as
-        few as it takes for the others not to be near in more than NEAR_SHARE of the poses.
+        """Pairs of solids of one arm, by their places in ``given``, that its build keeps near each other in body
+        poses (B | 1, 4, 4) that were drawn: within KEPT_DISTANCE, and never touching; or within NEAR_DISTANCE.
+        Of any two bodies the latter are as few as it takes for the others not to be near in more than
+        NEAR_SHARE of the poses.
         """
         own = self._of_one_arm()
-        row, solids, *_ = own.every(poses, NEAR_DISTANCE)
+        row, solids, gap, *_ = own.every(poses, KEPT_DISTANCE)
         count = own._placed(poses).rows
-        near: dict[frozenset[str], dict[SolidPair, BoolArray]] = {}
-        for at, (a, b) in zip(row.tolist(), solids.tolist(), strict=True):
+        near: dict[frozenset[str], dict[SolidPair, FloatArray]] = {}
+        for at, (a, b), apart in zip(row.tolist(), solids.tolist(), gap.tolist(), strict=True):
             bodies = near.setdefault(frozenset((self.given[a].body, self.given[b].body)), {})
-            bodies.setdefault((min(a, b), max(a, b)), np.zeros(count, dtype=np.bool_))[at] = True
+            bodies.setdefault((min(a, b), max(a, b)), np.full(count, np.inf))[at] = apart
         out: list[SolidPair] = []
         for pairs in near.values():
-            while pairs and np.logical_or.reduce(list(pairs.values())).sum() > NEAR_SHARE * count:
-                most = max(sorted(pairs), key=lambda pair: int(pairs[pair].sum()))
-                del pairs[most]
+            shares = {pair: np.isfinite(apart).mean() for pair, apart in pairs.items()}
+            kept = [pair for pair, apart in pairs.items() if shares[pair] > NEAR_SHARE and apart.min() > 0.0]
+            out += kept
+            left = {pair: apart < NEAR_DISTANCE for pair, apart in pairs.items() if pair not in kept}
+            while left and np.logical_or.reduce(list(left.values())).mean() > NEAR_SHARE:
+                most = max(sorted(left), key=lambda pair: int(left[pair].sum()))
+                del left[most]
                 out.append(most)
         return tuple(sorted(out))
 
