@@ -144,7 +144,7 @@ def test_what_is_in_the_way_at_the_freest_place_is_told(targets: Targets) -> Non
 def test_what_ends_the_plans_at_places_that_are_free_is_told(
     monkeypatch: pytest.MonkeyPatch, targets: Targets
 ) -> None:
-    def stuck(*_: object) -> None:
+    def stuck(*_: object, **__: object) -> None:
         raise TandemError(Issue("motion.entry", "arm left has no free way from home"))
 
     monkeypatch.setattr("planner.motion.solve.plan_operation", stuck)
