@@ -70,7 +70,7 @@ def compare(rws: Rws, problem: Problem, programs: Mapping[str, str], arms: Seque
         "signals": lambda: _signals(rws.signals, tasks),
     }
     differs: list[Issue] = []
-    unread: list[Issue] = []
+    lost: list[Issue] = []
     agreed: list[str] = []
     for name, look in looks.items():
         try:
@@ -78,22 +78,23 @@ def compare(rws: Rws, problem: Problem, programs: Mapping[str, str], arms: Seque
         except TandemError as error:
             if any(issue.code == "upload.login" for issue in error.issues):
                 raise
-            unread.append(_unread(f"{name}: {error.issues[0].message}"))
+            lost.append(unread(f"{name}: {error.issues[0].message}"))
             continue
         differs += [Issue("upload.differs", fault, field=name) for fault in faults]
         agreed += [] if faults else [name]
     for task in tasks:
-        faults, lost, same = _data(rws, problem, task)
+        faults, untold, same = _data(rws, problem, task)
         hint = (
             "unload the module if an earlier program left it; what was measured there belongs into the cell"
         )
         differs += [Issue("upload.differs", fault, arm=task.arm.name, hint=hint) for fault in faults]
-        unread += [_unread(what) for what in lost]
+        lost += [unread(what) for what in untold]
         agreed += same
-    return Found(tuple(differs), tuple(unread), tuple(agreed))
+    return Found(tuple(differs), tuple(lost), tuple(agreed))
 
 
-def _unread(what: str) -> Issue:
+def unread(what: str) -> Issue:
+    """Something that was not looked at, and why."""
     return Issue("upload.not_looked_at", f"not looked at: {what}", Severity.WARNING)
 
 

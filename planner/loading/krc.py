@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, from_rpy
-from planner.issues import Issue, Severity, TandemError
-from planner.loading.compare import BASE_SHIFT, BASE_TURN, Found
+from planner.issues import Issue, TandemError
+from planner.loading.compare import BASE_SHIFT, BASE_TURN, Found, unread
 from planner.loading.literals import difference, turn_deg
 from planner.loading.pieces import kind
 from planner.loading.store import Store
@@ -47,8 +47,8 @@ def compare(store: Store, files: Mapping[str, bytes], arms: Sequence[Arm]) -> Fo
     read."""
     if not any(arm.data.family == "KUKA" for arm in arms):
         what = "base frame, tools, signals, options and mode of the controller: a folder tells none of them"
-        return Found((), (_unread(what),), ())
-    out, unread, agreed = list[Issue](), [NOT_THERE], list[str]()
+        return Found((), (unread(what),), ())
+    out, lost, agreed = list[Issue](), [NOT_THERE], list[str]()
     machine, config = (_found(store, name) for name in ("$machine.dat", "$config.dat"))
     fault = _foot(machine)
     if fault is None:
@@ -56,11 +56,11 @@ def compare(store: Store, files: Mapping[str, bytes], arms: Sequence[Arm]) -> Fo
     elif fault.startswith("$ROBROOT is"):
         out.append(Issue("upload.differs", fault, field="$ROBROOT"))
     else:
-        unread.append(fault)
+        lost.append(fault)
     texts = [program_text.decode(content, name) for name, content in files.items() if kind(name) == "krl"]
     own = [found.groups() for text in texts for found in _OWN.finditer(text)]
     if config is None:
-        unread.append("tools, bases and loads: no $config.dat in R1/System there")
+        lost.append("tools, bases and loads: no $config.dat in R1/System there")
     else:
         for word, name, value in own:
             told, same = _datum(config, word.upper(), name, value)
@@ -69,12 +69,8 @@ def compare(store: Store, files: Mapping[str, bytes], arms: Sequence[Arm]) -> Fo
             elif told.startswith("!"):
                 out.append(Issue("upload.differs", told[1:], field=name))
             else:
-                unread.append(told)
-    return Found(tuple(out), tuple(_unread(what) for what in unread), tuple(agreed))
-
-
-def _unread(what: str) -> Issue:
-    return Issue("upload.not_looked_at", f"not looked at: {what}", Severity.WARNING)
+                lost.append(told)
+    return Found(tuple(out), tuple(unread(what) for what in lost), tuple(agreed))
 
 
 def _found(store: Store, name: str) -> str | None:

@@ -12,9 +12,8 @@ from pathlib import PurePosixPath
 from typing import Final
 
 from planner.loading.literals import Shape, shape
+from planner.verify.job import MODULES
 
-RAPID: Final = (".mod", ".modx", ".sys", ".sysx")
-"""Endings of RAPID modules."""
 KRL: Final = (".src", ".dat", ".sub")
 """Endings of KRL files."""
 _RAPID_PART: Final = re.compile(r'"[^"\n]*"|![^\n]*|;|\n|[^"!;\n]+|"')
@@ -65,7 +64,7 @@ class Piece:
 def kind(name: str) -> str:
     """``rapid`` or ``krl`` by a file's ending, else "": compared byte by byte."""
     ending = PurePosixPath(name).suffix.lower()
-    return "rapid" if ending in RAPID else "krl" if ending in KRL else ""
+    return "rapid" if ending in MODULES else "krl" if ending in KRL else ""
 
 
 def pieces(name: str, text: str) -> list[Piece]:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from planner.files import STATEMENT, write_whole
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Problem
+from planner.verify.job import CONTROLLER
 from planner.verify.programs import program_text
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 AGAIN = "prove again: tandem verify OUT"
 """What to do where a proof is missing or old: that writes it anew."""
-CONTROLLER = "controller"
-"""Folder of files for controllers beside the programs."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -396,10 +396,15 @@ def closest_pairs(data: Clearance, count: int = 6) -> tuple[Figure, ...]:
     return (Figure("Closest pairs", shown),)
 
 
+def worst_by_rule(proof: Proof | None) -> dict[str, float]:
+    """The worst figure of each rule of a proof that has one, by its code."""
+    return {r.code: r.worst for r in (proof.rules if proof is not None else ()) if r.worst is not None}
+
+
 def margins(motion: Motion, settings: Settings, proof: Proof | None) -> list[Figure]:
     """Distance to joint limits and to singular postures over time [deg]; without a proof, to that of the
     wrist. The least of each is the proof's own figure, as everywhere else."""
-    proven = {r.code: r.worst for r in (proof.rules if proof is not None else ()) if r.worst is not None}
+    proven = worst_by_rule(proof)
     arms = motion.arms.values()
     out = []
     for title, code, told, values, limit in (

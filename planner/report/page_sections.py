@@ -84,7 +84,7 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
     time = markup.Tile(f"motion time {MOTION_TIME}", *duration(plan.duration))
     out = [markup.Tile("targets", f"{count}"), time]
     # one figure for each thing: where the proof has it, the page and the list of rules say the same
-    proven = {r.code: r.worst for r in (proof.rules if proof is not None else ()) if r.worst is not None}
+    proven = motion_charts.worst_by_rule(proof)
     if motion.clearance is not None:
         least = proven.get("verify.clearance", float(np.nanmin(motion.clearance.distance)) / MM)
         out.append(

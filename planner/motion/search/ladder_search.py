@@ -75,12 +75,12 @@ class Dead:
     shorter: int
     before: Callable[[], tuple[BoolArray, BoolArray]] | None = None
 
-    @functools.cached_property
+    @property
     def reached(self) -> BoolArray:
         """Samples (S,) of the target before that a free path reaches."""
         return self._before[0]
 
-    @functools.cached_property
+    @property
     def next(self) -> BoolArray:
         """Samples (S,) of this target that a step leads to from those."""
         return self._before[1]
