@@ -4,7 +4,7 @@ What it prints is for bodies.yaml. Each link becomes up to six boxes and cylinde
 upright frame (that of the OPW angles, all zero) which hold every point of its meshes and are up to two
 millimetres larger: a piece is cut in two, square to an axis or with a round end, where that saves most. A
 balancer, which follows joint 2, is held by link 1 wherever it may be. Where axes of the URDF are off those of
-the catalogue, solids are larger by as much. The meshes themselves are not part of Tandem.
+the catalogue, the solids of that link are larger by as much. The meshes themselves are not part of Tandem.
 """
 
 from __future__ import annotations
@@ -65,6 +65,7 @@ def solids(
     pieces = [whole]
     if wrist and (triangles[:, :, 2] > 0.0).any():
         pieces = _rounded(triangles, 1, 2, 1.0, np.zeros(2))
+        pieces[1:] = [Piece.of(_beside(part.triangles, pieces[0].solid)) for part in pieces[1:]]
     while len(pieces) < MOST:
         options = [
             (piece.volume - sum(part.volume for part in parts), index, parts)
@@ -114,6 +115,14 @@ def _rounded(triangles: FloatArray, axis: int, along: int, sign: float, middle: 
     half = 0.5 * np.pi * radius**2 * (high - low)  # the other half lies within the rest, or nearly
     held = Piece(np.empty((0, 3, 3)), solid, float(half))
     return [held, Piece.of(rest)] if len(rest) else [held]
+
+
+def _beside(triangles: FloatArray, solid: tuple[str, list[float], list[float]]) -> FloatArray:
+    """Those of triangles (F, 3, 3) that are not whole in a cylinder along y: these need no second solid."""
+    (radius, length), centre = solid[1], np.array(solid[2])
+    off = triangles - centre
+    out = (np.hypot(off[..., 0], off[..., 2]) > radius) | (np.abs(off[..., 1]) > 0.5 * length)
+    return np.asarray(triangles[out.any(axis=1)])
 
 
 def _outermost(points: FloatArray) -> FloatArray:
@@ -191,10 +200,12 @@ def links(path: Path) -> list[FloatArray]:
     return [np.concatenate(triangles) for triangles in out]
 
 
-def off_catalogue(name: str, path: Path) -> float:
-    """How far axes of a URDF are off those of the arm that is built in, at most [mm]."""
+def off_catalogue(name: str, path: Path) -> FloatArray:
+    """How much longer or shorter (7,) [mm] the base and links of a URDF are than those of the arm that is
+    built in; link 3 and link 4 together are the forearm."""
     here = robot_of(_spec(path, read_chain(read_urdf(path), "base_link", "tool0")), path.parent).opw
-    return float(np.linalg.norm(here.steps - robots.robot(name).opw.steps, axis=1).max() / MM)
+    off = np.linalg.norm(here.steps - robots.robot(name).opw.steps, axis=1) / MM
+    return np.asarray(off[[0, 1, 2, 3, 3, 5, 6]])
 
 
 def _spec(path: Path, chain: UrdfChain) -> OwnRobotFile:
@@ -263,12 +274,13 @@ def main() -> None:
     for word in sys.argv[1:]:
         name, _, file = word.partition("=")
         path = Path(file)
-        more = int(np.ceil(off_catalogue(name, path) - 1e-3)) if name in robots.robot_names() else 0
+        known = name in robots.robot_names()
+        more = np.ceil(off_catalogue(name, path) - 1e-3) if known else np.zeros(len(LINKS))
         print(f"{name}:")  # noqa: T201
         for index, (link, triangles) in enumerate(zip(LINKS, links(path), strict=True)):
             rows = []
             for kind, size, centre in solids(triangles, SAVES[index], wrist=index == 4):
-                size = _grown(kind, size, more)
+                size = _grown(kind, size, float(more[index]))
                 if index == 0:
                     size, centre = _standing(kind, size, centre)
                 rows.append(f"[{kind}, {[_plain(v) for v in size]}, {[_plain(v) for v in centre]}]")

@@ -116,6 +116,19 @@ def corners(solid: Solid) -> FloatArray:
     return np.asarray(0.5 * extent(solid) * signs)
 
 
+def hull_points(solid: Solid) -> FloatArray:
+    """Points (P, 3) [m] in the shape's frame whose convex hull holds the solid: it is no larger but for the
+    caps of round ends and 0.5 % of a cylinder's radius."""
+    if solid.shape.vertices is not None:
+        return solid.shape.vertices
+    if solid.shape.kind != "cylinder":
+        return corners(solid)
+    angle = np.linspace(0.0, 2.0 * np.pi, RIM_POINTS, endpoint=False)
+    radius, half = solid.shape.size[0] / np.cos(np.pi / RIM_POINTS), 0.5 * solid.shape.size[1]
+    rim = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    return np.concatenate([np.column_stack([rim, np.full(RIM_POINTS, z)]) for z in (-half, half)])
+
+
 def signed_distance(solid: Solid, points: FloatArray) -> FloatArray:
     """Distances (...,) [m] of points (..., 3) in the shape's frame to its surface, negative inside."""
     kind, size = solid.shape.kind, solid.shape.size
@@ -237,13 +250,6 @@ def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> d
 
 FilteredPair = tuple[str, str, str]
 
-RANDOM_POSTURES: Final = 200
-"""Postures that are drawn, from a fixed seed, to find bodies of one arm that are always near each other."""
-NEAR_SHARE: Final = 0.95
-"""Bodies that are near each other in more than this share of them always are."""
-NEAR_DISTANCE: Final = 0.012
-"""Bodies of one arm within this distance [m] in nearly all postures tell nothing when they are near."""
-
 LINK_CHAIN: Final = ("base_link", *(f"link_{i}" for i in range(1, 7)), "tool")
 """Bodies of an arm from its base to its tool."""
 EDGE_FILTERED: Final = {
@@ -259,21 +265,20 @@ HELD_FILTERED: Final = {
 }
 """Why a block that an arm holds is not held apart from these bodies of the arm."""
 
+RIM_POINTS: Final = 32
+"""Corners of the polygon that stands for the rim of a cylinder."""
+
 BUILT_APART: Final = frozenset({(0, 2), (1, 3), (2, 4), (3, 5), (4, 6), (5, 7)})
 """Places in the chain of pairs two joints apart whose solids, fatter than the real links, would touch."""
 
 
 def filter_pairs(
-    checker: SceneGraphCollisionChecker,
-    names: Mapping[int, str],
-    limits: tuple[FloatArray, FloatArray],
-    holder: str | None = None,
+    checker: SceneGraphCollisionChecker, names: Mapping[int, str], holder: str | None = None
 ) -> tuple[FilteredPair, ...]:
-    """Filters pairs of one arm in the checker and returns all filtered pairs with reasons, sorted.
+    """Filters pairs of bodies by how arms are built, in the checker, and returns them with reasons, sorted.
 
-    Neighbours and the pairs of BUILT_APART, EDGE and HELD are filtered by structure; ``holder`` is the arm
-    that holds the stock, if any. Other pairs of one arm are filtered when they come within 12 mm in more than
-    95 % of 200 random postures (seeded) within the limits (nq,), (nq,).
+    Those are neighbours and the pairs of BUILT_APART, EDGE and HELD; ``holder`` is the arm that holds the
+    stock, if any.
     """
     shaped = {index for index in names if _has_solids(checker, index)}
     out: list[FilteredPair] = []
@@ -283,10 +288,6 @@ def filter_pairs(
                 out.append((names[a], names[b], reason))
                 if "fixed to the world" not in reason:
                     checker.SetCollisionFilteredBetween(BodyIndex(a), BodyIndex(b), True)
-    near = _always_near(checker, names, limits)
-    for a, b in near:
-        checker.SetCollisionFilteredBetween(BodyIndex(a), BodyIndex(b), True)
-        out.append((names[a], names[b], "of one arm and always near each other"))
     return tuple(sorted(out))
 
 
@@ -316,19 +317,3 @@ def _structural(a: str, b: str, holder: str | None) -> str | None:
     if pair in BUILT_APART:
         return "kept apart by the robot's own build"
     return "neighbours in the chain" if abs(pair[0] - pair[1]) == 1 else None
-
-
-def _always_near(
-    checker: SceneGraphCollisionChecker, names: Mapping[int, str], limits: tuple[FloatArray, FloatArray]
-) -> list[tuple[int, int]]:
-    rng = np.random.default_rng(20)
-    lower, upper = limits
-    counts: dict[tuple[int, int], int] = {}
-    for q in rng.uniform(lower, upper, size=(RANDOM_POSTURES, len(lower))):
-        found = checker.CalcRobotClearance(q, NEAR_DISTANCE)
-        pairs = zip(found.robot_indices(), found.other_indices(), found.distances(), strict=True)
-        near = {(min(int(a), int(b)), max(int(a), int(b))) for a, b, d in pairs if d < NEAR_DISTANCE}
-        for pair in near:
-            if names[pair[0]].partition("/")[0] == names[pair[1]].partition("/")[0]:
-                counts[pair] = counts.get(pair, 0) + 1
-    return sorted(pair for pair, count in counts.items() if count > NEAR_SHARE * RANDOM_POSTURES)

@@ -291,12 +291,27 @@ def witness(
     with _ignored(model, ignore):
         for i in np.flatnonzero(np.isfinite(distance)):
             found = _steady(functools.partial(_clearance, model, reach), rows[i])
-            values = found.distances()
-            if len(values) and values.min() < reach:
-                k = int(values.argmin())
-                distance[i] = values[k]
-                pairs[i] = _names(model, int(found.robot_indices()[k]), int(found.other_indices()[k]))
+            each = zip(found.distances(), found.robot_indices(), found.other_indices(), strict=True)
+            near = [(float(d), _names(model, int(a), int(b))) for d, a, b in each]
+            near = [one for one in near if frozenset(one[1]) not in model.held_in_part]
+            near += _steady(functools.partial(_between_parts, model, ignore), rows[i])
+            least, pair = min(near, key=lambda one: one[0], default=(np.inf, ("", "")))
+            if least < reach:
+                distance[i], pairs[i] = least, pair
     return LeastClearance(distance, tuple(pairs))
+
+
+def _between_parts(model: CellModel, ignore: Pairs, row: FloatArray) -> list[tuple[float, tuple[str, str]]]:
+    """Distances [m] by Drake of bodies of which only some solids are held apart, with the bodies."""
+    query = model.plant.get_geometry_query_input_port().Eval(model.checker.UpdatePositions(row))
+    out = []
+    for bodies, solids in model.held_in_part.items():
+        first, second = sorted(bodies)
+        for pair in solids if bodies not in ignore else ():
+            one, other = (model.geometry(solid) for solid in pair)
+            gap = query.ComputeSignedDistancePairClosestPoints(one, other).distance
+            out.append((float(gap), (first, second)))
+    return out
 
 
 def gradients(
@@ -386,7 +401,8 @@ def _drake_into(
         found.robot_indices(), found.other_indices(), found.distances(), found.jacobians(), strict=True
     )
     deepest = sorted(((float(d), (int(a), int(b)), j) for a, b, d, j in each), key=lambda one: -one[0])
-    said = {frozenset(pair): (d, j) for d, pair, j in deepest}
+    whole = (one for one in deepest if frozenset(_names(model, *one[1])) not in model.held_in_part)
+    said = {frozenset(pair): (d, j) for d, pair, j in whole}
     for entry, pair in zip(own, bodies.tolist(), strict=True):
         depth, gradient = said.get(frozenset(pair), (gap[entry], slope[entry]))
         gap[entry], slope[entry] = min(depth, gap[entry]), gradient

@@ -44,7 +44,7 @@ from planner.cell.bodies import (
     filter_pairs,
     own_shapes,
 )
-from planner.cell.bounds import Bounds, prepare
+from planner.cell.bounds import Bounds, SolidPair, prepare
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import FloatArray, Shape, inverse
 from planner.issues import Issue, TandemError
@@ -141,6 +141,11 @@ def _feed(state: Any, value: object) -> None:
         raise TypeError(f"a {type(value).__name__} has no digest; give plain values, arrays and dataclasses")
 
 
+NEAR: Final = "of one arm and always near each other"
+"""Why pairs of solids are not held apart that :meth:`Bounds.always_near` names."""
+RANDOM_POSTURES: Final = 200
+"""Postures that are drawn, from a fixed seed, to find solids of one arm that are always near each other."""
+
 STOCK_COLOUR = np.array([0.93, 0.95, 0.90, 0.55])
 """Colours of stock, support, obstacles, tools, robots from files and edges: red, green, blue and opacity,
 each from 0 to 1."""
@@ -163,6 +168,7 @@ class _Shared:
     filtered: tuple[FilteredPair, ...]
     solids: tuple[Solid, ...]
     bounds: Bounds
+    parts: dict[frozenset[str], tuple[SolidPair, ...]] = dataclasses.field(default_factory=dict)
     placed: object | None = None
     heights: dict[float, CellModel] = dataclasses.field(default_factory=dict)
 
@@ -218,6 +224,12 @@ class CellModel:
         return self._shared.filtered
 
     @property
+    def held_in_part(self) -> Mapping[frozenset[str], tuple[SolidPair, ...]]:
+        """Pairs of bodies of which some solids are always near each other, with the pairs of solids that are
+        held apart, by their places in ``bounds.given``."""
+        return self._shared.parts
+
+    @property
     def solids(self) -> tuple[Solid, ...]:
         """The collision solids of all bodies."""
         return self._shared.solids
@@ -242,6 +254,13 @@ class CellModel:
             if known == name:
                 return self.plant.get_body(BodyIndex(index))
         raise KeyError(name)
+
+    def geometry(self, solid: int) -> Any:
+        """Drake's id of a solid, by its place in ``bounds.given``."""
+        given = self.bounds.given[solid]
+        own = [one for one in self.solids if one.body == given.body]
+        place = next(k for k, one in enumerate(own) if one is given)
+        return self.plant.GetCollisionGeometriesForBody(self.body(given.body))[place]
 
     def carrier(self, body: str) -> str | None:
         """The arm that a body belongs to or is held by, None for bodies of no arm."""
@@ -412,12 +431,47 @@ def _new(
         checker = SceneGraphCollisionChecker(
             model=builder.Build(), robot_model_instances=instances, edge_step_size=0.05
         )
-    filtered = filter_pairs(checker, names, _limits(cell, robots), stock.held_by)
+    filtered = filter_pairs(checker, names, stock.held_by)
     inspector = checker.model().scene_graph().model_inspector()
     solids = collect(plant, inspector, names, own)
     bounds = prepare(solids, filtered, stock.held_by)
     shared = _Shared(plant, checker.model(), checker, mounts, names, filtered, solids, bounds)
-    return CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), placed, robots, shared)
+    model = CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), placed, robots, shared)
+    _leave_out_always_near(model)
+    return model
+
+
+def _leave_out_always_near(model: CellModel) -> None:
+    """Takes pairs of solids out of what is held apart: of what is mounted flat on a flange and the link
+    before the wrist, and of one arm that are near each other in nearly all of RANDOM_POSTURES. Where those
+    are all pairs of two bodies, they are out of the checker, too."""
+    shared, whole = model._shared, model._shared.bounds
+    flat = whole.flange_parts(model.poses({}))
+    lower = np.concatenate([model.robots[arm].lower for arm in model.arms])
+    upper = np.concatenate([model.robots[arm].upper for arm in model.arms])
+    q = np.random.default_rng(20).uniform(lower, upper, size=(RANDOM_POSTURES, len(lower)))
+    rows = {arm: q[:, 6 * k : 6 * k + 6] for k, arm in enumerate(model.arms)}
+    near = whole.without(flat).always_near(model.poses(rows))
+    shared.bounds = whole.without({*flat, *near})
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for why, solids in (("what is flat on the flange is kept off by its build", flat), (NEAR, near)):
+        for a, b in solids:
+            one, other = sorted((whole.given[a].body, whole.given[b].body))
+            reasons.setdefault((one, other), [])
+            if why not in reasons[one, other]:
+                reasons[one, other].append(why)
+    found = list(shared.filtered)
+    for (one, other), told in sorted(reasons.items()):
+        left, count = shared.bounds.of_bodies(one, other), len(whole.of_bodies(one, other))
+        if not left:
+            a, b = (model.body(name).index() for name in (one, other))
+            shared.checker.SetCollisionFilteredBetween(a, b, True)
+            found.append((one, other, ", ".join(told)))
+            continue
+        shared.parts[frozenset((one, other))] = left
+        share = f"{count - len(left)} of {count} pairs of their solids"
+        found.append((one, other, f"{share}: {', '.join(told)}; the others are held apart"))
+    shared.filtered = tuple(sorted(found))
 
 
 def _parsed(plant: MultibodyPlant, scene_graph: Any, arm: Arm) -> Any:
@@ -464,12 +518,6 @@ def quiet() -> Iterator[None]:
 def rigid(pose: FloatArray) -> RigidTransform:
     """Drake's transform of a pose (4, 4), made orthonormal to rounding."""
     return RigidTransform(RotationMatrix.ProjectToRotationMatrix(pose[:3, :3]), pose[:3, 3])
-
-
-def _limits(cell: Cell, robots: Mapping[str, RobotData]) -> tuple[FloatArray, FloatArray]:
-    lower = np.concatenate([robots[arm.name].lower for arm in cell.arms])
-    upper = np.concatenate([robots[arm.name].upper for arm in cell.arms])
-    return lower, upper
 
 
 def _check_names(cell: Cell) -> None:

@@ -12,6 +12,7 @@ from planner.cell import clearance, plant
 from planner.geometry.arrays import Shape, from_rpy
 from planner.issues import TandemError
 from planner.problem import Obstacle
+from planner.tooling import Tool, plain
 from tests.cell.cells import BLOCK, TABLE, UP, alone, facing, random_joints
 from tests.robot_sample import SAMPLE
 
@@ -84,12 +85,49 @@ def test_the_filter_is_listed_with_reasons_and_leaves_what_matters(model: plant.
         assert len(arms) == 1 or all("/" not in n or n.endswith("base_link") for n in pair), pair
     for kept in (("left/tool", "right/tool"), ("left/tool", "stock"), ("left/link_4", "table")):
         assert frozenset(kept) not in listed
+    assert "the others are held apart" in listed[frozenset({"left/tool", "left/link_4"})]
     for kept in (
-        ("left/tool", "left/link_4"),
         ("left/tool", "left/base_link"),
         ("left/link_2", "left/link_5"),
     ):
         assert frozenset(kept) not in listed
+
+
+def _mounted(radius: float) -> Tool:
+    """A plate flat on the flange and a bar across it 60 mm out, which reaches an IRB 140's own forearm."""
+    plate = Shape("cylinder", (radius, 0.008), from_rpy((0.0, 0.0, 0.004), UP))
+    bar = Shape("box", (0.44, 0.03, 0.03), from_rpy((0.0, 0.0, 0.06), UP))
+    return plain("bar", from_rpy((0.0, 0.0, 0.12), UP), (plate, bar), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("radius", "why"), [(0.033, "flat on the flange"), (0.060, "always near each other")]
+)
+def test_what_is_left_out_at_the_wrist_is_the_plate_and_no_more(radius: float, why: str) -> None:
+    """Whatever is mounted on the flange of an IRB 140 is 8 mm from its fork, however it is bent; the bar
+    behind is held off the forearm, which it reaches where axis 5 is at its end. Drake says the same."""
+    model = plant.build(alone("irb140", _mounted(radius)), BLOCK, from_rpy((50.0, 0.0, 0.0), UP))
+    (reason,) = (pair[2] for pair in model.pairs_filtered if set(pair[:2]) == {"arm/link_4", "arm/tool"})
+    assert why in reason and "the others are held apart" in reason
+    parts = model.held_in_part[frozenset({"arm/link_4", "arm/tool"})]
+    given = model.bounds.given
+    kinds = [{given[k].body: given[k].shape.kind for k in pair}["arm/tool"] for pair in parts]
+    links = sum(solid.body == "arm/link_4" for solid in given)
+    assert kinds.count("box") == links and kinds.count("cylinder") < links
+    bent = np.zeros((24, 6))
+    bent[:, 4] = np.deg2rad(np.linspace(0.0, 115.0, len(bent)))
+    others = frozenset(
+        frozenset((a, b))
+        for a in {s.body for s in model.solids}
+        for b in {s.body for s in model.solids}
+        if {a, b} != {"arm/link_4", "arm/tool"}
+    )
+    ours, drake = (ask(model, {"arm": bent}, 0.5, others) for ask in (clearance.least, clearance.witness))
+    apart = ours.distance > 0.0
+    assert apart[:12].all() and not apart[-1]
+    np.testing.assert_allclose(drake.distance[apart], ours.distance[apart], atol=2e-4)
+    assert (drake.distance[~apart] <= 0.0).all()
+    assert list(clearance.free(model, {"arm": bent}, 0.0, others)) == list(apart)
 
 
 @pytest.mark.parametrize("name", SAMPLE)

@@ -55,39 +55,13 @@ def _outside(solids: list, points: np.ndarray) -> np.ndarray:
     return 1e3 * np.min(each, axis=0)
 
 
-def _surface(solid: Solid, rng: np.random.Generator) -> np.ndarray:
-    """Points on the rim and the sides of a box or cylinder, in the link's frame."""
-    u = rng.uniform(-1.0, 1.0, (200, 3))
-    if solid.shape.kind == "box":
-        u[np.arange(200), rng.integers(0, 3, 200)] = np.sign(u[:, 0]) + (u[:, 0] == 0)
-        local = 0.5 * u * np.asarray(solid.shape.size)
-    else:
-        radius, length = solid.shape.size
-        angle = np.pi * u[:, 0]
-        local = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.5 * length * u[:, 1]], axis=1)
-    return transform(solid.shape.pose, local)
-
-
-@pytest.mark.parametrize("name", MAKE.BUILDS)
-def test_what_is_seen_lies_within_the_collision_solids(name: str) -> None:
-    """Covers and edges may stick out by a little: 15 mm."""
-    robot, build = robots.robot(name), MAKE.BUILDS[name]
-    rng = np.random.default_rng(1)
-    for link, (seen, solid) in MAKE.bodies(robot, build).items():
-        around = [_solid(s) for s in solid]
-        for item in map(_solid, seen):
-            points = _surface(item, rng)
-            each = [signed_distance(s, transform(inverse(s.shape.pose), points)) for s in around]
-            assert np.min(each, axis=0).max() < 0.015, (link, item.shape)
-
-
 @pytest.mark.parametrize("name", EXTREMES)
 def test_bodies_hold_the_makers_meshes(name: str) -> None:
     """Points are rounded to whole millimetres."""
-    bodies = MAKE.measured(robots.robot(name))
+    bodies = MAKE.bodies(robots.robot(name))
     assert list(EXTREMES[name]) == list(bodies)
     for link, rows in EXTREMES[name].items():
-        assert _outside(bodies[link][1], np.array(rows, dtype=np.float64)).max() < 0.5 * np.sqrt(3.0), link
+        assert _outside(bodies[link], np.array(rows, dtype=np.float64)).max() < 0.5 * np.sqrt(3.0), link
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -111,11 +85,11 @@ def test_measured_solids_hold_the_mesh(seed: int) -> None:
 
 def test_stretched_bodies_reach_as_far_as_the_arm() -> None:
     """An arm with the bodies of another one: the same round the joints, as much longer as its links are."""
-    short, long = (MAKE.measured(robots.robot(name)) for name in ("irb6700_235", "irb6700_205"))
+    short, long = (MAKE.bodies(robots.robot(name)) for name in ("irb6700_235", "irb6700_205"))
 
     def ends(bodies: dict, link: str) -> tuple[float, float]:
         rows = [
-            (s.xyz[2], 0.0 if s.kind == "cylinder" and s.axis != "z" else s.size[-1]) for s in bodies[link][1]
+            (s.xyz[2], 0.0 if s.kind == "cylinder" and s.axis != "z" else s.size[-1]) for s in bodies[link]
         ]
         return min(z - 0.5 * h for z, h in rows), max(z + 0.5 * h for z, h in rows)
 
@@ -136,16 +110,14 @@ def test_a_robot_is_clear_of_itself_at_home_and_in_most_postures(name: str) -> N
     assert share > 0.6
 
 
-@pytest.mark.parametrize("name", [*EXTREMES, *MAKE.BUILDS])
+@pytest.mark.parametrize("name", EXTREMES)
 def test_a_robot_folded_into_its_foot_is_seen(name: str) -> None:
     """The 300 mm ball tool inside the base's solids."""
     robot = robots.robot(name)
     model = plant.build(alone(name), BLOCK, FAR)
     q = np.random.default_rng(3).uniform(robot.lower, robot.upper, (4000, 6))
     tip = model.tcp({"arm": q})["arm"][:, :3, 3]
-    by_eye = MAKE.BUILDS.get(name)
-    bodies = MAKE.bodies(robot, by_eye) if by_eye else MAKE.measured(robot)
-    inside = _outside(bodies["base_link"][1], 1e3 * tip) < 0.0
+    inside = _outside(MAKE.bodies(robot)["base_link"], 1e3 * tip) < 0.0
     if inside.any():
         assert not clearance.free(model, {"arm": q[inside]}, 0.0).any()
 

@@ -195,7 +195,7 @@ def test_the_setup_sheet_shows_what_is_assumed(both):
     told = repr(setup_sheet.tool_table(problem.setups[0], own.plan))
     assert "coupling: assumed, none" in told
     told = repr(setup_sheet.tool_table(catalogue.problem.setups[0], catalogue.plan))
-    assert "bodies: sized by eye" in told
+    assert "bodies: boxes and cylinders that hold" in told
 
 
 @pytest.mark.parametrize(
