@@ -379,18 +379,20 @@ def test_a_home_in_a_box_is_found_by_the_check_as_by_the_plan(place: np.ndarray 
 
 
 @pytest.mark.parametrize("place", [HIGH, None])
-@pytest.mark.parametrize("apart", [0.0, 0.2])
-def test_bases_inside_of_one_another_are_told_as_that(place: np.ndarray | None, apart: float) -> None:
-    """The foot of an IRB 140 is 400 mm long, 300 mm wide and 165 mm high, its axis 1 is 132 mm from its
-    front (urdf/irb140.urdf): two that face each other 200 mm apart are 64 mm inside of one another, and as
-    deep as they are high on one place."""
+@pytest.mark.parametrize(("apart", "deep"), [(0.0, 110.0), (0.3, 51.0)])
+def test_bases_inside_of_one_another_are_told_as_that(
+    place: np.ndarray | None, apart: float, deep: float
+) -> None:
+    """The front of an IRB 140's foot is a cylinder of radius 202 mm, 110 mm high, 26.5 mm behind axis 1
+    (urdf/irb140.urdf): two that face each other 300 mm apart are 2 x 202 - 353 = 51 mm inside of one another,
+    and as deep as they are high on one place."""
     _, few = pair(20)
     job = problem(two_arms(apart), few, place)
     (found,) = check(job, [few])
     assert found.code == "motion.overlap"
     assert found.bodies == ("left/base_link", "right/base_link")
     assert found.field == "cell.arms.1.base"
-    assert found.value == pytest.approx(165.0 if apart == 0.0 else 63.5, abs=0.1)
+    assert found.value == pytest.approx(deep, abs=0.1)
     assert f"the bases of left and right are {1e3 * apart:.1f} mm apart" in found.message
     assert "home" not in str(found.hint)
     with pytest.raises(TandemError) as caught:

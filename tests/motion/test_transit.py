@@ -181,7 +181,7 @@ def test_a_transit_through_the_block_goes_over_it_and_keeps_the_pair_rigid() -> 
     assert mended.edge is not None
     far = np.linalg.norm(np.diff(mended.edge.points, axis=0), axis=-1).max(axis=1)
     assert np.allclose(mended.travel[1:], far, atol=1e-12)
-    assert mended.count < 60
+    assert mended.count < 80
     plan = plan_operation("hop", cell, targets, Settings(), HIGH, model)
     assert plan.targets.count == mended.count
     branch = plan.metrics["branch"]
