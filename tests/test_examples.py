@@ -31,7 +31,10 @@ EXPECTED: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "06_own_poses": ((r"verified: True, 9 places in \d+\.\d s",), (*RESULT, "programs/T_ROB2")),
     "07_sweep": (
-        (r"300 mm: at home robot/link_1 and stock are 5.0 mm apart", r"540 mm: \d+ deg from a limit, \d+ deg from a singularity"),
+        (
+            r"300 mm: at home robot/link_1 and stock are 5.0 mm apart",
+            r"540 mm: \d+ deg from a limit, \d+ deg from a singularity",
+        ),
         ("sweep.svg",),
     ),
     "08_custom_process": ((r"verified: True; largest distance from the circle 0\.0\d+ mm",), RESULT),
