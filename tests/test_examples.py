@@ -80,6 +80,7 @@ def test_an_example_is_read_at_once(path: Path) -> None:
     assert "accept=" not in text, "an example accepts no errors"
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.long] if name in SLOW else []) for name in EXPECTED]
 )
