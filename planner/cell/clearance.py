@@ -29,6 +29,9 @@ GOLDEN_RATIO: Final = (np.sqrt(5.0) - 1.0) / 2.0
 GOLDEN_STEPS: Final = 36
 """Golden-section steps: an interval of 50 mm shrinks to below 2 nm."""
 
+PIECE_SHARES: Final = np.linspace(0.0, 1.0, 6)
+"""Places on a straight piece whose distances bound that of the whole piece: it changes by the way at most."""
+
 
 def edge(
     model: CellModel,
@@ -111,7 +114,8 @@ def edge_free(
         chain = held.get(arm, whole) if link in ("tool", "link_6") else whole
         frame = np.broadcast_to(poses[solid.body] @ solid.shape.pose, (len(points), 4, 4))
         reach = 0.5 * float(np.linalg.norm(extent(solid)))
-        rows = np.flatnonzero(lengths(middle - frame[:, :3, 3]) <= room + reach)
+        near = lengths(middle - frame[:, :3, 3]) <= room + reach
+        rows = np.flatnonzero(near & (best - radius >= padding))
         if not len(rows):
             continue
         some = _Chain(chain.points[rows], chain.skip[rows])
@@ -124,7 +128,12 @@ def edge_free(
         wanted = (low < np.minimum(best[rows], limit)[:, None]) & (best[rows] - radius >= padding)[:, None]
         row, piece = np.nonzero(wanted)
         if len(row):
-            np.minimum.at(best, rows[row], _least_on(solid, local[row, piece], local[row, piece + 1]))
+            start, end, step = local[row, piece], local[row, piece + 1], some.steps[row, piece]
+            along = start[:, None] + PIECE_SHARES[:, None] * (end - start)[:, None]
+            inner = signed_distance(solid, along)
+            low = 0.5 * (inner[:, 1:] + inner[:, :-1] - step[:, None] / (len(PIECE_SHARES) - 1))
+            close = np.flatnonzero(low.min(axis=1) < limit)
+            np.minimum.at(best, rows[row[close]], _least_on(solid, start[close], end[close]))
     return np.asarray(best - radius >= padding)
 
 
