@@ -356,12 +356,13 @@ def _lifts(plan: LoopPlan, measured: Measured, kappa: float) -> dict[str, Any]:
     one."""
     import numpy as np
 
+    from planner.geometry.arrays import spread_rows
     from planner.loops.next_loop import springback
 
     made = [
         (number, int(k)) for number, row in enumerate(measured.lift) for k in np.flatnonzero(np.isfinite(row))
     ]
-    chosen = np.unique(np.linspace(0, len(made) - 1, min(len(made), LIFTS_SHOWN)).round().astype(int))
+    chosen = spread_rows(len(made), LIFTS_SHOWN)
     series: list[dict[str, Any]] = []
     for colour, (number, k) in enumerate(made[i] for i in chosen):
         level = plan.levels[number]

@@ -95,6 +95,13 @@ def columns(a: FloatArray, b: FloatArray) -> FloatArray:
 _Value = TypeVar("_Value")
 
 
+def spread_rows(count: int, most: int) -> IndexArray:
+    """At most ``most`` rows (K,) of ``count``, evenly spread, the first and the last among them."""
+    if count < 1:
+        return np.zeros(0, dtype=np.intp)
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
+
+
 def read_only(value: _Value) -> _Value:
     """The value itself, all arrays in its dataclasses, tuples, lists and mappings made read-only."""
     if isinstance(value, np.ndarray):

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, IndexArray
+from planner.geometry.arrays import FloatArray, IndexArray, spread_rows
 from planner.issues import Issue
 from planner.motion import diagnosis
 from planner.motion.planning_scene import Scene
@@ -44,7 +44,7 @@ class FirstLook:
         """The targets (K,) of an operation that are looked at."""
         count, total = self._counts[operation], sum(self._counts)
         some = min(count, max(LEAST_TARGETS, round(self._most * count / total)))
-        return np.unique(np.linspace(0, count - 1, some).round().astype(np.intp))
+        return spread_rows(count, some)
 
     def faults(self, scene: Scene, targets: Targets, operation: int) -> list[Issue]:
         """What is in the way at the first of these targets that has no posture; nothing where all have."""

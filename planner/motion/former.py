@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.cell.plant import content_digest
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, spread_rows
 from planner.geometry.units import DEG
 from planner.issues import Issue, Severity, TandemError
 from planner.motion.placement import SAME_POSE, Place
@@ -151,7 +151,7 @@ class FormerPath:
             return f"paths of over {LONG_JOB} targets are searched on fewer of them anyway"
         if not targets.freedoms:
             return "its poses leave nothing open"
-        some = np.unique(np.linspace(0, before.count - 1, min(SAMPLES, before.count)).round().astype(int))
+        some = spread_rows(before.count, SAMPLES)
         every = carried(before, self.operation.values, targets)
         near = np.concatenate([coordinates[some] for coordinates in every])
         turns = [(-AROUND_RAD, 0.0, AROUND_RAD) if full_turn(f) else (0.0,) for f in targets.freedoms]

@@ -21,7 +21,7 @@ from pydrake.geometry import Capsule, Meshcat, MeshcatAnimation, MeshcatParams, 
 
 from planner.cell.plant import CellModel, quiet, rigid
 from planner.claims.vocabulary import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, Mesh
+from planner.geometry.arrays import BoolArray, FloatArray, Mesh, spread_rows
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.problem import Problem, Setup
@@ -432,7 +432,7 @@ def _surface(meshcat: Any, path: str, mesh: Mesh, color: Rgba) -> None:
 
 def _wire(film: _Film, wire: FloatArray, shown: BoolArray, radius: float) -> None:
     """A chain of capsules along the wire (T, P, 3), drawn thick enough to be seen."""
-    points = wire[:, np.unique(np.linspace(0, wire.shape[1] - 1, WIRE_LINKS + 1).round().astype(int))]
+    points = wire[:, spread_rows(wire.shape[1], WIRE_LINKS + 1)]
     step = np.diff(points, axis=1)
     length = np.linalg.norm(step, axis=-1)
     poses = _poses_along(0.5 * (points[:, 1:] + points[:, :-1]), step)
@@ -466,7 +466,7 @@ def _strips(film: _Film, problem: Problem, run: Track) -> None:
     total = sum(len(cut.keys) for cut in run.sweeps)
     for cut in run.sweeps:
         own = blocks[cut.setup]
-        some = np.unique(np.linspace(0, cut.points.shape[1] - 1, 25).round().astype(int))
+        some = spread_rows(cut.points.shape[1], 25)
         points = cut.points[:, some]
         steps = np.arange(len(cut.keys) - 1)
         count = max(1, min(len(steps), round(STRIPS * len(steps) / max(total, 1))))

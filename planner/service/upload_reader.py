@@ -35,7 +35,7 @@ from planner.batch.job import ELEMENT, PROBLEM
 from planner.element import element_file
 from planner.element.element_file import ElementFile
 from planner.files import FILE_KEYS, base_name, carried_name
-from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.arrays import FloatArray, Mesh, spread_rows
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
@@ -219,7 +219,7 @@ def paths(problem: Problem) -> tuple[list[tuple[str, Mesh]], list[Issue]]:
 
 def path_bars(places: FloatArray, width: float) -> Mesh:
     """Bars of a square section from each place (N, 3) to the next one; equal places have none."""
-    some = places[np.unique(np.linspace(0, len(places) - 1, MOST + 1).round().astype(int))]
+    some = places[spread_rows(len(places), MOST + 1)]
     start, way = some[:-1], np.diff(some, axis=0)
     length = np.linalg.norm(way, axis=1)
     start, way, length = start[length > 0.0], way[length > 0.0], length[length > 0.0]

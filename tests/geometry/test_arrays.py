@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from planner.geometry.arrays import read_only
+from planner.geometry.arrays import read_only, spread_rows
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,3 +26,11 @@ def test_arrays_in_dataclasses_tuples_lists_and_mappings() -> None:
     for array in (value.own, value.table["a"], value.rows[0][0]):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("count", "most", "rows"),
+    [(0, 5, []), (1, 5, [0]), (3, 5, [0, 1, 2]), (11, 3, [0, 5, 10]), (10, 4, [0, 3, 6, 9]), (7, 1, [0])],
+)
+def test_rows_are_spread_from_first_to_last(count: int, most: int, rows: list[int]) -> None:
+    assert spread_rows(count, most).tolist() == rows

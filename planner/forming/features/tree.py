@@ -52,7 +52,7 @@ from planner.forming.features.surface import (
     where,
 )
 from planner.forming.features.walls import Wall, skeleton, walls
-from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.arrays import FloatArray, Mesh, spread_rows
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
 
@@ -450,9 +450,7 @@ def alone(tree: FeatureTree) -> str:
 
 
 def _some(feature: Feature) -> list[FloatArray]:
-    count = len(feature.contours)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_CONTOURS)).round().astype(int))
-    return [feature.contours[index] for index in chosen]
+    return [feature.contours[index] for index in spread_rows(len(feature.contours), MOST_CONTOURS)]
 
 
 def _path(points: FloatArray, tall: float) -> str:

@@ -25,7 +25,7 @@ from planner.forming.springback.curves import (
     forces,
     solved,
 )
-from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.arrays import FloatArray, IntArray, spread_rows
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
 
@@ -119,7 +119,7 @@ def some_points(control: Sequence[tuple[ControlPoints, Sequence[Point]]]) -> lis
     """Points of each pass at which a sheet is held against a finer one, from its first level to its last."""
     out = []
     for _, every in control:
-        out += [every[k] for k in np.unique(np.linspace(0, len(every) - 1, TRIED).round().astype(int))]
+        out += [every[k] for k in spread_rows(len(every), TRIED)]
     return out
 
 
@@ -336,7 +336,7 @@ def _curves(found: Sequence[PassSpringback]) -> dict[str, Any]:
         for k in range(len(one.curves))
         if one.control.cluster[k] == 0
     ]
-    chosen = np.unique(np.linspace(0, len(named) - 1, min(len(named), CURVES_SHOWN)).round().astype(int))
+    chosen = spread_rows(len(named), CURVES_SHOWN)
     series = []
     for colour, k in enumerate(chosen):
         name, curve, expected = named[k]

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, inverse, to_quaternion
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, inverse, spread_rows, to_quaternion
 from planner.motion.planning_scene import FULL_TURN, holders
 from planner.motion.search.reach import full_turn, sample, slides_only
 from planner.problem import Cell
@@ -97,7 +97,7 @@ class Few:
 
 def few_of(cell: Cell, targets: Targets, count: int, shifted: bool) -> Few:
     """About ``count`` targets of a job, with samples of long shifts as well where ``shifted``."""
-    rows = np.unique(np.linspace(0, targets.count - 1, min(count, targets.count)).round().astype(np.intp))
+    rows = spread_rows(targets.count, count)
     few = subset(targets, rows)
     values = few_samples(few)
     if shifted:
