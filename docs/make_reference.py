@@ -96,6 +96,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Process `trim`", "trim", trim_operation.Trim),
     ("`outlines` of `trim`, each", "", trim_operation.OutlineFile),
     ("`circle` of such an outline", "", trim_operation.CircleFile),
+    ("`drawing` of such an outline", "", trim_operation.DrawingFile),
     ("`lead` of `trim`", "", trim_operation.LeadFile),
     ("`pierce` of `trim`", "", trim_operation.PierceFile),
     ("Process `targets`", "process-targets", poses.Posed),

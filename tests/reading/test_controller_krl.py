@@ -30,7 +30,6 @@ def test_numbers_are_those_that_a_controller_has(number):
     ("io", "word"),
     [
         ({"middle": {"doSpindle": 1}}, "no arm middle"),
-        ({"left": {"doSpindle": 1, "doWater": 1}}, "number 1"),
         ({"left": {"doSpindle": 1, "DOSPINDLE": 2}}, "DOSPINDLE"),
     ],
 )

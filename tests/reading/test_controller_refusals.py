@@ -67,6 +67,7 @@ WRONG: list[tuple[str, Any, str, str]] = [
     (FIELD, {"wire_signal": "doStraße"}, "problem.field", FIELD + ".wire_signal"),
     (FIELD, {"io": {"left": {"doWirePower": 0}}}, "problem.field", FIELD + ".io.left.doWirePower"),
     (FIELD, {"io": {"left": {"doWirePower": 4097}}}, "problem.field", FIELD + ".io.left.doWirePower"),
+    (FIELD, {"io": {"left": {"doWirePower": 1, "doWater": 1}}}, "problem.field", FIELD + ".io.left"),
     (
         FIELD,
         {"io": {"left": {"doWirePower": 5}}, "interlock": {"outputs": {"doWirePower": {"signal": "doHot"}}}},
@@ -86,7 +87,7 @@ WRONG: list[tuple[str, Any, str, str]] = [
     (FIELD, {"interlock": {"places": {"left": {"doRunning": PLACE}}}}, "problem.field", PLACES + "left"),
     (FIELD, HANDSHAKE | {"interlock": {"places": {"middle": {"doRunning": PLACE}}}},
      "problem.field", PLACES + "middle"),
-    (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doPartner": PLACE}}}},
+    (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doNobody": PLACE}}}},
      "problem.field", PLACES + "left"),
     (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doRunning": {"device": "D", "device_map": -1}}}}},
      "problem.field", PLACES + "left.doRunning.device_map"),
