@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from planner.issues import Issue
-from planner.verify.context import Context, Outcome, at_step, mm, rule
+from planner.verify.context import MOST_OUTER, Context, Outcome, at_step, mm, rule
 from planner.verify.job import Stage, TaskText, sync_points
 from planner.verify.programs.steps import (
     CallStep,
@@ -49,11 +49,15 @@ _OTHER_SOLUTION = np.deg2rad(0.01)
 """Joints that differ by more [rad] are another solution."""
 
 
-def move_kinds(task: TaskText) -> list[Issue]:
-    """Moves that use an axis that the cell does not have."""
+def move_kinds(task: TaskText, moved: bool) -> list[Issue]:
+    """Moves that use an axis that the cell does not have; ``moved``: it has some that this task moves, which
+    :mod:`planner.verify.rules.external_axes` looks at."""
     out = []
     for step in task.steps:
-        if isinstance(step, MoveStep) and np.abs(step.target.external).max() > 0.0:
+        if not isinstance(step, MoveStep) or moved:
+            continue
+        stated = np.abs(step.target.external)
+        if stated[stated < MOST_OUTER].max(initial=0.0) > 0.0:
             what = "the target moves an external axis; E1 to E6 are 0 here"
             out.append(at_step("verify.move_kinds", what, task, step))
     return out
