@@ -38,6 +38,7 @@ def problem(
     obstacles: Any = (),
     side: float = 1200.0,
     controller: Any = None,
+    count: int = 5,
     **arm: Any,
 ) -> planner.Problem:
     """Poses round that of home, 1.2 m to one side in operation ``a`` and to the other in ``b``."""
@@ -49,7 +50,7 @@ def problem(
         cell["controller"] = controller
     for name, middle in (("a", -side), ("b", side)):
         rows = [COLUMNS]
-        for k in range(5):
+        for k in np.linspace(0.0, 4.0, count):
             w = _tool_quaternion()
             x, y, z = 500.0, middle + 40.0 * k, 450.0 + 20.0 * np.sin(k)
             rows.append(",".join(str(round(float(v), 9)) for v in (x, y, z, *w, 50.0)) + ",move")
@@ -87,8 +88,8 @@ KUKA: dict[str, Any] = {"robot": "kr16_2", "base": {"xyz_mm": [0, 0, 0], "rpy_de
 
 
 @functools.cache
-def planned_krl(**controller: str) -> Outcome:
-    """The job for a KUKA arm, planned and proven; ``controller`` of its cell."""
+def planned_krl(count: int = 5, **controller: str) -> Outcome:
+    """The job for a KUKA arm, planned and proven; ``controller`` of its cell, ``count`` targets a side."""
     folder = Path(FOLDER.name) / "-".join(["krl", *controller.values()])
     folder.mkdir()
-    return planner.plan(problem(folder, side=2200.0, controller=controller, **KUKA))
+    return planner.plan(problem(folder, side=2200.0, controller=controller, count=count, **KUKA))

@@ -405,7 +405,7 @@ def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
 
 
 def _kuka_track(arm: Arm, track: LinearTrack) -> list[tuple[str, str]]:
-    """What the machine data of a KUKA controller must say of a track. That the kinematic of a track is #ERSYS,
+    """What the machine data of a KUKA controller must say of a track. That its kinematic is #ERSYS,
     and moves $ROBROOT_C without a word in the program: KR C2, machine data, 2.1.9 $ERSYSROOT."""
     unit, span = (
         track.unit,

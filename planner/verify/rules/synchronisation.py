@@ -13,6 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.verify.context import MOST_OUTER, Context, Outcome, at_step, mm, rule
 from planner.verify.job import Stage, TaskText, sync_points
@@ -174,6 +175,8 @@ def _chosen(
 ) -> tuple[list[str], tuple[int, ...]]:
     """What is wrong with Status and Turn of a move's target, and axes near zero."""
     machine, base = arm_model.machine_of(task.arm.data), context.bases[task.arm.name]
+    if (track := task.arm.track) is not None:  # the first external axis, by what the target itself states
+        base = track.moved(base, float(target.external[0]) * MM)
     bits = f"S {target.status} and T {target.turn}"
     found = solutions(move, machine, base)
     if len(found.q) != 1:
