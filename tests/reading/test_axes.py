@@ -157,7 +157,7 @@ def test_what_cannot_be_a_turntable_is_told(
 
 def test_axes_beyond_arms_without_rapid_or_krl_are_refused(tmp_path: Path) -> None:
     cell = table_job.problem(tmp_path).cell
-    arm = dataclasses.replace(cell.arms[0], data=dataclasses.replace(cell.arms[0].data, family="UR"))
+    arm = dataclasses.replace(cell.arms[0], given=dataclasses.replace(cell.arms[0].data, family="UR"))
     with pytest.raises(TandemError, match="written for ABB and KUKA controllers alone") as refused:
         axes.track(axes.TrackFile.model_validate(TRACK), arm, 0)
     assert {issue.code for issue in refused.value.issues} == {"problem.track"}
