@@ -78,3 +78,12 @@ FOLDER = tempfile.TemporaryDirectory()
 def planned() -> Outcome:
     """The job, planned and proven."""
     return planner.plan(problem(Path(FOLDER.name)))
+
+
+@functools.cache
+def planned_krl() -> Outcome:
+    """The job for a KUKA arm, its table the second external axis, planned and proven."""
+    folder = Path(FOLDER.name) / "krl"
+    folder.mkdir()
+    arms = ({**ARM, "robot": "kr16_2"},)
+    return planner.plan(problem(folder, {**TABLE, "external_axis": 2}, arms=arms))

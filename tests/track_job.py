@@ -33,18 +33,26 @@ COLUMNS = "left.x_mm,left.y_mm,left.z_mm,left.qw,left.qx,left.qy,left.qz,feed_mm
 
 
 def problem(
-    folder: Path, track: dict[str, Any] | None = TRACK, obstacles: Any = (), **arm: Any
+    folder: Path,
+    track: dict[str, Any] | None = TRACK,
+    obstacles: Any = (),
+    side: float = 1200.0,
+    controller: Any = None,
+    count: int = 5,
+    **arm: Any,
 ) -> planner.Problem:
     """Poses round that of home, 1.2 m to one side in operation ``a`` and to the other in ``b``."""
     one = {**ARM, **arm} if track is None else {**ARM, "track": track, **arm}
     if track is None:
         one.pop("track")
-    cell = {"name": "track", "arms": [one], "obstacles": list(obstacles)}
-    for name, side in (("a", -1200.0), ("b", 1200.0)):
+    cell: dict[str, Any] = {"name": "track", "arms": [one], "obstacles": list(obstacles)}
+    if controller is not None:
+        cell["controller"] = controller
+    for name, middle in (("a", -side), ("b", side)):
         rows = [COLUMNS]
-        for k in range(5):
+        for k in np.linspace(0.0, 4.0, count):
             w = _tool_quaternion()
-            x, y, z = 500.0, side + 40.0 * k, 450.0 + 20.0 * np.sin(k)
+            x, y, z = 500.0, middle + 40.0 * k, 450.0 + 20.0 * np.sin(k)
             rows.append(",".join(str(round(float(v), 9)) for v in (x, y, z, *w, 50.0)) + ",move")
         (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
     operations = [
@@ -73,3 +81,15 @@ FOLDER = tempfile.TemporaryDirectory()
 def planned() -> Outcome:
     """The job, planned and proven."""
     return planner.plan(problem(Path(FOLDER.name)))
+
+
+KUKA: dict[str, Any] = {"robot": "kr16_2", "base": {"xyz_mm": [0, 0, 0], "rpy_deg": [0, 0, 30]}}
+"""An arm that reaches farther, and stands askew to its track."""
+
+
+@functools.cache
+def planned_krl(count: int = 5, **controller: str) -> Outcome:
+    """The job for a KUKA arm, planned and proven; ``controller`` of its cell, ``count`` targets a side."""
+    folder = Path(FOLDER.name) / "-".join(["krl", *controller.values()])
+    folder.mkdir()
+    return planner.plan(problem(folder, side=2200.0, controller=controller, count=count, **KUKA))

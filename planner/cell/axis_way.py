@@ -16,10 +16,10 @@ from typing import Final
 import numpy as np
 
 from planner.cell import clearance, distance
-from planner.cell.bodies import Solid
+from planner.cell.bodies import Solid, own_shapes
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, Shape, corners, transform
-from planner.problem import PLATE, Turntable
+from planner.problem import PLATE, Setup, Turntable
 
 LEAST_STEP_M: Final = 1e-3
 """Looks are no nearer [m]."""
@@ -107,6 +107,12 @@ def swing(shapes: Sequence[Shape], place: FloatArray, table: Turntable) -> float
     block at ``place`` (4, 4)."""
     far = [transform(place @ shape.pose, corners(shape)) - table.centre for shape in shapes]
     return max((float(np.hypot(points[:, 0], points[:, 1]).max()) for points in far), default=0.0)
+
+
+def rim(setup: Setup, place: FloatArray, table: Turntable) -> float:
+    """How far [m] what a turntable turns in a setup, with the block at ``place`` (4, 4), reaches from its
+    axis."""
+    return swing((*own_shapes(setup.cell, setup.stock)["stock"], *setup.stock.support), place, table)
 
 
 def _looked(

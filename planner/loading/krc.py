@@ -31,6 +31,10 @@ NOT_THERE: Final = (
     "mode, version and model of the controller, inputs and outputs: a folder tells none of them"
 )
 """What no file is read for."""
+_RIDDEN: Final = (
+    "base frame and track: on a track $ROBROOT counts for nothing; the program itself looks at $ROBROOT_C"
+)
+"""Why the foot of an arm on a track is not compared."""
 _FRAME: Final = re.compile(r"\b([XYZABC])\s+([-+]?[\d.]+(?:[eE][-+]?\d+)?)")
 _ENTRY: Final = re.compile(
     r"^\s*(TOOL|BASE|LOAD)_(DATA|NAME)\[(\d+),?\]\s*=\s*(\{.*\}|\"[^\"]*\")", re.I | re.M
@@ -50,14 +54,14 @@ def compare(store: Store, files: Mapping[str, bytes], arms: Sequence[Arm]) -> Fo
         return Found((), (unread(what),), ())
     out, lost, agreed = list[Issue](), [NOT_THERE], list[str]()
     machine, config = (_found(store, name) for name in ("$machine.dat", "$config.dat"))
-    fault = _foot(machine)
+    texts = [program_text.decode(content, name) for name, content in files.items() if kind(name) == "krl"]
+    fault = _RIDDEN if any("$ROBROOT_C" in text for text in texts) else _foot(machine)
     if fault is None:
         agreed.append("$ROBROOT")
     elif fault.startswith("$ROBROOT is"):
         out.append(Issue("upload.differs", fault, field="$ROBROOT"))
     else:
         lost.append(fault)
-    texts = [program_text.decode(content, name) for name, content in files.items() if kind(name) == "krl"]
     own = [found.groups() for text in texts for found in _OWN.finditer(text)]
     if config is None:
         lost.append("tools, bases and loads: no $config.dat in R1/System there")

@@ -9,9 +9,11 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from planner.cell import axis_way
 from planner.claims.claim import HoldsStock
 from planner.claims.vocabulary import Handshake, Segment
 from planner.geometry import corner_rounding
@@ -90,6 +92,8 @@ def _load(plan: Plan, setup: Setup, holder: str) -> Load:
 
 MAX_TASKS = 2
 """Motion tasks of a program at most."""
+TRACK_COLUMN = 0
+"""Column of a track among external axes: the first one, eax_a or E1."""
 SAME_JOINTS = 1e-6
 """Joints [rad] that differ by less are one place, some 0.00005 deg apart."""
 
@@ -332,6 +336,30 @@ def _table(arm: Arm, cell: Cell) -> Turntable | None:
     return cell.turntable if cell.turntable is not None and cell.turntable.arm == arm.name else None
 
 
+BLIND_SPEED = 0.25
+"""Highest speed [m/s] of a track, and of what a turntable carries, on the way to a station."""
+
+
+class OuterSpeed(NamedTuple):
+    """Of an external axis: the highest speed on the way to a station, and its ``own`` [m/s, rad/s]."""
+
+    most: float
+    own: float
+
+
+def outer_speeds(task: TaskProgram, plan: Plan, problem: Problem) -> dict[int, OuterSpeed]:
+    """Speeds of the external axes that a task moves, by column: what they carry goes at most at
+    :data:`BLIND_SPEED`."""
+    out: dict[int, OuterSpeed] = {}
+    if (track := task.arm.track) is not None:
+        out[TRACK_COLUMN] = OuterSpeed(min(track.speed, BLIND_SPEED), track.speed)
+    if (table := task.table) is not None:
+        places = ((setup, np.asarray(plan.places[setup.number - 1])) for setup in problem.setups)
+        rim = max(axis_way.rim(setup, place, table) for setup, place in places)
+        out[table.column] = OuterSpeed(min(table.speed, BLIND_SPEED / rim), table.speed)
+    return out
+
+
 def _values(setup: Setup) -> dict[str, float]:
     """Where tracks [m] and the turntable [rad] stand in a setup, by what they carry."""
     out = {arm.name: arm.station for arm in setup.cell.arms}
@@ -343,7 +371,7 @@ def _outer(arm: Arm, cell: Cell, values: Mapping[str, float]) -> Outer | None:
     where it moves none. A track is the first one."""
     out: dict[int, float] = {}
     if arm.track is not None:
-        out[0] = values[arm.name] / MM
+        out[TRACK_COLUMN] = values[arm.name] / MM
     table = _table(arm, cell)
     if table is not None:
         out[table.column] = values[STOCK] / DEG

@@ -1,7 +1,7 @@
 """Axes beyond an arm in a cell file: a linear track under its base, a turntable under the block, with what
 cannot be one told.
 
-Those of KUKA arms, gantries, tables that tilt and axes that move while an arm works are not written yet.
+Gantries, tables that tilt and axes that move while an arm works are not written yet.
 """
 
 from __future__ import annotations
@@ -22,8 +22,17 @@ LEAST_AXIS: Final = 1e-9
 """Directions shorter than this have none."""
 UPRIGHT: Final = 1e-9
 """Axes whose unit vectors are off the vertical by no more stand upright."""
+LANGUAGES: Final = ("ABB", "KUKA")
+"""Families of arms in whose language external axes are written."""
+LEAST_SHARE: Final = 0.01
+"""Least speed of an external axis in KRL, as a share of its own: $VEL_EXTAX takes whole percents."""
+BLIND_SPEED: Final = 0.25
+"""Highest speed [m/s] of what a turntable carries on the way to a station."""
 HOME_DECIMALS: Final = 4
 """Decimals [deg] of where a turntable stands at home, as programs write it."""
+
+
+_UNIT: Final = "its name: of the mechanical unit (`MECHANICAL_UNIT` in MOC.cfg), or in KUKA's `MACHINE_DEF`"
 
 
 class TrackFile(Strict):
@@ -31,7 +40,7 @@ class TrackFile(Strict):
 
     axis: Annotated[Vector, Field(description="direction of growing values in the world, any length")]
     range_mm: Annotated[tuple[float, float], Field(description="least and largest value")]
-    unit: Annotated[Name, Field(description="its mechanical unit, `MECHANICAL_UNIT` in MOC.cfg")]
+    unit: Annotated[Name, Field(description=_UNIT)]
     speed_mm_s: Annotated[float, Field(le=5000, description="its highest")]
     acceleration_mm_s2: Annotated[float, Field(le=50_000, description="its highest")]
     home_mm: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
@@ -58,9 +67,9 @@ def track(spec: TrackFile | None, arm: Arm, number: int) -> LinearTrack | None:
     for name, value in (("speed_mm_s", spec.speed_mm_s), ("acceleration_mm_s2", spec.acceleration_mm_s2)):
         if not value > 0.0:
             told(name, f"got {value:g}; allowed: above 0")
-    if arm.data.family != "ABB":
-        what = f"arm {arm.name} is of {arm.data.family}; tracks are written for ABB controllers alone, those "
-        what += "of others (KRL's E1) not yet; take the track out and move the base, or take an ABB arm"
+    if arm.data.family not in LANGUAGES:
+        what = f"arm {arm.name} is of {arm.data.family}; tracks are written for {' and '.join(LANGUAGES)} "
+        what += "controllers alone; take the track out and move the base, or take such an arm"
         wrong.append(Issue("problem.track", what, field=field, arm=arm.name))
     if arm.base_auto:
         what = f"arm {arm.name} stands on a track, whose place is not searched; state its base"
@@ -108,10 +117,10 @@ class TurntableFile(Strict):
     """A turntable under the block, that turns it from station to station between operations; `place` of the
     block is that of value 0."""
 
-    unit: Annotated[Name, Field(description="its mechanical unit, `MECHANICAL_UNIT` in MOC.cfg")]
+    unit: Annotated[Name, Field(description=_UNIT)]
     arm: Annotated[Name | None, Field(description="whose program moves it; none: the first arm")] = None
     external_axis: Annotated[
-        int, Field(ge=1, le=6, description="which of the targets' external axes it is: 1 is eax_a")
+        int, Field(ge=1, le=6, description="which of the targets' external axes it is: 1 is eax_a or E1")
     ] = 1
     centre_mm: Annotated[Vector, Field(description="middle of the plate's top, in the world")]
     axis: Annotated[
@@ -161,12 +170,10 @@ def turntable(
     if mover is None:
         what = f"{spec.arm!r} is not an arm of the cell; it has {', '.join(names)}"
         told("arm", what, "problem.unknown_arm")
-    elif any(arm.data.family != "ABB" for arm in arms):
-        other = next(arm for arm in arms if arm.data.family != "ABB")
-        what = (
-            f"arm {other.name} is of {other.data.family}; turntables are written for ABB controllers alone, "
-        )
-        what += "those of others (KRL's E1) not yet; take the turntable out, or take ABB arms"
+    elif any(arm.data.family not in LANGUAGES for arm in arms):
+        other = next(arm for arm in arms if arm.data.family not in LANGUAGES)
+        what = f"arm {other.name} is of {other.data.family}; turntables are written for "
+        what += f"{' and '.join(LANGUAGES)} controllers alone; take the turntable out, or take such arms"
         told("arm", what, "problem.turntable")
     if controller.sync == "handshake" and len(arms) > 1:
         what = "with two controllers (handshake) a turntable is not written yet; use one (sync: multimove)"
@@ -237,4 +244,26 @@ def turntable_faults(problem: Problem) -> list[Issue]:
             at = ", ".join(f"{v / MM:g}" for v in table.centre)
             told(f"{what}plate, whose top is at [{at}] mm; put the block on it", f"{field}.place")
         break
+    mover = next(arm for arm in problem.cell.arms if arm.name == table.arm)
+    if not out and mover.data.family == "KUKA":
+        out += _fast(problem, table)
     return out
+
+
+def _fast(problem: Problem, table: Turntable) -> list[Issue]:
+    """A turntable that at the least speed of KRL takes what stands on it faster than people may be near."""
+    from planner.cell import axis_way
+
+    places = [(setup, setup.stock.place) for setup in problem.setups]
+    rim = max(
+        (axis_way.rim(setup, place, table) for setup, place in places if place is not None), default=0.0
+    )
+    if LEAST_SHARE * table.speed * rim <= BLIND_SPEED:
+        return []
+    most = BLIND_SPEED / (LEAST_SHARE * rim) / DEG
+    what = f"the block reaches {rim / MM:.0f} mm from the turntable's axis, and a KUKA controller turns it "
+    what += (
+        f"at {LEAST_SHARE * table.speed / DEG:g} deg/s at least, one percent of its own, faster there than "
+    )
+    what += f"{BLIND_SPEED / MM:g} mm/s; make its own speed {most:.0f} deg/s or less in the machine data"
+    return [Issue("problem.turntable", what, field="cell.turntable.speed_deg_s")]

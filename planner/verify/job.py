@@ -313,11 +313,20 @@ def _krl_task(problem: Problem, number: int, name: str, files: Mapping[str, str]
         base = arm.base if text.base is None else text.base
         try:
             others = [other.name for other in problem.cell.arms if other.name != arm.name]
-            steps, entered = reader.flow(text, base, krl_signals(problem, arm), arm.name, others)
+            signals = krl_signals(problem, arm)
+            steps, entered = reader.flow(text, base, signals, arm.name, others, _along(arm))
         except FlowError as wrong:
             lost = wrong.faults
     called = frozenset(("", program) for program in entered)
     return TaskText(name, "", arm, (), steps, {}, {}, called, files, text), text.faults, lost
+
+
+def _along(arm: Arm) -> tuple[float, float, float] | None:
+    """The unit vector, in the axes of an arm's foot, along which its track moves it; None without one."""
+    if arm.track is None:
+        return None
+    x, y, z = (float(column @ arm.track.axis) for column in arm.base[:3, :3].T)
+    return x, y, z
 
 
 def _script_task(problem: Problem, number: int, name: str, files: Mapping[str, str]) -> _Read:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import yaml
 
 import planner
 from planner.issues import TandemError
+from planner.reading import axes
 from tests import table_job
 from tests.track_job import ARM, TRACK, problem
 
@@ -50,7 +52,6 @@ WRONG = [
     ({"home_mm": 3001}, {}, "outside the range"),
     ({"unit": "ROB_1"}, {}, "the robot ROB_1"),
     ({}, {"base_auto": True}, "state its base"),
-    ({}, {"robot": "kr16_2", "tool": {"kind": "ball_tool"}}, "KRL's E1"),
 ]
 
 
@@ -120,7 +121,9 @@ def test_without_a_turntable_setups_are_as_they_were(tmp_path: Path) -> None:
     assert [setup.operations for setup in made.setups] == [(0, 1)] and not made.setups[0].steps
 
 
+FAST = {**table_job.TABLE, "speed_deg_s": 720}
 KUKA = {**table_job.ARM, "robot": "kr16_2"}
+LONG = {**table_job.STOCK, "size_mm": [4600, 400, 50]}
 NO_TABLE: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"axis": [0, 0, 0]}, {}, "its length is 0"),
     ({"axis": [0, 1, 0]}, {}, "it leans"),
@@ -131,7 +134,7 @@ NO_TABLE: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"external_axis": 7}, {}, "external_axis"),
     ({"unit": "rob_1"}, {}, "that of a robot"),
     ({"arm": "other"}, {}, "'other' is not an arm"),
-    ({}, {"arms": [KUKA]}, "KRL's E1"),
+    (FAST, {"arms": [KUKA], "stock": LONG}, "one percent of its own"),
     ({}, {"arms": [{**table_job.ARM, "track": TRACK}]}, "together with an arm on a track"),
     ({"centre_mm": [900, 600, 200]}, {}, "does not stand on the turntable"),
     ({"centre_mm": [900, 0, 100]}, {}, "100 mm above the plate"),
@@ -150,3 +153,14 @@ def test_what_cannot_be_a_turntable_is_told(
     assert [text for text in found if words in text], found
     own = ("problem.turntable", "problem.field", "problem.unknown_arm", "problem.duplicate_name")
     assert {issue.code for issue in refused.value.issues} <= set(own)
+
+
+def test_axes_beyond_arms_without_rapid_or_krl_are_refused(tmp_path: Path) -> None:
+    cell = table_job.problem(tmp_path).cell
+    arm = dataclasses.replace(cell.arms[0], given=dataclasses.replace(cell.arms[0].data, family="UR"))
+    with pytest.raises(TandemError, match="written for ABB and KUKA controllers alone") as refused:
+        axes.track(axes.TrackFile.model_validate(TRACK), arm, 0)
+    assert {issue.code for issue in refused.value.issues} == {"problem.track"}
+    with pytest.raises(TandemError, match="written for ABB and KUKA controllers alone") as refused:
+        axes.turntable(axes.TurntableFile.model_validate(table_job.TABLE), [arm], cell.controller)
+    assert {issue.code for issue in refused.value.issues} == {"problem.turntable"}

@@ -108,7 +108,7 @@ class Data:
         self.joints: dict[str, str] = {}
         self.loads: dict[tuple[str, str], str] = {}
         self.declare("FRAME", "base_frame", frame(task.base))
-        self.joint(Joints(task.arm.home, "home"), 0)
+        self.joint(Joints(task.arm.home, "home", station=task.home_station), 0)
 
     def declare(self, kind: str, word: str, value: str) -> str:
         """A declaration of ``word``; returns it. Raises ``TandemError`` (``post.name``) for two values."""
@@ -155,7 +155,7 @@ class Data:
 
     def joint(self, step: Joints, operation: int) -> str:
         """Name of the joints of a step of an operation, counted from 1."""
-        text = e6axis(np.rad2deg(self.task.robot.to_controller(step.q)))
+        text = e6axis(np.rad2deg(self.task.robot.to_controller(step.q)), step.station)
         if text not in self.joints:
             stem = "x_home" if step.place == "home" else f"x_{operation}_{step.place}"
             count = sum(word.startswith(stem) for word in self.joints.values())
@@ -167,13 +167,23 @@ class Data:
         """Name of the first target of an operation, counted from 1: its pose in the base, status and turn."""
         position, angles = self.start_pose(operation, q)
         robot = self.task.robot
-        value = e6pos(position, angles, int(status(robot, q)), int(turn(robot, q)))
+        axes = operation.station
+        value = e6pos(position, angles, int(status(robot, q)), int(turn(robot, q)), axes)
         return self.declare("E6POS", f"p_{number}_start", value)
 
     def start_pose(self, operation: OperationProgram, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Position (3,) [mm] and A, B, C (3,) [deg] of the TCP at joints (6,), as written."""
-        flange = forward(self.task.robot, q)
+        # on a track the foot is where the operation's arm stands, and the base is seen from that of value 0
+        foot = inverse(self.task.base) @ self._foot(operation)
+        flange = foot @ forward(self.task.robot, q)
         return written(inverse(self.base_pose(operation)[0]) @ flange @ operation.arm.tool.tcp)
+
+    def _foot(self, operation: OperationProgram) -> FloatArray:
+        """The base (4, 4) of the arm in the world, where its track has it in an operation."""
+        track, station = operation.arm.track, operation.arm.station
+        if track is None or station is None:
+            return self.task.base
+        return track.moved(self.task.base, station)
 
     def list(self, stem: str, header: list[str], digest: Mapping[str, str]) -> list[str]:
         """The lines of the data list ``stem``; ``digest``: text constants by name."""

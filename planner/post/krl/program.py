@@ -46,6 +46,7 @@ from planner.post.program import (
     Load,
     Meet,
     OperationProgram,
+    Outer,
     Part,
     Run,
     Step,
@@ -56,6 +57,7 @@ from planner.post.program import (
     parts,
     short,
 )
+from planner.post.steps import outer_speeds
 from planner.problem import Controller, KrlDialect, Problem
 from planner.targets import Action
 
@@ -150,6 +152,7 @@ class Main:
         self,
         task: TaskProgram,
         job: Job,
+        plan: Plan,
         problem: Problem,
         data: Data,
         layout: Sequence[Part],
@@ -162,7 +165,11 @@ class Main:
         self.dialect = problem.cell.controller.dialect
         self.partner = Partner.of(task, job)
         self.bodies: dict[str, list[str]] = {}
+        self.speeds = outer_speeds(task, plan, problem)
+        rail = task.arm.track
+        self.along = None if rail is None else task.base[:3, :3].T @ rail.axis
         self._held: Load | None = None
+        self._stood: Outer | None = None
         self._at: FloatArray | None = None
         self._percent = 0
 
@@ -170,7 +177,7 @@ class Main:
         """The statements of the main program."""
         out = [*syntax.INTERRUPT, "BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
         out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
-        out += [*syntax.prepared(self.dialect), *syntax.robroot_check(self.task.arm.name, self.dialect)]
+        out += [*syntax.prepared(self.dialect), *self._look()]
         clear = (vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY).filled()
         if self.partner is None:
             out += syntax.question_lines(clear, self.dialect)
@@ -227,11 +234,25 @@ class Main:
         if self._at is not None:
             tcp, most = operation.arm.tool.tcp, limits.speed_fraction
             share = ptp_percent(self.task.robot, self._at, step.q, tcp, limits.tcp_speed, most)
-        out = [f"$VEL_AXIS[{i}]={share}" for i in range(1, 7)] if share != self._percent else []
+        out = [] if self._percent else self._outer_speeds()
+        out += [f"$VEL_AXIS[{i}]={share}" for i in range(1, 7)] if share != self._percent else []
         self._at, self._percent = step.q, share
         if step.place == "start" and operation.track is not None:
             return [*out, f"PTP {self.data.start(operation, step.q, index + 1)}"]
-        return [*out, f"PTP {self.data.joint(step, index + 1)}"]
+        out.append(f"PTP {self.data.joint(step, index + 1)}")
+        if self.along is not None and step.station != self._stood:
+            self._stood = step.station
+            out += self._look()  # a track has taken the foot elsewhere
+        return out
+
+    def _look(self) -> list[str]:
+        return syntax.robroot_check(self.task.arm.name, self.dialect, self.along)
+
+    def _outer_speeds(self) -> list[str]:
+        """Speeds of the external axes, whole percents of their own; they move to stations alone."""
+        shares = {column: speed.most / speed.own for column, speed in self.speeds.items()}
+        percents = {column: max(1, int(np.floor(100.0 * share + 1e-9))) for column, share in shares.items()}
+        return [f"$VEL_EXTAX[{column + 1}]={percent}" for column, percent in percents.items()]
 
     def _action(self, action: Action, asks: bool) -> list[str]:
         match action.kind:
@@ -351,7 +372,10 @@ def _lines(task: TaskProgram, plan: Plan, problem: Problem, data: Data) -> list[
     """The text of the moves of each operation."""
     controller = problem.cell.controller
     rows = spline_blocks.operation_rows(task, data)
-    lines = [None if own is None else linear_moves.lines(own, controller.dialect) for own in rows]
+    lines = [
+        None if own is None else linear_moves.lines(own, controller.dialect, operation.station)
+        for own, operation in zip(rows, task.operations, strict=True)
+    ]
     if controller.path == "slin":
         return lines
     found = spline_blocks.operation_blocks(task, plan, data)
@@ -373,7 +397,7 @@ def _files(
 ) -> dict[str, str]:
     """The files of one task."""
     stem = name(problem.name, _STEM_LENGTH)
-    main = Main(task, job, problem, data, layout, moves, stem)
+    main = Main(task, job, plan, problem, data, layout, moves, stem)
     body = main.lines()
     head = _header(task, job, plan, problem, margins)
     brief = comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")

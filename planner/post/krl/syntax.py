@@ -23,7 +23,15 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError
-from planner.post.program import POSITION_DECIMALS, Track, number, plain, short
+from planner.post.program import (
+    OUTER_DECIMALS,
+    POSITION_DECIMALS,
+    Outer,
+    Track,
+    number,
+    plain,
+    short,
+)
 from planner.problem import KrlDialect
 
 NAME_LENGTH: Final = 24
@@ -34,8 +42,8 @@ _FRAME_ANGLE_DECIMALS: Final = 6
 """Decimals of the angles of a FRAME in degrees."""
 _POLE_COSINE: Final = 1e-7
 """Below this cosine of B, A and C turn about one axis, and C is 0."""
-_ZERO_AXES: Final = ",".join(f"E{i} 0.0" for i in range(1, 7))
-"""External axes, which stand."""
+_OUTER_AXES: Final = 6
+"""External axes of a structure, E1 to E6."""
 
 _RESERVED_TEXT: Final = """
 and anin anout b_and b_exor b_not b_or bool brake c_dis c_ori c_ptp c_spl c_vel case char circ circ_rel
@@ -109,17 +117,32 @@ def frame(pose: FloatArray, millimetres: int = 4) -> str:
     return aggregate(dict(zip("XYZABC", [*position, *angles], strict=True)))
 
 
-def e6pos(position: FloatArray, angles: FloatArray, status: int, turn: int) -> str:
-    """An E6POS of a position (3,) [mm] and angles (3,) [deg] as targets are written."""
+def e6pos(
+    position: FloatArray, angles: FloatArray, status: int, turn: int, station: Outer | None = None
+) -> str:
+    """An E6POS of a position (3,) [mm] and angles (3,) [deg] as targets are written, external axes at
+    ``station``."""
     values = [*(number(v, 4) for v in position), *(number(v, ANGLE_DECIMALS) for v in angles)]
     fields = dict(zip("XYZABC", values, strict=True)) | {"S": str(status), "T": str(turn)}
-    return f"{aggregate(fields)[:-1]},{_ZERO_AXES}}}"
+    return aggregate(fields | _all_outer(station))
 
 
-def e6axis(degrees: FloatArray) -> str:
-    """An E6AXIS of the controller's joint values (6,) [deg]."""
+def e6axis(degrees: FloatArray, station: Outer | None = None) -> str:
+    """An E6AXIS of the controller's joint values (6,) [deg], external axes at ``station``."""
     fields = {f"A{i}": number(v, 6) for i, v in enumerate(degrees, 1)}
-    return f"{aggregate(fields)[:-1]},{_ZERO_AXES}}}"
+    return aggregate(fields | _all_outer(station))
+
+
+def _all_outer(station: Outer | None) -> dict[str, str]:
+    """E1 to E6 [mm or deg] at a station; axes that are not there are 0."""
+    values = dict(station or ())
+    columns = range(_OUTER_AXES)
+    return {f"E{i + 1}": number(values[i], OUTER_DECIMALS) if i in values else "0.0" for i in columns}
+
+
+def outer(station: Outer | None) -> str:
+    """What a target in place has behind its pose: the external axes that the program moves."""
+    return "".join(f",E{column + 1} {number(value, OUTER_DECIMALS)}" for column, value in station or ())
 
 
 def aggregate(fields: Mapping[str, str]) -> str:
@@ -129,6 +152,8 @@ def aggregate(fields: Mapping[str, str]) -> str:
 
 KRC2_FOOT: Final = "Arm {arm}: $ROBROOT is off zero by tm_shift mm, tm_turn deg."
 """As `planner.claims.vocabulary.FOOT`, where a message has no parameters."""
+KRC2_FOOT_RIDES: Final = "Arm {arm}: $ROBROOT_C is off track by tm_shift mm, tm_turn deg."
+"""The same of `FOOT_RIDES`."""
 EXTERNAL_REFUSAL: Final = (
     "In automatic external a PLC would answer. Take another mode of operation, then Start."
 )
@@ -137,6 +162,8 @@ YES, NO, NEXT, READ = "Yes", "No", "Next", "Read"
 """Keys of dialogs; the first key of each goes on."""
 TEXT_LENGTH: Final = 80
 """Characters of a message's text."""
+ALONG_DECIMALS: Final = 6
+"""Decimals of a track's direction: some 0.005 mm over 10 m."""
 FOOT_SHIFT, FOOT_TURN = "0.1", "0.02"
 """How far the robot's foot may be off zero: [mm], [deg]."""
 
@@ -214,14 +241,28 @@ def ended(text: str, dialect: KrlDialect) -> list[str]:
     return [*shown, "LOOP", "HALT", "ENDLOOP"]
 
 
-def robroot_check(arm: str, dialect: KrlDialect) -> list[str]:
+def robroot_check(arm: str, dialect: KrlDialect, along: FloatArray | None = None) -> list[str]:
     """The program halts, whatever is started, until ``$ROBROOT`` is zero: by the length of its way, and by
-    the sum of its angles, which no turn exceeds."""
+    the sum of its angles, which no turn exceeds.
+
+    ``along`` (3,): the direction in ``$WORLD`` in which a track takes the arm. There ``$ROBROOT`` counts for
+    nothing, and ``$ROBROOT_C`` is where the foot is (KR C2 machine data, 2.1.9 $ERSYSROOT): it has to be what
+    E1 makes of that direction, by the sum of what is off along the axes.
+    """
+    root = "$ROBROOT" if along is None else "$ROBROOT_C"
+    turned = f"tm_turn={'+'.join(f'ABS({root}.{a})' for a in 'ABC')}"
     squares = "+".join(f"$ROBROOT.{axis}*$ROBROOT.{axis}" for axis in "XYZ")
-    looked = [f"tm_shift=SQRT({squares})", f"tm_turn={'+'.join(f'ABS($ROBROOT.{a})' for a in 'ABC')}"]
-    names = vocabulary.FOOT.filled(arm=arm)
+    looked = [f"tm_shift=SQRT({squares})", turned]
+    if along is not None:
+        parts = zip("XYZ", np.round(along, ALONG_DECIMALS).tolist(), strict=True)
+        off = [
+            f"ABS({root}.{axis}{'+' if part < 0.0 else '-'}{abs(part):.{ALONG_DECIMALS}f}*$AXIS_ACT.E1)"
+            for axis, part in parts
+        ]
+        looked = [f"tm_shift={'+'.join(off)}", turned]
+    names = (vocabulary.FOOT if along is None else vocabulary.FOOT_RIDES).filled(arm=arm)
     if dialect == "krc2":
-        shown = comment(KRC2_FOOT.format(arm=arm))
+        shown = comment((KRC2_FOOT if along is None else KRC2_FOOT_RIDES).format(arm=arm))
         after: list[str] = []
     else:
         shown = [
@@ -400,14 +441,15 @@ class Lines:
         return Lines(move, _changes(values), values)
 
 
-def lines(moves: Rows, dialect: KrlDialect) -> Lines:
-    """The text of all moves."""
+def lines(moves: Rows, dialect: KrlDialect, station: Outer | None = None) -> Lines:
+    """The text of all moves, external axes at ``station``."""
+    axes = outer(station)
     word = "SLIN" if dialect == "krc4" else "LIN"
     values = _modal(moves)
     settings = _changes(values)
     poses = zip(moves.position.tolist(), moves.angles.tolist(), _ends(moves, dialect), strict=True)
     move = [
-        f"{word} {{X {x:.4f},Y {y:.4f},Z {z:.4f},A {a:.5f},B {b:.5f},C {c:.5f}}}{end}"
+        f"{word} {{X {x:.4f},Y {y:.4f},Z {z:.4f},A {a:.5f},B {b:.5f},C {c:.5f}{axes}}}{end}"
         for (x, y, z), (a, b, c), end in poses
     ]
     for row in np.flatnonzero(moves.still).tolist():

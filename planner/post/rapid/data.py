@@ -12,16 +12,14 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from planner.cell import axis_way
-from planner.cell.bodies import own_shapes
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.program import Carry, Job, Joints, Load, OperationProgram, TaskProgram, number, short
 from planner.post.rapid.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
-from planner.post.steps import LEAST_MASS
-from planner.problem import Problem, Setup, Turntable
+from planner.post.steps import BLIND_SPEED, LEAST_MASS, TRACK_COLUMN, outer_speeds
+from planner.problem import Problem
 from planner.tooling import Tool
 
 TASK_LIST = "all_tasks"
@@ -130,13 +128,13 @@ def data_lines(
     tools, stations = names
     out += ["! tool and work objects" if len(tools.names) == 1 else "! tools and work objects"]
     out += [*tools.lines(), *_wobjs(task, job, plan), *_loads(task), ""]
-    speed = outer = short(min(problem.settings.tcp_speed * 1e3, _ENTRY_SPEED), 3)
+    speed = outer = short(min(problem.settings.tcp_speed * 1e3, BLIND_SPEED * 1e3), 3)
     turning = str(_ENTRY_TURN_RATE)
+    moved = outer_speeds(task, plan, problem)
     if task.arm.track is not None:
-        outer = short(min(task.arm.track.speed * 1e3, _ENTRY_SPEED), 3)
+        outer = short(moved[TRACK_COLUMN].most * 1e3, 3)
     if task.table is not None:
-        rim = max(_rim(setup, plan, task.table) for setup in problem.setups)
-        rate = min(np.rad2deg(min(task.table.speed, _ENTRY_SPEED * 1e-3 / rim)), _ENTRY_TURN_RATE)
+        rate = min(np.rad2deg(moved[task.table.column].most), _ENTRY_TURN_RATE)
         turning = short(np.floor(rate * 1e3) / 1e3, 3)
     out += ["! on the way to the first target and home again"]
     out += [
@@ -153,12 +151,6 @@ def data_lines(
         out += [f"VAR syncident {meet(n)};" for n in range(1, job.meets + 1)]
         out += [f"VAR syncident {block(n, end)};" for n in range(1, job.blocks + 1) for end in ("on", "off")]
     return out
-
-
-def _rim(setup: Setup, plan: Plan, table: Turntable) -> float:
-    """How far [m] what a turntable turns in a setup reaches from its axis."""
-    shapes = (*own_shapes(setup.cell, setup.stock)["stock"], *setup.stock.support)
-    return axis_way.swing(shapes, np.asarray(plan.places[setup.number - 1]), table)
 
 
 def _tool(tool: Tool) -> str:

@@ -21,6 +21,7 @@ from planner.verify.krl.syntax_tree import (
     CHOICE_SETTINGS,
     FRAME_SETTINGS,
     MOTION_SETTINGS,
+    OUTER_SPEEDS,
     SPLINE_MOVE,
     Await,
     Call,
@@ -29,6 +30,7 @@ from planner.verify.krl.syntax_tree import (
     Halt,
     Joint,
     Listen,
+    Outer,
     Output,
     Pause,
     Point,
@@ -75,8 +77,8 @@ _EXACT_STOP = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """At a point without an approximation: the arm stops there."""
 _FLY_BY = Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """At a point of a spline block: the arm goes through it without a stop."""
-_NO_AXES = np.zeros(6)
-"""Values of external axes, of which there are none."""
+UNSTATED = 9e9
+"""Value of an external axis of which a target says nothing."""
 _PRELUDE = (
     (False, "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )"),
     (True, "INTERRUPT ON 3 behind it"),
@@ -85,6 +87,8 @@ _PRELUDE = (
 """What the main program begins with, and how faults name it."""
 _PRELUDE_REASON = "stop reactions and settings need"
 """Why they are needed, for faults."""
+TRACK_COLUMN = 0
+"""The external axis that is a track: E1."""
 _UNBOUNDED = 1.0
 """A length [m] that is no bound: for a corner that the angle alone decides."""
 
@@ -122,6 +126,8 @@ class Runner:
         self.tools: dict[str, Tool] = {}
         self.works: dict[str, WorkObject] = {}
         self.here: _Pose | None = None
+        self.outer: Outer = ()
+        self.stood: FloatArray | None = None
         self.on: set[int] = set()
         self.carried = ""
         self.load_line = 0
@@ -346,25 +352,32 @@ class Runner:
             self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
         self._needed(line, AXIS_SPEEDS)
         share = tuple(float(self.settings[axis]) / 100.0 for axis in AXIS_SPEEDS)
-        speed = Speed(math.inf, math.inf, 0.0, 0.0, share)
+        outer = tuple(float(self.settings.get(axis, 0.0)) / 100.0 for axis in OUTER_SPEEDS)
+        speed = Speed(math.inf, math.inf, 0.0, 0.0, share, outer)
         target: JointTarget | StatusTarget = item.value
         self._move(line, "PTP", target, item.name, None, speed, _EXACT_STOP, "")
-        self.here = None
+        if self.panel.along is not None and (
+            self.stood is None or target.external[TRACK_COLUMN] != self.stood[TRACK_COLUMN]
+        ):
+            self.panel.looked = False  # where the track stands now is not known before the next look
+        self.stood = target.external
+        self.here, self.outer = None, ()
         if isinstance(target, StatusTarget):
             x, y, z = (1e3 * target.position).tolist()
             w, i, j, k = target.quaternion.tolist()
             self.here = _Pose((x, y, z), (w, i, j, k))
+            self.outer = tuple(enumerate(target.external.tolist()))
 
     def _straight(self, move: Straight) -> None:
         line = move.line
         here = self._begins(line, move.word)
         self._needed(line, tuple(MOTION_SETTINGS))
         speed, way, turn, there = self._paced(line, here, move.place)
-        target = RobTarget(1e-3 * np.array(there.position), np.array(there.quaternion), None, _NO_AXES)
+        target = _target(there, move.outer)
         zone, name = self._zone(move.corner)
         time = max(way / speed.tcp, turn / speed.turn)
         self._move(line, move.word, target, "", time, speed, zone, name)
-        self.here = there
+        self.here, self.outer = there, move.outer
 
     def _spline(self, block: Spline) -> None:
         """The points of a spline block as moves: each takes its share of the block's time, and only the last
@@ -381,13 +394,11 @@ class Runner:
             elif isinstance(item, Point) and self.here is not None:
                 left -= 1
                 speed, _, _, there = self._paced(item.line, self.here, item.place)
-                target = RobTarget(
-                    1e-3 * np.array(there.position), np.array(there.quaternion), None, _NO_AXES
-                )
+                target = _target(there, item.outer)
                 zone, name = (_FLY_BY, SPLINE_MOVE) if left else (_EXACT_STOP, "")
                 seconds = item.part * block.seconds
                 self._move(item.line, SPLINE_MOVE, target, "", seconds, speed, zone, name)
-                self.here = there
+                self.here, self.outer = there, item.outer
 
     def _begins(self, line: int, word: str) -> _Pose:
         """The pose at which a straight move, or a spline block, begins."""
@@ -415,9 +426,7 @@ class Runner:
         """A wait in a file with moves: the arm's part of a move in which it stands still."""
         if self.here is None:
             self._fail(line, "WAIT SEC stands for a move, but the arm is at no pose of this $BASE and $TOOL")
-        target = RobTarget(
-            1e-3 * np.array(self.here.position), np.array(self.here.quaternion), None, _NO_AXES
-        )
+        target = _target(self.here, self.outer)
         speed = Speed(1.0, 1.0, 0.0, 0.0)
         self._move(line, "WAIT SEC", target, "", seconds, speed, _EXACT_STOP, "")
 
@@ -452,6 +461,14 @@ class Runner:
         if corner == "C_ORI":
             way = _UNBOUNDED
         return Zone(False, way, 0.0, 0.0, angle, 0.0, 0.0), corner
+
+
+def _target(place: _Pose, outer: Outer) -> RobTarget:
+    """A pose that the arm goes straight to, with the external axes that the text states there."""
+    axes = np.full(6, UNSTATED)
+    for column, value in outer:
+        axes[column] = value
+    return RobTarget(1e-3 * np.array(place.position), np.array(place.quaternion), None, axes)
 
 
 def _own_load(tool: str) -> str:

@@ -55,10 +55,17 @@ class Message(NamedTuple):
 
 class Panel:
     """Follows the statements of a program. ``arm``, ``others``: the names of its arm and of those that it may
-    wait for. `looked`: at the robot's foot; `prepared`: messages have their options."""
+    wait for; ``along``: the direction in $WORLD in which its track takes it, None without one. `looked`: at
+    the robot's foot; `prepared`: messages have their options."""
 
-    def __init__(self, dialect: str, arm: str, others: Sequence[str]) -> None:
-        self.dialect, self.arm, self.others = dialect, arm, others
+    def __init__(
+        self,
+        dialect: str,
+        arm: str,
+        others: Sequence[str],
+        along: tuple[float, float, float] | None = None,
+    ) -> None:
+        self.dialect, self.arm, self.others, self.along = dialect, arm, others, along
         self.looked = False
         self._question: list[str] = []
         self._reading = False
@@ -133,9 +140,9 @@ class Panel:
                 self._shown = ""
             case Listen() if self.dialect == "krc4":
                 self._listens(depth)
-            case Foot(shift=shift, turn=turn, text=text):
+            case Foot():
                 self._main(depth, "the look at $ROBROOT")
-                self._foot(shift, turn, text)
+                self._foot(statement)
         return None
 
     def _main(self, depth: int, what: str) -> None:
@@ -194,8 +201,11 @@ class Panel:
             raise PanelError("the program waits for the other arm, and the panel does not say so")
         self._waited = True
 
-    def _foot(self, shift: float, turn: float, text: str) -> None:
-        wanted = vocabulary.FOOT.filled(arm=self.arm) if self.dialect == "krc4" else ""
+    def _foot(self, look: Foot) -> None:
+        shift, turn, text = look.shift, look.turn, look.text
+        self._aligned(look.along)
+        says = vocabulary.FOOT if self.along is None else vocabulary.FOOT_RIDES
+        wanted = says.filled(arm=self.arm) if self.dialect == "krc4" else ""
         if text != wanted:
             raise PanelError(f"$ROBROOT is looked at with the text {text!r}; wanted: {wanted!r}")
         if text and not self.prepared:
@@ -204,6 +214,19 @@ class Panel:
             allowed = f"{syntax_tree.FOOT_SHIFT_MM:g} mm and {syntax_tree.FOOT_TURN_DEG:g} deg"
             raise PanelError(f"$ROBROOT may be off by {shift:g} mm and {turn:g} deg; allowed: {allowed}")
         self.looked = True
+
+    def _aligned(self, along: tuple[float, float, float] | None) -> None:
+        """Refuse a look that takes the arm for standing, or for going in another direction."""
+        if self.along is None:
+            if along is not None:
+                raise PanelError("$ROBROOT_C is looked at, and the arm stands on no track; wanted: $ROBROOT")
+            return
+        shown = ", ".join(f"{value:g}" for value in self.along)
+        if along is None:
+            raise PanelError(f"$ROBROOT is looked at, and a track moves the arm along ({shown}) by E1")
+        if max(abs(a - b) for a, b in zip(along, self.along, strict=True)) > syntax_tree.ALONG_ERROR:
+            got = ", ".join(f"{value:g}" for value in along)
+            raise PanelError(f"$ROBROOT_C is looked at along ({got}); the track goes along ({shown})")
 
 
 Found = Sequence[re.Match[str]]
@@ -272,6 +295,14 @@ _FOOT_VALUES = (
     "tm_turn=ABS($ROBROOT.A)+ABS($ROBROOT.B)+ABS($ROBROOT.C)",
 )
 """Statements that work out how far $ROBROOT is off zero."""
+_RIDDEN = r"ABS\s*\(\s*\$ROBROOT_C\.%s\s*([+-])\s*(\d(?:\.\d+)?)\s*\*\s*\$AXIS_ACT\.E1\s*\)"
+_RIDDEN_VALUES = (
+    re.compile(
+        r"tm_shift\s*=\s*" + r"\s*\+\s*".join(_RIDDEN % axis for axis in "XYZ"), re.IGNORECASE | re.ASCII
+    ),
+    _row("tm_turn=ABS($ROBROOT_C.A)+ABS($ROBROOT_C.B)+ABS($ROBROOT_C.C)"),
+)
+"""The same of an arm on a track, less what E1 moves it by."""
 _FOOT_LOOP = "WHILE (tm_shift><number>) OR (tm_turn><number>)"
 """The loop that goes on while it is."""
 _FOOT_MESSAGE = (
@@ -321,8 +352,21 @@ _SECOND_KEY = re.compile(
 """The other soft key: of a second answer, or empty."""
 
 
-def _foot(line: int, found: Found, text: str) -> Statement:
-    return Foot(line, float(found[2][1]), float(found[2][2]), text)
+def _foot(line: int, found: Found, text: str, ridden: bool = False) -> Statement:
+    along = None
+    if ridden:
+        first, again = (_along(found[k]) for k in (0, 10 if text else 4))
+        if first != again:
+            what = f"$ROBROOT_C is looked at along {first} first, and along {again} then"
+            raise KrlValueError("type", what)
+        along = first
+    return Foot(line, float(found[2][1]), float(found[2][2]), text, along)
+
+
+def _along(row: re.Match[str]) -> tuple[float, float, float]:
+    """The direction by which a row takes off what E1 moves."""
+    parts = [float(row[k + 1]) * (1.0 if row[k] == "-" else -1.0) for k in (1, 3, 5)]
+    return parts[0] + 0.0, parts[1] + 0.0, parts[2] + 0.0
 
 
 PANEL_FORMS: tuple[Form, ...] = (
@@ -377,6 +421,21 @@ PANEL_FORMS: tuple[Form, ...] = (
         "the look at $ROBROOT",
         _rows(*_FOOT_VALUES, _FOOT_LOOP, *_FOOT_MESSAGE, "HALT", *_FOOT_VALUES, "ENDWHILE", *_AFTER),
         lambda line, found: _foot(line, found, found[7][1]),
+    ),
+    Form(
+        "the look at $ROBROOT_C",
+        (*_RIDDEN_VALUES, *_rows(_FOOT_LOOP, "HALT"), *_RIDDEN_VALUES, *_rows("ENDWHILE")),
+        lambda line, found: _foot(line, found, "", ridden=True),
+    ),
+    Form(
+        "the look at $ROBROOT_C",
+        (
+            *_RIDDEN_VALUES,
+            *_rows(_FOOT_LOOP, *_FOOT_MESSAGE, "HALT"),
+            *_RIDDEN_VALUES,
+            *_rows("ENDWHILE", *_AFTER),
+        ),
+        lambda line, found: _foot(line, found, found[7][1], ridden=True),
     ),
 )
 """All forms; of those that begin alike the one counts that goes on as the text does."""

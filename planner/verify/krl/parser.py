@@ -42,7 +42,9 @@ _DECIMAL = r"(-?\d{1,9}\.\d{1,20})"
 """A number with decimals."""
 _POSE = ",".join(f"{name} {_DECIMAL}" for name in "XYZABC")
 """The six figures of a target."""
-_QUICK_MOVE = re.compile(rf"(S?LIN) \{{{_POSE}\}}(?: (C_(?:SPL|DIS|ORI)))?", re.ASCII)
+_QUICK_MOVE = re.compile(
+    rf"(S?LIN) \{{{_POSE}((?:,E[1-6] -?\d{{1,9}}\.\d{{1,20}})*)\}}(?: (C_(?:SPL|DIS|ORI)))?", re.ASCII
+)
 """A straight move as programs have thousands of."""
 _STRAIGHT_MOVE = re.compile(r"(S?LIN)\s*(\{.*\})\s*(C_SPL|C_DIS|C_ORI)?", re.IGNORECASE | re.ASCII)
 """Any straight move."""
@@ -150,9 +152,14 @@ class Reader:
                 continue
             quick = _QUICK_MOVE.fullmatch(row)
             if quick is not None:
-                word, *place, corner = quick.groups()
+                word, *place, outer, corner = quick.groups()
                 x, y, z, a, b, c = (singles(place) + 0.0).tolist()
-                body.append(Straight(line, word, (x, y, z, a, b, c), corner or ""))
+                try:
+                    axes = values.outer(outer)
+                except KrlValueError as wrong:
+                    self.fault(line, wrong.kind, wrong.message)
+                    continue
+                body.append(Straight(line, word, (x, y, z, a, b, c), corner or "", axes))
                 continue
             if not row or row.startswith(";"):
                 body += marked_comment(line, row)
@@ -443,7 +450,8 @@ def _set(line: int, found: re.Match[str]) -> Statement:
 
 
 def _straight(line: int, found: re.Match[str]) -> Statement:
-    return Straight(line, found[1].upper(), values.place(found[2]), (found[3] or "").upper())
+    place, outer = values.place(found[2])
+    return Straight(line, found[1].upper(), place, (found[3] or "").upper(), outer)
 
 
 def _pause(line: int, found: re.Match[str]) -> Statement:

@@ -96,14 +96,20 @@ def read(files: Mapping[str, str], most_bytes: int, dialect: str) -> KrlText:
 
 
 def flow(
-    text: KrlText, base: FloatArray, signals: Signals, arm: str, others: Sequence[str] = ()
+    text: KrlText,
+    base: FloatArray,
+    signals: Signals,
+    arm: str,
+    others: Sequence[str] = (),
+    along: tuple[float, float, float] | None = None,
 ) -> tuple[tuple[Step, ...], frozenset[str]]:
     """Steps of the main program, and names of the programs that ran. ``base`` (4, 4): the robot's foot in the
-    world; ``arm``, ``others``: the names of its arm and of those that it may wait for. For texts without
-    faults. Raises `FlowError`."""
+    world; ``arm``, ``others``: the names of its arm and of those that it may wait for; ``along``: the unit
+    vector in the foot's axes along which E1 moves the foot, None where it stands. For texts without faults.
+    Raises `FlowError`."""
     if text.main is None or text.data is None:
         return (), frozenset()
-    panel = Panel(text.dialect, arm, others)
+    panel = Panel(text.dialect, arm, others, along)
     runner = Runner(text.programs, text.data, base, signals, panel)
     return runner.run(text.main), frozenset(runner.entered)
 

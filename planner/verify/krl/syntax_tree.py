@@ -11,6 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
+Outer = tuple[tuple[int, float], ...]
+"""External axes of a target in place: their columns [from 0], E1 to E6, with values [mm or deg] in single
+precision; those that are not stated are left out."""
+
 
 @dataclass(frozen=True, slots=True)
 class Statement:
@@ -72,11 +76,12 @@ class Joint(Statement):
 @dataclass(frozen=True, slots=True)
 class Straight(Statement):
     """LIN or SLIN (`word`) to X, Y, Z [mm], A, B, C [deg], in single precision; `corner` C_DIS, C_ORI, C_SPL,
-    or "" for an exact stop."""
+    or "" for an exact stop; `outer` as :data:`Outer` has it."""
 
     word: str
     place: tuple[float, float, float, float, float, float]
     corner: str
+    outer: Outer = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,11 +106,13 @@ class StopInterrupt(Statement):
 @dataclass(frozen=True, slots=True)
 class Foot(Statement):
     """The loop that halts as long as $ROBROOT is off zero: by `shift` [mm] or the sum of its angles by `turn`
-    [deg]. `text` is shown, "" where nothing is."""
+    [deg]. `text` is shown, "" where nothing is. `along`: of an arm on a track, $ROBROOT_C less that direction
+    times E1, in single steps along the axes of $WORLD, is what is looked at."""
 
     shift: float
     turn: float
     text: str
+    along: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,10 +166,11 @@ class Said(Statement):
 @dataclass(frozen=True, slots=True)
 class Point(Statement):
     """SPL to X, Y, Z [mm], A, B, C [deg] in a spline block; ``part``: its share, 0 to 1, of the block's
-    time."""
+    time; ``outer`` as :data:`Outer` has it."""
 
     place: tuple[float, float, float, float, float, float]
     part: float
+    outer: Outer = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +262,12 @@ MOTION_SETTINGS: Final = {
 """Settings of files with moves; each of these files makes all of them before its first move."""
 AXIS_SPEEDS: Final = tuple(f"$vel_axis[{axis}]" for axis in range(1, 7))
 """Speeds of axes [%]."""
-NUMBER_SETTINGS: Final = {**MOTION_SETTINGS, **dict.fromkeys(AXIS_SPEEDS, Range(1.0, 100.0, True))}
+OUTER_SPEEDS: Final = tuple(f"$vel_extax[{axis}]" for axis in range(1, 7))
+"""Speeds of external axes [%]: whole numbers, of what the machine data allow."""
+NUMBER_SETTINGS: Final = {
+    **MOTION_SETTINGS,
+    **dict.fromkeys((*AXIS_SPEEDS, *OUTER_SPEEDS), Range(1.0, 100.0, True)),
+}
 """All settings that are numbers."""
 CHOICE_SETTINGS: Final = {"$ipo_mode": ("#base",), "$ori_type": ("#var",), "$advance": ("3",)}
 """Settings with the values that are understood: tools in hand, turns at a constant rate, and an advance run,
@@ -267,5 +280,7 @@ FOOT_SHIFT_MM: Final = 0.1
 """How far $ROBROOT may be off zero: its way [mm],"""
 FOOT_TURN_DEG: Final = 0.02
 """and the sum of its angles [deg]."""
+ALONG_ERROR: Final = 2e-6
+"""How far a part of the direction of a track may be off in a look: it is written with 6 decimals."""
 SPLINE_MOVE: Final = "SPL"
 """What moves of a spline block are called in steps."""

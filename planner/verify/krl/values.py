@@ -23,6 +23,7 @@ both mean that, and no other sum is taken.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import re
 from collections.abc import Iterator
@@ -31,7 +32,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, inverse, to_quaternion
-from planner.verify.krl.syntax_tree import Point, Said, Spline
+from planner.verify.krl.syntax_tree import Outer, Point, Said, Spline
 from planner.verify.programs.steps import (
     LARGEST_NUMBER,
     JointTarget,
@@ -65,6 +66,8 @@ _COMPONENTS: dict[str, tuple[str, ...]] = {
     "e6axis": ("A1", "A2", "A3", "A4", "A5", "A6", *_EXTERNAL_AXES),
 }
 """Components of each structure."""
+_OPTIONAL: dict[str, tuple[str, ...]] = {"place": _FRAME_PARTS, "outer": ()}
+"""Components that targets in place must have, before external axes, of which they state some or none."""
 
 
 class KrlValueError(Exception):
@@ -98,11 +101,23 @@ def value(kind: str, text: str) -> Any:
             return JointTarget(joints, _outer(numbers))
 
 
-def place(text: str) -> tuple[float, float, float, float, float, float]:
-    """X, Y, Z [mm], A, B, C [deg] of a target in place, in single precision. Raises `KrlValueError`."""
-    numbers = _read("frame", text)
+def place(text: str) -> tuple[tuple[float, float, float, float, float, float], Outer]:
+    """X, Y, Z [mm], A, B, C [deg] of a target in place, and of E1 to E6 those that it states, in single
+    precision. Raises `KrlValueError`."""
+    numbers = _read("place", text)
     x, y, z, a, b, c = (numbers[name] for name in _FRAME_PARTS)
-    return x, y, z, a, b, c
+    return (x, y, z, a, b, c), _stated(numbers)
+
+
+@functools.lru_cache(maxsize=64)
+def outer(text: str) -> Outer:
+    """E1 to E6 as they stand behind the pose of a target, in single precision. Raises `KrlValueError`."""
+    return _stated(_read("outer", "{" + text.lstrip(",") + "}")) if text else ()
+
+
+def _stated(numbers: dict[str, Any]) -> Outer:
+    columns = enumerate(_EXTERNAL_AXES)
+    return tuple((column, numbers[name]) for column, name in columns if name in numbers)
 
 
 def quaternion(a: float, b: float, c: float) -> tuple[float, float, float, float]:
@@ -162,7 +177,12 @@ def _read(kind: str, text: str) -> dict[str, Any]:
         if inside[at] != ",":
             raise KrlValueError("syntax", f"{inside[at : at + 20]!r}: a comma must stand here")
         at += 1
-    if tuple(out) != _COMPONENTS[kind]:
+    if kind in _OPTIONAL:
+        wanted_ = (*_OPTIONAL[kind], *(name for name in _EXTERNAL_AXES if name in out))
+        if tuple(out) != wanted_:
+            allowed = ",".join((*_OPTIONAL[kind], "E1 to E6"))
+            raise KrlValueError("type", f"a target in place has {allowed}; got {','.join(out)}")
+    elif tuple(out) != _COMPONENTS[kind]:
         got, wanted = ",".join(out), ",".join(_COMPONENTS[kind])
         raise KrlValueError("type", f"a {kind.upper()} has {wanted}; got {got}")
     return out
@@ -289,7 +309,8 @@ def block(line: int, rows: Iterator[tuple[int, str, list[Said]]]) -> Spline:
         if _TIME_START.fullmatch(code) and not started and not _points(found):
             started = True
         elif (spl := _SPLINE_POINT.fullmatch(code)) and started and not pending and seconds is None:
-            found.append(Point(last, _place(last, spl[1]), 0.0))
+            here, axes = _place(last, spl[1])
+            found.append(Point(last, here, 0.0, axes))
         elif (part := _TIME_PART.fullmatch(code)) and pending and seconds is None:
             parts.append(float(part[1]))
         elif (end := _TIME_END.fullmatch(code)) and parts and not pending and seconds is None:
@@ -324,7 +345,7 @@ def _made(line: int, found: list[Point | Said], parts: list[float], seconds: flo
     return Spline(line, tuple(points), seconds)
 
 
-def _place(line: int, text: str) -> tuple[float, float, float, float, float, float]:
+def _place(line: int, text: str) -> tuple[tuple[float, float, float, float, float, float], Outer]:
     try:
         return place(text)
     except KrlValueError as wrong:

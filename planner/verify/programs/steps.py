@@ -63,7 +63,8 @@ class JointTarget:
 @dataclass(frozen=True, slots=True)
 class Speed:
     """`tcp` [m/s] (inf for no limit), `turn` [rad/s], external axes `linear` [m/s] and `rotary` [rad/s];
-    `axes`: for a move by joints that states it so, the share of each axis' own speed.
+    `axes`: for a move by joints that states it so, the share of each axis' own speed; `outer`: the same (6,)
+    of external axes, 0 where nothing is stated.
     """
 
     tcp: float
@@ -71,6 +72,7 @@ class Speed:
     linear: float
     rotary: float
     axes: tuple[float, ...] | None = None
+    outer: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

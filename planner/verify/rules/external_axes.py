@@ -29,7 +29,7 @@ from planner.verify.context import (
     rule,
 )
 from planner.verify.job import TaskText
-from planner.verify.programs.steps import JointTarget, MoveStep, SettingStep
+from planner.verify.programs.steps import MoveStep, RobTarget, SettingStep
 from planner.verify.rapid.syntax_tree import UNUSED_AXIS
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
@@ -57,15 +57,15 @@ def standing(context: Context) -> Context:
 
 @rule("verify.external_axes")
 def external_axes(context: Context) -> Outcome:
-    """A track or turntable is switched on once, before anything moves; each target has a value of it, within
-    its range; it moves as the first thing of a setup, alone, what it carries at most at 250 mm/s, all arms
-    folded at home; a turned block is where the value has it."""
+    """A track or turntable is switched on once (RAPID), before anything moves; each target has a value of it,
+    within its range; it moves as the first thing of a setup, alone, what it carries at most at 250 mm/s, all
+    arms folded at home; a turned block is where the value has it."""
     issues: list[Issue] = []
     told = []
     table = context.problem.cell.turntable
     for task in context.job.tasks:
         axes = outer_axes(task.arm, table)
-        issues += _units(task, axes)
+        issues += _units(task, axes) if task.rapid else ()
         if axes:
             issues += _values(context, task, axes)
         for axis in axes:
@@ -119,7 +119,7 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
         for move in stage.moves(task.name):
-            wrong = _unfit(move, axes)
+            wrong = _unfit(move, axes, task.rapid)
             if wrong:
                 yield at_step(_CODE, wrong, task, move)
                 return  # where things stand from here on is not known
@@ -161,6 +161,8 @@ def _move_faults(
         speed, most = move.speed.rotary, min(BLIND_SPEED / max(rim, 1e-3), axis.speed)
     else:
         speed, most = move.speed.linear, min(BLIND_SPEED, axis.speed)
+    if move.speed.outer is not None:  # KRL: a share of the axis' own speed
+        speed = move.speed.outer[axis.column] * axis.speed
     if not 0.0 < speed <= most * SLACK:
         yield f"{axis.unit} goes at {axis.shown(speed)}/s; allowed: {axis.shown(most)}/s"
 
@@ -176,21 +178,24 @@ def _not_home(context: Context, task: TaskText, number: int) -> Iterator[str]:
             yield other.arm.name
 
 
-def _unfit(move: MoveStep, axes: Sequence[OuterAxis]) -> str:
-    """What is wrong with the external axes of one target."""
+def _unfit(move: MoveStep, axes: Sequence[OuterAxis], rapid: bool) -> str:
+    """What is wrong with the external axes of one target. Those that are not there are 9E9 in RAPID; data of
+    KRL have 0 there, and targets in place leave them out."""
     outer, names = move.target.external, " and ".join(axis.unit for axis in axes)
     others = np.delete(outer, [axis.column for axis in axes])
-    if not np.isfinite(outer).all() or (np.abs(others - UNUSED_AXIS) > 1e3).any():
+    none = np.abs(others - UNUSED_AXIS) <= 1e3
+    if not np.isfinite(outer).all() or not (none if rapid else none | (others == 0.0)).all():
         return f"the target has values of other axes than {names}, which are not there"
     for axis in axes:
         value = float(outer[axis.column])
         if abs(value) >= MOST_OUTER:
-            return f"the target has no value of {axis.unit} (eax_{'abcdef'[axis.column]})"
+            word = f"eax_{'abcdef'[axis.column]}" if rapid else f"E{axis.column + 1}"
+            return f"the target has no value of {axis.unit} ({word})"
         at = axis.scale * value
         if not axis.low - SAME_VALUE <= at <= axis.high + SAME_VALUE:
             span = f"{axis.shown(axis.low)} to {axis.shown(axis.high)}"
             return f"{axis.unit} at {axis.shown(at)}; its range is {span}"
-    if move.by_joints and not isinstance(move.target, JointTarget):
+    if move.by_joints and isinstance(move.target, RobTarget):
         return f"{names} is moved to a pose, not to joints"
     return ""
 

@@ -215,7 +215,8 @@ def move_kinds(context: Context) -> Outcome:
     issues = []
     for task in context.job.tasks:
         if not task.rapid:
-            issues += synchronisation.move_kinds(task) + synchronisation.accelerations(task)
+            moved = bool(outer_axes(task.arm, context.problem.cell.turntable))
+            issues += synchronisation.move_kinds(task, moved) + synchronisation.accelerations(task)
             continue
         wanted = "off" if task.arm.data.coupling is not None else "on"
         state = "on"

@@ -13,8 +13,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from planner.geometry.units import MM
 from planner.issues import Issue
-from planner.verify.context import Context, Outcome, at_step, mm, rule
+from planner.verify.context import MOST_OUTER, Context, Outcome, at_step, mm, rule
 from planner.verify.job import Stage, TaskText, sync_points
 from planner.verify.programs.steps import (
     CallStep,
@@ -49,11 +50,15 @@ _OTHER_SOLUTION = np.deg2rad(0.01)
 """Joints that differ by more [rad] are another solution."""
 
 
-def move_kinds(task: TaskText) -> list[Issue]:
-    """Moves that use an axis that the cell does not have."""
+def move_kinds(task: TaskText, moved: bool) -> list[Issue]:
+    """Moves that use an axis that the cell does not have; ``moved``: it has some that this task moves, which
+    :mod:`planner.verify.rules.external_axes` looks at."""
     out = []
     for step in task.steps:
-        if isinstance(step, MoveStep) and np.abs(step.target.external).max() > 0.0:
+        if not isinstance(step, MoveStep) or moved:
+            continue
+        stated = np.abs(step.target.external)
+        if stated[stated < MOST_OUTER].max(initial=0.0) > 0.0:
             what = "the target moves an external axis; E1 to E6 are 0 here"
             out.append(at_step("verify.move_kinds", what, task, step))
     return out
@@ -170,6 +175,8 @@ def _chosen(
 ) -> tuple[list[str], tuple[int, ...]]:
     """What is wrong with Status and Turn of a move's target, and axes near zero."""
     machine, base = arm_model.machine_of(task.arm.data), context.bases[task.arm.name]
+    if (track := task.arm.track) is not None:  # the first external axis, by what the target itself states
+        base = track.moved(base, float(target.external[0]) * MM)
     bits = f"S {target.status} and T {target.turn}"
     found = solutions(move, machine, base)
     if len(found.q) != 1:

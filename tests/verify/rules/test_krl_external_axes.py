@@ -1,0 +1,271 @@
+"""Tracks and turntables in KRL: where arms and block are by the text, and what is wrong with E1 to E6."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from planner import processes
+from planner.cell.kinematics import forward
+from planner.geometry.arrays import inverse
+from planner.pipeline import Outcome
+from planner.verify.context import Context
+from planner.verify.prove import Prover
+from planner.verify.rules import external_axes
+from tests import table_job, track_job
+
+THERE = "65.0000"
+"""The second station of the table as the text has it."""
+
+
+def prover_of(outcome: Outcome) -> Prover:
+    made = dataclasses.replace(outcome.problem, stations={})  # nothing of the plan
+    return Prover(made, processes.claims(made))
+
+
+@pytest.fixture(scope="module")
+def tracked() -> Prover:
+    return prover_of(track_job.planned_krl())
+
+
+@pytest.fixture(scope="module")
+def turned() -> Prover:
+    return prover_of(table_job.planned_krl())
+
+
+def station(outcome: Outcome) -> str:
+    """The track's first station as the text has it."""
+    return f"{1e3 * outcome.plan.stations[0]['left']:.4f}"
+
+
+# ---- where things stand ----
+
+
+def test_the_text_has_the_tool_within_a_micrometre_of_the_plan_on_a_track(tracked: Prover) -> None:
+    out = track_job.planned_krl()
+    assert out.verified and out.plan.stations[0] != out.plan.stations[1]
+    context = external_axes.standing(Context(tracked.problem, tracked.claims, out.programs))
+    for index in range(2):
+        # by hand: E1 [mm] of the text along y of the world, and the arm's axes from the plan
+        made, arm = out.plan.operations[index], tracked.problem.cell.arm("left")
+        base = arm.base.copy()
+        base[1, 3] += out.plan.stations[index]["left"]
+        tcp = (base @ forward(arm.data, made.q["left"]) @ arm.tool.tcp)[:, :3, 3]
+        assert np.linalg.norm(tcp - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
+        nodes = context.spans.of_stage[context.motion.node_stage] == index
+        text = context.motion.node_tcp["left"][nodes][:, :3, 3]
+        assert np.linalg.norm(text[:, None] - tcp, axis=2).min(axis=0).max() < 1e-6
+
+
+def test_the_text_has_the_block_within_a_micrometre_of_the_plan_on_a_table(turned: Prover) -> None:
+    out = table_job.planned_krl()
+    assert out.verified and np.rad2deg(out.plan.stations[1]["stock"]) == pytest.approx(float(THERE))
+    context = external_axes.standing(Context(turned.problem, turned.claims, out.programs))
+    turn = Rotation.from_euler("z", float(THERE), degrees=True).as_matrix()  # scipy's
+    centre, stated = np.array([0.9, 0.0, 0.2]), turned.problem.stock.place
+    place = context.places[1]
+    assert stated is not None and place is not None
+    np.testing.assert_allclose(place[:3, :3], turn @ stated[:3, :3], atol=1e-8)
+    np.testing.assert_allclose(place[:3, 3], centre + turn @ (stated[:3, 3] - centre), atol=1e-7)
+    for index in range(2):
+        made, arm = out.plan.operations[index], turned.problem.cell.arm("left")
+        tcp = arm.base @ forward(arm.data, made.q["left"]) @ arm.tool.tcp
+        seen = (inverse(np.asarray(context.places[index])) @ tcp)[:, :3, 3]
+        assert np.linalg.norm(seen - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
+
+
+# ---- programs that are wrong ----
+
+
+def first(text: str, old: str, new: str) -> str:
+    assert old in text, old
+    return text.replace(old, new, 1)
+
+
+def changed(text: str, pattern: str, new: str, count: int = 0) -> str:
+    out, found = re.subn(pattern, new, text, count=count)
+    assert found, pattern
+    return out
+
+
+def broken(programs: Mapping[str, str], change: Callable[[str], str]) -> dict[str, str]:
+    """The programs with a change of their text."""
+    joined = "\0".join(programs.values()).replace("\r\n", "\n")
+    bad = dict(zip(programs, change(joined).split("\0"), strict=True))
+    bad = {file: text.replace("\n", "\r\n") for file, text in bad.items()}
+    assert bad != programs
+    return bad
+
+
+def in_cut(text: str, axis: str, old: str, new: str) -> str:
+    """The value of the third straight move that has it."""
+    at = [m.start() for m in re.finditer(rf"SLIN [^\n]*,{axis} {re.escape(old)}\}}", text)][2]
+    return text[:at] + first(text[at:], f"{axis} {old}", f"{axis} {new}")
+
+
+TRACK: dict[str, tuple[str, Callable[[str, str], str]]] = {
+    "missing E1": ("external_axes", lambda t, e: t.replace(f",E1 {e}}}", "}")),
+    "missing E1 in one move": ("external_axes", lambda t, e: changed(t, rf"(SLIN .*),E1 {e}\}}", r"\1}", 1)),
+    "missing E1 at home": ("declarations", lambda t, e: changed(t, r"(x_home=.*),E1 [-\d.]+", r"\1")),
+    "another E1 in the cut": ("external_axes", lambda t, e: t.replace(f"E1 {e}}}", "E1 -480.0000}")),
+    "another E1 all along": ("setup", lambda t, e: t.replace(f"E1 {e}", f"E1 {float(e) + 100.0:.4f}")),
+    "in metres": ("setup", lambda t, e: t.replace(f"E1 {e}", f"E1 {float(e) * 1e-3:.4f}")),
+    "with the other sign": ("status", lambda t, e: t.replace(f"E1 {e}", f"E1 {-float(e):.4f}")),
+    "moved in the cut": ("external_axes", lambda t, e: in_cut(t, "E1", e, f"{float(e) + 1.0:.4f}")),
+    "beyond the range": ("external_axes", lambda t, e: t.replace(f"E1 {e}", "E1 -5000.0000")),
+    "as the second axis": ("external_axes", lambda t, e: t.replace(f"E1 {e}}}", f"E2 {e}}}")),
+    "a second axis": ("external_axes", lambda t, e: t.replace(f"E1 {e}}}", f"E1 {e},E2 10.0000}}")),
+    "E1 twice": ("declarations", lambda t, e: t.replace(f"E1 {e}}}", f"E1 {e},E1 {e}}}")),
+    "a second axis in the data": (
+        "external_axes",
+        lambda t, e: t.replace(f"E1 {e},E2 0.0", f"E1 {e},E2 9.0"),
+    ),
+    "another foot": ("base_frames", lambda t, e: first(t, "base_frame={X 0.0000", "base_frame={X 50.0000")),
+    "another base": ("work_object", lambda t, e: changed(t, r"(b_world=\{X )[-\d.]+", r"\g<1>77.0000")),
+    "a base of the external kinematic": (
+        "syntax",
+        lambda t, e: first(t, "$BASE=b_world", "BAS(#EX_BASE,2)"),
+    ),
+    "coupled to the external kinematic": (
+        "syntax",
+        lambda t, e: first(
+            t, "$BASE=b_world", "$BASE=EK(MACHINE_DEF[2].ROOT,MACHINE_DEF[2].MECH_TYPE,b_world)"
+        ),
+    ),
+    "a fast track": ("external_axes", lambda t, e: first(t, "$VEL_EXTAX[1]=25", "$VEL_EXTAX[1]=90")),
+    "no speed": ("external_axes", lambda t, e: first(t, "$VEL_EXTAX[1]=25\n", "")),
+    "the speed of another axis": ("external_axes", lambda t, e: first(t, "$VEL_EXTAX[1]", "$VEL_EXTAX[2]")),
+    "not folded": ("syntax", lambda t, e: first(t, "PTP x_2_station_1\n", "")),
+    "nobody keeps off": (
+        "syntax",
+        lambda t, e: (
+            first(t, "PTP x_1_exit_1\n", "PTP x_1_exit_1\nPTP x_2_station_1\n")
+            if "PTP x_1_exit_1\n" in t
+            else first(t, "; Operation b.", "PTP x_2_station_1\n; Operation b.")
+        ),
+    ),
+    "told another value": ("setup", lambda t, e: first(t, f"to {float(e):.3f}", "to -900.000")),
+    "no look at the foot": ("syntax", lambda t, e: t.replace("$ROBROOT_C", "$ROBROOT")),
+    "a look along another way": (
+        "syntax",
+        lambda t, e: t.replace("X-0.500000*$AXIS_ACT.E1", "X+0.500000*$AXIS_ACT.E1"),
+    ),
+    "no look behind a station": (
+        "syntax",
+        lambda t, e: changed(t, r"(PTP x_2_station_1\n)(?:[^\n]*\n)*?tm_par\[2\]\.Par_Type=#EMPTY\n", r"\1"),
+    ),
+}
+"""On a track, by what is wrong: the rule that refuses it, and the change, given the text's first station."""
+
+
+TABLE: dict[str, tuple[str, Callable[[str], str]]] = {
+    "missing E2": ("external_axes", lambda t: t.replace(f",E2 {THERE}}}", "}")),
+    "another E2 all along": ("external_axes", lambda t: t.replace(f"E2 {THERE}", "E2 130.0000")),
+    "another E2 of a tenth": ("work_object", lambda t: t.replace(f"E2 {THERE}", "E2 65.1000")),
+    "in radians": ("external_axes", lambda t: t.replace(f"E2 {THERE}", "E2 1.1345")),
+    "with the other sign": ("external_axes", lambda t: t.replace(f"E2 {THERE}", f"E2 -{THERE}")),
+    "moved in the cut": ("external_axes", lambda t: in_cut(t, "E2", THERE, "65.5000")),
+    "beyond the range": ("external_axes", lambda t: t.replace(f"E2 {THERE}", "E2 190.0000")),
+    "as the first axis": ("external_axes", lambda t: t.replace(f"E2 {THERE}}}", f"E1 {THERE}}}")),
+    "another frame": (
+        "work_object",
+        lambda t: changed(t, r"(b_stock_2=\{X )(-?\d+)\.", lambda m: f"{m[1]}{int(m[2]) + 5}."),
+    ),
+    "a frame turned on": (
+        "work_object",
+        lambda t: changed(t, r"(b_stock_2=\{.*A )(-?\d+)\.", lambda m: f"{m[1]}{int(m[2]) + 2}."),
+    ),
+    "the frame of before": ("external_axes", lambda t: first(t, "$BASE=b_stock_2", "$BASE=b_stock")),
+    "a base of the external kinematic": ("syntax", lambda t: first(t, "$BASE=b_stock_2", "BAS(#EX_BASE,2)")),
+    "of another kinematic": ("syntax", lambda t: first(t, "$BASE=b_stock_2", "BAS(#EX_BASE,3)")),
+    "no speed": ("external_axes", lambda t: changed(t, r"\$VEL_EXTAX\[2\]=\d+\n", "")),
+    "not folded": ("external_axes", lambda t: first(t, "PTP x_2_station_1\n", "")),
+    "told another value": ("setup", lambda t: first(t, f"{THERE} deg", "20.0000 deg")),
+}
+"""On a turntable."""
+
+
+def refused(prover: Prover, programs: dict[str, str], word: str) -> None:
+    proof = prover.prove(programs)
+    assert not proof.ok
+    assert f"verify.{word}" in {issue.code for issue in proof.issues}, [str(i) for i in proof.issues]
+
+
+@pytest.mark.parametrize("name", TRACK)
+def test_a_wrong_track_is_refused(tracked: Prover, name: str) -> None:
+    word, change = TRACK[name]
+    out = track_job.planned_krl()
+    refused(tracked, broken(out.programs, lambda text: change(text, station(out))), word)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_a_wrong_turntable_is_refused(turned: Prover, name: str) -> None:
+    word, change = TABLE[name]
+    refused(turned, broken(table_job.planned_krl().programs, change), word)
+
+
+OTHERS: dict[str, dict[str, Any]] = {
+    "direction": {"axis": np.array([0.0, -1.0, 0.0])},
+    "range": {"low": -0.1},
+    "speed": {"speed": 5.0},
+    "home": {"home": 0.5},
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_programs_of_another_track_are_refused(tracked: Prover, name: str) -> None:
+    """The same text for a cell whose track is another one."""
+    arm = tracked.problem.cell.arms[0]
+    assert arm.track is not None
+    other = dataclasses.replace(arm, track=dataclasses.replace(arm.track, **OTHERS[name]))
+    cell = dataclasses.replace(tracked.problem.cell, arms=(other,))
+    made = Prover(dataclasses.replace(tracked.problem, cell=cell), tracked.claims)
+    word = "syntax" if name == "direction" else "external_axes"
+    refused(made, dict(track_job.planned_krl().programs), word)
+
+
+def test_a_table_that_turns_faster_than_the_text_takes_it_for_is_refused(turned: Prover) -> None:
+    table = turned.problem.cell.turntable
+    assert table is not None
+    cell = dataclasses.replace(turned.problem.cell, turntable=dataclasses.replace(table, speed=5.0))
+    made = Prover(dataclasses.replace(turned.problem, cell=cell), turned.claims)
+    refused(made, dict(table_job.planned_krl().programs), "external_axes")
+
+
+def test_axes_that_the_cell_does_not_have_are_refused(turned: Prover) -> None:
+    cell = dataclasses.replace(turned.problem.cell, turntable=None)
+    other = Prover(dataclasses.replace(turned.problem, cell=cell), turned.claims)
+    refused(other, dict(table_job.planned_krl().programs), "move_kinds")
+
+
+@pytest.mark.long
+def test_the_older_dialect_has_the_track_as_well() -> None:
+    out = track_job.planned_krl(dialect="krc2")
+    assert out.verified
+    (moves,) = [text for file, text in out.programs.items() if file.endswith("track_1.src")]
+    assert re.search(r"LIN \{[^}]*,E1 -?[\d.]+\}", moves)
+
+
+@pytest.mark.long
+def test_spline_blocks_have_the_track_as_well() -> None:
+    out = track_job.planned_krl(81, path="spline")
+    assert out.verified
+    text = "".join(out.programs.values())
+    assert re.search(r"SPL \{[^}]*,E1 -?[\d.]+\}", text)
+
+
+def test_the_setup_sheet_says_what_the_machine_data_need(tmp_path: Any) -> None:
+    for made, words in (
+        (track_job.planned_krl(), ("E1, axis 7", "#ERSYS", "$SOFTN_END[7]", "0.500000, 0.866025")),
+        (table_job.planned_krl(), ("E2, axis 8", "#EASYS, or #NONE", "counter-clockwise", "of $WORLD")),
+    ):
+        folder = tmp_path / made.problem.name
+        made.save(folder)
+        page = (folder / "report.html").read_text()
+        assert all(word in page for word in words), [word for word in words if word not in page]
