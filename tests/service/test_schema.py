@@ -12,6 +12,7 @@ from sqlalchemy import create_engine, inspect
 from planner.issues import TandemError
 from planner.service import schema
 from planner.service.models import Database, default_url
+from tests.service import postgres
 from tests.service.support import InProcess
 
 OLD = (Path(__file__).parent / "stores" / "version_1.sql").read_text()
@@ -58,6 +59,23 @@ def test_an_old_store_becomes_what_a_new_one_is_and_is_served(tmp_path: Path) ->
     assert version(data) == version(new) == [(schema.VERSION,)]
     Database(default_url(data)).close()  # once more: nothing is left to do
     assert version(data) == [(schema.VERSION,)]
+
+
+def test_the_same_on_postgresql(tmp_path: Path) -> None:
+    old, new = postgres.fresh(tmp_path), postgres.fresh(tmp_path)
+    import psycopg
+
+    with psycopg.connect(old) as connection:
+        for one in OLD.split(";\n"):
+            begin = max(one.find("CREATE"), one.find("INSERT"))
+            if begin >= 0:
+                connection.execute(one[begin:].encode())
+    for url in (old, new):
+        Database(url).close()
+    driver = "postgresql+psycopg://"
+    assert tables(old.replace("postgresql://", driver)) == tables(new.replace("postgresql://", driver))
+    with psycopg.connect(old) as connection:
+        assert connection.execute("SELECT name FROM tandem_jobs").fetchall() == [("panel",)]
 
 
 def test_a_step_that_fails_leaves_the_store_as_it_was(
