@@ -254,13 +254,14 @@ def least_by_coal(model: CellModel, q: FloatArray) -> float | None:
         return None
     (arm,) = model.arms
     poses = model.poses({arm: q})
-    shaped = [(solid, _coal_shape(coal, solid.shape)) for solid in model.solids]
-    apart = {frozenset(pair[:2]) for pair in model.pairs_filtered}
+    shaped = [(solid, _coal_shape(coal, solid.shape)) for solid in model.bounds.given]
+    apart = {frozenset(pair[:2]) for pair in model.pairs_filtered} - set(model.held_in_part)
     least = np.inf
     request, answer = coal.DistanceRequest(), coal.DistanceResult()
     for i, (one, own) in enumerate(shaped):
-        for other, its in shaped[i + 1 :]:
-            if one.body == other.body or frozenset((one.body, other.body)) in apart:
+        for j, (other, its) in enumerate(shaped[i + 1 :], start=i + 1):
+            bodies = frozenset((one.body, other.body))
+            if len(bodies) == 1 or bodies in apart or (i, j) not in model.held_in_part.get(bodies, [(i, j)]):
                 continue
             first = np.broadcast_to(poses[one.body] @ one.shape.pose, (len(q), 4, 4))
             second = np.broadcast_to(poses[other.body] @ other.shape.pose, (len(q), 4, 4))

@@ -198,7 +198,7 @@ class DevicePlace:
 class Interlock:
     """What power hangs on besides the program: ``outputs`` by the signal that the program sets, which is a
     request, and the system outputs of an ABB controller that say that a program runs and motors are on.
-    ``places`` {arm: {signal: place}} of the running wires' ends at ABB controllers."""
+    ``places`` {arm: {signal: place}} of signals that power nothing, at ABB controllers."""
 
     outputs: Mapping[str, PowerOutput] = dataclasses.field(default_factory=dict)
     cycle: str = "soCycleOn"
@@ -211,8 +211,8 @@ class Interlock:
         return found.get(request.lower(), PowerOutput(output_of(request)))
 
     def place(self, arm: str, signal: str) -> DevicePlace | None:
-        """Where an end of a running wire is wired at the controller of an arm; None if the cell states it
-        not."""
+        """Where a signal that powers nothing is wired at the controller of an arm; None if the cell states
+        it not."""
         found = {name.lower(): place for name, place in self.places.get(arm, {}).items()}
         return found.get(signal.lower())
 

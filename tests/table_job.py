@@ -22,7 +22,12 @@ TABLE: dict[str, Any] = {
     "speed_deg_s": 20,
     "plate": {"diameter_mm": 500, "height_mm": 200},
 }
-ARM: dict[str, Any] = {"name": "left", "robot": "irb140", "tool": {"kind": "ball_tool"}}
+ARM: dict[str, Any] = {
+    "name": "left",
+    "robot": "irb140",
+    "base": {"xyz_mm": [0, 0, 200]},
+    "tool": {"kind": "ball_tool"},
+}
 STOCK: dict[str, Any] = {
     "size_mm": [600, 400, 50],
     "place": {"xyz_mm": [930, 20, 240], "rpy_deg": [0, 0, 10]},

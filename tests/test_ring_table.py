@@ -65,12 +65,12 @@ def test_report_and_files_show_the_block_where_it_stands(tmp_path: Path) -> None
     outcome = table_job.planned()
     outcome.save(tmp_path)
     motion = json.loads((tmp_path / "motion.json").read_text())
-    assert [own["turntable_deg"] for own in motion["operations"]] == [0.0, 140.0]
+    assert [own["turntable_deg"] for own in motion["operations"]] == [0.0, 120.0]
     planes = [own["block"]["plane"][:3] for own in motion["operations"]]
     apart = np.linalg.norm(np.array(planes)[:, :2] - [900.0, 0.0], axis=1)
     np.testing.assert_allclose(apart, np.hypot(30.0, 20.0), atol=1e-6)
     page = (tmp_path / "report.html").read_text()
-    assert "place once STN_1 is at 140 deg" in page and "counter-clockwise" in page
+    assert "place once STN_1 is at 120 deg" in page and "counter-clockwise" in page
     again = write_pages(tmp_path)  # of the files alone
     assert again.ok
     assert verify(planner.load(tmp_path / "problem" / "problem.yaml"), outcome.programs).ok

@@ -121,6 +121,7 @@ def test_a_sharp_pit_is_proven_but_for_what_no_ball_reaches(tmp_path: Path) -> N
     assert [issue for issue in proof.issues if issue.code == "verify.formed"]
 
 
+@pytest.mark.long
 def test_the_same_problem_gives_the_same_bytes(alone: Outcome) -> None:
     again = planner.plan(alone.problem)
     assert again.programs == alone.programs

@@ -80,6 +80,7 @@ def test_the_holder_moves_the_block_by_more_than_its_last_axis(held: Outcome) ->
     assert np.count_nonzero(swing > np.deg2rad(3.0)) >= 3
 
 
+@pytest.mark.long
 def test_the_same_held_job_gives_the_same_bytes(held: Outcome) -> None:
     again = planner.plan(planner.load("shell_piece_held/small.yaml"))
     assert again.programs == held.programs

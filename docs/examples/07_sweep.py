@@ -20,8 +20,8 @@ scan = spec.Targets(
     free=[spec.FreeAxis(name="spin", arms=["robot"], axis="z", turn_deg=[-180, 180])],
 )
 stock = spec.Stock(size_mm=[200, 160, 80], place={"xyz_mm": [500, 0, 200]}, support="pedestal")
-problem = spec.Problem(name="scan", cell="irb140_gauge", stock=stock, operations=[scan])
-
+near = {"clearance_mm": 5}
+problem = spec.Problem(name="scan", cell="irb140_gauge", stock=stock, operations=[scan], settings=near)
 margins = {}
 for x in range(300, 701, 80):
     try:

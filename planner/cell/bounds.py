@@ -91,10 +91,10 @@ class Bounds:
         return {}
 
     def always_near(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
-        """Pairs of solids of one arm, by their places in ``given``, that its build keeps near each other in body
-        poses (B | 1, 4, 4) that were drawn: within KEPT_DISTANCE, and never touching; or within NEAR_DISTANCE.
-        Of any two bodies the latter are as few as it takes for the others not to be near in more than
-        NEAR_SHARE of the poses.
+        """Pairs of solids of one arm, by their places in ``given``, that its build keeps near each other in
+        body poses (B | 1, 4, 4) that were drawn: within KEPT_DISTANCE, and never touching; or within
+        NEAR_DISTANCE. Of any two bodies the latter are as few as it takes for the others not to be near in
+        more than NEAR_SHARE of the poses.
         """
         own = self._of_one_arm()
         row, solids, gap, *_ = own.every(poses, KEPT_DISTANCE)

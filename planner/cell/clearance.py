@@ -29,6 +29,9 @@ GOLDEN_RATIO: Final = (np.sqrt(5.0) - 1.0) / 2.0
 GOLDEN_STEPS: Final = 36
 """Golden-section steps: an interval of 50 mm shrinks to below 2 nm."""
 
+PIECE_SHARES: Final = np.linspace(0.0, 1.0, 6)
+"""Places on a straight piece whose distances bound that of the whole piece: it changes by the way at most."""
+
 
 def edge(
     model: CellModel,
@@ -76,6 +79,62 @@ def edge(
             _keep(best, who, found, k)
     pairs = (("edge", solids[k].body) if np.isfinite(b) else ("", "") for k, b in zip(who, best, strict=True))
     return LeastClearance(best - radius, tuple(pairs))
+
+
+def edge_free(
+    model: CellModel,
+    q: Mapping[str, FloatArray],
+    points: FloatArray,
+    radius: float,
+    skip_ends: float,
+    padding: float,
+    against: Against = "all",
+) -> BoolArray:
+    """Whether (B,) what :func:`edge` measures is ``padding`` [m] or more.
+
+    Solids whose bounding sphere keeps off that of the whole chain are passed over, and pieces that cannot
+    come so near, or whose chain is too near already, are not measured.
+    """
+    arms = tuple(q)
+    poses = model.poses(q)
+    held = {}
+    if arms:
+        held[arms[0]] = _clip(points, skip_ends, last=False)
+        held[arms[-1]] = _clip(points, skip_ends, last=True) if len(arms) > 1 else held[arms[0]]
+    whole = _Chain(points, np.zeros(points.shape[:2], dtype=bool))
+    limit = padding + radius + BOUND_ERROR
+    middle = points.mean(axis=1)
+    room = lengths(points - middle[:, None]).max(axis=1, initial=0.0) + limit
+    best = np.full(len(points), np.inf)
+    rough = []
+    for solid in model.solids:
+        if solid.body == "stock" and against == "no_stock":
+            continue
+        arm, _, link = solid.body.partition("/")
+        chain = held.get(arm, whole) if link in ("tool", "link_6") else whole
+        frame = np.broadcast_to(poses[solid.body] @ solid.shape.pose, (len(points), 4, 4))
+        reach = 0.5 * float(np.linalg.norm(extent(solid)))
+        near = lengths(middle - frame[:, :3, 3]) <= room + reach
+        rows = np.flatnonzero(near & (best - radius >= padding))
+        if not len(rows):
+            continue
+        some = _Chain(chain.points[rows], chain.skip[rows])
+        local = (some.points - frame[rows, None, :3, 3]) @ frame[rows, :3, :3]
+        value = _at_points(solid, local, some, np.full(len(rows), limit))
+        best[rows] = np.minimum(best[rows], value.min(axis=1))
+        rough.append((solid, rows, local, some, value))
+    for solid, rows, local, some, value in rough:
+        low = 0.5 * (value[:, :-1] + value[:, 1:] - some.steps)
+        wanted = (low < np.minimum(best[rows], limit)[:, None]) & (best[rows] - radius >= padding)[:, None]
+        row, piece = np.nonzero(wanted)
+        if len(row):
+            start, end, step = local[row, piece], local[row, piece + 1], some.steps[row, piece]
+            along = start[:, None] + PIECE_SHARES[:, None] * (end - start)[:, None]
+            inner = signed_distance(solid, along)
+            low = 0.5 * (inner[:, 1:] + inner[:, :-1] - step[:, None] / (len(PIECE_SHARES) - 1))
+            close = np.flatnonzero(low.min(axis=1) < limit)
+            np.minimum.at(best, rows[row[close]], _least_on(solid, start[close], end[close]))
+    return np.asarray(best - radius >= padding)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -136,7 +195,18 @@ def _least_on(solid: Solid, start: FloatArray, end: FloatArray) -> FloatArray:
     return np.minimum(left, right)
 
 
-__all__ = ["LeastClearance", "Pairs", "at_least", "edge", "free", "gradients", "least", "overlaps", "witness"]
+__all__ = [
+    "LeastClearance",
+    "Pairs",
+    "at_least",
+    "edge",
+    "edge_free",
+    "free",
+    "gradients",
+    "least",
+    "overlaps",
+    "witness",
+]
 
 Pairs = frozenset[frozenset[str]]
 

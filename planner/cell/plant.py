@@ -220,7 +220,7 @@ class CellModel:
 
     @property
     def pairs_filtered(self) -> tuple[FilteredPair, ...]:
-        """Pairs of bodies that are not held apart, each with the reason."""
+        """Pairs of bodies that are not held apart, or of which some solids are not, each with the reason."""
         return self._shared.filtered
 
     @property

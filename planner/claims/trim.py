@@ -14,7 +14,11 @@ from planner.tooling import Torch
 class TrimOutline:
     """A closed curve as the problem has it, ``drawn`` or a circle of ``middle`` (2,) and ``diameter`` [mm],
     whose ``inside`` drops, or what is outside. ``joints`` pieces of metal, ``width`` [m] across, stay in its
-    slot."""
+    slot.
+
+    With ``layers`` it stands for all curves of the file that is ``drawn``, each an outline of its own: those
+    of one layer after the other (None: of all at once) in the order of the file, with numbers behind the
+    name."""
 
     name: str
     drawn: DrawnCurve | None
@@ -23,6 +27,7 @@ class TrimOutline:
     inside: bool
     joints: int
     width: float
+    layers: tuple[str | None, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

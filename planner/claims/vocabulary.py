@@ -218,6 +218,9 @@ WAITING: Final = Sentence("Waiting for arm {arm}.")
 TOGETHER: Final = Sentence("Moves with arm {arm} and waits for it where they meet.")
 """On the panel of a KUKA controller while its program waits for the other arm, and moves together with it."""
 
+NO_INPUT: Final = Sentence("No {signal} in {seconds:g} s: the program ends. Reset it.")
+"""On the panel of a KUKA controller whose program waited for an input of its process in vain."""
+
 # ---- where a robot stands ----
 
 FOOT: Final = Sentence("Arm {arm}: $ROBROOT is off zero by %1 mm, %2 deg")

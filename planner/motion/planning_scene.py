@@ -316,9 +316,22 @@ class Scene:
             some = {arm: v[part] for arm, v in q.items()}
             ok[part] = clearance.free(self.model, some, self.settings.clearance, ignore | ignored)
         rows = np.flatnonzero(ok)
-        distance, _ = self.edge_clearance(targets, {arm: v[rows] for arm, v in q.items()}, index[rows])
-        ok[rows] = distance >= self.settings.clearance
+        ok[rows] = self._edge_free(targets, {arm: v[rows] for arm, v in q.items()}, index[rows])
         return ok
+
+    def _edge_free(self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray) -> BoolArray:
+        """(B,) whether the flexible edge keeps the wanted clearance, as in :meth:`edge_clearance`."""
+        out = np.ones(len(index), dtype=bool)
+        points = self.edge(targets, index)
+        if points is None or targets.edge is None or self.model is None:
+            return out
+        edge, padding = targets.edge, self.settings.clearance
+        for against, rows in _held_against(targets, index):
+            part = {arm: q[arm][rows] for arm in targets.arms}
+            out[rows] = clearance.edge_free(
+                self.model, part, points[rows], edge.radius, SKIPPED_END_LENGTH, padding, against
+            )
+        return out
 
     def least(
         self, targets: Targets, q: Mapping[str, FloatArray], move: IndexArray, reach: float
@@ -390,21 +403,26 @@ class Scene:
         points = self.edge(targets, index)
         if points is None or targets.edge is None or self.model is None:
             return distance, pairs
-        cuts = cutting(targets)[index]
-        choices: tuple[tuple[Against, IndexArray], ...] = (
-            ("no_stock", np.flatnonzero(cuts)),
-            ("all", np.flatnonzero(~cuts)),
-        )
-        for against, rows in choices:
-            if len(rows):
-                part = {arm: q[arm][rows] for arm in targets.arms}
-                found = edge_clearance(
-                    self.model, part, points[rows], targets.edge.radius, SKIPPED_END_LENGTH, against
-                )
-                distance[rows] = found.distance
-                for row, pair in zip(rows, found.pair, strict=True):
-                    pairs[row] = pair
+        for against, rows in _held_against(targets, index):
+            part = {arm: q[arm][rows] for arm in targets.arms}
+            found = edge_clearance(
+                self.model, part, points[rows], targets.edge.radius, SKIPPED_END_LENGTH, against
+            )
+            distance[rows] = found.distance
+            for row, pair in zip(rows, found.pair, strict=True):
+                pairs[row] = pair
         return distance, pairs
+
+
+def _held_against(targets: Targets, index: IndexArray) -> list[tuple[Against, IndexArray]]:
+    """Rows of ``index`` (B,) with what the flexible edge is held against there: the stock is left out where
+    it cuts."""
+    cuts = cutting(targets)[index]
+    choices: list[tuple[Against, IndexArray]] = [
+        ("no_stock", np.flatnonzero(cuts)),
+        ("all", np.flatnonzero(~cuts)),
+    ]
+    return [(against, rows) for against, rows in choices if len(rows)]
 
 
 def holders(targets: Targets) -> list[tuple[str, str | None]]:

@@ -19,6 +19,7 @@ from planner.cell.bodies import own_shapes
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
+from planner.motion import diagnosis
 from planner.motion.placement import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
@@ -47,6 +48,7 @@ APART_M: Final = 0.2
 """These are so far [m] apart,"""
 APART_RAD: Final = 10.0 * DEG
 """or so far [rad]."""
+NO_PATH: Final = "bodies or joints leave no path there"
 WAY_ROOM_M: Final = 1e-3
 """Bodies keep so much more [m] than their clearance on the way from one to the next."""
 
@@ -203,6 +205,8 @@ def _station(
         reasons = _fault(problem, index, targets, axis, at, value, passes)
         if not reasons:
             return value
+    if tried:  # of the value that was thought best
+        reasons = _fault(problem, index, targets, axis, at, tried[0], passes, explained=True)
     raise TandemError(_nowhere(problem, index, axis, grid, score, tried, reasons))
 
 
@@ -230,8 +234,10 @@ def _fault(
     at: Mapping[str, float],
     value: float,
     passes: Passes | None,
+    explained: bool = False,
 ) -> str:
-    """Why an axis cannot stand at a value; empty where it can."""
+    """Why an axis cannot stand at a value; empty where it can. ``explained``: with what is in the way of a
+    path."""
     there = problem.stationed({**problem.stations, index: {**at, axis.name: value}})
     if value != at[axis.name] and passes is None:
         enough = problem.settings.clearance + WAY_ROOM_M
@@ -241,8 +247,15 @@ def _fault(
     setup = there.setup_of(index)
     scene = _scene(there, index, targets, _model(setup))
     own = with_aims(scene, targets)
-    free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, index)
-    return "" if free else "bodies or joints leave no path there"
+    if passes is not None and passes(scene, own, index):
+        return ""
+    if passes is not None and not explained:
+        return NO_PATH
+    looked, found = find_path(scene, own)
+    if isinstance(found, Found):
+        return "" if passes is None else NO_PATH
+    said = diagnosis.no_path(scene, own, looked, found) if explained else []
+    return said[0].message if said else NO_PATH
 
 
 def _nowhere(
@@ -260,7 +273,8 @@ def _nowhere(
     what = f"operation {name}: {reach} from no value of {axis.unit}, {low:g} to {high:g} {axis.sign}"
     if tried:
         shown = ", ".join(f"{value / axis.scale:g}" for value in tried)
-        what = f"operation {name}: no value of {axis.unit} has a path; tried {shown} {axis.sign}: {reasons}"
+        what = f"operation {name}: no value of {axis.unit} has a path; tried {shown} {axis.sign}; "
+        what += f"at {tried[0] / axis.scale:g} {axis.sign}: {reasons}"
     best = f"{grid[int(np.argmax(score))] / axis.scale:g} {axis.sign} is nearest to it"
     if table:
         hint = f"split the operation, as the table stands while an arm works ({best}), or put the table "

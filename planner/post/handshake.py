@@ -265,7 +265,7 @@ def rapid_running_rows(controller: Controller, arm: str) -> dict[str, list[Confi
     """
     own, lock = controller.handshake.of(arm), controller.interlock
     running, given, lost = identifier(own.running), identifier(own.partner_running), identifier(own.lost)
-    out, into = _placed(controller, arm, own.running), _placed(controller, arm, own.partner_running)
+    out, into = (placed(controller, [arm], name) for name in (own.running, own.partner_running))
     return {
         "EIO_SIGNAL": [
             {"Name": running, "SignalType": "DO", **out, "Access": "ReadOnly"},
@@ -286,8 +286,10 @@ def rapid_running_rows(controller: Controller, arm: str) -> dict[str, list[Confi
     }
 
 
-def _placed(controller: Controller, arm: str, signal: str) -> dict[str, str]:
-    place = controller.interlock.place(arm, signal)
+def placed(controller: Controller, arms: Sequence[str], signal: str) -> dict[str, str]:
+    """Device and bit of a signal at the controller of these arms; none where the cell states none."""
+    places = (controller.interlock.place(arm, signal) for arm in arms)
+    place = next((place for place in places if place is not None), None)
     return {"Device": place.device, "DeviceMap": str(place.bit)} if place else {}
 
 

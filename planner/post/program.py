@@ -232,10 +232,15 @@ def splittable(program: OperationProgram) -> BoolArray:
 
 
 def no_input(action: Action, arm: str) -> TandemError:
-    """Why an arm that is not ABB's does not wait for an input of its process."""
+    """Why an arm of UR does not wait for an input of its process."""
     what = f"arm {arm} is to wait for {action.signal}, for {action.seconds:g} s at most, which Tandem writes "
     return TandemError(
-        Issue("post.controller", what + "in RAPID alone so far", arm=arm, hint="take an ABB robot for it")
+        Issue(
+            "post.controller",
+            what + "in RAPID and KRL alone so far",
+            arm=arm,
+            hint="take an ABB or KUKA robot for it",
+        )
     )
 
 

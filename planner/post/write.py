@@ -23,7 +23,7 @@ from planner.post.handshake import handshake_refusals
 from planner.post.krl import controller_files as krl_files
 from planner.post.krl import program as krl_program
 from planner.post.krl import spline_blocks
-from planner.post.program import LINE_END, Job, no_input
+from planner.post.program import LINE_END, Do, Job, TaskProgram, no_input
 from planner.post.rapid import controller_files as rapid_files
 from planner.post.rapid import program as rapid_program
 from planner.post.rapid.syntax import alike, procedure
@@ -57,10 +57,13 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
         if task.robot.family == "KUKA":
             made, folder = krl_files.files(controller, name, signals, wires), name
         elif alone:
-            made, folder = rapid_files.files(controller, [task.task], signals, name, wires), name
+            others = _others(job, [task], signals)
+            made, folder = rapid_files.files(controller, [task.task], signals, name, wires, others), name
         elif task.number == 1:
             tasks = [other.task for other in job.tasks]
-            made, folder = rapid_files.files(controller, tasks, signals, name), task.task
+            others, own = _others(job, job.tasks, signals), [other.arm.name for other in job.tasks]
+            made = rapid_files.files(controller, tasks, signals, name, (), others, own)
+            folder = task.task
         else:
             continue  # files of the first task are for all of one controller
         out |= {
@@ -68,6 +71,22 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
             for name, text in made.items()
         }
     return out
+
+
+def _others(
+    job: Job, tasks: Sequence[TaskProgram], signals: Sequence[str]
+) -> dict[str, rapid_files.SignalType]:
+    """Signals besides the powering ``signals`` that the programs of one ABB controller name, with types:
+    inputs that they wait for, outputs that ask for a step, and the lines between two controllers."""
+    steps = [step for task in tasks for operation in task.operations for step in operation.steps]
+    inputs = {step.action.signal for step in steps if isinstance(step, Do) and step.action.kind == "input"}
+    outputs = {signal for task in tasks for signal in job.switched(task)} - set(signals)
+    if job.handshake is not None:
+        lines = [job.handshake.of(task.arm.name) for task in tasks]
+        inputs |= {own.input for own in lines}
+        outputs |= {own.output for own in lines}
+    kinds: dict[str, rapid_files.SignalType] = dict.fromkeys(sorted(outputs, key=str.lower), "DO")
+    return kinds | dict.fromkeys(sorted(inputs, key=str.lower), "DI")
 
 
 _ONE_CONTROLLER_HINT: Final = (
@@ -136,7 +155,12 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
     for arm in arms:
         if arm.data.family not in _BY_NUMBER:
             continue
-        inputs = (a for t in made for a in t.actions if a.kind == "input" and t.arms[0] == arm.name)
+        inputs = (
+            a
+            for t in made
+            for a in t.actions
+            if a.kind == "input" and t.arms[0] == arm.name and speaks_urscript(arm)
+        )
         issues += [
             issue for action in itertools.islice(inputs, 1) for issue in no_input(action, arm.name).issues
         ]
@@ -166,7 +190,7 @@ def _signals(problem: Problem, made: Sequence[Targets], arm: Arm, together: bool
         for targets in made
         if min(targets.arms, key=order.index) == arm.name
         for action in targets.actions
-        if action.kind in ("on", "off")
+        if action.kind in ("on", "off", "input")
     ]
     if together:
         own = problem.cell.controller.handshake.of(arm.name)

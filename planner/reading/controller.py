@@ -112,7 +112,7 @@ class PowerOutputFile(Strict):
 
 
 class DevicePlaceFile(Strict):
-    """Where an end of a running wire is at an ABB controller."""
+    """Where a signal that powers nothing is at an ABB controller."""
 
     device: Annotated[Name, Field(description="I/O device")]
     device_map: Annotated[int, Field(ge=0, le=4095, description="bit on that device")] = 0
@@ -133,7 +133,8 @@ class InterlockFile(Strict):
         dict[Name, dict[Name, DevicePlaceFile]],
         Field(
             default_factory=dict,
-            description="of `running` and `partner_running` at ABB controllers, by arm and signal",
+            description="of signals that power nothing at ABB controllers (ends of wires between two of "
+            "them, inputs that an operation waits for, pulses), by arm and signal",
         ),
     ]
 
@@ -265,18 +266,23 @@ def _check_io(io: Mapping[str, Mapping[str, int]], arms: Sequence[str], handshak
             raise TandemError(Issue("problem.field", what, field="controller.io"))
         own = handshake.of(arm) if handshake else None
         inputs = {own.input.lower(), own.partner_running.lower()} if own else set()
+        lines = inputs | (
+            {own.output.lower(), own.running.lower(), own.move_enable.lower()} if own else set()
+        )
         used: dict[tuple[bool, int] | str, str] = {}
         for name, number in numbers.items():
-            for key in ((name.lower() in inputs, number), name.lower()):
+            # of other names it is not known yet whether an operation waits for them: see _numbers
+            keys: list[tuple[bool, int] | str] = [name.lower()]
+            keys += [(name.lower() in inputs, number)] if name.lower() in lines else []
+            for key in keys:
                 if key in used:
-                    what = f"{used[key]} and {name} (number {number}) cannot be told apart"
-                    issue = Issue(
-                        "problem.field",
-                        f"{what}; give each a name and a number of its own",
-                        field=f"controller.io.{arm}",
-                    )
-                    raise TandemError(issue)
-            used |= {(name.lower() in inputs, number): name, name.lower(): name}
+                    raise TandemError(_one(used[key], name, number, f"controller.io.{arm}"))
+            used |= dict.fromkeys(keys, name)
+
+
+def _one(first: str, second: str, number: int, field: str) -> Issue:
+    what = f"{first} and {second} (number {number}) cannot be told apart"
+    return Issue("problem.field", f"{what}; give each a name and a number of its own", field=field)
 
 
 def _handshake(spec: HandshakeFile, arms: Sequence[str], power: str) -> Handshake:
@@ -346,24 +352,37 @@ def faults(cell: Cell, operations: Sequence[Operation]) -> list[Issue]:
     used = [(f"operations.{index}", operation) for index, operation in enumerate(operations)]
     return [
         *_signals(cell, used),
-        *_numbers(cell),
-        *_places(cell),
+        *_numbers(cell, used),
+        *_places(cell, used),
         *_options(cell.controller, cell, operations),
     ]
 
 
-def _numbers(cell: Cell) -> list[Issue]:
-    """Signals have numbers that the arm's controller has."""
+def _numbers(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
+    """Signals have numbers that the arm's controller has; of two inputs, or two outputs, each its own."""
     out = []
+    waits = (getattr(operation, "ok_signal", None) for _, operation in operations)
+    given = {name.lower() for name in waits if isinstance(name, str)}
     for arm in cell.arms:
         allowed = UR_OUTPUTS if arm.data.family == "UR" else OTHER_NUMBERS
+        own = cell.controller.handshake.of(arm.name)
+        joined = cell.controller.sync == "handshake"
+        inputs = given | ({own.input.lower(), own.partner_running.lower()} if joined else set())
+        used: dict[tuple[bool, int], str] = {}
         for name, number in cell.controller.io.get(arm.name, {}).items():
+            other = used.setdefault((name.lower() in inputs, number), name)
+            if other != name:
+                out.append(_one(other, name, number, f"cell.controller.io.{arm.name}"))
             if number not in allowed:
                 got = f"{name} is number {number} on the {arm.data.family} controller of arm {arm.name}"
                 what = f"{got}; allowed: {allowed.start} to {allowed.stop - 1}"
                 field = f"cell.controller.io.{arm.name}.{name}"
                 out.append(Issue("problem.field", what, field=field, hint="state the number that it has"))
     return out
+
+
+_POWERED: Final = {"milling": "spindle", "trim": "torch"}
+"""What a signal of an operation powers that is no wire, by process."""
 
 
 def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
@@ -396,9 +415,12 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
             use(die.signal, "the pulse of a clamp that sinks", f"{field}.die.signal", MAX_SWITCHED_NAME)
         signal = getattr(operation, "signal", None)
         if isinstance(signal, str):
-            what = "the power of a spindle" if operation.process == "milling" else "the power of a wire"
+            what = f"the power of a {_POWERED.get(operation.process, 'wire')}"
             use(signal, what, f"{field}.signal", MAX_SWITCHED_NAME)
             use(lock.of(signal).signal, f"the output that {signal} drives", f"{place}.outputs")
+        given = getattr(operation, "ok_signal", None)
+        if isinstance(given, str):
+            use(given, "an input that an operation waits for", f"{field}.ok_signal")
     for arm in cell.arms:
         for request, output in lock.outputs.items():
             stated = controller.number(arm.name, request) is not None and arm.data.family != "UR"
@@ -449,22 +471,41 @@ def _running(cell: Cell, operations: Sequence[tuple[str, Operation]], uses: Mapp
     return issues
 
 
-def _places(cell: Cell) -> list[Issue]:
-    """Places are stated of the running wires' ends at ABB controllers that have them."""
-    controller, issues = cell.controller, []
-    ends = {
-        arm.name: [own.running, own.partner_running]
-        for arm in cell.arms
-        for own in [controller.handshake.of(arm.name)]
-        if controller.sync == "handshake" and arm.data.family == "ABB"
-    }
-    for arm, places in controller.interlock.places.items():
-        known = [name.lower() for name in ends.get(arm, ())]
-        for signal in places:
+def _places(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
+    """Places are stated of signals that ABB controllers have and that power nothing; no two inputs share
+    one."""
+    controller, issues = cell.controller, list[Issue]()
+    ends: dict[str, list[str]] = {}
+    inputs: dict[str, set[str]] = {}
+    for arm in cell.arms:
+        if arm.data.family != "ABB":
+            continue
+        own, mine, given = controller.handshake.of(arm.name), list[str](), list[str]()
+        if controller.sync == "handshake":
+            mine, given = [own.running, own.output], [own.partner_running, own.input]
+        for _, operation in operations:
+            if arm.name in operation.arms or controller.sync != "handshake":
+                given += [one] if (one := getattr(operation, "ok_signal", None)) is not None else []
+                die = getattr(operation, "die", None)
+                mine += [die.signal] if die is not None and getattr(die, "holder", "") == "sinking" else []
+        ends[arm.name] = list(dict.fromkeys([*mine, *given]))
+        inputs[arm.name] = {name.lower() for name in given}
+    ends = {name: names for name, names in ends.items() if names}
+    for at, places in controller.interlock.places.items():
+        known = [name.lower() for name in ends.get(at, [])]
+        taken: dict[tuple[str, int], str] = {}
+        for signal, place in places.items():
+            if signal.lower() in inputs.get(at, set()):
+                other = taken.setdefault((place.device.lower(), place.bit), signal)
+                if other != signal:
+                    got = f"{other} and {signal} are both bit {place.bit} of {place.device}"
+                    field = f"cell.controller.interlock.places.{at}"
+                    hint = "give each input a bit of its own (device_map)"
+                    issues.append(Issue("problem.field", got, field=field, hint=hint))
             if signal.lower() not in known:
-                got = f"arm {arm} has no end {signal} of a running wire at an ABB controller"
+                got = f"arm {at} has no signal {signal} at an ABB controller that powers nothing"
                 may = "; ".join(f"{name}: {', '.join(names)}" for name, names in ends.items()) or "none"
-                field = f"cell.controller.interlock.places.{arm}"
+                field = f"cell.controller.interlock.places.{at}"
                 issues.append(
                     Issue("problem.field", f"{got}; allowed: {may}", field=field, hint="take it out")
                 )

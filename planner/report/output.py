@@ -152,7 +152,10 @@ def _background(plan: Plan | None, extra: Extra) -> list[Section]:
         out.append(Section("times", "How the plan was made", (made,)))
     if extra.filtered:
         rows = markup.table(("body", "body", "why the two are not held apart"), extra.filtered)
-        summary = f"{len(extra.filtered)} pairs of bodies are not held apart; every other pair is"
+        summary = (
+            f"{len(extra.filtered)} pairs of bodies are not held apart, or some of their solids are not; "
+            "every other pair is"
+        )
         out.append(Section("filter", "Collision filter", (markup.Folded(summary, rows),)))
     return out
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from planner.claims import vocabulary
 from planner.claims.claim import Claim
+from planner.claims.milling import DrawnCurve
 from planner.claims.trim import SurfaceFile, TrimOutline, TrimsSheet
 from planner.claims.vocabulary import OperatorDialogue, message_step, question_step
 from planner.geometry.units import DEG, MM
@@ -68,10 +69,17 @@ def _outline(one: OutlineFile) -> TrimOutline:
     circle = one.circle
     return TrimOutline(
         name=one.name,
-        drawn=None if one.curve is None else dataclasses.replace(one.curve.drawn(), z_mm=None),
+        drawn=_drawn(one),
         middle=(0.0, 0.0) if circle is None else circle.at_mm,
         diameter=0.0 if circle is None else circle.diameter_mm,
         inside=one.drops == "inside",
         joints=one.joints,
         width=one.joint_mm * MM,
+        layers=() if one.drawing is None else one.drawing.layers or (None,),
     )
+
+
+def _drawn(one: OutlineFile) -> DrawnCurve | None:
+    if one.drawing is not None:
+        return DrawnCurve("dxf", (), Path(one.drawing.file), one.drawing.unit)
+    return None if one.curve is None else dataclasses.replace(one.curve.drawn(), z_mm=None)

@@ -33,7 +33,7 @@ from planner.tooling import Torch
 from planner.trim import check
 from planner.trim.claims import claims, told
 from planner.trim.face import Face, lay
-from planner.trim.operation import Trim, outline_points
+from planner.trim.operation import Trim, every_outline
 from planner.trim.slots import Slot, Wanted, slots
 
 TRIM: Final = "trim"
@@ -102,8 +102,8 @@ class TrimJob(Job[Trim]):
     def wanted(self) -> tuple[Wanted, ...]:
         """The outlines in the order of cutting: those that lie in most others first."""
         found = []
-        for one in self.operation.outlines:
-            laid = lay(one.name, outline_points(one), self.face)
+        for one, points in every_outline(self.operation):
+            laid = lay(one.name, points, self.face)
             found.append(Wanted(one, laid, shapely.Polygon(laid.point[:, :2])))
         inside = [
             sum(

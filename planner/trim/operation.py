@@ -20,7 +20,7 @@ from planner.problem import Stock
 from planner.reading.drawing import read_dxf
 from planner.reading.part_ruled import GuideFile, guide
 from planner.reading.sheet import SheetMeshFile
-from planner.reading.strict_yaml import Name, Strict
+from planner.reading.strict_yaml import FileName, Name, Strict, Unit
 
 Signal = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
 
@@ -32,9 +32,22 @@ class CircleFile(Strict):
     diameter_mm: Annotated[float, Field(gt=0, le=10_000)]
 
 
+class DrawingFile(Strict):
+    """All curves of a DXF file, or of some of its layers; each has to be closed. Needs the extra ``cad`` of
+    Tandem."""
+
+    file: FileName
+    unit: Unit
+    layers: Annotated[
+        tuple[Annotated[str, Field(min_length=1, max_length=255)], ...] | None,
+        Field(min_length=1, max_length=50, description="of the file, one after the other; none: all of it"),
+    ] = None
+
+
 class OutlineFile(Strict):
     """A closed curve that is projected along the sheet's z onto its formed face and cut there: exactly one of
-    a ``curve``, whose z is not looked at, and a ``circle``.
+    a ``curve``, whose z is not looked at, a ``circle``, and a ``drawing``, which stands for as many outlines
+    as it has curves: ``name``_1, ``name``_2 ... in the order of the file, alike in all else.
 
     What is ``inside`` of it drops, or what is ``outside``. ``joints`` of a width stay between what drops and
     the part until somebody breaks them.
@@ -43,6 +56,7 @@ class OutlineFile(Strict):
     name: Name
     curve: GuideFile | None = None
     circle: CircleFile | None = None
+    drawing: DrawingFile | None = None
     drops: Annotated[Literal["inside", "outside"], Field(description="the waste")] = "inside"
     joints: Annotated[int, Field(ge=0, le=50, description="micro-joints, evenly about the curve")] = 0
     joint_mm: Annotated[float, Field(ge=0.1, le=50, description="metal left at each, across")] = 1.0
@@ -54,10 +68,19 @@ class OutlineFile(Strict):
         folder: Path = (info.context or {}).get("folder", Path())
         return None if value is None else value.looked_up(folder)
 
+    @field_validator("drawing")
+    @classmethod
+    def _drawing_from_there(cls, value: DrawingFile | None, info: ValidationInfo) -> DrawingFile | None:
+        folder: Path = (info.context or {}).get("folder", Path())
+        return None if value is None else value.model_copy(update={"file": str(folder / value.file)})
+
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if (self.curve is None) == (self.circle is None):
-            raise ValueError("give exactly one of curve and circle")
+        if [self.curve, self.circle, self.drawing].count(None) != 2:
+            raise ValueError("give exactly one of curve, circle and drawing")
+        own = self.drawing.layers if self.drawing is not None else None
+        if own is not None and len({layer.lower() for layer in own}) != len(own):
+            raise ValueError("drawing: a layer stands twice in layers; name each once")
         if self.curve is not None and self.curve.rhino is not None:
             raise ValueError("curves to cut are not read from Rhino files; save them as DXF (dxf:)")
         return self
@@ -172,7 +195,7 @@ class Trim(Strict):
         if stock.sheet is None:
             return stock
         try:
-            cut = tuple((one.name, _in_plan(one)) for one in self.outlines)
+            cut = tuple((own.name, ring[:, :2]) for own, ring in every_outline(self))
         except TandemError:
             return stock  # a file that cannot be read is told by the operation itself
         return dataclasses.replace(
@@ -182,20 +205,72 @@ class Trim(Strict):
 
 CIRCLE_POINTS: Final = 720
 """Points of a circle."""
-_PLANS: dict[str, FloatArray] = {}
-"""Curves in plan by all that is stated of them."""
+MOST_OUTLINES: Final = 500
+"""Curves of an operation at most, those of drawings among them."""
+_READ: dict[str, tuple[FloatArray, ...]] = {}
+"""Curves by all that is stated of them."""
 
 
-def _in_plan(one: OutlineFile) -> FloatArray:
-    """Points (K, 2) [m] of an outline in plan, read once."""
-    key = one.model_dump_json()
-    if key not in _PLANS:
-        _PLANS[key] = outline_points(one)[:, :2]
-    return _PLANS[key]
+def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
+    """All outlines of an operation with their points (K, 2 or 3) [m]: of a drawing each of its curves, under
+    its name with a number. Read once.
+
+    Raises ``TandemError``: issues of files, ``part.guide``, ``trim.open``, ``problem.field`` for names that
+    come twice, or too many curves.
+    """
+    out: list[tuple[OutlineFile, FloatArray]] = []
+    for one in op.outlines:
+        key = one.model_dump_json()
+        if key not in _READ:
+            _READ[key] = (outline_points(one),) if one.drawing is None else _drawn(one, one.drawing)
+        if one.drawing is None:
+            out.append((one, _READ[key][0]))
+            continue
+        for number, points in enumerate(_READ[key], 1):
+            out.append((one.model_copy(update={"name": f"{one.name}_{number}"}), points))
+    known: dict[str, str] = {}
+    for own, _ in out:
+        if other := known.get(fold(own.name)):
+            what = f"outlines: {other} and {own.name} cannot be told apart; curves of drawings have numbers"
+            hint = "give the outline, or the drawing, another name"
+            raise TandemError(Issue("problem.field", what, field="operations.outlines", hint=hint))
+        known[fold(own.name)] = own.name
+    if len(out) > MOST_OUTLINES:
+        what = f"outlines: {len(out)} curves with those of drawings; allowed: {MOST_OUTLINES}"
+        hint = "name layers, or divide them among operations"
+        raise TandemError(Issue("problem.field", what, field="operations.outlines", hint=hint))
+    return out
+
+
+def _drawn(one: OutlineFile, drawing: DrawingFile) -> tuple[FloatArray, ...]:
+    """The curves of a drawing, layer by layer. Raises ``TandemError``: issues of files, ``trim.open``."""
+    path, field = Path(drawing.file), f"operations.outlines.{one.name}.drawing"
+    out: list[FloatArray] = []
+    issues: list[Issue] = []
+    for layer in drawing.layers or (None,):
+        for curve in read_dxf(path, LENGTH_UNITS[drawing.unit], layer, field)[0]:
+            name = f"{one.name}_{len(out) + 1}"
+            if not curve.closed:
+                issues.append(_open(f"{path.name}: {name}", curve.points, field))
+            out.append(curve.points)
+    if issues:
+        raise TandemError(issues)
+    return tuple(out)
+
+
+def _open(name: str, points: FloatArray, field: str) -> Issue:
+    """A curve that does not close, with its ends."""
+    (x, y), (u, v) = points[0, :2] / MM, points[-1, :2] / MM
+    gap = float(np.linalg.norm(points[0] - points[-1])) / MM
+    what = f"{name} is open by {gap:.3g} mm, from ({x:.2f}, {y:.2f}) to ({u:.2f}, {v:.2f}) mm; only closed "
+    what += "curves are cut"
+    hint = "close it, or put what is not to be cut on another layer"
+    return Issue("trim.open", what, field=field, value=gap, limit=0.01, unit="mm", hint=hint)
 
 
 def outline_points(one: OutlineFile) -> FloatArray:
-    """Points (K, 2 or 3) [m] of an outline. Raises ``TandemError``: issues of files, ``part.guide``."""
+    """Points (K, 2 or 3) [m] of an outline that is one curve. Raises ``TandemError``: issues of files,
+    ``part.guide``."""
     if one.circle is not None:
         around = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
         ring = np.stack([np.cos(around), np.sin(around)], axis=1)
@@ -215,8 +290,4 @@ def _require_closed(curve: GuideFile, field: str) -> None:
         return
     found = read_dxf(Path(curve.dxf.file), LENGTH_UNITS[curve.dxf.unit], curve.dxf.layer, f"{field}.dxf")[0]
     if len(found) == 1 and not found[0].closed:
-        gap = float(np.linalg.norm(found[0].points[0] - found[0].points[-1])) / MM
-        what = f"{Path(curve.dxf.file).name}: the curve is open by {gap:.3g} mm; only closed ones are cut"
-        raise TandemError(
-            Issue("trim.open", what, field=field, value=gap, limit=0.01, unit="mm", hint="close it")
-        )
+        raise TandemError(_open(f"{Path(curve.dxf.file).name}: the curve", found[0].points, field))

@@ -344,11 +344,14 @@ def script_task(problem: Problem, arm: Arm, name: str, files: Mapping[str, str])
 
 
 def krl_signals(problem: Problem, arm: Arm) -> Signals:
-    """Names of the inputs and outputs of a KUKA controller by number, as the cell states them. A number that
-    two names of one kind share has both for a name: which one is meant is not known."""
+    """Names of the inputs and outputs of a KUKA controller by number, as the cell states them; inputs are
+    those of a handshake and those that operations wait for. A number that two names of one kind share has
+    both for a name: which one is meant is not known."""
     controller = problem.cell.controller
     own = controller.handshake.of(arm.name)
-    reads = (own.input.lower(), own.partner_running.lower()) if controller.sync == "handshake" else ()
+    reads = {own.input.lower(), own.partner_running.lower()} if controller.sync == "handshake" else set()
+    waits = (getattr(operation, "ok_signal", None) for operation in problem.operations)
+    reads |= {name.lower() for name in waits if isinstance(name, str)}
     tables: tuple[dict[int, str], dict[int, str]] = ({}, {})
     for name, value in controller.io.get(arm.name, {}).items():
         table = tables[name.lower() in reads]

@@ -76,6 +76,7 @@ def test_results_are_those_of_planning_one_by_one(tmp_path: Path) -> None:
     assert "2 kept from earlier runs" in (tmp_path / "out" / "summary.html").read_text()
 
 
+@pytest.mark.long
 def test_reports_may_be_made_later(tmp_path: Path) -> None:
     for name, text in (("bad", BAD), ("good", small_problem.PROBLEM)):
         (tmp_path / "in" / name).mkdir(parents=True)

@@ -139,6 +139,7 @@ def test_the_proof_is_the_same(second: Told, job: ModuleType, settings: dict[str
         assert np.asarray(values).tobytes() == np.asarray(two.series[name]).tobytes(), name
 
 
+@pytest.mark.long
 def test_the_proof_of_a_long_motion_is_the_same(second: Told, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one too long to be sent whole only the looks at clearance go, with what a ball sweeps and what is
     inside of the heads; also where more clearance is wanted than there is."""

@@ -132,3 +132,23 @@ def test_point_distances_are_one_lipschitz_and_zero_on_the_surface(kind: str) ->
     if kind == "mesh":
         box = Solid("body", Shape("box", (0.2, 0.3, 0.4), np.eye(4)))
         np.testing.assert_allclose(distance, signed_distance(box, points), atol=1e-12)
+
+
+@pytest.mark.parametrize("against", ["all", "no_stock"])
+@pytest.mark.parametrize("skip", [0.0, 0.03])
+def test_whether_a_wire_keeps_a_distance_is_what_its_least_distance_says(
+    pair: plant.CellModel, skip: float, against: clearance.Against
+) -> None:
+    """Random wires of both arms, some through bodies, at distances on either side of each one's own."""
+    rng = np.random.default_rng(21)
+    count = 60
+    q = {arm: rng.uniform(-1.2, 1.2, (count, 6)) for arm in pair.arms}
+    start, end = rng.uniform(-0.6, 0.6, (2, count, 3)) + np.array([0.0, 0.0, 0.8])
+    bow = np.sin(np.pi * np.linspace(0.0, 1.0, 19))[:, None] * [0.0, 0.05, 0.1]
+    wires = np.concatenate([_line(a, b, 19) for a, b in zip(start, end, strict=True)]) + bow
+    found = clearance.edge(pair, q, wires, 0.001, skip, against).distance
+    for padding in (0.0, 0.01, 0.1, *np.sort(found)[[10, 30, 50]] + 1e-7):
+        free = clearance.edge_free(pair, q, wires, 0.001, skip, float(padding), against)
+        assert np.array_equal(free, found >= padding)
+    some = clearance.edge_free(pair, q, wires, 0.001, skip, 0.05, against)
+    assert 0 < some.sum() < count

@@ -137,6 +137,7 @@ def test_a_surface_that_changes_within_one_panel_plans_one_panel(
     assert planned(out, run) == {first["id"]}
 
 
+@pytest.mark.long
 def test_a_template_for_one_panel_more_plans_one_panel(tmp_path: Path) -> None:
     def path(border: float) -> Path:
         ranges = [("held.yaml", [0, border]), ("long.yaml", [border, 5000])]

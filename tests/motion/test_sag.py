@@ -211,6 +211,7 @@ def test_a_force_by_depth_is_that_of_the_table_at_each_place(tmp_path: Path) -> 
     np.testing.assert_allclose(stand[:, :3, 3] - command[:, :3, 3], moved[:, 3:], atol=2e-6)
 
 
+@pytest.mark.long
 def test_a_force_by_depth_is_made_up_for_and_proven_and_tables_that_end_early_or_jump_are_not(
     tmp_path: Path,
 ) -> None:

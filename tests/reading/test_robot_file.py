@@ -96,7 +96,9 @@ def test_the_bundle_carries_the_urdf_and_has_the_same_digest(both, tmp_path):
     assert again.cell.arms[0].data.file.text == turned_text()
 
 
-BARE = re.sub(r"(<link name=\"link_6\">.*?)<collision>.*?</collision>", r"\1MESH", TEXT, flags=re.DOTALL)
+BARE = re.sub(
+    r"(<link name=\"link_6\">.*?)(?:<collision>.*?</collision>\s*)+", r"\1MESH", TEXT, flags=re.DOTALL
+)
 MESHED = BARE.replace(
     "MESH",
     '<collision><geometry><mesh filename="package://mine_support/meshes/link_6.stl"/></geometry></collision>',

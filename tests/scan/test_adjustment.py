@@ -133,6 +133,7 @@ def test_the_gain_is_the_share_that_is_made_up_for(job: FormingJob) -> None:
         np.testing.assert_allclose(one.foretold[deep], one.before[deep] - shift, atol=1e-9)
 
 
+@pytest.mark.long
 def test_too_deep_a_part_is_formed_less_deep_but_never_above_the_path(job: FormingJob) -> None:
     laid = lay_all(job.planned)
     ((_, path),) = laid

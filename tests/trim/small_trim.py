@@ -38,6 +38,10 @@ OUTLINES: list[dict[str, Any]] = [
     },
     {"name": "rim", "circle": {"at_mm": [0, 0], "diameter_mm": 72}, "drops": "outside", "joints": 3},
 ]
+KUKA: dict[str, Any] = {"robot": "kr10_r1100", "home_deg": [0, -90, 90, 0, 60, 0]}
+"""A KUKA arm in place of the IRB 140."""
+NUMBERS = {"doArc": 17, "diArcOk": 17}
+"""Numbers of its output and of its input; they count apart."""
 TRIM: dict[str, Any] = {
     "name": "cut",
     "process": "trim",
@@ -49,8 +53,11 @@ TRIM: dict[str, Any] = {
 
 
 def data(**fields: Any) -> dict[str, Any]:
-    """The problem as a file has it; ``fields`` are the operation's own, ``tool`` those of the torch."""
+    """The problem as a file has it; ``fields`` are the operation's own, ``tool`` those of the torch, ``arm``
+    and ``controller`` those of the cell."""
     cell = yaml.safe_load((CELLS / "irb140_ball.yaml").read_text())
+    cell["arms"][0] |= fields.pop("arm", {})
+    cell["controller"] = fields.pop("controller", cell["controller"])
     cell["arms"][0]["tool"] = {**TORCH, **fields.pop("tool", {})}
     outlines = copy.deepcopy(fields.pop("outlines", OUTLINES))
     return {

@@ -20,6 +20,7 @@ from planner.verify.trim.outlines import winding
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming
 from tests.trim.small_trim import data, problem
+from tests.verify import ur_job
 
 ROUND = {"name": "round", "circle": {"at_mm": [0, 0], "diameter_mm": 16}}
 
@@ -124,10 +125,11 @@ def test_an_arm_that_is_too_slow_is_told(tmp_path: Path) -> None:
     assert [issue.code for issue in job.driven(made, 4.0 * clock)] == ["trim.slow"]
 
 
-def test_controllers_of_other_makers_wait_for_no_arc(tmp_path: Path) -> None:
+def test_controllers_of_ur_wait_for_no_arc(tmp_path: Path) -> None:
     read = problem(tmp_path, outlines=[ROUND])
     made = processes.job(read, 0).targets()
-    arm = dataclasses.replace(read.cell.arms[0], robot="kr10_r1100")
+    (arm,) = ur_job.problem().cell.arms[:1]
+    arm = dataclasses.replace(arm, name="robot")
     other = dataclasses.replace(read, cell=dataclasses.replace(read.cell, arms=(arm,)))
     found = post.controller_refusals(other, [made])
     assert "post.controller" in {issue.code for issue in found}

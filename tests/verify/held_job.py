@@ -34,7 +34,7 @@ from tests.verify.straight_job import AIR, FEED, KERF, MARGIN, SIGNAL, SIZE, TOL
 
 DIGEST = "ef56" * 16
 BASES = {
-    "left": from_rpy([-0.6, 0.0, 0.0], [0.0, 0.0, 0.0]),
+    "left": from_rpy([-0.6, 0.0, 0.1], [0.0, 0.0, 0.0]),
     "right": from_rpy([0.75, 0.0, 0.0], [0.0, 0.0, np.pi]),
 }
 GRIP = from_rpy([0.01, -0.005, 0.0], [0.0, 0.0, 0.1])

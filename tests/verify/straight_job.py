@@ -172,7 +172,7 @@ def plan(count=24, over=None, model="irb140"):
         ways = {"left": up @ world[:1]}, {"left": up @ world[-1:]}
         if over is not None and k == 0:
             low = np.repeat(world[-1:], 2, axis=0)
-            low[:, 0, 3] = PLACES[0][0, 3] + np.array([0.14, -0.14])
+            low[:, 0, 3] = PLACES[0][0, 3] + np.array([0.12, -0.11])
             low[:, 2, 3] = PLACES[0][2, 3] + over
             ways = ways[0], {"left": low}
         arm = cell(model=model).arms[0]

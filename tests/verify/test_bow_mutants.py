@@ -46,6 +46,7 @@ def test_the_simulated_faces_meet_the_wanted_ones(job):
         assert face.rms < 4e-5
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(("job", "kind"), KINDS)
 def test_the_named_rule_catches_the_fault(job, kind):
     module, table = JOBS[job]

@@ -93,6 +93,7 @@ def test_programs_as_written_hold(kind, every):
     assert proof.ok, proof.issues
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(("kind", "every"), [("four_phase", 3), ("toggle", 3)])
 def test_every_fault_in_every_line_is_caught(kind, every):
     problem, good = handshake_job.problem(kind, every), texts(kind, every)
@@ -114,6 +115,7 @@ def test_every_fault_in_every_line_is_caught(kind, every):
     assert not missed
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(("kind", "every"), [("four_phase", 1), ("toggle", 1)])
 def test_every_fault_at_a_step_is_caught(kind, every):
     problem, good = handshake_job.problem(kind, every), texts(kind, every)

@@ -327,10 +327,12 @@ def not_switched_off(rng, texts):
 
 @mutator("verify.wire_power")
 def cold(rng, texts):
-    """The power comes on behind the heating."""
+    """The power comes on behind the heating, just before the foam."""
     rows = rows_of(texts)
     i = pick(rng, where(rows, "^sleep.5"))
-    rows[i - 1], rows[i] = rows[i], rows[i - 1]
+    cut = next(k for k in where(rows, "^# Segment cut/[a-z]+:") if k > i)
+    rows.insert(cut - 1, rows[i - 1])
+    del rows[i - 1]
     return put(texts, rows)
 
 

@@ -53,7 +53,6 @@ from planner.post.program import (
     SyncOn,
     TaskProgram,
     kilobytes,
-    no_input,
     parts,
     short,
 )
@@ -245,7 +244,26 @@ class Main:
             case "wait":
                 return [f"WAIT SEC {short(action.seconds, 3)}"]
             case "input":
-                raise no_input(action, self.task.arm.name)
+                return self._input(action)
+
+    def _input(self, action: Action) -> list[str]:
+        """A wait for an input of the process. When its time is over everything that the program switches goes
+        off, the panel says so, and the program never goes on, whatever is started."""
+        number = self.controller.number(self.task.arm.name, action.signal)
+        seconds = math.ceil(1e3 * action.seconds)
+        text = vocabulary.NO_INPUT.filled(signal=action.signal, seconds=1e-3 * seconds)
+        return [
+            "$TIMER[1]=0",
+            "$TIMER_STOP[1]=FALSE",
+            f"WHILE $IN[{number}]==FALSE ; {action.signal}",
+            f"IF $TIMER[1]>{seconds} THEN",
+            *(self._switch(signal, False) for signal in self.job.switched(self.task)),
+            *syntax.ended(text, self.dialect),
+            "ENDIF",
+            "WAIT SEC 0.01",
+            "ENDWHILE",
+            "$TIMER_STOP[1]=TRUE",
+        ]
 
     def _switch(self, signal: str, on: bool) -> str:
         number = self.controller.number(self.task.arm.name, signal)

@@ -206,6 +206,14 @@ def during(text: str, lines: list[str], dialect: KrlDialect) -> list[str]:
     return [*shown, *lines, "tm_gone=Clear_KrlMsg(tm_state)"]
 
 
+def ended(text: str, dialect: KrlDialect) -> list[str]:
+    """The program says why, on the panel (krc4) or where it stands, and never goes on."""
+    shown = comment(text)
+    if dialect == "krc4":
+        shown = [_message(text, 5), "tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)"]
+    return [*shown, "LOOP", "HALT", "ENDLOOP"]
+
+
 def robroot_check(arm: str, dialect: KrlDialect) -> list[str]:
     """The program halts, whatever is started, until ``$ROBROOT`` is zero: by the length of its way, and by
     the sum of its angles, which no turn exceeds."""

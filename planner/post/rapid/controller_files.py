@@ -8,7 +8,7 @@ start behind a stop in a cut.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Final, Literal
 
 from planner.claims import vocabulary
 from planner.claims.vocabulary import SignalWire
@@ -23,6 +23,8 @@ _OFF_AT: Final = ("STOP", "QSTOP", "RESET")
 """System events at which outputs go off."""
 _ON_AT: Final = ("START", "RESTART", "STEP")
 """System events at which an output may be on again."""
+SignalType = Literal["DI", "DO"]
+"""What a controller calls a digital input and a digital output."""
 _CONFIG_WIDTH: Final = 80
 """Lines of a configuration file are broken at so many characters."""
 
@@ -33,19 +35,33 @@ def files(
     signals: Sequence[str],
     arm: str,
     wires: Sequence[SignalWire] = (),
+    others: Mapping[str, SignalType] | None = None,
+    arms: Sequence[str] = (),
 ) -> dict[str, str]:
-    """The files, by name, for motion ``tasks`` of the one controller of ``arm`` whose programs switch
-    ``signals``; ``wires``: the running wires between it and another controller."""
+    """The files, by name, for motion ``tasks`` of the one controller of ``arm``, or of ``arms``, whose
+    programs switch ``signals``, which power something, and name ``others``; ``wires``: the running wires
+    between it and another controller."""
     requests = [identifier(signal) for signal in signals]
     suffix = ".sys" if controller.robotware == 6 else ".sysx"
-    out = {"EIO.cfg": _eio(controller, requests, arm, bool(wires))}
+    more = {identifier(name): kind for name, kind in (others or {}).items()}
+    named: list[ConfigurationRow] = [
+        {"Name": name, "SignalType": kind, **handshake.placed(controller, arms or [arm], name)}
+        for name, kind in more.items()
+    ]
+    out = {"EIO.cfg": _eio(controller, requests, arm, bool(wires), named)}
     if requests:
         out["SYS.cfg"] = _sys(controller, tasks, suffix)
         out[f"{POWER_MODULE}{suffix}"] = _module(controller, requests, len(tasks) > 1)
-    return out | {"README.txt": _readme(controller, requests, suffix, arm, wires)}
+    return out | {"README.txt": _readme(controller, requests, suffix, arm, wires, named)}
 
 
-def _eio(controller: Controller, requests: Sequence[str], arm: str, joined: bool) -> str:
+def _eio(
+    controller: Controller,
+    requests: Sequence[str],
+    arm: str,
+    joined: bool,
+    named: Sequence[ConfigurationRow],
+) -> str:
     lock = controller.interlock
     partner = [handshake.rapid_power_term(controller, arm)] if joined else []
     more = handshake.rapid_running_rows(controller, arm) if joined else {}
@@ -76,7 +92,7 @@ def _eio(controller: Controller, requests: Sequence[str], arm: str, joined: bool
     head = f"EIO:CFG_1.0:{controller.robotware}:{1 if controller.robotware == 6 else 0}::"
     sections: dict[str, Sequence[ConfigurationRow]] = {
         "EIO_ACCESS": access if requests else [],
-        "EIO_SIGNAL": [*signals, *more.get("EIO_SIGNAL", [])],
+        "EIO_SIGNAL": [*signals, *named, *more.get("EIO_SIGNAL", [])],
         "SYSSIG_OUT": states,
         "SYSSIG_IN": more.get("SYSSIG_IN", []),
         "EIO_CROSS": [*crossed, *more.get("EIO_CROSS", [])],
@@ -222,8 +238,21 @@ change to automatic is a stop, at which the power falls.
 """
 
 
+_OTHERS: Final = """
+Other signals that the programs name, without which they do not load:
+{signals}
+
+One that the controller has already, wired, may stay as it is; its type has to be the same.
+"""
+
+
 def _readme(
-    controller: Controller, requests: Sequence[str], suffix: str, arm: str, wires: Sequence[SignalWire]
+    controller: Controller,
+    requests: Sequence[str],
+    suffix: str,
+    arm: str,
+    wires: Sequence[SignalWire],
+    named: Sequence[ConfigurationRow],
 ) -> str:
     module = _COPY.format(module=f"{POWER_MODULE}{suffix}") if requests else _NO_COPY
     names = "EIO.cfg and SYS.cfg" if requests else "EIO.cfg"
@@ -234,7 +263,24 @@ def _readme(
     if requests:
         both = "\nThe power is on only while the program of the other arm runs, too." if wires else ""
         out += _POWER.format(signals="\n".join(_outputs(controller, requests)), both=both)
+    if named:
+        rows = [line for row in named for line in _named(row, arm)]
+        out += _OTHERS.format(signals="\n".join(rows))
     return out
+
+
+def _named(row: ConfigurationRow, arm: str) -> list[str]:
+    """What is said of a signal that powers nothing."""
+    name, kind = row["Name"], "input" if row["SignalType"] == "DI" else "output"
+    if "Device" in row:
+        return [f"  {name}: {kind}, {row['Device']}, bit {row['DeviceMap']}"]
+    stated = f"places: {{{arm}: {{{name}: {{device: D, device_map: 0}}}}}}"
+    return [
+        f"  {name}: {kind}, NO DEVICE, so that nothing drives it; state it in the cell:"
+        if kind == "input"
+        else f"  {name}: {kind}, NO DEVICE, so that it drives nothing; state it in the cell:",
+        f"    controller: {{interlock: {{{stated}}}}}",
+    ]
 
 
 def _outputs(controller: Controller, requests: Sequence[str]) -> list[str]:

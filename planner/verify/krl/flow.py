@@ -13,6 +13,7 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
+from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray
 from planner.verify.krl.panel import Panel, PanelError
 from planner.verify.krl.syntax_tree import (
@@ -21,6 +22,7 @@ from planner.verify.krl.syntax_tree import (
     FRAME_SETTINGS,
     MOTION_SETTINGS,
     SPLINE_MOVE,
+    Await,
     Call,
     DataList,
     Foot,
@@ -58,6 +60,7 @@ from planner.verify.programs.steps import (
     WaitStep,
     WorkObject,
     Zone,
+    letters,
 )
 
 MAX_CALLS = 10
@@ -222,7 +225,9 @@ class Runner:
                 self.steps.append(SignalStep(*where, "$OUT", name, float(on), 0.0, True))
             case Listen(number=number, value=on, seconds=seconds):
                 name = self.signals.inputs.get(number, f"$IN[{number}]")
-                self.steps.append(WaitStep(*where, "WHILE", seconds, name, float(on), False))
+                self.steps.append(WaitStep(*where, "WHILE", seconds, name, float(on), False, again=True))
+            case Await():
+                self._await(statement, where)
             case Pause(seconds=seconds) if self._moving:
                 self._stand(line, seconds)
             case Pause(seconds=seconds):
@@ -231,6 +236,23 @@ class Runner:
                 self._joint(line, name)
             case Call(name=name):
                 self._call(line, name)
+
+    def _await(self, wait: Await, where: tuple[str, str, int, str]) -> None:
+        """A wait for an input, behind which everything is off where it was in vain."""
+        line = wait.line
+        self._misplaced(
+            line, self.depth > 0, "a wait for the process stands elsewhere than in the main program"
+        )
+        if left := self.on - wait.off:
+            self._fail(line, f"the program may end while $OUT[{min(left)}] is on")
+        name = self.signals.inputs.get(wait.number, f"$IN[{wait.number}]")
+        wanted = vocabulary.NO_INPUT.filled(signal=name, seconds=wait.seconds)
+        wanted = wanted if self.panel.dialect == "krc4" else ""
+        if letters(wait.text) != letters(wanted):
+            self._fail(line, f"a wait that was in vain shows {wait.text!r}; wanted: {wanted!r}")
+        if wanted and not self.panel.prepared:
+            self._fail(line, "a message, and tm_opt is not set before")
+        self.steps.append(WaitStep(*where, "WHILE", wait.seconds, name, float(wait.value), False))
 
     @property
     def _moving(self) -> bool:

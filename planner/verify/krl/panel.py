@@ -55,7 +55,7 @@ class Message(NamedTuple):
 
 class Panel:
     """Follows the statements of a program. ``arm``, ``others``: the names of its arm and of those that it may
-    wait for. `looked`: at the robot's foot."""
+    wait for. `looked`: at the robot's foot; `prepared`: messages have their options."""
 
     def __init__(self, dialect: str, arm: str, others: Sequence[str]) -> None:
         self.dialect, self.arm, self.others = dialect, arm, others
@@ -65,7 +65,7 @@ class Panel:
         self._open = False
         """Whether a HALT has asked, and the mode of operation is not looked at yet."""
         self._external = False
-        self._prepared = False
+        self.prepared = False
         self._shown = ""
         self._waited = False
         self._told = ""
@@ -117,7 +117,7 @@ class Panel:
                 self._external, self._open = True, False
             case Prepared():
                 self._new("messages")
-                self._prepared = True
+                self.prepared = True
             case Dialog(text=text, key=key):
                 self._ready(depth, "a dialog")
                 return self._dialog(text, key)
@@ -149,7 +149,7 @@ class Panel:
     def _ready(self, depth: int, what: str) -> None:
         self._new("messages")
         self._main(depth, what)
-        if not self._prepared:
+        if not self.prepared:
             raise PanelError(f"{what}, and tm_opt is not set before")
 
     def _halt(self, depth: int) -> Message | None:
@@ -198,7 +198,7 @@ class Panel:
         wanted = vocabulary.FOOT.filled(arm=self.arm) if self.dialect == "krc4" else ""
         if text != wanted:
             raise PanelError(f"$ROBROOT is looked at with the text {text!r}; wanted: {wanted!r}")
-        if text and not self._prepared:
+        if text and not self.prepared:
             raise PanelError("a message, and tm_opt is not set before")
         if shift > syntax_tree.FOOT_SHIFT_MM or turn > syntax_tree.FOOT_TURN_DEG:
             allowed = f"{syntax_tree.FOOT_SHIFT_MM:g} mm and {syntax_tree.FOOT_TURN_DEG:g} deg"

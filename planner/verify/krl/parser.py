@@ -6,7 +6,7 @@ A long program has thousands of moves and speeds; those lines are tried first, e
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from planner.verify.krl import values
 from planner.verify.krl.panel import PANEL_FORMS, Form, variables
@@ -17,12 +17,14 @@ from planner.verify.krl.syntax_tree import (
     NAME_LENGTH,
     NUMBER_SETTINGS,
     RESERVED,
+    Await,
     Call,
     Data,
     DataList,
     Halt,
     Joint,
     Listen,
+    Notice,
     Output,
     Pause,
     Program,
@@ -86,6 +88,13 @@ _WAIT_GUARD = (
     re.compile(r"\$TIMER_STOP\[1\]=TRUE", re.IGNORECASE),
 )
 """Lines of a wait for an input that may last so long only."""
+_SWITCHED_OFF = re.compile(r"\$OUT\[(\d{1,4})\]\s*=\s*FALSE", re.IGNORECASE | re.ASCII)
+"""An output goes off where a wait has lasted too long."""
+_ENDED = tuple(
+    re.compile(row, re.IGNORECASE)
+    for row in ("LOOP", "HALT", "ENDLOOP", "ENDIF", r"WAIT SEC 0\.01", "ENDWHILE", r"\$TIMER_STOP\[1\]=TRUE")
+)
+"""Lines behind that, in a wait behind which a program never goes on."""
 _LONGEST_WAIT_MS = 2**31 - 1
 """Longest such wait [ms]: the largest whole number."""
 
@@ -230,11 +239,42 @@ class Reader:
 
     def _listen(self, line: int) -> Statement | None:
         """The guarded wait, whose first statement has been read."""
+        found = self._guarded(_WAIT_GUARD[1:4])
+        if found is None:
+            return None
+        off: set[int] = set()
+        while match := _SWITCHED_OFF.fullmatch(self._next()):
+            off.add(int(match[1]))
+            self.at += 1
+        text = ""
+        if off and (form := next((f for f in PANEL_FORMS if f.rows[0].fullmatch(self._next())), None)):
+            shown = self._form(self.at + 1, [form])
+            if not isinstance(shown, Notice) or shown.state:
+                self.fault(self.at, "syntax", "a guarded wait that is over shows one message, or none")
+                return None
+            text = shown.text
+        if self._guarded(_ENDED if off else _WAIT_GUARD[4:]) is None:
+            return None
+        self._quiet(line, self.at, "a guarded wait")
+        number, level = int(found[1][1]), found[1][2].upper() == "FALSE"
+        limit = int(found[2][1])
+        if not 0 < limit <= _LONGEST_WAIT_MS:
+            self.fault(line, "type", f"a wait of {limit} ms; allowed: 1 to {_LONGEST_WAIT_MS}")
+        if off:
+            return Await(line, number, level, limit * 1e-3, frozenset(off), text)
+        return Listen(line, number, level, limit * 1e-3)
+
+    def _next(self) -> str:
+        """The code of the next row that has any; comments before it are passed over."""
+        while self.at < len(self.rows) and (self.rows[self.at].strip() or ";").startswith(";"):
+            self.at += 1
+        return parted(self.rows[self.at].strip())[0] if self.at < len(self.rows) else ""
+
+    def _guarded(self, patterns: Sequence[re.Pattern[str]]) -> list[re.Match[str]] | None:
+        """The next rows of a guarded wait, None where one is another."""
         found: list[re.Match[str]] = []
-        for pattern in _WAIT_GUARD[1:]:
-            while self.at < len(self.rows) and (self.rows[self.at].strip() or ";").startswith(";"):
-                self.at += 1
-            code = parted(self.rows[self.at].strip())[0] if self.at < len(self.rows) else ""
+        for pattern in patterns:
+            code = self._next()
             match = pattern.fullmatch(code)
             if match is None:
                 what = f"{_shown(code)}: not the next statement of a guarded wait, {pattern.pattern}"
@@ -242,12 +282,7 @@ class Reader:
                 return None
             found.append(match)
             self.at += 1
-        self._quiet(line, self.at, "a guarded wait")
-        number, level = int(found[1][1]), found[1][2].upper() == "FALSE"
-        limit = int(found[2][1])
-        if not 0 < limit <= _LONGEST_WAIT_MS:
-            self.fault(line, "type", f"a wait of {limit} ms; allowed: 1 to {_LONGEST_WAIT_MS}")
-        return Listen(line, number, level, limit * 1e-3)
+        return found
 
     def _spline(self, line: int) -> Statement | None:
         """The spline block whose SPLINE has been read; where it is none, the lines up to its end are passed

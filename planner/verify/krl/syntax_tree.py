@@ -51,6 +51,18 @@ class Listen(Statement):
 
 
 @dataclass(frozen=True, slots=True)
+class Await(Statement):
+    """The loop that waits for $IN[`number`] to be `value`; after `seconds` it switches the outputs `off`,
+    shows `text` ("" where nothing is shown), and never goes on."""
+
+    number: int
+    value: bool
+    seconds: float
+    off: frozenset[int]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Joint(Statement):
     """PTP to the data `name`."""
 

@@ -70,7 +70,7 @@ class Spoken:
         if isinstance(step, SignalStep):
             return {1.0: "on", 0.0: "off"}.get(step.value, "")
         if isinstance(step, WaitStep) and step.signal:
-            return "input" if step.value == 1.0 and not step.flag else ""
+            return "input" if step.value == 1.0 and not step.flag and not step.again else ""
         return "wait" if isinstance(step, WaitStep) else ""
 
     @property

@@ -229,6 +229,26 @@ def rapid_words(text: str) -> list[str]:
     return out
 
 
+_SIGNAL_WORD = re.compile(
+    r"(?i)\b(setdo|set|reset|invertdo|pulsedo|waitdo|doutput|testdo|waitdi|dinput|testdi)\b"
+    r"\s*\(?\s*(?:\\\s*\w+\s*(?::=[^,;]*)?,?\s*)*([a-z]\w*)"
+)
+"""Instructions and functions of RAPID that name a digital signal, options before it left out."""
+_INPUT_WORDS: Final = ("waitdi", "dinput", "testdi")
+"""Those whose signal is an input."""
+
+
+def rapid_signals(text: str) -> list[tuple[str, str]]:
+    """The digital signals that RAPID text names, as it spells them first, with "DI" or "DO" by what is done
+    with each; in comments and strings there are none. Sorted by name."""
+    bare = re.sub(r"!.*", "", _STRING.sub('""', text))
+    found: dict[tuple[str, str], str] = {}
+    for word, name in _SIGNAL_WORD.findall(bare):
+        kind = "DI" if word.lower() in _INPUT_WORDS else "DO"
+        found.setdefault((name.lower(), kind), name)
+    return [(name, kind) for (_, kind), name in sorted(found.items())]
+
+
 def krl_lines(text: str) -> list[str]:
     """Statements of KRL text, without comments and folds, in capitals and without the spaces that count for
     nothing."""

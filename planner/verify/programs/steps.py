@@ -215,7 +215,7 @@ class SignalStep(Step):
 class WaitStep(Step):
     """A wait for `seconds`, for an input `signal` to be `value` within `seconds`, or (neither) for the arm to
     stand. `standing`: the arm stands before time counts; `flag`: the variable that tells whether the limit
-    was over, "" where that is an error.
+    was over, "" where that is an error; `again`: where it is over the program asks, and waits on.
     """
 
     kind: str
@@ -224,6 +224,7 @@ class WaitStep(Step):
     value: float | None
     standing: bool
     flag: str = ""
+    again: bool = False
 
     @property
     def pause(self) -> float:

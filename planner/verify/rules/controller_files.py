@@ -27,6 +27,7 @@ from planner.verify.programs.program_text import (
     configuration,
     crossed,
     krl_lines,
+    rapid_signals,
     rapid_words,
     strange,
 )
@@ -53,7 +54,8 @@ _EVENTS = {"stop": "off", "qstop": "off", "reset": "off", "start": "on", "restar
 def controller_files(context: Context) -> Outcome:
     """Power hangs on more than the program: files for each controller let its output fall at every stop, take
     the request back, and ask before an arm moves on in a cut; of two controllers each says that it runs, and
-    the other one's stop stops it and takes its power. They fit the program, and none is left over."""
+    the other one's stop stops it and takes its power. They declare every signal that the programs name, with
+    the type of its use, fit the program, and none is left over."""
     controller = context.problem.cell.controller
     there: dict[str, dict[str, str]] = {}
     for path, text in context.programs.items():
@@ -70,7 +72,8 @@ def controller_files(context: Context) -> Outcome:
         partner = Partner(controller, tasks[0].arm.name) if joined else None
         if tasks[0].krl is None:
             names = [controller.tasks[_place(context, task)] for task in tasks]
-            faults = _abb(controller, names, signals, files, partner)
+            others = _others(controller, tasks, signals, partner)
+            faults = _abb(controller, names, signals, others, files, partner)
         else:
             faults = _kuka(controller, tasks[0].arm.name, signals, files, partner)
         faults += [f"{name}: {fault.message}" for name in files for fault in strange(name, files[name])]
@@ -130,11 +133,12 @@ def _abb(
     controller: Controller,
     tasks: Sequence[str],
     signals: Sequence[str],
+    others: Sequence[Row],
     files: Mapping[str, str],
     partner: Partner | None,
 ) -> list[str]:
     module = f"{_POWER_MODULE}{'.sys' if controller.robotware == 6 else '.sysx'}"
-    wanted = {"EIO": _signals(controller, signals, partner)} | (
+    wanted = {"EIO": _signals(controller, signals, others, partner)} | (
         {"SYS": _hooks(tasks, module)} if signals else {}
     )
     faults = _names(files, [f"{name}.cfg" for name in wanted] + ([module] if signals else []))
@@ -177,8 +181,30 @@ def _row(**values: str) -> Row:
     return frozenset(values.items())
 
 
-def _signals(controller: Controller, signals: Sequence[str], partner: Partner | None) -> dict[str, list[Row]]:
-    """Requests that nothing but program and operator set, on no device; outputs that nobody sets by hand."""
+def _others(
+    controller: Controller, tasks: Sequence[TaskText], signals: Sequence[str], partner: Partner | None
+) -> list[Row]:
+    """Rows of all other signals that the text of the programs names, each of the type that its use asks for,
+    on the device that the cell states for it."""
+    powers = (name for one in signals for name in (one, controller.interlock.of(one).signal))
+    known = {(name.lower(), "DO") for name in powers}
+    known |= {(row["name"].lower(), row["signaltype"]) for row in partner.signals} if partner else set()
+    rows: dict[tuple[str, str], Row] = {}
+    for name, kind in rapid_signals("\n".join(text for task in tasks for text in task.files.values())):
+        if (name.lower(), kind) in known:
+            continue
+        places = (controller.interlock.place(task.arm.name, name) for task in tasks)
+        place = next((place for place in places if place is not None), None)
+        wired = {"device": place.device, "devicemap": str(place.bit)} if place else {}
+        rows[name.lower(), kind] = _row(name=name, signaltype=kind, **wired)
+    return list(rows.values())
+
+
+def _signals(
+    controller: Controller, signals: Sequence[str], others: Sequence[Row], partner: Partner | None
+) -> dict[str, list[Row]]:
+    """Requests that nothing but program and operator set, on no device; outputs that nobody sets by hand; and
+    the other signals that the programs name, without which they do not load."""
     lock = controller.interlock
     rows = []
     for request in signals:
@@ -188,7 +214,7 @@ def _signals(controller: Controller, signals: Sequence[str], partner: Partner | 
         rows.append(_row(name=real.signal, signaltype="DO", access="ReadOnly", **wired))
     rows += [_row(name=name, signaltype="DO", access="ReadOnly") for name in (lock.cycle, lock.motors)]
     wanted = {
-        "EIO_SIGNAL": [*rows, *(_row(**values) for values in (partner.signals if partner else ()))],
+        "EIO_SIGNAL": [*rows, *others, *(_row(**values) for values in (partner.signals if partner else ()))],
         "SYSSIG_OUT": [
             _row(status="CycleOn", signal=lock.cycle),
             _row(status="MotOnState", signal=lock.motors),

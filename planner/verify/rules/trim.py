@@ -271,6 +271,7 @@ def _is_ok(step: WaitStep, claim: TrimsSheet) -> bool:
         step.signal.lower() == (claim.ok_signal or "").lower()
         and step.value == 1.0
         and not step.flag
+        and not step.again
         and step.seconds is not None
         and step.seconds <= claim.timeout + WAIT_ROUNDING
     )

@@ -19,7 +19,8 @@ from planner.claims.trim import TrimOutline, TrimsSheet
 from planner.claims.vocabulary import DialogueStep, DialogueStop, OperatorDialogue, Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
-from planner.verify.files import UnreadError
+from planner.verify.files import UNITS, UnreadError
+from planner.verify.files.curves import read_curves
 from planner.verify.files.sheets import sheet_face
 from planner.verify.milling.surface_passes import Laid
 from planner.verify.milling.wanted_ways import NotThereError, points
@@ -57,6 +58,30 @@ def drawn(one: TrimOutline) -> FloatArray:
     after = np.roll(flat, -1, axis=0)
     turns = float((flat[:, 0] * after[:, 1] - flat[:, 1] * after[:, 0]).sum())
     return np.asarray(flat if turns > 0.0 else flat[::-1])
+
+
+def expanded(claim: TrimsSheet) -> TrimsSheet:
+    """The claim with each curve of its drawings as an outline of its own, by the proof's reading of the file:
+    layer by layer, in the file's order, with numbers. Raises `UnreadError`, also where one is open."""
+    out: list[TrimOutline] = []
+    for one in claim.outlines:
+        if not one.layers:
+            out.append(one)
+            continue
+        if one.drawn is None or one.drawn.file is None:
+            raise UnreadError(f"{one.name} stands for all curves of a file, and names none")
+        number = 0
+        for layer in one.layers:
+            for curve in read_curves(one.drawn.file, UNITS[one.drawn.unit], layer):
+                number += 1
+                if not curve.closed:
+                    raise UnreadError(f"curve {number} of {one.name} is open")
+                mm = tuple(map(tuple, (curve.points / MILLIMETRE).tolist()))
+                own = dataclasses.replace(one.drawn, kind="polyline", points_mm=mm, file=None)
+                out.append(dataclasses.replace(one, name=f"{one.name}_{number}", drawn=own, layers=()))
+        if not number:
+            raise UnreadError(f"{one.name} has no curves")
+    return dataclasses.replace(claim, outlines=tuple(out))
 
 
 def winding(ring: FloatArray, places: FloatArray) -> BoolArray:
@@ -109,14 +134,22 @@ def dialogue(claim: OperatorDialogue, trims: TrimsSheet) -> OperatorDialogue:
 def worked_out(
     claims: Mapping[str, tuple[Claim, ...]],
 ) -> tuple[dict[str, tuple[Claim, ...]], tuple[Issue, ...]]:
-    """The claims by operation, dialogues of trimmed sheets with what is switched at each slot; and what could
-    not be read."""
+    """The claims by operation, each curve of a drawing as an outline of its own, and dialogues of trimmed
+    sheets with what is switched at each slot; and what could not be read."""
     issues: list[Issue] = []
     out: dict[str, tuple[Claim, ...]] = {}
     for name, group in claims.items():
-        trims = [claim for claim in group if isinstance(claim, TrimsSheet)]
-        own: list[Claim] = []
+        whole: list[Claim] = []
         for claim in group:
+            try:
+                whole.append(expanded(claim) if isinstance(claim, TrimsSheet) else claim)
+            except UnreadError as error:
+                whole.append(claim)
+                what = f"{name}: drawings cannot be read a second time: {error}"
+                issues.append(Issue("verify.trim_cut", what, field="operations.outlines"))
+        trims = [claim for claim in whole if isinstance(claim, TrimsSheet)]
+        own: list[Claim] = []
+        for claim in whole:
             if isinstance(claim, OperatorDialogue) and trims:
                 try:
                     claim = dialogue(claim, trims[0])

@@ -170,13 +170,17 @@ def test_a_planner_that_makes_walls_too_steep_is_caught_by_this_alone(path: Path
     assert found.limit == pytest.approx(65.0)
 
 
-def test_a_planner_that_looks_refuses_such_walls_unless_they_are_accepted(path: Path) -> None:
+def test_a_planner_that_looks_refuses_such_walls(path: Path) -> None:
     with pytest.raises(TandemError) as refused:
         planner.plan(planner.load(path))
     (issue,) = (one for one in refused.value.issues if one.severity is Severity.ERROR)
     assert issue.code == "forming.wall_angle"
     assert issue.value > 67.0
     assert "accept: [forming.wall_angle]" in issue.hint
+
+
+@pytest.mark.long
+def test_such_walls_are_planned_where_they_are_accepted(path: Path) -> None:
     data = yaml.safe_load(path.read_text())
     data["accept"].append("forming.wall_angle")
     accepted = path.with_name("accepted.yaml")

@@ -9,8 +9,14 @@ import numpy as np
 import pytest
 
 from planner.post import write
-from planner.problem import Interlock, PowerOutput
+from planner.problem import DevicePlace, Interlock, PowerOutput
+from planner.reading.controller import faults
+from planner.targets import Action
+from planner.verify.context import Context
+from planner.verify.programs.program_text import rapid_signals
 from planner.verify.prove import Prover
+from planner.verify.rules.controller_files import controller_files
+from tests.post import krl_job as post_job
 from tests.verify import krl_job, provers, small_job, straight_job
 from tests.verify.controller_mutants import ABB, HOME, KUKA, LEFT, swap
 
@@ -152,3 +158,127 @@ def test_files_of_a_job_without_power_are_refused():
     files = {**forming_job.programs(), HOME + "EIO.cfg": abb()[1][HOME + "EIO.cfg"]}
     proof = Prover(forming_job.problem(), forming_job.claims()).prove(files, last=RULE)
     assert {issue.code for issue in proof.issues} == {RULE}
+
+
+# ---- all signals that programs name ----
+
+
+ARC = (
+    Action(0, "message", text="Check the torch."),
+    Action(0, "confirm", text="Is it ready?"),
+    Action(0, "on", signal="doArc"),
+    Action(0, "input", signal="diArcOk", seconds=5.0),
+    Action(8, "off", signal="doArc"),
+)
+"""What a torch asks of its program."""
+ROW = '-Name "diArcOk" -SignalType "DI"'
+
+
+@functools.cache
+def torch_job(placed=True):
+    """(problem, files) of one ABB arm whose program waits for an input."""
+    places = {"left": {"diArcOk": DevicePlace("Local_IO", 5)}} if placed else {}
+    outputs = {"doArc": PowerOutput("doArcOut", "Local_IO", 5)}
+    plan, problem = post_job.alone("irb140", actions=ARC, interlock=Interlock(outputs, places=places))
+    return problem, write.programs(plan, problem)
+
+
+def told(problem, files):
+    return [issue.message for issue in controller_files(Context(problem, {"panel": ()}, files)).issues]
+
+
+def test_an_input_that_the_program_waits_for_is_declared():
+    problem, files = torch_job()
+    assert f'{ROW} -Device "Local_IO" -DeviceMap "5"' in files[HOME + "EIO.cfg"]
+    assert "diArcOk: input, Local_IO, bit 5" in files[HOME + "README.txt"]
+    assert told(problem, files) == []
+    problem, files = torch_job(placed=False)
+    assert ROW in files[HOME + "EIO.cfg"]
+    assert "diArcOk: input, NO DEVICE" in files[HOME + "README.txt"]
+    assert "places: {left: {diArcOk:" in files[HOME + "README.txt"]
+    assert told(problem, files) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (r'(?m)^ *-Name "diArcOk" .*$', ""),
+        (r'(-Name "diArcOk" -SignalType )"DI"', r'\1"DO"'),
+        (r'(-Name "diArcOk" -SignalType )"DI"', r'\1"GI"'),
+        (r'-Name "diArcOk"', '-Name "diArcOK2"'),
+        (r'(-Name "diArcOk" .*)', r"\1 -Default 1"),
+        (r'(-Name "diArcOk" .*)-DeviceMap "5"', r'\1-DeviceMap "6"'),
+        (r'(-Name "diArcOk" .*) -Device "Local_IO" -DeviceMap "5"', r"\1"),
+        (r'(-Name "diArcOk" -SignalType "DI")', r'\1 -Access "ReadOnly"'),
+        (r'(?m)^( *-Name "doArc" .*)$', r"\1\r\n\r\n\1"),
+        (r'(?m)^( *-Name "diArcOk" .*)$', r'\1\r\n\r\n      -Name "diArcOk" -SignalType "DO"'),
+    ],
+)
+def test_a_signal_that_is_not_declared_as_it_is_used_is_found(old, new):
+    problem, files = torch_job()
+    changed = swap(files, HOME + "EIO.cfg", old, new, np.random.default_rng(0))
+    assert changed != files
+    assert any("EIO.cfg" in one for one in told(problem, changed))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (r"WaitDI diArcOk,1", "WaitDI diArcOk,1;\r\n    WaitDI diOther,1"),
+        (r"SetDO doArc,1;", "SetDO doArc,1; SetDO doLamp,1;"),
+        (r"WaitDI diArcOk,1", "WaitDI doArc,1"),
+    ],
+)
+def test_a_signal_that_the_text_names_besides_has_to_be_declared(old, new):
+    """The list is the text's own: the planner's idea of what it uses counts for nothing."""
+    problem, files = torch_job()
+    name = next(name for name in sorted(files) if name.endswith(".mod") and "diArcOk" in files[name])
+    changed = swap(files, name, old, new, np.random.default_rng(0))
+    assert any("EIO.cfg" in one for one in told(problem, changed))
+
+
+def test_signals_of_a_text_by_their_use():
+    text = """
+      SetDO\\Sync,doOne,1; ! SetDO doNone,1;
+      WaitDI diTwo,1\\MaxTime:=5; TPWrite "SetDO doNeither,1;";
+      IF DOutput(doThree)=1 AND TestDI(diFour) THEN Reset doone; ENDIF
+    """.replace("\\\\", "\\")
+    assert rapid_signals(text) == [("diFour", "DI"), ("diTwo", "DI"), ("doOne", "DO"), ("doThree", "DO")]
+
+
+def test_handshakes_and_their_lines_are_declared_on_both_sides():
+    plan, problem = post_job.two(("irb140", "irb140"), actions=post_job.ACTIONS)
+    files = write.programs(plan, problem)
+    for arm in ("left", "right"):
+        text = files[f"controller/{arm}/EIO.cfg"]
+        assert '-Name "doPartner" -SignalType "DO"' in text
+        assert '-Name "diPartner" -SignalType "DI"' in text
+    assert told(problem, files) == []
+    wrong = swap(
+        files,
+        "controller/right/EIO.cfg",
+        r'("diPartner" -SignalType )"DI"',
+        r'\1"DO"',
+        np.random.default_rng(0),
+    )
+    assert any("diPartner" in one for one in told(problem, wrong))
+
+
+def test_places_are_of_signals_that_are_there_and_of_one_each():
+    problem, _ = torch_job()
+    operation = dataclasses.make_dataclass("Own", ["process", "arms", "signal", "ok_signal"])
+    one = operation("trim", ("left",), "doArc", "diArcOk")
+
+    def found(**places):
+        lock = Interlock({}, places={"left": {name: DevicePlace(*at) for name, at in places.items()}})
+        made = controlled(problem, interlock=lock)
+        return [issue.message for issue in faults(made.cell, [one])]
+
+    assert found(diArcOk=("Local_IO", 5)) == []
+    assert any("no signal diElse" in message for message in found(diElse=("Local_IO", 5)))
+    two = dataclasses.replace(one, ok_signal="diFlame")
+    lock = Interlock({}, places={"left": {n: DevicePlace("Local_IO", 5) for n in ("diArcOk", "diFlame")}})
+    issues = faults(controlled(problem, interlock=lock).cell, [one, two])
+    assert any("both bit 5 of Local_IO" in issue.message for issue in issues)
+    clash = dataclasses.replace(one, ok_signal="doArcOut")
+    assert any("one use" in issue.message for issue in faults(problem.cell, [one, clash]))

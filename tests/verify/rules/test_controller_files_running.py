@@ -78,7 +78,7 @@ def test_the_power_of_two_controllers_waits_for_both():
 def test_wires_without_a_device_are_said_so():
     readme = handshake_job.programs()["controller/left/README.txt"]
     assert readme.count("NO DEVICE, so the wire does not work yet") == 2
-    assert "NO DEVICE" not in job((A, K))[1]["controller/left/README.txt"]
+    assert "NO DEVICE, so the wire" not in job((A, K))[1]["controller/left/README.txt"]
 
 
 def test_one_controller_needs_no_wires():

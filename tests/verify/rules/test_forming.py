@@ -181,6 +181,7 @@ def faults(kind, seed):
     return broken(prover().prove(changed, last=MUTANTS[kind][0]))
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("kind", MUTANTS)
 def test_the_named_rule_catches_the_fault(kind):
     assert MUTANTS[kind][0] in faults(kind, 0)
@@ -224,6 +225,7 @@ CLAIMS = {
 }
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("kind", CLAIMS)
 def test_programs_that_do_not_meet_a_claim_are_told(kind):
     code, changes = CLAIMS[kind]

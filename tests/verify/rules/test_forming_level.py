@@ -200,6 +200,7 @@ def test_another_level_than_the_stated_one_is_told_by_its_height(
     assert "verify.level" in {rule.code for rule in outcome.proof.rules if not rule.passed}
 
 
+@pytest.mark.long
 def test_half_a_level_is_not_the_whole(folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     whole = one_level.lay
 
@@ -323,6 +324,7 @@ def _ever_deeper(data: dict[str, Any]) -> None:
         point[3] = 0.3 + 0.045 * way
 
 
+@pytest.mark.long
 def test_a_wall_too_steep_below_the_level_before_is_no_level(tmp_path: Path) -> None:
     """Within range and slope, but from where the level before ended the sheet would be torn."""
     path = written(tmp_path, level_files.stated(1))

@@ -190,6 +190,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_of_the_planner_is_told(tmp_path, monkeypatch, name):
     which, place, patch, code = FAULTS[name]

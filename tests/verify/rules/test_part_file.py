@@ -156,6 +156,7 @@ def test_a_mesh_that_both_read_alike_is_proven(faces, said) -> None:
     assert good(judged(said, said, faces, operation=elastic("front", "back")), 1000)
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -261,6 +262,7 @@ def test_a_wing_that_both_read_alike_is_proven(airfoils) -> None:
     assert good(judged(found, found, airfoils))
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -450,6 +452,7 @@ def test_a_sheet_that_both_read_alike_is_proven(tmp_path) -> None:
     assert rule.where == "800 places of dish.obj"
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("wrong", ["raised", "mirrored", "unit", "place", "flat"])
 def test_a_sheet_that_is_read_otherwise_is_not_proven(tmp_path, wrong) -> None:
     path, said = tmp_path / "dish.obj", {}

@@ -351,6 +351,7 @@ def test_walls_by_which_a_formula_takes_forces_are_those_of_the_part(context: Co
     assert "where the part has" in issue.message
 
 
+@pytest.mark.long
 def test_shifts_are_worked_out_once_more_anywhere(
     context: Context, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

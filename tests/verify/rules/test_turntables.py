@@ -25,7 +25,7 @@ from planner.verify.prove import Prover
 from planner.verify.rules import external_axes
 from tests import table_job
 
-THERE = "140.0000"
+THERE = "120.0000"
 """The second station as the text has it."""
 
 
@@ -77,13 +77,13 @@ def frame(text: str, change: Any) -> str:
 
 def mirrored(data: str) -> str:
     """A frame turned the other way round: q4 with the other sign."""
-    return re.sub(r"(0\.00000000,0\.00000000),(0\.9659\d+)", r"\1,-\2", data)
+    return re.sub(r"(0\.00000000,0\.00000000),(0\.9063\d+)", r"\1,-\2", data)
 
 
 def third(text: str) -> str:
     """The third straight move of the second operation turns the table by half a degree."""
     at = [m.start() for m in re.finditer(rf"MoveL [^\n]*,\[{THERE},", text)][2]
-    return text[:at] + first(text[at:], f"[{THERE},", "[140.5000,")
+    return text[:at] + first(text[at:], f"[{THERE},", "[120.5000,")
 
 
 HERE = r"    MoveAbsJ j_2_station_1\NoEOffs,v_entry,fine,t_ball_tool;" + "\n"
@@ -107,7 +107,7 @@ MUTANTS = {
     "another value in the cut": ("external_axes", lambda t: moves(t, "130.0000")),
     "it changes inside a cut": ("external_axes", third),
     "another value all along": ("external_axes", lambda t: t.replace(THERE, "130.0000")),
-    "another value of a tenth": ("work_object", lambda t: t.replace(THERE, "140.1000")),
+    "another value of a tenth": ("work_object", lambda t: t.replace(THERE, "120.1000")),
     "wrong sign": ("external_axes", lambda t: t.replace(THERE, f"-{THERE}")),
     "beyond the range": ("external_axes", lambda t: t.replace(THERE, "190.0000")),
     "in radians": ("external_axes", lambda t: t.replace(THERE, "2.4435")),
@@ -141,7 +141,7 @@ MUTANTS = {
             HERE + '  ERROR\n    StopMove\\Quick;\n    TPWrite "Tandem: error in operation_1',
         ),
     ),
-    "told another value": ("setup", lambda t: first(t, f"turns to {THERE} deg", "turns to 120.0000 deg")),
+    "told another value": ("setup", lambda t: first(t, f"turns to {THERE} deg", "turns to 130.0000 deg")),
 }
 
 
@@ -235,7 +235,7 @@ FOLDER = tempfile.TemporaryDirectory()
 @functools.cache
 def of_two() -> Outcome:
     """The second arm works in a third operation; meanwhile it waits at home."""
-    right = {**table_job.ARM, "name": "right", "base": {"xyz_mm": [1800, 0, 0], "rpy_deg": [0, 0, 180]}}
+    right = {**table_job.ARM, "name": "right", "base": {"xyz_mm": [1800, 0, 200], "rpy_deg": [0, 0, 180]}}
     rows = table_job.rows(280.0).replace("left.", "right.")
     (Path(FOLDER.name) / "c.csv").write_text(rows)
     work = {"process": "targets", "frame": "stock"}

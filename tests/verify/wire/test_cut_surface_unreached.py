@@ -142,6 +142,7 @@ def test_a_slot_behind_a_wall_reaches_nothing_of_a_groove(left: float) -> None:
     assert found[0] == (np.inf if left < 0.01 else pytest.approx(mouth[0], abs=6e-5))
 
 
+@pytest.mark.long
 def test_a_groove_that_is_left_whole_is_caught(tmp_path: Path) -> None:
     """Programs of a plate without a groove, held against the plate with it."""
 

@@ -1,0 +1,147 @@
+"""Several curves of one drawing: read, named and refused by the planner, and read once more by the proof."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner import processes
+from planner.claims.trim import TrimsSheet
+from planner.issues import Issue, TandemError
+from planner.trim.operation import Trim, every_outline
+from planner.verify.files import UnreadError
+from planner.verify.trim.outlines import drawn, expanded, order, worked_out
+from tests.trim.small_trim import problem
+
+ezdxf = pytest.importorskip("ezdxf")
+CIRCLES = ((0.0, 0.0, 8.0), (20.0, 0.0, 3.0), (-20.0, 0.0, 3.0))
+"""Middles and radii of the circles on the layer CUT [mm]."""
+
+
+def drawing(folder: Path, unit: float = 1.0, extra: Any = None) -> None:
+    """Three circles on CUT, a square of four lines on SLOTS, and a line on NOTES, in 1/unit mm."""
+    made = ezdxf.new()
+    space = made.modelspace()
+    for x, y, r in CIRCLES:
+        space.add_circle((x / unit, y / unit), r / unit, dxfattribs={"layer": "CUT"})
+    corners = [(-3, 12), (3, 12), (3, 18), (-3, 18), (-3, 12)]
+    for a, b in itertools.pairwise(corners):
+        ends = [(x / unit, y / unit) for x, y in (a, b)]
+        space.add_line(*ends, dxfattribs={"layer": "SLOTS"})
+    space.add_line((0, 30), (10, 30), dxfattribs={"layer": "NOTES"})
+    if extra is not None:
+        extra(space)
+    made.saveas(folder / "apertures.dxf")
+
+
+def outline(**fields: Any) -> dict[str, Any]:
+    own = {"file": "apertures.dxf", "unit": "mm", "layers": ["CUT", "SLOTS"], **fields}
+    return {"name": "a", "drawing": own}
+
+
+def job(folder: Path, *outlines: dict[str, Any], **fields: Any) -> Any:
+    own: dict[str, Any] = {"lead": {"length_mm": 1.5}, "pierce": {"off_mm": 1.0}, "shape_tol_mm": 0.3}
+    return processes.job(problem(folder, outlines=list(outlines), **{**own, **fields}), 0)
+
+
+def refused(folder: Path, *outlines: dict[str, Any]) -> list[Issue]:
+    with pytest.raises(TandemError) as error:
+        job(folder, *outlines).targets()
+    return list(error.value.issues)
+
+
+def claim_of(made: Any) -> TrimsSheet:
+    (own,) = [claim for claim in made.claims() if isinstance(claim, TrimsSheet)]
+    return own
+
+
+def test_each_curve_is_cut_under_its_own_number(tmp_path: Path) -> None:
+    drawing(tmp_path)
+    made = job(tmp_path, outline())
+    names = dict.fromkeys(s.name for s in made.targets().segment if s.kind == "trim")
+    assert list(names) == ["a_1", "a_2", "a_3", "a_4"]
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("mm", 1.0), ("cm", 10.0), ("in", 25.4)])
+def test_planner_and_proof_read_the_same_curves(tmp_path: Path, unit: str, mm: float) -> None:
+    drawing(tmp_path, mm)
+    made = job(tmp_path, outline(unit=unit))
+    assert isinstance(made.operation, Trim)
+    planned = every_outline(made.operation)
+    read = expanded(claim_of(made)).outlines
+    assert [one.name for one in read] == [one.name for one, _ in planned] == ["a_1", "a_2", "a_3", "a_4"]
+    for (x, y, r), one in zip(CIRCLES, read, strict=False):
+        assert np.linalg.norm(drawn(one) - 1e-3 * np.array([x, y]), axis=1) == pytest.approx(
+            1e-3 * r, abs=1e-8
+        )
+    for (_, points), one in zip(planned, read, strict=True):
+        spans = [np.ptp(ring[:, :2], axis=0) for ring in (points, drawn(one))]
+        assert spans[0] == pytest.approx(spans[1], abs=5e-6)
+
+
+def test_inner_curves_come_first_and_layers_choose(tmp_path: Path) -> None:
+    def rim(space: Any) -> None:
+        space.add_circle((0, 0), 36, dxfattribs={"layer": "RIM"})
+
+    drawing(tmp_path, extra=rim)
+    outside = {**outline(layers=["RIM"]), "name": "rim", "drops": "outside", "joints": 3}
+    made = job(tmp_path, outside, outline(layers=["CUT"]))
+    names = list(dict.fromkeys(s.name for s in made.targets().segment if s.kind == "trim"))
+    assert names == ["a_1", "a_2", "a_3", "rim_1_p1", "rim_1_p2", "rim_1_p3"]
+    whole = expanded(claim_of(made))
+    assert [whole.outlines[k].name for k in order(whole)] == ["a_1", "a_2", "a_3", "rim_1"]
+
+
+def test_an_open_curve_is_refused_with_its_ends(tmp_path: Path) -> None:
+    drawing(tmp_path)
+    (issue,) = refused(tmp_path, outline(layers=None))
+    assert issue.code == "trim.open" and issue.value == pytest.approx(10.0)
+    assert "a_5" in issue.message and "(0.00, 30.00) to (10.00, 30.00)" in issue.message
+    claims = job(tmp_path, outline(layers=None)).claims()
+    _, unread = worked_out({"cut": tuple(claims)})
+    assert "verify.trim_cut" in {one.code for one in unread}
+
+
+@pytest.mark.parametrize(
+    ("circle", "code"),
+    [((6, 0, 4), "trim.crosses"), ((0, 0, 8), "trim.crosses"), ((0, 0, 3), "trim.in_waste")],
+)
+def test_curves_that_cross_or_make_no_sense_are_refused(tmp_path: Path, circle: Any, code: str) -> None:
+    x, y, r = circle
+
+    def more(space: Any) -> None:
+        space.add_circle((x, y), r, dxfattribs={"layer": "CUT"})
+
+    drawing(tmp_path, extra=more)
+    found = refused(tmp_path, outline(layers=["CUT"]))
+    assert {issue.code for issue in found} == {code}
+    assert any("a_1" in issue.message and "a_4" in issue.message for issue in found)
+
+
+def test_names_that_cannot_be_told_apart_and_layers_that_are_not_there(tmp_path: Path) -> None:
+    drawing(tmp_path)
+    other = {"name": "A_1", "circle": {"at_mm": [0, 20], "diameter_mm": 6}}
+    found = refused(tmp_path, outline(layers=["CUT"]), other)
+    assert [issue.code for issue in found] == ["problem.field"] and "A_1" in found[0].message
+    found = refused(tmp_path, outline(layers=["CUTS"]))
+    assert [issue.code for issue in found] == ["part.dxf"] and "CUT" in found[0].message
+    with pytest.raises(TandemError):
+        problem(tmp_path, outlines=[outline(layers=["CUT", "cut"])])
+    with pytest.raises(TandemError):
+        problem(tmp_path, outlines=[{**outline(), "circle": {"at_mm": [0, 0], "diameter_mm": 6}}])
+
+
+def test_a_claim_that_names_no_file_is_not_taken_for_no_curves(tmp_path: Path) -> None:
+    drawing(tmp_path)
+    claim = claim_of(job(tmp_path, outline()))
+    bare = dataclasses.replace(claim.outlines[0], drawn=None)
+    with pytest.raises(UnreadError):
+        expanded(dataclasses.replace(claim, outlines=(bare,)))
+    none = dataclasses.replace(claim.outlines[0], layers=("NOTHING",))
+    with pytest.raises(UnreadError):
+        expanded(dataclasses.replace(claim, outlines=(none,)))
