@@ -44,6 +44,7 @@ from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
 from sqlalchemy.sql.elements import ColumnElement
 
 from planner.issues import Issue, TandemError
+from planner.service.schema import NewerError, bring_up_to_date
 
 METADATA: Final = MetaData()
 """The tables of the service."""
@@ -141,6 +142,10 @@ EVENTS: Final = Table(
 )
 """What happened to jobs, numbered, for the streams of events."""
 
+SCHEMA: Final = Table(
+    "tandem_schema", METADATA, Column("version", Integer, primary_key=True, autoincrement=False)
+)
+"""The version of these tables; :mod:`planner.service.schema` has the steps from older ones."""
 
 POOL_SIZE: Final = 20
 """Connections to the database that stay open; as many more may come for a while."""
@@ -162,7 +167,11 @@ class Database:
             with self._engine.execution_options(write=True).begin() as connection:
                 if not self.sqlite:
                     connection.execute(text("SELECT pg_advisory_xact_lock(7223)"))
-                METADATA.create_all(connection)
+                bring_up_to_date(connection, METADATA)
+        except NewerError as error:
+            self._engine.dispose()
+            issue = Issue("service.database", f"database {_shown(url)}: {error}", field="database")
+            raise TandemError(issue) from error
         except (OperationalError, ArgumentError, NoSuchModuleError, ImportError) as error:
             raise TandemError(_cannot_open(url, error)) from error
         self._writer = self._engine.execution_options(write=True)
@@ -246,14 +255,18 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 def _cannot_open(url: str, error: Exception) -> Issue:
-    shown = url.split("@")[-1].split("?")[0]  # no password in a message
     if isinstance(error, ImportError):
         what = "PostgreSQL needs its driver; pip install 'tandem-planner[service,postgres]'"
     elif isinstance(error, OperationalError):
         what = f"cannot be opened ({str(error.orig).splitlines()[0]}); see that it runs and may be written"
     else:
         what = "is no such URL; give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME"
-    return Issue("service.database", f"database {shown}: {what}", field="database")
+    return Issue("service.database", f"database {_shown(url)}: {what}", field="database")
+
+
+def _shown(url: str) -> str:
+    """An URL for a message, without the password."""
+    return url.split("@")[-1].split("?")[0]
 
 
 API: Final = 5

@@ -1,0 +1,69 @@
+"""The version of the store's tables, and the steps from older ones.
+
+A store says its version in ``tandem_schema``; one of before there were versions has no such table and is
+version 1. At start an older store is brought up to date by the steps that it lacks, in the transaction that
+looked, so that all of it happens or nothing; a newer one is refused. Steps are literal SQL that SQLite and
+PostgreSQL both read: they stay as they were when the tables in :mod:`planner.service.models` move on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from sqlalchemy import Connection, MetaData, inspect, text
+
+VERSION: Final = 2
+"""Version of the tables that this program reads and writes."""
+UNNUMBERED: Final = 1
+"""Version of a store that has jobs and does not say which it is."""
+_NUMBER: Final = "CREATE TABLE tandem_schema (version INTEGER NOT NULL, PRIMARY KEY (version))"
+STEPS: Final[Mapping[int, tuple[str, ...]]] = {
+    1: (
+        # tables that the earliest stores got at their next start
+        "CREATE TABLE IF NOT EXISTS tandem_secrets (name VARCHAR(32) NOT NULL, value VARCHAR(64) NOT NULL, "
+        "PRIMARY KEY (name))",
+        "CREATE TABLE IF NOT EXISTS tandem_element_jobs (job VARCHAR(32) NOT NULL, "
+        "element VARCHAR(32) NOT NULL, role VARCHAR(16) NOT NULL, panel VARCHAR(32) NOT NULL, "
+        '"like" VARCHAR(32), about TEXT NOT NULL, PRIMARY KEY (job))',
+        "CREATE INDEX IF NOT EXISTS ix_tandem_element_jobs_element ON tandem_element_jobs (element)",
+        _NUMBER,
+    ),
+}
+"""What brings a store of each version to the next one."""
+
+
+class NewerError(Exception):
+    """A store of a version that this program does not know."""
+
+    def __init__(self, version: int) -> None:
+        self.version = version
+        super().__init__(
+            f"has tables of version {version}, this program knows {VERSION} and older ones; "
+            "update tandem-planner on this machine, or take the copy of the data that was made before"
+        )
+
+
+def version_of(connection: Connection) -> int | None:
+    """The version of a store; None where there is none yet."""
+    there = set(inspect(connection).get_table_names())
+    if "tandem_schema" in there:
+        return int(connection.execute(text("SELECT max(version) FROM tandem_schema")).scalar_one())
+    return UNNUMBERED if "tandem_jobs" in there else None
+
+
+def bring_up_to_date(connection: Connection, tables: MetaData) -> None:
+    """Make the tables of an empty store, or take the steps that one lacks, in the connection's transaction;
+    others wait meanwhile. Raises :class:`NewerError`."""
+    found = version_of(connection)
+    if found is not None and found > VERSION:
+        raise NewerError(found)
+    if found is None:
+        tables.create_all(connection)
+    else:
+        for version in range(found, VERSION):
+            for step in STEPS[version]:
+                connection.execute(text(step))
+    if found != VERSION:
+        connection.execute(text("DELETE FROM tandem_schema"))
+        connection.execute(text("INSERT INTO tandem_schema (version) VALUES (:v)"), {"v": VERSION})
