@@ -55,7 +55,7 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
         if task.robot.family == "UR":
             continue  # its installation is set at the panel
         if task.robot.family == "KUKA":
-            made, folder = krl_files.files(controller, name, signals, wires), name
+            made, folder = krl_files.files(controller, name, signals, wires, _torches(problem, signals)), name
         elif alone:
             others = _others(job, [task], signals)
             made, folder = rapid_files.files(controller, [task.task], signals, name, wires, others), name
@@ -71,6 +71,12 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
             for name, text in made.items()
         }
     return out
+
+
+def _torches(problem: Problem, signals: Sequence[str]) -> list[str]:
+    """Those of the ``signals`` that light the torch of an operation."""
+    own = {getattr(one, "signal", None) for one in problem.operations if one.process == "trim"}
+    return [signal for signal in signals if signal in own]
 
 
 def _others(

@@ -201,6 +201,12 @@ def test_the_older_dialect_says_it_in_a_comment(job: Job) -> None:
     assert "; No diArcOk in 5 s: the program ends. Reset it.\r\nLOOP\r\nHALT\r\nENDLOOP\r\n" in text
 
 
+def test_the_operator_is_told_never_to_light_the_torch_by_hand(job: Job) -> None:
+    (told,) = [text for name, text in job.programs.items() if name.endswith("README.txt")]
+    assert "doArc lights a torch" in told and "Never set that output by hand" in told
+    assert "set the output again by hand" not in told
+
+
 def test_numbers_of_both_signals_are_asked_for(tmp_path: Any) -> None:
     read = problem(tmp_path, arm=KUKA, controller={"io": {"robot": {"doArc": 17}}}, outlines=[OUTLINES[0]])
     made = processes.job(read, 0).targets()

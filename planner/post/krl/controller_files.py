@@ -26,10 +26,14 @@ POWER_FLAG: Final = "TANDEM_CUT"
 
 
 def files(
-    controller: Controller, arm: str, signals: Sequence[str], wires: Sequence[SignalWire] = ()
+    controller: Controller,
+    arm: str,
+    signals: Sequence[str],
+    wires: Sequence[SignalWire] = (),
+    torches: Sequence[str] = (),
 ) -> dict[str, str]:
     """The files, by name, for the controller of ``arm`` whose program switches ``signals``; ``wires``: the
-    running wires between it and another controller."""
+    running wires between it and another controller; ``torches``: those signals that light one."""
     runs = handshake.KRL_RUNS + (f" AND {handshake.krl_power_term(controller, arm)}" if wires else "")
     numbers = [(signal, controller.number(arm, signal)) for signal in signals]
     taken = [line for _, number in numbers for line in _taken(number)]
@@ -46,7 +50,7 @@ def files(
         "sps_user.sub": _text(submit),
     }
     out |= {"ir_stopm_user.src": _text(taken)} if taken else {}
-    return out | {"README.txt": _readme(controller, arm, signals, wires)}
+    return out | {"README.txt": _readme(controller, arm, signals, wires, torches)}
 
 
 def _taken(number: int | None) -> list[str]:
@@ -94,10 +98,7 @@ _POWER: Final = """
 Outputs:
 {signals}
 
-Behind a stop with the power on {flag} is TRUE and the override 0. Free the wire or the tool, or
-set the output again by hand and wait until it is hot or runs at full speed; then set {flag} to
-FALSE in the variable display and the override to what it was. Never do so while block or part is in
-the way of a cold wire or a tool that stands.{both}
+{behind}{both}
 
 Seen: $OUT[n] = request AND $PRO_ACT in the submit interpreter, which runs on through stops;
 IR_STOPM as the user's place for reactions to stops, and its interrupt at the head of programs.
@@ -113,7 +114,25 @@ the program waits; behind a change of mode the power is off.
 """
 
 
-def _readme(controller: Controller, arm: str, signals: Sequence[str], wires: Sequence[SignalWire]) -> str:
+_FREED: Final = """\
+Behind a stop with the power on {flag} is TRUE and the override 0. Free the wire or the tool, or
+set the output again by hand and wait until it is hot or runs at full speed; then set {flag} to
+FALSE in the variable display and the override to what it was. Never do so while block or part is in
+the way of a cold wire or a tool that stands."""
+_NEVER_LIT: Final = """\
+{torches} lights a torch. Behind a stop while it burned {flag} is TRUE and the override 0.
+Never set that output by hand, and do not let the program go on: the arc would burn where the
+torch stands, or metal would stay in the slot. Reset the program, move the torch out by hand, look
+at the sheet, set {flag} to FALSE in the variable display, and plan anew what is left."""
+
+
+def _readme(
+    controller: Controller,
+    arm: str,
+    signals: Sequence[str],
+    wires: Sequence[SignalWire],
+    torches: Sequence[str],
+) -> str:
     rows = []
     for signal in signals:
         lock = controller.interlock.of(signal).signal
@@ -129,7 +148,9 @@ def _readme(controller: Controller, arm: str, signals: Sequence[str], wires: Seq
         out += _wire(controller, arm, wires, bool(rows))
     if rows:
         both = "\nThe power stays on only while the program of the other arm runs, too." if wires else ""
-        out += _POWER.format(flag=POWER_FLAG, signals="\n".join(rows), both=both)
+        behind = [_FREED.format(flag=POWER_FLAG)] if set(signals) - set(torches) else []
+        behind += [_NEVER_LIT.format(flag=POWER_FLAG, torches=", ".join(torches))] if torches else []
+        out += _POWER.format(signals="\n".join(rows), behind="\n\n".join(behind), both=both)
     return out
 
 
