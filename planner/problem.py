@@ -49,6 +49,11 @@ class Force:
     frame: ForceFrame
 
 
+BLIND_SPEED: Final = 0.25
+"""Highest speed [m/s] of an arm on the way to its first target, which begins at a place that is not known, of
+a track, and of what a turntable carries, on the way to a station."""
+
+
 @dataclasses.dataclass(frozen=True)
 class LinearTrack:
     """A linear axis that an arm's base stands on: with its value v [m] the base is moved by v times ``axis``

@@ -52,19 +52,13 @@ def edge(
     The distance to a convex solid is a convex function along a straight piece, so the least one between two
     points is found by golden section wherever the ends do not rule it out.
     """
-    arms = tuple(q)
-    poses = model.poses(q)
-    chains = {"": _Chain(points, np.zeros(points.shape[:2], dtype=bool))}
-    if arms:
-        chains[arms[0]] = _clip(points, skip_ends, last=False)
-        chains[arms[-1]] = _clip(points, skip_ends, last=True) if len(arms) > 1 else chains[arms[0]]
+    poses, chains = model.poses(q), _chains(tuple(q), points, skip_ends)
     solids = [s for s in model.solids if s.body != "stock" or against == "all"]
     best = np.full(len(points), np.inf)
     who = np.zeros(len(points), dtype=np.intp)
     rough = []
     for k, solid in enumerate(solids):
-        arm, _, link = solid.body.partition("/")
-        chain = chains.get(arm if link in ("tool", "link_6") else "", chains[""])
+        chain = _chain_at(chains, solid)
         frame = poses[solid.body] @ solid.shape.pose
         local = (chain.points - frame[..., None, :3, 3]) @ frame[..., :3, :3]
         value = _at_points(solid, local, chain, best)
@@ -95,13 +89,7 @@ def edge_free(
     Solids whose bounding sphere keeps off that of the whole chain are passed over, and pieces that cannot
     come so near, or whose chain is too near already, are not measured.
     """
-    arms = tuple(q)
-    poses = model.poses(q)
-    held = {}
-    if arms:
-        held[arms[0]] = _clip(points, skip_ends, last=False)
-        held[arms[-1]] = _clip(points, skip_ends, last=True) if len(arms) > 1 else held[arms[0]]
-    whole = _Chain(points, np.zeros(points.shape[:2], dtype=bool))
+    poses, chains = model.poses(q), _chains(tuple(q), points, skip_ends)
     limit = padding + radius + BOUND_ERROR
     middle = points.mean(axis=1)
     room = lengths(points - middle[:, None]).max(axis=1, initial=0.0) + limit
@@ -110,8 +98,7 @@ def edge_free(
     for solid in model.solids:
         if solid.body == "stock" and against == "no_stock":
             continue
-        arm, _, link = solid.body.partition("/")
-        chain = held.get(arm, whole) if link in ("tool", "link_6") else whole
+        chain = _chain_at(chains, solid)
         frame = np.broadcast_to(poses[solid.body] @ solid.shape.pose, (len(points), 4, 4))
         reach = 0.5 * float(np.linalg.norm(extent(solid)))
         near = lengths(middle - frame[:, :3, 3]) <= room + reach
@@ -147,6 +134,21 @@ class _Chain:
     @functools.cached_property
     def steps(self) -> FloatArray:
         return np.asarray(np.linalg.norm(np.diff(self.points, axis=1), axis=-1))
+
+
+def _chains(arms: tuple[str, ...], points: FloatArray, skip_ends: float) -> dict[str, _Chain]:
+    """The chain as it is held against hands of arms, by their names, and "" against all else."""
+    chains = {"": _Chain(points, np.zeros(points.shape[:2], dtype=bool))}
+    if arms:
+        chains[arms[0]] = _clip(points, skip_ends, last=False)
+        chains[arms[-1]] = _clip(points, skip_ends, last=True) if len(arms) > 1 else chains[arms[0]]
+    return chains
+
+
+def _chain_at(chains: Mapping[str, _Chain], solid: Solid) -> _Chain:
+    """The chain that is held against a solid."""
+    arm, _, link = solid.body.partition("/")
+    return chains.get(arm if link in ("tool", "link_6") else "", chains[""])
 
 
 def _clip(points: FloatArray, length: float, last: bool) -> _Chain:

@@ -224,8 +224,9 @@ NO_INPUT: Final = Sentence("No {signal} in {seconds:g} s: the program ends. Rese
 # ---- where a robot stands ----
 
 FOOT: Final = Sentence("Arm {arm}: $ROBROOT is off zero by %1 mm, %2 deg")
-FOOT_RIDES: Final = Sentence("Arm {arm}: $ROBROOT_C is off track by %1 mm, %2 deg")
 """Of a KUKA robot; its controller puts the figures in."""
+FOOT_RIDES: Final = Sentence("Arm {arm}: $ROBROOT_C is off track by %1 mm, %2 deg")
+"""The same of one on a track."""
 
 OTHER_ARM: Final = Sentence("Arm {arm}: this controller moves another arm than the planned {model}.")
 """Of a UR robot, whose controller has its flange elsewhere at home than the plan."""

@@ -92,14 +92,14 @@ def columns(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ij,ij->j", a, b))
 
 
-_Value = TypeVar("_Value")
-
-
 def spread_rows(count: int, most: int) -> IndexArray:
     """At most ``most`` rows (K,) of ``count``, evenly spread, the first and the last among them."""
     if count < 1:
         return np.zeros(0, dtype=np.intp)
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
+
+
+_Value = TypeVar("_Value")
 
 
 def read_only(value: _Value) -> _Value:

@@ -43,8 +43,7 @@ class FirstLook:
     def rows(self, operation: int) -> IndexArray:
         """The targets (K,) of an operation that are looked at."""
         count, total = self._counts[operation], sum(self._counts)
-        some = min(count, max(LEAST_TARGETS, round(self._most * count / total)))
-        return spread_rows(count, some)
+        return spread_rows(count, max(LEAST_TARGETS, round(self._most * count / total)))
 
     def faults(self, scene: Scene, targets: Targets, operation: int) -> list[Issue]:
         """What is in the way at the first of these targets that has no posture; nothing where all have."""

@@ -15,7 +15,6 @@ import numpy as np
 
 from planner.cell import axis_way, plant, support
 from planner.cell.axis_way import AxisWay
-from planner.cell.bodies import own_shapes
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
@@ -194,7 +193,7 @@ def _station(
     few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), FEW_TARGETS, False)
     score = margin(few, *axis.placed(problem, setup, grid), problem.settings)
     tried: list[float] = []
-    reasons = ""
+    first = ""
     for k in _order(grid, score, at[axis.name]):
         value = float(grid[k])
         if len(tried) >= MOST_PATHS:
@@ -202,12 +201,13 @@ def _station(
         if any(abs(value - other) < axis.apart for other in tried) and value != at[axis.name]:
             continue
         tried.append(value)
-        reasons = _fault(problem, index, targets, axis, at, value, passes)
-        if not reasons:
+        fault = _fault(problem, index, targets, axis, at, value, passes)
+        if not fault:
             return value
-    if tried:  # of the value that was thought best
-        reasons = _fault(problem, index, targets, axis, at, tried[0], passes, explained=True)
-    raise TandemError(_nowhere(problem, index, axis, grid, score, tried, reasons))
+        first = first or fault  # of the value that was thought best
+    if first == NO_PATH:
+        first = _in_the_way(*_there(problem, index, targets, axis, at, tried[0]))
+    raise TandemError(_nowhere(problem, index, axis, grid, score, tried, first))
 
 
 def _order(grid: FloatArray, score: FloatArray, before: float) -> list[int]:
@@ -234,27 +234,31 @@ def _fault(
     at: Mapping[str, float],
     value: float,
     passes: Passes | None,
-    explained: bool = False,
 ) -> str:
-    """Why an axis cannot stand at a value; empty where it can. ``explained``: with what is in the way of a
-    path."""
-    there = problem.stationed({**problem.stations, index: {**at, axis.name: value}})
+    """Why an axis cannot stand at a value; empty where it can."""
     if value != at[axis.name] and passes is None:
         enough = problem.settings.clearance + WAY_ROOM_M
         way = axis.way(problem.setup_of(index), (at[axis.name], value), enough)
         if not way.clear:
             return f"on the way there {' and '.join(way.pair)} come as near as {way.least / MM:.1f} mm"
-    setup = there.setup_of(index)
-    scene = _scene(there, index, targets, _model(setup))
-    own = with_aims(scene, targets)
-    if passes is not None and passes(scene, own, index):
-        return ""
-    if passes is not None and not explained:
-        return NO_PATH
-    looked, found = find_path(scene, own)
-    if isinstance(found, Found):
-        return "" if passes is None else NO_PATH
-    said = diagnosis.no_path(scene, own, looked, found) if explained else []
+    scene, own = _there(problem, index, targets, axis, at, value)
+    free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, index)
+    return "" if free else NO_PATH
+
+
+def _there(
+    problem: Problem, index: int, targets: Targets, axis: _Axis, at: Mapping[str, float], value: float
+) -> tuple[Scene, Targets]:
+    """The scene, and the targets, where an axis stands at a value and all others ``at`` theirs."""
+    there = problem.stationed({**problem.stations, index: {**at, axis.name: value}})
+    scene = _scene(there, index, targets, _model(there.setup_of(index)))
+    return scene, with_aims(scene, targets)
+
+
+def _in_the_way(scene: Scene, targets: Targets) -> str:
+    """What leaves no path, the first of what is found."""
+    grid, found = find_path(scene, targets)
+    said = [] if isinstance(found, Found) else diagnosis.no_path(scene, targets, grid, found)
     return said[0].message if said else NO_PATH
 
 
@@ -334,9 +338,8 @@ def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
     middle = transform(_place(setup), support.block_corners(setup.stock)).mean(axis=0)
     centre = np.array([middle[0], middle[1], min(float(points[:, 2].min()) for points in bottom)])
     table = Turntable("", "", 0, centre, np.array([0.0, 0.0, 1.0]), -np.pi, np.pi, 1.0, 0.0)
-    shapes = (*own_shapes(setup.cell, setup.stock)["stock"], *setup.stock.support)
     far = float(np.linalg.norm(centre[:2] - setup.cell.arms[0].base[:2, 3]))
-    if axis_way.swing(shapes, _place(setup), table) + BASE_ROOM_M > far:
+    if axis_way.rim(setup, _place(setup), table) + BASE_ROOM_M > far:
         return ""
     stands = _stands(problem, targets, angles(table), _Table(table))
     if stands is None or not np.abs(stands).max() > ANGLE_NOISE:

@@ -43,7 +43,7 @@ from planner.post.program import (
     TaskProgram,
     Track,
 )
-from planner.problem import STOCK, Arm, Cell, Problem, Settings, Setup, Turntable
+from planner.problem import BLIND_SPEED, STOCK, Arm, Cell, Problem, Settings, Setup, Turntable
 from planner.targets import Action, Targets
 
 LEAST_MASS = 0.001
@@ -336,10 +336,6 @@ def _table(arm: Arm, cell: Cell) -> Turntable | None:
     return cell.turntable if cell.turntable is not None and cell.turntable.arm == arm.name else None
 
 
-BLIND_SPEED = 0.25
-"""Highest speed [m/s] of a track, and of what a turntable carries, on the way to a station."""
-
-
 class OuterSpeed(NamedTuple):
     """Of an external axis: the highest speed on the way to a station, and its ``own`` [m/s, rad/s]."""
 
@@ -349,7 +345,7 @@ class OuterSpeed(NamedTuple):
 
 def outer_speeds(task: TaskProgram, plan: Plan, problem: Problem) -> dict[int, OuterSpeed]:
     """Speeds of the external axes that a task moves, by column: what they carry goes at most at
-    :data:`BLIND_SPEED`."""
+    :data:`planner.problem.BLIND_SPEED`."""
     out: dict[int, OuterSpeed] = {}
     if (track := task.arm.track) is not None:
         out[TRACK_COLUMN] = OuterSpeed(min(track.speed, BLIND_SPEED), track.speed)

@@ -58,12 +58,11 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
             made, folder = krl_files.files(controller, name, signals, wires, _torches(problem, signals)), name
         elif alone:
             others = _others(job, [task], signals)
-            made, folder = rapid_files.files(controller, [task.task], signals, name, wires, others), name
+            made, folder = rapid_files.files(controller, [task.task], signals, others, [name], wires), name
         elif task.number == 1:
             tasks = [other.task for other in job.tasks]
             others, own = _others(job, job.tasks, signals), [other.arm.name for other in job.tasks]
-            made = rapid_files.files(controller, tasks, signals, name, (), others, own)
-            folder = task.task
+            made, folder = rapid_files.files(controller, tasks, signals, others, own), task.task
         else:
             continue  # files of the first task are for all of one controller
         out |= {
@@ -161,15 +160,11 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
     for arm in arms:
         if arm.data.family not in _BY_NUMBER:
             continue
-        inputs = (
-            a
-            for t in made
-            for a in t.actions
-            if a.kind == "input" and t.arms[0] == arm.name and speaks_urscript(arm)
-        )
-        issues += [
-            issue for action in itertools.islice(inputs, 1) for issue in no_input(action, arm.name).issues
-        ]
+        if speaks_urscript(arm):
+            inputs = (a for t in made for a in t.actions if a.kind == "input" and t.arms[0] == arm.name)
+            issues += [
+                issue for action in itertools.islice(inputs, 1) for issue in no_input(action, arm.name).issues
+            ]
         wanted = _signals(problem, made, arm, together)
         missing = [signal for signal in wanted if problem.cell.controller.number(arm.name, signal) is None]
         if missing:

@@ -15,7 +15,7 @@ from pydantic import Field
 from planner.geometry.arrays import Shape, from_parts
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.problem import PLATE, Arm, Controller, LinearTrack, Obstacle, Problem, Turntable
+from planner.problem import BLIND_SPEED, PLATE, Arm, Controller, LinearTrack, Obstacle, Problem, Turntable
 from planner.reading.strict_yaml import Name, Positive, Strict, Vector
 
 LEAST_AXIS: Final = 1e-9
@@ -26,8 +26,6 @@ LANGUAGES: Final = ("ABB", "KUKA")
 """Families of arms in whose language external axes are written."""
 LEAST_SHARE: Final = 0.01
 """Least speed of an external axis in KRL, as a share of its own: $VEL_EXTAX takes whole percents."""
-BLIND_SPEED: Final = 0.25
-"""Highest speed [m/s] of what a turntable carries on the way to a station."""
 HOME_DECIMALS: Final = 4
 """Decimals [deg] of where a turntable stands at home, as programs write it."""
 

@@ -361,8 +361,7 @@ def faults(cell: Cell, operations: Sequence[Operation]) -> list[Issue]:
 def _numbers(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
     """Signals have numbers that the arm's controller has; of two inputs, or two outputs, each its own."""
     out = []
-    waits = (getattr(operation, "ok_signal", None) for _, operation in operations)
-    given = {name.lower() for name in waits if isinstance(name, str)}
+    given = {name.lower() for _, operation in operations if (name := _waited(operation)) is not None}
     for arm in cell.arms:
         allowed = UR_OUTPUTS if arm.data.family == "UR" else OTHER_NUMBERS
         own = cell.controller.handshake.of(arm.name)
@@ -379,6 +378,12 @@ def _numbers(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
                 field = f"cell.controller.io.{arm.name}.{name}"
                 out.append(Issue("problem.field", what, field=field, hint="state the number that it has"))
     return out
+
+
+def _waited(operation: Operation) -> str | None:
+    """The input that an operation waits for, if it does."""
+    name = getattr(operation, "ok_signal", None)
+    return name if isinstance(name, str) else None
 
 
 _POWERED: Final = {"milling": "spindle", "trim": "torch"}
@@ -418,8 +423,8 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
             what = f"the power of a {_POWERED.get(operation.process, 'wire')}"
             use(signal, what, f"{field}.signal", MAX_SWITCHED_NAME)
             use(lock.of(signal).signal, f"the output that {signal} drives", f"{place}.outputs")
-        given = getattr(operation, "ok_signal", None)
-        if isinstance(given, str):
+        given = _waited(operation)
+        if given is not None:
             use(given, "an input that an operation waits for", f"{field}.ok_signal")
     for arm in cell.arms:
         for request, output in lock.outputs.items():
@@ -485,7 +490,7 @@ def _places(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Iss
             mine, given = [own.running, own.output], [own.partner_running, own.input]
         for _, operation in operations:
             if arm.name in operation.arms or controller.sync != "handshake":
-                given += [one] if (one := getattr(operation, "ok_signal", None)) is not None else []
+                given += [one] if (one := _waited(operation)) is not None else []
                 die = getattr(operation, "die", None)
                 mine += [die.signal] if die is not None and getattr(die, "holder", "") == "sinking" else []
         ends[arm.name] = list(dict.fromkeys([*mine, *given]))

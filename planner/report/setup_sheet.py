@@ -374,7 +374,6 @@ def _track(arm: Arm, track: LinearTrack, robot: str) -> list[tuple[str, str]]:
 def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
     """What the controller's configuration (MOC.cfg, KUKA's machine data) must say of a turntable, and how the
     block is clamped."""
-    column = f"number {table.column + 1} (eax_{'abcdef'[table.column]})"
     ends = f"{table.low / DEG:g} to {table.high / DEG:g} deg, at most {table.speed / DEG:g} deg/s"
     sense = "counter-clockwise" if table.axis[2] > 0.0 else "clockwise"
     place, turn, _ = pose_cells(np.asarray(problem.stock.place))
@@ -384,33 +383,32 @@ def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
         n = table.column + 1
         seen = transform(inverse(mover.base), table.centre)
         root += f", {_point(seen)} mm of $WORLD"
-        first = (f"E{n}, axis {6 + n}: {table.unit}", "there, one rotary axis, synchronous, in deg")
+        kind = "#EASYS, or #NONE: programs set $BASE to a fixed frame of each station, and couple it to none"
+        first = [
+            (f"E{n}, axis {6 + n}: {table.unit}", "there, one rotary axis, synchronous, in deg"),
+            (f"{table.unit} in MACHINE_DEF, $EX_KIN", kind),
+        ]
         start = f"{table.unit} before the program starts"
     else:
+        column = f"number {table.column + 1} (eax_{'abcdef'[table.column]})"
         task = f"external axis {column} of the task of arm {table.arm}"
-        first = (f"mechanical unit {table.unit}", f"there, one rotary axis, {task}, in deg")
+        first = [(f"mechanical unit {table.unit}", f"there, one rotary axis, {task}, in deg")]
         start = f"{table.unit} before PP to main"
-    out = [
-        first,
+    return [
+        *first,
         (f"{table.unit}: base frame", root),
         (f"{table.unit}: sense", f"seen from above, growing values turn it {sense}"),
         (f"{table.unit}: joint", f"{ends}; home {table.home / DEG:g} deg"),
         (start, f"at home, {table.home / DEG:g} deg: the first move takes it there"),
         (f"block with {table.unit} at 0 deg", f"at {place} mm, roll, pitch, yaw {turn} deg"),
     ]
-    if mover.data.family == "KUKA":
-        kind = "#EASYS, or #NONE: programs set $BASE to a fixed frame of each station, and couple it to none"
-        out.insert(1, (f"{table.unit} in MACHINE_DEF, $EX_KIN", kind))
-    return out
 
 
 def _kuka_track(arm: Arm, track: LinearTrack) -> list[tuple[str, str]]:
     """What the machine data of a KUKA controller must say of a track. That its kinematic is #ERSYS,
     and moves $ROBROOT_C without a word in the program: KR C2, machine data, 2.1.9 $ERSYSROOT."""
-    unit, span = (
-        track.unit,
-        f"{track.low / MM:g} to {track.high / MM:g} mm, at most {track.speed / MM:g} mm/s",
-    )
+    unit = track.unit
+    span = f"{track.low / MM:g} to {track.high / MM:g} mm, at most {track.speed / MM:g} mm/s"
     along = ", ".join(markup.fixed(float(v), 6) for v in track.axis)
     seen = ", ".join(markup.fixed(float(v), 6) for v in arm.base[:3, :3].T @ track.axis)
     limits = f"{span} and {track.acceleration / MM:g} mm/s²; home {track.home / MM:g} mm"
@@ -456,9 +454,9 @@ def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[st
     if signals and _hot(problem):
         words = "not in automatic: mount cold, or in T1 with the enabling switch held by somebody else"
         out.append(("mounting while the wire is hot and the gate open", words))
-    for item in problem.cell.arms:
-        if item.track is not None and item.name == arm:
-            out += _kuka_track(item, item.track)
+    rider = problem.cell.arm(arm)
+    if rider.track is not None:
+        out += _kuka_track(rider, rider.track)
     table = problem.cell.turntable
     if table is not None and table.arm == arm:
         out += _turntable(problem, table)

@@ -173,17 +173,10 @@ class Data:
 
     def start_pose(self, operation: OperationProgram, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Position (3,) [mm] and A, B, C (3,) [deg] of the TCP at joints (6,), as written."""
-        # on a track the foot is where the operation's arm stands, and the base is seen from that of value 0
-        foot = inverse(self.task.base) @ self._foot(operation)
-        flange = foot @ forward(self.task.robot, q)
+        flange = forward(self.task.robot, q)
+        if operation.arm.track is not None:  # the base is seen from where the foot is at value 0
+            flange = inverse(self.task.base) @ operation.arm.base @ flange
         return written(inverse(self.base_pose(operation)[0]) @ flange @ operation.arm.tool.tcp)
-
-    def _foot(self, operation: OperationProgram) -> FloatArray:
-        """The base (4, 4) of the arm in the world, where its track has it in an operation."""
-        track, station = operation.arm.track, operation.arm.station
-        if track is None or station is None:
-            return self.task.base
-        return track.moved(self.task.base, station)
 
     def list(self, stem: str, header: list[str], digest: Mapping[str, str]) -> list[str]:
         """The lines of the data list ``stem``; ``digest``: text constants by name."""

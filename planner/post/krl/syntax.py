@@ -251,15 +251,17 @@ def robroot_check(arm: str, dialect: KrlDialect, along: FloatArray | None = None
     """
     root = "$ROBROOT" if along is None else "$ROBROOT_C"
     turned = f"tm_turn={'+'.join(f'ABS({root}.{a})' for a in 'ABC')}"
-    squares = "+".join(f"$ROBROOT.{axis}*$ROBROOT.{axis}" for axis in "XYZ")
-    looked = [f"tm_shift=SQRT({squares})", turned]
-    if along is not None:
+    if along is None:
+        squares = "+".join(f"{root}.{axis}*{root}.{axis}" for axis in "XYZ")
+        shift = f"SQRT({squares})"
+    else:
         parts = zip("XYZ", np.round(along, ALONG_DECIMALS).tolist(), strict=True)
         off = [
             f"ABS({root}.{axis}{'+' if part < 0.0 else '-'}{abs(part):.{ALONG_DECIMALS}f}*$AXIS_ACT.E1)"
             for axis, part in parts
         ]
-        looked = [f"tm_shift={'+'.join(off)}", turned]
+        shift = "+".join(off)
+    looked = [f"tm_shift={shift}", turned]
     names = (vocabulary.FOOT if along is None else vocabulary.FOOT_RIDES).filled(arm=arm)
     if dialect == "krc2":
         shown = comment((KRC2_FOOT if along is None else KRC2_FOOT_RIDES).format(arm=arm))

@@ -33,19 +33,19 @@ def files(
     controller: Controller,
     tasks: Sequence[str],
     signals: Sequence[str],
-    arm: str,
+    others: Mapping[str, SignalType],
+    arms: Sequence[str],
     wires: Sequence[SignalWire] = (),
-    others: Mapping[str, SignalType] | None = None,
-    arms: Sequence[str] = (),
 ) -> dict[str, str]:
-    """The files, by name, for motion ``tasks`` of the one controller of ``arm``, or of ``arms``, whose
-    programs switch ``signals``, which power something, and name ``others``; ``wires``: the running wires
-    between it and another controller."""
+    """The files, by name, for motion ``tasks`` of the one controller of ``arms``, whose programs switch
+    ``signals``, which power something, and name ``others``; ``wires``: the running wires between it and
+    another controller."""
+    arm = arms[0]
     requests = [identifier(signal) for signal in signals]
     suffix = ".sys" if controller.robotware == 6 else ".sysx"
-    more = {identifier(name): kind for name, kind in (others or {}).items()}
+    more = {identifier(name): kind for name, kind in others.items()}
     named: list[ConfigurationRow] = [
-        {"Name": name, "SignalType": kind, **handshake.placed(controller, arms or [arm], name)}
+        {"Name": name, "SignalType": kind, **handshake.placed(controller, arms, name)}
         for name, kind in more.items()
     ]
     out = {"EIO.cfg": _eio(controller, requests, arm, bool(wires), named)}
@@ -271,14 +271,15 @@ def _readme(
 
 def _named(row: ConfigurationRow, arm: str) -> list[str]:
     """What is said of a signal that powers nothing."""
-    name, kind = row["Name"], "input" if row["SignalType"] == "DI" else "output"
+    name = row["Name"]
+    kind, dead = (
+        ("input", "nothing drives it") if row["SignalType"] == "DI" else ("output", "it drives nothing")
+    )
     if "Device" in row:
         return [f"  {name}: {kind}, {row['Device']}, bit {row['DeviceMap']}"]
     stated = f"places: {{{arm}: {{{name}: {{device: D, device_map: 0}}}}}}"
     return [
-        f"  {name}: {kind}, NO DEVICE, so that nothing drives it; state it in the cell:"
-        if kind == "input"
-        else f"  {name}: {kind}, NO DEVICE, so that it drives nothing; state it in the cell:",
+        f"  {name}: {kind}, NO DEVICE, so that {dead}; state it in the cell:",
         f"    controller: {{interlock: {{{stated}}}}}",
     ]
 

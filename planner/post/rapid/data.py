@@ -18,16 +18,14 @@ from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.program import Carry, Job, Joints, Load, OperationProgram, TaskProgram, number, short
 from planner.post.rapid.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
-from planner.post.steps import BLIND_SPEED, LEAST_MASS, TRACK_COLUMN, outer_speeds
-from planner.problem import Problem
+from planner.post.steps import LEAST_MASS, TRACK_COLUMN, outer_speeds
+from planner.problem import BLIND_SPEED, Problem
 from planner.tooling import Tool
 
 TASK_LIST = "all_tasks"
 """Name of the list of all motion tasks."""
 ENTRY_SPEED_NAME = "v_entry"
 """Name of the speed of joint moves."""
-_ENTRY_SPEED = 250.0
-"""Highest speed [mm/s] of joint moves: the first one begins at a place that is not known."""
 _ENTRY_TURN_RATE = 45
 """Highest turning [deg/s] of joint moves."""
 _TOOL_NAME_LENGTH = 26

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, spread_rows
 from planner.verify.files import UNITS, Said, UnreadError, file_of
 from planner.verify.files.curves import Drawn, Ruled, chained, nurbs
 from planner.verify.files.meshes import Face, face_of, gridded
@@ -185,7 +185,7 @@ def _region(
         own = edges[number].ToNurbsCurve()
         knots = np.unique(list(own.Knots))
         every = np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
-        for t in every[np.unique(np.linspace(0, len(every) - 1, _EDGE_PLACES).round().astype(int))]:
+        for t in every[spread_rows(len(every), _EDGE_PLACES)]:
             point = own.PointAt(float(t))
             places.append((point.X, point.Y, point.Z))
     where = np.array([_inverted(whole, size * np.array(place)) for place in places])

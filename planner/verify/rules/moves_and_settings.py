@@ -215,8 +215,9 @@ def move_kinds(context: Context) -> Outcome:
     issues = []
     for task in context.job.tasks:
         if not task.rapid:
-            moved = bool(outer_axes(task.arm, context.problem.cell.turntable))
-            issues += synchronisation.move_kinds(task, moved) + synchronisation.accelerations(task)
+            if not outer_axes(task.arm, context.problem.cell.turntable):  # else verify.external_axes looks
+                issues += synchronisation.move_kinds(task)
+            issues += synchronisation.accelerations(task)
             continue
         wanted = "off" if task.arm.data.coupling is not None else "on"
         state = "on"

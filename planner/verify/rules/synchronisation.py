@@ -50,12 +50,11 @@ _OTHER_SOLUTION = np.deg2rad(0.01)
 """Joints that differ by more [rad] are another solution."""
 
 
-def move_kinds(task: TaskText, moved: bool) -> list[Issue]:
-    """Moves that use an axis that the cell does not have; ``moved``: it has some that this task moves, which
-    :mod:`planner.verify.rules.external_axes` looks at."""
+def move_kinds(task: TaskText) -> list[Issue]:
+    """Moves of a task without external axes that use one."""
     out = []
     for step in task.steps:
-        if not isinstance(step, MoveStep) or moved:
+        if not isinstance(step, MoveStep):
             continue
         stated = np.abs(step.target.external)
         if stated[stated < MOST_OUTER].max(initial=0.0) > 0.0:
