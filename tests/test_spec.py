@@ -375,6 +375,7 @@ def test_every_section_of_the_reference_can_be_said() -> None:
     }
     rest = {model.__name__ for _, _, model in reference().CHAPTERS} - {one.__name__ for one in known if one}
     inner = {
+        "DrawingFile",
         "PlaceFile",
         "PowerOutputFile",
         "DevicePlaceFile",
