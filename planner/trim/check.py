@@ -92,11 +92,10 @@ def clear_of(torch: Torch, places: FloatArray, tips: FloatArray, axes: FloatArra
     own = body(torch)
     out = np.empty(len(tips))
     for k, (tip, axis) in enumerate(zip(tips, axes, strict=True)):
-        rest = places - tip
-        back = rest @ axis
+        back = places @ axis - tip @ axis
         some = (back > torch.standoff - SIGHT) & (back < torch.back + SIGHT)
-        rest, back = rest[some], back[some]
-        beside = np.sqrt(np.maximum((rest * rest).sum(axis=1) - back * back, 0.0))
+        rest, back = places[some] - tip, back[some]
+        beside = np.sqrt(np.maximum(np.einsum("ij,ij->i", rest, rest) - back * back, 0.0))
         out[k] = own.distance(back, beside).min(initial=SIGHT)
     return out
 

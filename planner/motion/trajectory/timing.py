@@ -29,6 +29,7 @@ from planner.motion.trajectory.joint_path import (
     on_grid,
     ramps,
 )
+from planner.motion.trajectory.toppra_solver import path_speeds
 from planner.targets import FEED_SHARE
 
 RELAXATION: Final = 1e-4
@@ -318,8 +319,6 @@ def parameterise(
     ``speed`` and ``acceleration`` (J,) are joint limits, ``corners`` what is to hold besides, which Drake's
     solver does not know. The second value names the solver.
     """
-    from planner.motion.trajectory.toppra_solver import path_speeds  # loads plots that few commands need
-
     with np.errstate(divide="ignore"):
         fastest = np.min(speed / np.abs(spline(grid, 1)), axis=1)
     limit = np.minimum(bound, fastest)

@@ -1,23 +1,51 @@
-"""TOPPRA by the package ``toppra``: a path and limits as it wants them, and the call.
-
-Imported where the first path is timed, not at start. Whatever is imported of the package loads all of
-it, and with it ``matplotlib.pyplot``, which nothing here asks for: 0.48 s of processor time, 0.38 s
-of them for the plots (medians of 9 processes each, which had loaded the rest of motion in 1.0 s).
-Commands that time nothing, ``check`` among them, do without; a plan pays once in its process.
-"""
+"""TOPPRA by the package ``toppra``: a path and limits as it wants them, and the call."""
 
 from __future__ import annotations
 
+import importlib
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from toppra.algorithm import TOPPRA
-from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
-from toppra.interpolator import AbstractGeometricPath
 
 from planner.geometry.arrays import FloatArray
 from planner.motion.trajectory.joint_path import CornerLimits
+
+
+class _PlotsLater(ModuleType):
+    """``matplotlib.pyplot``, loaded by the first plot that is asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module("matplotlib.pyplot"), name)
+
+
+@contextmanager
+def _without_plots() -> Iterator[None]:
+    """Whatever is imported of ``toppra`` loads ``matplotlib.pyplot``, 0.45 s of processor time in a process,
+    for plots that nothing here asks for. What is imported inside gets a stand-in; others get the library."""
+    if "matplotlib" in sys.modules:
+        yield
+        return
+    plots = _PlotsLater("matplotlib.pyplot")
+    package = ModuleType("matplotlib")
+    package.pyplot = plots  # type: ignore[attr-defined]
+    stand_ins = {"matplotlib": package, "matplotlib.pyplot": plots}
+    sys.modules.update(stand_ins)
+    try:
+        yield
+    finally:
+        for name in stand_ins:
+            del sys.modules[name]
+
+
+with _without_plots():
+    from toppra.algorithm import TOPPRA
+    from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
+    from toppra.interpolator import AbstractGeometricPath
 
 
 def path_speeds(
