@@ -13,8 +13,11 @@ from planner.geometry.arrays import Mesh
 from planner.motion import solve
 from planner.post import write as post
 from planner.problem import Problem
-from planner.verify.prove import Prover
+from planner.verify.context import Context
+from planner.verify.prove import TRIM_RULES, Prover
 from planner.verify.result import Proof
+from planner.verify.trim import outlines
+from planner.verify.trim.torch_motion import Trimming
 from tests.small_forming import CELLS, dish
 from tests.small_forming import write as write_forming
 
@@ -97,3 +100,14 @@ class Job:
 
     def broken(self, programs: dict[str, str]) -> set[str]:
         return {issue.code for issue in self.prove(programs).issues}
+
+    def told_by(self, code: str, programs: dict[str, str]) -> bool:
+        """Whether the rule of that code refuses the programs; of those on trimming it alone looks."""
+        claims, unread = outlines.worked_out(self.prover.claims)
+        context = Context(self.problem, claims, programs, unread)
+        own = [rule for rule in TRIM_RULES if rule.code == code]
+        if own and context.playable:
+            issues = own[0](context, Trimming(context)).issues
+        else:
+            issues = self.prove(programs, code).issues
+        return code in {issue.code for issue in issues}

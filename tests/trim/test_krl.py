@@ -13,12 +13,8 @@ import pytest
 
 from planner import processes
 from planner.post import write as post
-from planner.verify.context import Context
 from planner.verify.krl.parser import Reader
 from planner.verify.krl.syntax_tree import Await
-from planner.verify.prove import TRIM_RULES
-from planner.verify.trim import outlines
-from planner.verify.trim.torch_motion import Trimming
 from tests.trim.small_trim import KUKA, NUMBERS, OUTLINES, Job, problem
 
 Programs = dict[str, str]
@@ -37,16 +33,6 @@ def controller(dialect: str = "krc4") -> dict[str, Any]:
 def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
     folder = tmp_path_factory.mktemp("trim")
     return Job(folder, arm=KUKA, controller=controller(), outlines=[OUTLINES[0], OUTLINES[2]])
-
-
-def found(job: Job, programs: Programs) -> set[str]:
-    """Codes of the rules on trimming that the programs break, or of those on texts that cannot be read."""
-    claims, unread = outlines.worked_out(job.prover.claims)
-    context = Context(job.problem, claims, programs, unread)
-    if not context.playable:
-        return {issue.code for issue in job.prove(programs, "verify.syntax").issues}
-    trimming = Trimming(context)
-    return {issue.code for rule in TRIM_RULES for issue in rule(context, trimming).issues}
 
 
 def file_of(programs: Programs, segment: str) -> str:
@@ -174,7 +160,7 @@ def test_a_fault_is_told_by_the_rule_for_it(job: Job, name: str) -> None:
     code, change = FAULTS[name]
     programs = change(job.programs)
     assert programs != job.programs
-    assert code in found(job, programs)
+    assert job.told_by(code, programs)
 
 
 def test_the_dialogue_has_all_that_is_switched_and_waited_for(job: Job) -> None:

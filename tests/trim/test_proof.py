@@ -13,10 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.verify.context import Context
-from planner.verify.prove import TRIM_RULES
-from planner.verify.trim import outlines
-from planner.verify.trim.torch_motion import Trimming
 from tests.trim.small_trim import Job
 from tests.verify.milling_job import in_procedure
 
@@ -30,15 +26,6 @@ ON, OK, OFF = "SetDO doArc,1;", "WaitDI diArcOk,1\\MaxTime:=5;", "SetDO doArc,0;
 @pytest.fixture(scope="module")
 def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
     return Job(tmp_path_factory.mktemp("trim"))
-
-
-def found(job: Job, programs: Programs) -> set[str]:
-    """Codes of the rules on trimming that the programs break."""
-    claims, unread = outlines.worked_out(job.prover.claims)
-    context = Context(job.problem, claims, programs, unread)
-    assert context.playable
-    trimming = Trimming(context)
-    return {issue.code for rule in TRIM_RULES for issue in rule(context, trimming).issues}
 
 
 def moved(change: Callable[[Any], Any]) -> Callable[[str], str]:
@@ -170,16 +157,12 @@ def test_the_programs_are_proven(job: Job) -> None:
     assert proof.ok
 
 
-SAMPLED = [pytest.param(name, marks=() if k % 3 == 0 else pytest.mark.long) for k, name in enumerate(FAULTS)]
-"""A third of them in make test, all in make test-long."""
-
-
-@pytest.mark.parametrize("name", SAMPLED)
+@pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_told_by_the_rule_for_it(job: Job, name: str) -> None:
     code, procedure, change = FAULTS[name]
     programs = in_procedure(job.programs, procedure, change)
     assert programs != job.programs
-    assert code in found(job, programs)
+    assert job.told_by(code, programs)
 
 
 def test_the_dialogue_has_all_that_is_switched(job: Job) -> None:
