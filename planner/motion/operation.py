@@ -77,12 +77,14 @@ def plan_operation(
     begin: ways.Begin = ways.here,
     former: FormerPath | None = None,
     fine: bool = True,
+    known: tuple[Grid, Found] | None = None,
 ) -> OperationPlan:
     """The plan of one operation named ``name`` with the stock at ``stock_pose`` (4, 4) in the world.
 
     ``model`` is the cell's collision model at that placement; without it nothing is checked for collisions,
     which only benchmarks and tests want. ``begin``: where ways from home and back are found beside the rest.
-    ``former``: a path that was planned before, of which is taken over what holds; a note tells it.
+    ``former``: a path that was planned before, of which is taken over what holds; a note tells it. ``known``:
+    what :func:`find_path` gave for these targets here.
 
     Raises :class:`TandemError` with the reasons when there is no plan, and :class:`NoCoarsePathError` unless
     ``fine``, where only finer samples might lead to one.
@@ -90,8 +92,9 @@ def plan_operation(
     scene = Scene.of(cell, targets.arms, stock_pose, settings, model, bases)
     watch = _Watch()
     ways.require_home(scene, targets)
-    targets = path_search.with_aims(scene, targets)
-    near = _Near(former, fine)
+    aimed = path_search.with_aims(scene, targets)
+    near = _Near(former, fine, known if aimed is targets else None)
+    targets = aimed
     targets, found = _path(scene, targets, watch, near)
     avoid = _avoid(scene, targets)
     better, kept = _improve(scene, targets, found, avoid, watch)
@@ -102,21 +105,21 @@ def plan_operation(
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
         diagnosis.require_moves(scene, targets, found.path.branch, samples)
-    known: dict[bytes, TimedPiece] = {}
-    wanted, timed = targets, _clock(scene, targets, samples, known=known)
+    pieces: dict[bytes, TimedPiece] = {}
+    wanted, timed = targets, _clock(scene, targets, samples, known=pieces)
     watch.lap("timing")
     driven, long = _Driven(better, samples, timed), targets.count > program.MOST_TARGETS
     if long:  # windows of a long path are chosen on the clock that will be driven
-        wanted, driven = _joined(scene, wanted, found, driven, known)
+        wanted, driven = _joined(scene, wanted, found, driven, pieces)
         watch.lap("timing")
-    driven, told = _programmed(scene, wanted, found, driven, avoid if kept else None, known, long)
+    driven, told = _programmed(scene, wanted, found, driven, avoid if kept else None, pieces, long)
     watch.lap("program")
     if long:  # told beside the ladder's cost, of all targets
         driven = dataclasses.replace(driven, path=dataclasses.replace(driven.path, cost=better.cost))
     else:
-        wanted, driven = _joined(scene, wanted, found, driven, known)
+        wanted, driven = _joined(scene, wanted, found, driven, pieces)
     better, samples, (targets, ticks, deviation) = driven.path, driven.samples, driven.timed
-    known.clear()
+    pieces.clear()
     move_limits.require(scene, targets, samples, ticks.time)
     slow = _slow(targets, ticks.time) if targets.run_up is None else []
     issues = [
@@ -197,10 +200,10 @@ class NoCoarsePathError(Exception):
 
 class _Near:
     """A path near a former one where there is such; ``missed``: why there was none. ``fine``: whether finer
-    samples are tried where others have no path."""
+    samples are tried where others have no path. ``known``: what is asked for first, if it is known."""
 
-    def __init__(self, former: FormerPath | None, fine: bool) -> None:
-        self._former, self._fine = former, fine
+    def __init__(self, former: FormerPath | None, fine: bool, known: tuple[Grid, Found] | None) -> None:
+        self._former, self._fine, self._known = former, fine, known
         self.missed = ""
 
     def find(self, scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
@@ -213,7 +216,8 @@ class _Near:
                     return near
             nowhere = "no path near it keeps margins and clearance"
             self.missed = offered if isinstance(offered, str) else nowhere
-        grid, found = find_path(scene, targets, self._fine)
+        known, self._known = self._known, None
+        grid, found = known or find_path(scene, targets, self._fine)
         if not self._fine and (isinstance(found, Blocked) or found.loose):
             raise NoCoarsePathError
         return grid, found

@@ -27,8 +27,9 @@ from planner.motion.former import Former, place_told, unlike_told
 from planner.motion.operation import NoCoarsePathError, plan_operation
 from planner.motion.placement import Place, Search, Trace
 from planner.motion.planning_scene import Scene
-from planner.motion.search.ladder_search import Blocked
+from planner.motion.search.ladder_search import Blocked, Found
 from planner.motion.search.path_search import find_path
+from planner.motion.search.reach import Grid
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
 from planner.targets import Targets
@@ -91,6 +92,8 @@ def _near_stops(targets: Targets) -> BoolArray:
 
 
 Progress = Callable[[str, float], None]
+_Paths = dict[int, tuple[Grid, Found]]
+"""What :func:`find_path` gave for operations, by their numbers."""
 
 PLACES_TRIED: Final = 6
 """Places of a stock that are planned whole at most."""
@@ -395,9 +398,10 @@ def _plan(
     begin: ways.Begin,
     former: Former | None = None,
     fine: bool = True,
+    paths: _Paths | None = None,
 ) -> list[OperationPlan]:
     """The plans of all operations of one stand, beginning with what a ``former`` plan had; where that leads
-    to none, without it. ``fine`` as of :func:`plan_operation`."""
+    to none, without it. ``fine`` as of :func:`plan_operation`; ``paths``: those that are known there."""
     out = []
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         placed = model.with_stock(place.stock).with_bases(place.bases)
@@ -415,6 +419,7 @@ def _plan(
                 place.bases,
                 begin,
                 fine=fine,
+                known=None if paths is None else paths.get(index),
             )
             before = None if former is None else former.path(index)
             try:
@@ -440,14 +445,14 @@ def _first_that_works(
 ) -> tuple[Place, list[OperationPlan]]:
     """The first place at which all operations have plans: of those that need no fine samples, which take
     long, else of all."""
-    tried, reasons = _tried(problem, stand, models, places, trace, at)
+    tried, reasons, paths = _tried(problem, stand, models, places, trace, at)
     failed: dict[int, list[Issue]] = {}
     for fine in (False, True) if len(tried) > 1 else (True,):
         for k, place in enumerate(tried):
             if k in failed:
                 continue
             try:
-                return place, _plan(problem, stand, models, place, tell, at, begin, fine=fine)
+                return place, _plan(problem, stand, models, place, tell, at, begin, fine=fine, paths=paths)
             except NoCoarsePathError:
                 continue
             except TandemError as error:
@@ -494,7 +499,9 @@ def _look(
         first.placed = False
         return None, []
     places, trace = _search(problem, stand).run(stand.each(models))
-    tried, reasons = _tried(problem, stand, models, places, trace, at)
+    tried, reasons, paths = _tried(problem, stand, models, places, trace, at)
+    if paths is not None:
+        return tried[0], []
     for place in tried:
         found = _no_path(problem, stand, models, place, at)
         if not found:
@@ -595,9 +602,10 @@ def _no_path(
     place: Place,
     at: list[int],
     first: FirstLook | None = None,
+    paths: _Paths | None = None,
 ) -> list[Issue]:
     """Why operations have no path, or targets of a ``first`` look no posture, or no free home; ``at`` is set
-    to the first of them."""
+    to the first of them. ``paths`` gets those that are found."""
     out: list[Issue] = []
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         placed = model.with_stock(place.stock).with_bases(place.bases)
@@ -616,10 +624,8 @@ def _no_path(
             if isinstance(found, Blocked):
                 out += diagnosis.no_path(scene, job, grid, found)
                 continue
-            try:
-                ways.require_home(scene, job)
-            except TandemError as error:
-                out += error.issues
+            if paths is not None:
+                paths[index] = grid, found
     return out
 
 
@@ -630,18 +636,20 @@ def _tried(
     places: Sequence[Place],
     trace: Trace,
     at: list[int],
-) -> tuple[Sequence[Place], list[Issue]]:
+) -> tuple[Sequence[Place], list[Issue], _Paths | None]:
     """The places to try. The search looks at few postures of a target: where it finds no place, the first of
-    its freest that has a path after all is tried; if none has, what is in the way at the very freest."""
+    its freest that has a path after all is tried, with the paths of its operations; if none has, what is in
+    the way at the very freest."""
     if places:
-        return places[:PLACES_TRIED], []
+        return places[:PLACES_TRIED], [], None
     reasons: list[Issue] = []
     for _, place in trace.freest:
-        found = _no_path(problem, stand, models, place, at)
+        paths: _Paths = {}
+        found = _no_path(problem, stand, models, place, at, paths=paths)
         if not found:
-            return [place], []
+            return [place], [], paths
         reasons = reasons or found
-    return [], reasons
+    return [], reasons, None
 
 
 def _unplaced(trace: Trace, stand: Stand, tried: Sequence[Place], reasons: Sequence[Issue]) -> Issue:

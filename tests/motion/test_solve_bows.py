@@ -12,11 +12,12 @@ import pytest
 from bench.motion_bows import held, standing
 from planner.cell import clearance, plant
 from planner.claims.vocabulary import Segment
-from planner.geometry.arrays import FloatArray, from_parts, from_rpy, interpolate, inverse
+from planner.geometry.arrays import FloatArray, IndexArray, from_parts, from_rpy, interpolate, inverse
 from planner.issues import TandemError
 from planner.motion import diagnosis, ways
 from planner.motion.operation import plan_operation
 from planner.motion.planning_scene import Scene, cutting
+from planner.motion.search import roadmap
 from planner.motion.search.ladder_search import Blocked, Found
 from planner.motion.search.path_search import find_path
 from planner.motion.search.subsampling import Coordinates, levels, own_turn
@@ -148,6 +149,31 @@ def test_a_path_goes_through_corners_where_the_nominal_pose_jumps() -> None:
         paths.append(found)
     assert np.abs(np.diff(own_turn(turned, 0))).max() > np.deg2rad(59.0)
     assert paths[0].path.cost == pytest.approx(paths[1].path.cost, rel=0.2)
+
+
+def test_a_path_that_is_gone_on_with_is_the_one_found_anew(
+    facing: tuple[Cell, Stock, Targets, FloatArray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where states and steps are left out, paths to the rungs before them are kept: as if all were new."""
+    cell, stock, targets, place = facing
+    shortest, kept = roadmap._Graph.shortest, []
+
+    def both(graph: roadmap._Graph) -> tuple[IndexArray, float] | None:
+        known = next(iter(graph._reached.values()), None)
+        kept.append(0 if known is None else len(known.rows))
+        found = shortest(graph)
+        own, graph._reached = graph._reached, {}
+        anew = shortest(graph)
+        graph._reached = own
+        assert (found is None) == (anew is None)
+        if found is not None and anew is not None:
+            assert np.array_equal(found[0], anew[0]) and found[1] == anew[1]
+        return found
+
+    monkeypatch.setattr(roadmap._Graph, "shortest", both)
+    scene = scene_of(cell, stock, targets, place)
+    find_path(dataclasses.replace(scene, settings=Settings(clearance=0.014)), targets)
+    assert sum(rows > 1 for rows in kept) >= 4
 
 
 def test_moves_are_straight_in_the_held_frame(facing: tuple[Cell, Stock, Targets, FloatArray]) -> None:

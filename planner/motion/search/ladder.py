@@ -214,9 +214,8 @@ class Turns:
         codes = counts @ (TURN_CODE ** np.arange(6))
         self._least, span = int(codes.min()), int(codes.max() - codes.min()) + 1
         self._turns: dict[int, FloatArray] = {int(c): t for c, t in zip(codes, rungs.turns, strict=True)}
-        self._place = np.full(span + 1, len(codes), dtype=np.intp)
-        self._place[codes - self._least] = np.arange(len(codes))
-        self._span = span
+        self._place = np.full(span + 2, len(codes), dtype=np.intp)  # both ends: turns that are not allowed
+        self._place[codes - self._least + 1] = np.arange(len(codes))
         self._penalty = [
             np.concatenate([rungs.penalty[k, s], np.full((len(s), 1), np.inf)], axis=1)
             for k, s in enumerate(states)
@@ -230,9 +229,9 @@ class Turns:
 
     def penalty(self, k: int, code: IndexArray) -> FloatArray:
         """Penalty (..., S) [s] of the states of rung k at turns (..., S), inf where these are not allowed."""
-        at = code - self._least
-        place = self._place[np.where((at < 0) | (at >= self._span), self._span, at)]
-        return np.asarray(self._penalty[k][np.arange(code.shape[-1]), place])
+        place = self._place[np.clip(code - (self._least - 1), 0, len(self._place) - 1)]
+        place += self._penalty[k].shape[1] * np.arange(code.shape[-1])
+        return np.asarray(self._penalty[k].ravel()[place])
 
     def turn(self, code: int) -> FloatArray:
         """Turns (6,) [rad] of a code."""

@@ -180,6 +180,30 @@ class _Attempt:
         return None
 
 
+class _Reached:
+    """The best paths to all states of the first rungs. ``rows``: cost (S,) [s] and turns {arm: (S,)} of each
+    at every rung; ``before``: the state (S,) that each of the next one comes from. ``ends``: no state of the
+    rung behind the last row can be reached."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[FloatArray, dict[str, IndexArray]]] = []
+        self.before: list[IndexArray] = []
+        self.ends = False
+
+    def add(self, before: IndexArray, cost: FloatArray, turn: dict[str, IndexArray]) -> None:
+        """Paths to the next rung."""
+        self.ends = not np.isfinite(cost).any()
+        if not self.ends:
+            self.rows.append((cost, turn))
+            self.before.append(before)
+
+    def forget(self, k: int) -> None:
+        """Rung k is reached otherwise."""
+        if k <= len(self.rows):
+            self.ends = False
+            del self.rows[k:], self.before[max(k - 1, 0) :]
+
+
 class _Graph:
     """States of one choice of branches at every rung, and the cost of going from one to the next."""
 
@@ -195,7 +219,8 @@ class _Graph:
         self.known = [np.zeros(len(s), dtype=bool) for s in self.states]
         self.tables = {arm: Turns(r, self.states) for arm, r in rungs.items()}
         self.time: list[NDArray[np.float32]] = []
-        self.code: dict[str, list[NDArray[np.int32]]] = {arm: [] for arm in rungs}
+        self.code: dict[str, list[NDArray[np.int32] | None]] = {arm: [] for arm in rungs}
+        self._reached: dict[int, _Reached] = {}
         self.doubt: Counter[int] = Counter()
         self.fine: dict[tuple[int, int, int], dict[str, FloatArray]] = {}
         for k in range(len(self.rows) - 1):
@@ -222,7 +247,7 @@ class _Graph:
                 change /= np.float32(speed[j])
                 np.maximum(slowest, change, out=slowest)
                 total += change
-            self.code[arm].append(code if code.any() else np.broadcast_to(np.int32(0), code.shape))
+            self.code[arm].append(code if code.any() else None)
         self.time.append(np.where(bad, np.float32(np.inf), slowest + np.float32(TIE_SHARE) * total))
 
     def shortest(self) -> tuple[IndexArray, float] | None:
@@ -232,40 +257,57 @@ class _Graph:
         there is no path.
         """
         starts = [t.starts() for t in self.tables.values()]
-        for pick in itertools.islice(itertools.product(*starts), 12):
-            found = self._forward(dict(zip(self.tables, pick, strict=True)))
+        for number, pick in enumerate(itertools.islice(itertools.product(*starts), 12)):
+            found = self._forward(number, dict(zip(self.tables, pick, strict=True)))
             if found is not None:
                 return found
         return None
 
-    def _forward(self, code: Mapping[str, IndexArray]) -> tuple[IndexArray, float] | None:
-        turn = dict(code)
-        cost = np.where(self.blocked[0], np.inf, 0.0)
-        for arm, t in self.tables.items():
-            cost = cost + t.penalty(0, turn[arm])
-        best: list[IndexArray] = []
-        for k, time in enumerate(self.time):
-            offer = cost[:, None] + time.astype(np.float64)
-            new = {}
+    def _forward(self, number: int, start: Mapping[str, IndexArray]) -> tuple[IndexArray, float] | None:
+        """The path from the turns ``start`` on; what was found of it before is gone on with."""
+        known = self._reached.setdefault(number, _Reached())
+        if not known.rows:
+            cost = np.where(self.blocked[0], np.inf, 0.0)
             for arm, t in self.tables.items():
-                new[arm] = turn[arm][:, None] - self.code[arm][k]
-                offer = offer + t.penalty(k + 1, new[arm])
-            offer[:, self.blocked[k + 1]] = np.inf
-            before = np.argmin(offer, axis=0)
-            columns = np.arange(offer.shape[1])
-            cost = offer[before, columns]
-            if not np.isfinite(cost).any():
-                return None
-            turn = {arm: c[before, columns] for arm, c in new.items()}
-            best.append(before)
+                cost = cost + t.penalty(0, start[arm])
+            known.rows.append((cost, dict(start)))
+        while not known.ends and len(known.rows) <= len(self.time):
+            known.add(*self._next(len(known.rows) - 1, *known.rows[-1]))
+        cost, turn = known.rows[-1]
+        if known.ends or not np.isfinite(cost).any():
+            return None
         states = np.empty(len(self.rows), dtype=np.intp)
         states[-1] = int(np.argmin(cost))
-        if not np.isfinite(cost).any():
-            return None
         self._last = {arm: int(c[states[-1]]) for arm, c in turn.items()}
-        for k in range(len(best) - 1, -1, -1):
-            states[k] = best[k][states[k + 1]]
+        for k in range(len(known.before) - 1, -1, -1):
+            states[k] = known.before[k][states[k + 1]]
         return states, float(cost.min())
+
+    def _next(
+        self, k: int, cost: FloatArray, turn: Mapping[str, IndexArray]
+    ) -> tuple[IndexArray, FloatArray, dict[str, IndexArray]]:
+        """From which state of rung k each of the next is reached best, at what cost and with which turns."""
+        offer = cost[:, None] + self.time[k]
+        new = {}
+        for arm, t in self.tables.items():
+            step = self.code[arm][k]
+            if step is None:  # no joint goes round: few turns, each for all states of the next rung
+                codes, which = np.unique(turn[arm], return_inverse=True)
+                every = np.broadcast_to(codes[:, None], (len(codes), offer.shape[1]))
+                offer += t.penalty(k + 1, every)[which]
+            else:
+                new[arm] = turn[arm][:, None] - step
+                offer += t.penalty(k + 1, new[arm])
+        offer[:, self.blocked[k + 1]] = np.inf
+        before = np.argmin(offer, axis=0)
+        columns = np.arange(offer.shape[1])
+        after = {arm: new[arm][before, columns] if arm in new else c[before] for arm, c in turn.items()}
+        return before, offer[before, columns], after
+
+    def _changed(self, k: int) -> None:
+        """What is known of paths to rung k and beyond holds no longer."""
+        for known in self._reached.values():
+            known.forget(k)
 
     def free_path(self, rounds: int) -> Found | None:
         """The shortest path that keeps margins and clearance everywhere, or None."""
@@ -314,6 +356,8 @@ class _Graph:
                 free[last] = ends_free(self.scene, {arm: v[last] for arm, v in q.items()})
         for k, s, ok in zip(rung, state, free, strict=True):
             self.known[k][s], self.blocked[k][s] = True, not ok
+        for k in np.unique(rung[~free]).tolist():
+            self._changed(k)
         if len(hits):
             first = int(hits[0])
             self.attempt.hit = int(self.rows[rung[first]]), {arm: v[first] for arm, v in q.items()}
@@ -361,10 +405,15 @@ class _Graph:
         for k in steps:
             key = (k, int(states[k]), int(states[k + 1]))
             if k in lost:
-                self.time[k][key[1], key[2]] = np.inf
+                self._leave_out(*key)
             else:
                 self.fine[key] = {arm: v[who == k] for arm, v in q.items()}
         return bool(lost)
+
+    def _leave_out(self, k: int, state: int, after: int) -> None:
+        """Nothing goes from this state of rung k to that one of the next."""
+        self.time[k][state, after] = np.inf
+        self._changed(k + 1)
 
     def _whole(self, states: IndexArray, cost: float, rounds: int) -> Found:
         """The path at all targets, turns included."""
@@ -414,8 +463,8 @@ class _Graph:
             lost[rows] |= ~free
         out[samples.move[lost]] = True
         bad = np.unique(np.clip(np.searchsorted(self.rows, np.flatnonzero(out)) - 1, 0, len(self.time) - 1))
-        for k in bad:
-            self.time[k][states[k], states[k + 1]] = np.inf
+        for k in bad.tolist():
+            self._leave_out(k, int(states[k]), int(states[k + 1]))
         return len(bad) > 0
 
 
