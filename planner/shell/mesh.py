@@ -53,6 +53,8 @@ _SLIVER = 1e-4
 """Area of a triangle over the square of a side, below which it lies along a straight rim and is none."""
 _APART = 0.62
 """Distance between points of a flat region at least, in sizes of elements."""
+_SPACED_LOOKS = 16
+"""Places at which sizes along a straight rim are asked for, in each length of the smallest element."""
 _ROUNDS = 10
 """Sizes that are tried for a wanted number of triangles."""
 _ENOUGH = 0.95
@@ -371,10 +373,21 @@ def _spots(flat: _Flat) -> Iterator[FloatArray]:
 
 
 class _Parts:
-    """Nodes and triangles, as they are made."""
+    """Nodes and triangles, as they are made: of a ``size`` [m], of ``near`` [m] at ``spots`` (p, 3) [m] and
+    growing from there."""
 
-    def __init__(self, size: float) -> None:
+    def __init__(self, size: float, spots: FloatArray, near: float) -> None:
         self.size = size
+        near = max(near, NEAREST * size)
+        tree = cKDTree(spots) if near < size and len(spots) else None
+
+        def size_at(points: FloatArray) -> FloatArray:
+            if tree is None:
+                return np.full(len(points), np.inf)
+            wanted = near + NEAR_GROWTH * np.asarray(tree.query(points)[0])
+            return np.where(wanted < size, wanted, np.inf)
+
+        self.size_at, self.even = size_at, tree is None
         self.walls: list[_Layout] = []
         self.nodes: list[FloatArray] = []
         self.triangles: list[IntArray] = []
@@ -405,19 +418,12 @@ class _Parts:
         self.triangles.append(triangles)
         self.zones.append(np.full(len(triangles), zone))
 
-    def finer(self, spots: FloatArray, near: float) -> tuple[FloatArray, IntArray, IntArray]:
-        """Nodes, triangles and their zones, cut where they are larger than ``near`` [m] at ``spots`` (p, 3)
-        [m] and grow from there."""
+    def finer(self) -> tuple[FloatArray, IntArray, IntArray]:
+        """Nodes, triangles and their zones, cut where they are larger than they may be about spots."""
         nodes, triangles = np.concatenate(self.nodes), np.concatenate(self.triangles).astype(np.int64)
         zones = np.concatenate(self.zones)
-        near = max(near, NEAREST * self.size)
-        if near >= self.size or not len(spots):
+        if self.even:
             return nodes, triangles, zones
-        tree = cKDTree(spots)
-
-        def size_at(points: FloatArray) -> FloatArray:
-            wanted = near + NEAR_GROWTH * np.asarray(tree.query(points)[0])
-            return np.where(wanted < self.size, wanted, np.inf)
 
         def middle(one: FloatArray, two: FloatArray, beside: IntArray) -> FloatArray:
             new = 0.5 * (one + two)
@@ -430,14 +436,14 @@ class _Parts:
                 new[mine, :3] = wall.points(new[mine, 4], new[mine, 5])
             return new
 
-        nodes, triangles, owner = bisected(nodes, triangles, size_at, middle)
+        nodes, triangles, owner = bisected(nodes, triangles, self.size_at, middle)
         return nodes, triangles, zones[owner]
 
 
 def _meshed(frame: shapely.Polygon, layout: _Flat, size: float, near: float) -> tuple[SheetMesh, int]:
     """The sheet with elements of a ``size`` [m] on walls and floors, of ``near`` [m] about places; and how
     many triangles it would have without those."""
-    parts = _Parts(size)
+    parts = _Parts(size, np.concatenate(list(_spots(layout))), near)
     tops = [_wall(wall, parts) for wall in layout.walls]
     corners = np.array(frame.exterior.coords[:-1])
     size_at, zone = _even(size), FLOOR
@@ -447,17 +453,25 @@ def _meshed(frame: shapely.Polygon, layout: _Flat, size: float, near: float) -> 
         def graded(distance: FloatArray) -> FloatArray:
             return np.minimum(size + GROWTH * distance, COARSEST * size)
 
-        rim = _spaced(corners, lambda points: graded(shapely.distance(holes, shapely.points(points))))
+        rim = _spaced(corners, size, lambda points: graded(shapely.distance(holes, shapely.points(points))))
         size_at, zone = graded, FLANGE
     else:
-        rim = _spaced(corners, lambda points: np.full(len(points), size))
+        rim = _spaced(corners, size, lambda points: np.full(len(points), size))
     number = parts.add(np.column_stack([rim, np.full(len(rim), layout.height)]))
     _filled(frame, (number, rim), tops, layout, size_at, zone, parts)
-    nodes, joined, zones = parts.finer(np.concatenate(list(_spots(layout))), near)
-    a, b, c = (nodes[joined[:, k], :2] for k in range(3))
-    if np.min((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) <= 0.0:
-        raise _UnfilledError("a wall folds between two rows; give more contours or allow more triangles")
+    nodes, joined, zones = parts.finer()
+    if _folded(nodes, joined).any():
+        raise _UnfilledError(_FOLDS)
     return SheetMesh(nodes[:, :3], joined, zones), sum(map(len, parts.triangles))
+
+
+_FOLDS = "a wall folds between two rows; give more contours or allow more triangles"
+
+
+def _folded(nodes: FloatArray, triangles: IntArray) -> BoolArray:
+    """Triangles (m,) that do not run counterclockwise seen from above."""
+    a, b, c = (nodes[triangles[:, k], :2] for k in range(3))
+    return np.asarray((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] <= 0.0)
 
 
 def _even(size: float) -> Callable[[FloatArray], FloatArray]:
@@ -484,7 +498,14 @@ def _wall(layout: _Layout, parts: _Parts) -> _Rim:
         numbers.append(parts.add(layout.points(down, places[-1]), wall, down, places[-1]))
     first = len(parts.nodes) - len(rows)
     for k in range(len(rows) - 1):
-        parts.join(_band(places[k], places[k + 1], int(numbers[k][0]), int(numbers[k + 1][0])), WALL)
+        band = _band(places[k], places[k + 1], int(numbers[k][0]), int(numbers[k + 1][0]))
+        rows_of_two = np.concatenate(parts.nodes[first + k : first + k + 2])
+        own = band - numbers[k][0]
+        folded = own[_folded(rows_of_two, own)]
+        # about spots they are cut to smaller ones, that may lie flat; elsewhere nothing of it changes
+        if len(folded) and np.isinf(parts.size_at(rows_of_two[folded, :3].mean(axis=1))).any():
+            raise _UnfilledError(_FOLDS)
+        parts.join(band, WALL)
     top, last = parts.nodes[first][:, :2], parts.nodes[-1][:, :2]
     tops = [_wall(wall, parts) for wall in layout.floor.walls]
     rim = (numbers[-1], last)
@@ -511,17 +532,24 @@ def _filled(
     parts.join(numbers[triangles], zone)
 
 
-def _spaced(polygon: FloatArray, size_at: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Points (p, 2) along a closed polygon, its corners among them, as far apart as ``size_at`` says."""
+def _spaced(polygon: FloatArray, least: float, size_at: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Points (p, 2) along a closed polygon, its corners among them, as far apart as ``size_at`` says: nowhere
+    below ``least`` [m]."""
+    way = np.roll(polygon, -1, axis=0) - polygon
+    long = lengths(way)
+    looks = np.clip(np.ceil(_SPACED_LOOKS * long / least), 8, 200).astype(np.int64) + 1
+    shares = [np.linspace(0.0, 1.0, count) for count in looks]
+    points = np.repeat(polygon, looks, axis=0) + np.concatenate(shares)[:, None] * np.repeat(
+        way, looks, axis=0
+    )
+    sizes = np.split(size_at(points), np.cumsum(looks)[:-1])
     found = []
-    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        share = np.linspace(0.0, 1.0, 201)
-        points = start + share[:, None] * (end - start)
-        density = lengths(end - start) / size_at(points)
+    for start, step, far, share, size in zip(polygon, way, long, shares, sizes, strict=True):
+        density = far / size
         total = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(share))])
         count = max(2, round(total[-1]))
         at = np.interp(np.arange(count) * total[-1] / count, total, share)
-        found.append(start + at[:, None] * (end - start))
+        found.append(start + at[:, None] * step)
     return np.concatenate(found)
 
 
@@ -538,6 +566,9 @@ def _fill(
     Points keep so far from the rim that its edges are those of triangles; Delaunay's triangles of all points
     are kept where they lie in the region, and their areas have to add up to it.
     """
+    border = region.exterior
+    shapely.prepare(region)
+    shapely.prepare(border)
     points = [rim, fixed]
     taken = cKDTree(np.concatenate(points))
     distance = 0.0
@@ -554,10 +585,10 @@ def _fill(
         rings = shapely.get_rings(
             shapely.get_parts(shape)
         )  # where rows around several holes meet they have holes
-        loops = [np.array(ring.coords[:-1]) for ring in rings]
+        loops = [shapely.get_coordinates(ring)[:-1] for ring in rings]
         new = np.concatenate([_loop(loop, size, 0.5 * (row % 2)) for loop in loops])
         new = new[shapely.contains_xy(region, new[:, 0], new[:, 1])]
-        new = new[shapely.distance(region.exterior, shapely.points(new)) > _APART * size]
+        new = new[~shapely.dwithin(border, shapely.points(new), _APART * size)]
         new = new[taken.query(new)[0] > _APART * size] if len(new) else new
         if len(new):
             points.append(_thinned(new, _APART * size))
