@@ -14,7 +14,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -295,30 +294,30 @@ Fit = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 def beside_peers() -> Iterator[dict[str, Any]]:
     """Poses by other fits, from the same start, and the field that the product finds with each."""
     for name, job in jobs().items():
-        shape = made_scan(job.mesh, job.size, lambda q: np.zeros(len(q)), 99, PEER_POINTS, 0.0, 0.0)
-        wanted = transform(shape.pose, shape.points)
         for count in (COUNTS[0], COUNTS[-1]):
             made = scan(job, count, 7)
-            start = rigid_fit(made.sheet, made.scan, np.ones(len(made.sheet)))
             begin = time.process_time()
             pose, field = fitted(job, made, marks=True)
             ours = time.process_time() - begin
-            own = error(job, made, pose.matrix, field)
             head = f"{name}, {count:,} points"
-            yield {"name": f"{head}: pose and field by Tandem", "median_s": ours, "note": _told(own)}
+            note = _told(error(job, made, pose.matrix, field))
+            yield {"name": f"{head}: pose and field by Tandem", "median_s": ours, "note": note}
             for peer, fit in PEERS.items():
-                yield _peer(f"{head}: {peer}", job, made, partial(fit, start, made.points, wanted), ours)
+                yield beside(f"{head}: {peer}", job, made, fit, ours)
 
 
-def _peer(name: str, job: Job, made: MadeScan, fit: Callable[[], FloatArray], ours: float) -> dict[str, Any]:
-    row: dict[str, Any] = {"name": name}
+def beside(name: str, job: Job, made: MadeScan, fit: Fit, ours: float) -> dict[str, Any]:
+    """A row of another fit's pose, from the start that marks give, and the field that it makes."""
+    shape = made_scan(job.mesh, job.size, lambda q: np.zeros(len(q)), 99, PEER_POINTS, 0.0, 0.0)
+    wanted = transform(shape.pose, shape.points)
+    start = rigid_fit(made.sheet, made.scan, np.ones(len(made.sheet)))
     try:
         begin = time.process_time()
-        matrix = fit()
-        row["median_s"] = time.process_time() - begin
+        matrix = fit(start, made.points, wanted)
+        spent = time.process_time() - begin
     except ImportError as missing:
-        return row | {"note": f"skipped: {missing}"}
-    row["ratio"] = row["median_s"] / ours
+        return {"name": name, "note": f"skipped: {missing}"}
+    row = {"name": name, "median_s": spent, "ratio": spent / ours}
     pose = Pose(matrix, 0, 0.0, {}, np.full(6, np.inf))
     try:
         field = deviation.deviation(made.points, pose, job.face, float(job.size[2]))
