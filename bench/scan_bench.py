@@ -61,8 +61,8 @@ PEER_POINTS: Final = 200_000
 PEER_CELL_MM: Final = 0.5
 FARTHEST_MM: Final = 3.0
 """small_gicp takes a point of each cell, and pairs that are no farther apart."""
-PLAIN_POINTS: Final = 50_000
-PLAIN_ROUNDS: Final = 60
+PLAIN_POINTS: Final = 20_000
+PLAIN_ROUNDS: Final = 40
 """Points of the scan that the plain fit takes, and its rounds."""
 
 
@@ -294,7 +294,7 @@ Fit = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 def beside_peers() -> Iterator[dict[str, Any]]:
     """Poses by other fits, from the same start, and the field that the product finds with each."""
     for name, job in jobs().items():
-        for count in (COUNTS[0], COUNTS[-1]):
+        for count in (COUNTS[0], COUNTS[-1]) if name == "dish" else COUNTS[:1]:
             made = scan(job, count, 7)
             begin = time.process_time()
             pose, field = fitted(job, made, marks=True)

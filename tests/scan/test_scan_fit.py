@@ -105,6 +105,13 @@ def test_without_marks_height_and_tilt_are_found_and_said(dish: Mesh) -> None:
     with pytest.raises(TandemError, match="targets would be moved by where the scan lies") as error:
         freedoms.require_place(more, told, "scan.ply")
     assert error.value.issues[0].code == "scan.no_marks"
+    # marks, as is advised, put it where it is
+    known = made.scan + made.pose[:3, 3] @ made.pose[:3, :3] + np.array([0.003, 0.0, 0.002])
+    told, more = deviation.of_part(
+        moved, part(dish), SIZE, ProbedPoints(tuple("abcd"), made.sheet, known), True
+    )
+    assert freedoms.issues(more, told, "scan.ply") == []
+    freedoms.require_place(more, told, "scan.ply")
 
 
 def test_a_turn_shows_on_a_part_that_is_not_round() -> None:
@@ -195,15 +202,16 @@ def test_scans_that_are_none_of_the_part_are_refused_by_what_they_are(dish: Mesh
         assert words in f"{issue.message} {issue.hint}", (name, issue.message)
 
 
-def test_a_mirrored_scan_in_the_right_place_is_called_so(dish: Mesh) -> None:
-    """Marks in a plane fit their mirror image turned over: only what is formed tells."""
+@pytest.mark.parametrize(("axis", "factor"), [("x", [-1.0, 1.0, 1.0]), ("z", [1.0, 1.0, -1.0])])
+def test_a_mirrored_scan_in_the_right_place_is_called_so(dish: Mesh, axis: str, factor: list[float]) -> None:
+    """Without marks, or by marks in a plane, which fit their mirror image: only what is formed tells."""
     groove = dish.vertices.copy()
     groove[:, 2] *= 1.0 + 0.9 * np.tanh(groove[:, 0] / 0.01)
     uneven = Mesh(groove, dish.faces)
-    made = made_scan(uneven, SIZE, lambda q: np.zeros(len(q)), 6, turn=(0.0, 0.0, 0.0))
+    made = made_scan(uneven, SIZE, lambda q: np.zeros(len(q)), 6, 40_000, turn=(0.0, 0.0, 0.0))
     there = made.points + made.pose[:3, 3]
-    scan = Cloud("scan.ply", "0" * 64, there * [-1.0, 1.0, 1.0], 0)
-    with pytest.raises(TandemError, match="mirrored along x it would be") as error:
+    scan = Cloud("scan.ply", "0" * 64, there * factor, 0)
+    with pytest.raises(TandemError, match=f"mirrored along {axis} it would be") as error:
         deviation.of_part(scan, part(uneven), SIZE, None, True)
     assert error.value.issues[0].code == "scan.other_part"
 
