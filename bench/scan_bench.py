@@ -293,17 +293,17 @@ Fit = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 def beside_peers() -> Iterator[dict[str, Any]]:
     """Poses by other fits, from the same start, and the field that the product finds with each."""
-    for name, job in jobs().items():
-        for count in (COUNTS[0], COUNTS[-1]) if name == "dish" else COUNTS[:1]:
-            made = scan(job, count, 7)
-            begin = time.process_time()
-            pose, field = fitted(job, made, marks=True)
-            ours = time.process_time() - begin
-            head = f"{name}, {count:,} points"
-            note = _told(error(job, made, pose.matrix, field))
-            yield {"name": f"{head}: pose and field by Tandem", "median_s": ours, "note": note}
-            for peer, fit in PEERS.items():
-                yield beside(f"{head}: {peer}", job, made, fit, ours)
+    for name, count in [*((name, COUNTS[0]) for name in jobs()), ("dish", COUNTS[-1])]:
+        job = jobs()[name]
+        made = scan(job, count, 7)
+        begin = time.process_time()
+        pose, field = fitted(job, made, marks=True)
+        ours = time.process_time() - begin
+        head = f"{name}, {count:,} points"
+        note = _told(error(job, made, pose.matrix, field))
+        yield {"name": f"{head}: pose and field by Tandem", "median_s": ours, "note": note}
+        for peer, fit in PEERS.items():
+            yield beside(f"{head}: {peer}", job, made, fit, ours)
 
 
 def beside(name: str, job: Job, made: MadeScan, fit: Fit, ours: float) -> dict[str, Any]:
@@ -347,9 +347,9 @@ def by_small_gicp(start: FloatArray, points: FloatArray, wanted: FloatArray) -> 
         downsampling_resolution=PEER_CELL_MM,
         max_correspondence_distance=FARTHEST_MM,
         num_threads=1,
-        max_iterations=100,
-        rotation_epsilon=1e-6,
-        translation_epsilon=1e-4,
+        max_iterations=50,
+        rotation_epsilon=1e-5,
+        translation_epsilon=1e-3,
     )
     out = np.array(found.T_target_source)
     out[:3, 3] *= MM
