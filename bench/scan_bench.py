@@ -288,7 +288,7 @@ def without_marks() -> Iterator[dict[str, Any]]:
         note = (
             f"told: {100.0 * told.share:.0f} % as if ({x:.2f}, {y:.2f}) mm beside, {told.turn / DEG:.2f} deg "
             f"turned; truth ({-BESIDE[0] / MM:g}, {-BESIDE[1] / MM:g}) mm, {-TURNED / DEG:g} deg; adjust "
-            + ("refuses" if told.likely else "warns")
+            + ("refuses" if told.beside else "warns")
         )
         yield {
             "name": f"{head}, {np.hypot(*BESIDE) / MM:.1f} mm beside, {name}: field, mm rms",

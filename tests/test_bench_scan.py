@@ -41,11 +41,12 @@ def test_without_marks_height_and_tilt_hold_and_a_place_beside_the_part_is_told(
     assert off.field < 0.05 * MM
     assert off.height < 0.05 * MM
     assert off.tilt < 0.05 * DEG
-    assert not freedoms.sideways(found).likely
+    assert not freedoms.sideways(found).beside
     wrong = scan_bench.unplaced(made, scan_bench.BESIDE, scan_bench.TURNED)
     pose, found = scan_bench.fitted(job, wrong, marks=False)
     told = freedoms.sideways(found)
     assert scan_bench.error(job, wrong, pose.matrix, found).field > 0.2 * MM
+    assert told.beside
     np.testing.assert_allclose(told.move, -np.array(scan_bench.BESIDE), atol=0.3 * MM)
 
 

@@ -68,10 +68,14 @@ MOST_NAMED: Final = 8
 MEDIAN_MOST: Final = 6.0 * MM
 """Parts of which half is farther off [m] are other parts."""
 LEAST_DEEP: Final = 0.4
-MOST_DEEP: Final = 1.6
+MOST_DEEP: Final = 1.3
 """Parts are so many times as deep as they are wanted."""
 LEAST_DEPTH: Final = 0.5 * MM
 """Where a face is less off the flat [m] its depth is not asked."""
+DEPTHS: Final = 20
+"""Bins of places by their wanted depth: what comes back differs from one to the next,"""
+MOST_SPREAD: Final = 0.3
+"""and within one the depths of the scan do by no more than this share of its depth, root mean square."""
 MIRRORED: Final = 0.3
 """A mirror image that is off by less than this share of what the scan is: a mirrored scan."""
 
@@ -169,6 +173,7 @@ def deviation(points: FloatArray, pose: Pose, face: TriangleMesh, level: float) 
         share = f"{100.0 * known.mean():.0f} % of the wanted face"
         what = f"the scan shows {share}, allowed {100.0 * LEAST_SHARE:g} % or more"
         raise TandemError(Issue("scan.other_part", what, hint="scan the whole part, from the side of --face"))
+    _require_shape(place[known], normal[known], off[known], level)
     around = off[known][KDTree(place[known]).query(foot)[1]]
     rest = np.abs(distance - around)
     noise = MAD * float(np.median(rest))
@@ -292,6 +297,30 @@ def _require_part(
         what += f"; mirrored along {axis} it would be {turned / MM:.2f} mm off"
         hint = "look for an axis with the wrong sign in scan and marks, or swapped columns"
     raise TandemError(Issue("scan.other_part", what, hint=hint))
+
+
+def _require_shape(place: FloatArray, normal: FloatArray, off: FloatArray, level: float) -> None:
+    """Raise ``TandemError`` (scan.other_part) where places (M, 3) of one wanted depth have many depths in the
+    scan: what comes back depends on depth above all, and the shape of another part does not."""
+    wanted = place[:, 2] - level
+    deep = wanted + off / np.maximum(normal[:, 2], LEAST_UP)
+    square = float(np.mean(deep**2))
+    if square < LEAST_DEPTH**2:
+        return
+    bins = np.array_split(deep[np.argsort(wanted, kind="stable")], DEPTHS)
+    spread = float(np.sqrt(sum(((one - one.mean()) ** 2).sum() for one in bins if len(one)) / len(deep)))
+    share = spread / float(np.sqrt(square))
+    if share <= MOST_SPREAD:
+        return
+    what = (
+        f"places of one wanted depth differ by {spread / MM:.1f} mm in the scan's depth (root mean square), "
+        f"{100.0 * share:.0f} % of that, allowed {100.0 * MOST_SPREAD:g} %: its shape is another part's, or "
+        "it lies beside its place"
+    )
+    hint = "name the result folder of the part that was scanned, give marks, or measure them again"
+    raise TandemError(
+        Issue("scan.other_part", what, value=100.0 * share, limit=100.0 * MOST_SPREAD, hint=hint)
+    )
 
 
 def _mirrored(face: TriangleMesh, points: FloatArray, level: float) -> tuple[float, str]:

@@ -24,7 +24,7 @@ WANTED_TURN: Final = 0.05 * DEG
 """Places of scans by marks that are known less well, one standard deviation, are told."""
 SIDEWAYS: Final = 0.2 * MM
 """A scan that may lie farther [m] beside the part than this is no scan to adjust by,"""
-SIDEWAYS_SHARE: Final = 0.5
+SIDEWAYS_SHARE: Final = 0.1
 """where this explains more than such a share of what it is off."""
 WEAK: Final = 0.05
 """Moves that change the field by less than such a share of what the strongest one does do not show on it."""
@@ -49,8 +49,8 @@ class Sideways:
     hidden: tuple[str, ...]
 
     @property
-    def likely(self) -> bool:
-        """Whether the scan more likely lies beside the part than not."""
+    def beside(self) -> bool:
+        """Whether the scan may well lie beside the part, by more than what comes back lets expect."""
         far = max(float(np.hypot(*self.move)), abs(self.turn) * self.radius)
         return self.share > SIDEWAYS_SHARE and far > SIDEWAYS
 
@@ -125,15 +125,15 @@ def _as_if(seen: Sideways) -> str:
 
 
 def require_place(found: Deviation, pose: Pose, file: str) -> None:
-    """Raise ``TandemError`` (scan.no_marks) where no marks are given and a scan more likely lies beside its
-    part than not: targets would be moved by that."""
+    """Raise ``TandemError`` (scan.no_marks) where no marks are given and a scan looks as if it lay beside its
+    part: targets would be moved by that."""
     if pose.marks:
         return
     seen = sideways(found)
-    if not seen.likely:
+    if not seen.beside:
         return
     what = (
-        f"{file}: no marks are given, and {_as_if(seen)}; allowed to adjust by are {SIDEWAYS / MM:g} mm, or "
+        f"{file}: no marks are given, and {_as_if(seen)}; allowed are {SIDEWAYS / MM:g} mm, or "
         f"{100.0 * SIDEWAYS_SHARE:g} %: targets would be moved by where the scan lies, not by what came back"
     )
     hint = f"{NEEDED}; of a scanner that is calibrated to the sheet's frame they are the same in both frames"

@@ -177,6 +177,8 @@ def test_scans_that_are_none_of_the_part_are_refused_by_what_they_are(dish: Mesh
     lean = trimesh.Trimesh(dish.vertices, dish.faces, process=False)
     slab = Mesh(lean.vertices * [1.0, 1.0, -4.0], lean.faces[:, ::-1])
     made = made_scan(dish, SIZE, springs, 5)
+    groove = pit(shapely.box(-0.03, -0.01, 0.03, 0.01).buffer(0.006), 45.0, DEEP)
+    alike = made_scan(groove, SIZE, springs, 5)
     other = made_scan(slab, SIZE, lambda q: np.zeros(len(q)), 5)
     there = made.points @ made.pose[:3, :3].T + made.pose[:3, 3]
     flat_gone = np.abs(there[:, 2] - SIZE[2]) > 4.0 * MM
@@ -192,6 +194,7 @@ def test_scans_that_are_none_of_the_part_are_refused_by_what_they_are(dish: Mesh
             "scan.other_part",
             "mirrored along z",  # its marks are in a plane, and fit when it is turned over
         ),
+        ("as deep", alike, "scan.other_part", "places of one wanted depth differ"),
         ("no flat", changed(made, made.points[flat_gone]), "scan.flat", "scan the flat around the part"),
         ("a part of it", changed(made, made.points[corner]), "scan.other_part", "scan the whole part"),
     ):
