@@ -615,7 +615,10 @@ CODES: Final[dict[str, Code]] = {
     "scan.unit": Code("a scan is far larger or smaller than the sheet: a wrong unit", given=True),
     "scan.flat": Code("too little of the flat around a part is in its scan", given=True),
     "scan.other_part": Code("a scan shows another part, too little of it, or its mirror image", given=True),
-    "scan.no_marks": Code("a scan came without marks, so its place in the sheet's plane is taken as it is"),
+    "scan.no_marks": Code(
+        "a scan came without marks, so its place in the sheet's plane is taken as it is", given=True
+    ),
+    "scan.marks": Code("marks agree too little to say where a scan lies as well as a part is measured"),
     "scan.stray": Code("how many points of a scan belong to nothing around them"),
     "scan.hole": Code("a place of a part that its scan does not show"),
     # the base of the second robot, from points that both probed

@@ -90,7 +90,7 @@ class Adjust:
 def run_scan_fit(request: ScanFit) -> tuple[Issue, ...]:
     """Register, measure, print and write; warnings come back. Raises `TandemError`."""
     from planner import pipeline
-    from planner.scan import deviation
+    from planner.scan import deviation, freedoms
 
     _require_suffix(request.output, (".csv", ".html"), "output")
     problem = pipeline.load_result(request.folder)
@@ -102,7 +102,7 @@ def run_scan_fit(request: ScanFit) -> tuple[Issue, ...]:
         title = f"Scan of {problem.name}"
         text = _page(title, problem, cloud, shown) if page else _csv(found)
         write_output(request.output, text)
-    return tuple(deviation.issues(found, pose, cloud.file))
+    return (*freedoms.issues(found, pose, cloud.file), *deviation.issues(found, cloud.file))
 
 
 def run_adjust(request: Adjust) -> tuple[Issue, ...]:
@@ -112,7 +112,7 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     from planner.forming.operation import Springback
     from planner.forming.process_plan import lay_all
     from planner.forming.springback.compensation_file import belongs_to
-    from planner.scan import adjustment, deviation
+    from planner.scan import adjustment, deviation, freedoms
 
     _require_suffix(request.output, (".yaml", ".yml"), "output")
     _require_suffix(request.page, (".html",), "page")
@@ -124,6 +124,7 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     top = request.options.face == "top"
     cloud, marks, pose, found = _measured(problem, request.scan, request.options)
     _print(cloud, pose, found)
+    freedoms.require_place(found, pose, cloud.file)
     given = job.compensated()
     stated = job.operation.springback
     limits = Springback(file=request.output) if stated is None else stated
@@ -148,7 +149,7 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     if request.page is not None:
         shown = _rounds(made)
         write_output(request.page, _page(f"{problem.name} adjusted", problem, cloud, shown))
-    return tuple(deviation.issues(found, pose, cloud.file))
+    return (*freedoms.issues(found, pose, cloud.file), *deviation.issues(found, cloud.file))
 
 
 def _measured(

@@ -9,6 +9,7 @@ stray.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Final
 
 import numpy as np
@@ -66,15 +67,15 @@ MOST_NAMED: Final = 8
 """Holes that are named at most."""
 MEDIAN_MOST: Final = 6.0 * MM
 """Parts of which half is farther off [m] are other parts."""
-SIDEWAYS: Final = 0.2 * MM
-"""A scan that may lie farther [m] beside the part than this is told,"""
-SIDEWAYS_SHARE: Final = 0.5
-"""where this explains more than such a share of what it is off."""
 LEAST_DEEP: Final = 0.4
-MOST_DEEP: Final = 1.6
+MOST_DEEP: Final = 1.3
 """Parts are so many times as deep as they are wanted."""
 LEAST_DEPTH: Final = 0.5 * MM
 """Where a face is less off the flat [m] its depth is not asked."""
+DEPTHS: Final = 20
+"""Bins of places by their wanted depth: what comes back differs from one to the next,"""
+MOST_SPREAD: Final = 0.3
+"""and within one the depths of the scan do by no more than this share of its depth, root mean square."""
 MIRRORED: Final = 0.3
 """A mirror image that is off by less than this share of what the scan is: a mirrored scan."""
 
@@ -91,9 +92,9 @@ class Hole:
 class Deviation:
     """Places ``point`` (M, 3) [m] of the wanted ``face`` with their ``normal`` (M, 3), up, and how far the
     scan is ``off`` (M,) [m] along it, NaN where it is not known; ``noise`` [m] of the scan's points, how many
-    were ``used`` and are ``stray``, and its ``holes``, the largest first. ``below`` (K, 3):
-    where points that are not stray lie on the face, seen along z, and how far they are ``above`` (K,) it:
-    about what they are off along the normal over the cosine of the wall's angle [m]."""
+    were ``used`` and are ``stray``, and its ``holes``, the largest first. ``seen`` (K, 3): the
+    points of the part that are not stray, in the sheet's frame, and about how far they ``rise`` (K,) [m]
+    above the face along z: what they are off along the normal over the cosine of the wall's angle."""
 
     face: TriangleMesh = dataclasses.field(repr=False)
     point: FloatArray = dataclasses.field(repr=False)
@@ -103,13 +104,24 @@ class Deviation:
     used: int
     stray: int
     holes: tuple[Hole, ...]
-    below: FloatArray = dataclasses.field(repr=False)
-    above: FloatArray = dataclasses.field(repr=False)
+    seen: FloatArray = dataclasses.field(repr=False)
+    rise: FloatArray = dataclasses.field(repr=False)
 
     def along_z(self, points: FloatArray) -> FloatArray:
         """How far (N,) [m] the scan is above the face, along z, at places (N, 3) [m] of it; NaN where that is
         not known."""
-        return _medians(KDTree(self.below), self.above, points)
+        tree, above = self._heights
+        return _medians(tree, above, points)
+
+    @functools.cached_property
+    def _heights(self) -> tuple[KDTree, FloatArray]:
+        """Where points lie on the face, seen along z, and how far (K,) [m] they are above it."""
+        # where what comes back differs along a wall, a foot has another share of it than what is below
+        down = np.array([0.0, 0.0, -1.0])
+        below = self.seen + self.rise[:, None] * down
+        _, left, _, steep = _feet(self.face, below)  # on curved faces: one step of Newton's
+        step = left / np.maximum(steep, LEAST_UP)
+        return KDTree(below + step[:, None] * down), self.rise + step
 
 
 def of_part(
@@ -152,15 +164,8 @@ def deviation(points: FloatArray, pose: Pose, face: TriangleMesh, level: float) 
     near, foot, distance, up = near[over], foot[over], distance[over], up[over]
     own = np.abs(distance) <= FARTHEST
     foot, distance, up = foot[own], distance[own], np.maximum(up[own], LEAST_UP)
-    above = distance / up
-    # where what comes back differs along a wall, a point's foot has another share of it than what is below
-    down = np.array([0.0, 0.0, -1.0])
-    below = there[near][own] + above[:, None] * down
-    _, left, _, steep = _feet(face, below)  # on curved faces: one step of Newton's
-    step = left / np.maximum(steep, LEAST_UP)
-    above, below = above + step, below + step[:, None] * down
     place, normal, spacing = _places(face)
-    _require_part(face, there[near], foot, distance, _share_of_depth(place, there[near], level))
+    _require_part(face, there[near], foot, distance, _share_of_depth(place, there[near], level), level)
     tree = KDTree(foot)
     off = _medians(tree, distance, place)
     known = np.isfinite(off)
@@ -168,6 +173,7 @@ def deviation(points: FloatArray, pose: Pose, face: TriangleMesh, level: float) 
         share = f"{100.0 * known.mean():.0f} % of the wanted face"
         what = f"the scan shows {share}, allowed {100.0 * LEAST_SHARE:g} % or more"
         raise TandemError(Issue("scan.other_part", what, hint="scan the whole part, from the side of --face"))
+    _require_shape(place[known], normal[known], off[known], level)
     around = off[known][KDTree(place[known]).query(foot)[1]]
     rest = np.abs(distance - around)
     noise = MAD * float(np.median(rest))
@@ -181,8 +187,8 @@ def deviation(points: FloatArray, pose: Pose, face: TriangleMesh, level: float) 
         len(near),
         int(stray.sum()) + int((~own).sum()),
         tuple(_holes(place[~known], spacing)),
-        below[~stray],
-        above[~stray],
+        there[near][own][~stray],
+        (distance / up)[~stray],
     )
 
 
@@ -265,73 +271,75 @@ def _share_of_depth(place: FloatArray, points: FloatArray, level: float) -> floa
 
 
 def _require_part(
-    face: TriangleMesh, points: FloatArray, foot: FloatArray, distance: FloatArray, deep: float
+    face: TriangleMesh, points: FloatArray, foot: FloatArray, distance: FloatArray, deep: float, level: float
 ) -> None:
     """Raise ``TandemError`` (scan.other_part) where a scan does not look like the wanted part at all."""
     typical = float(np.median(np.abs(distance))) if len(distance) else np.inf
     share = len(foot) / max(len(points), 1)
-    if share >= 0.5 and typical <= MEDIAN_MOST and LEAST_DEEP <= deep <= MOST_DEEP:
-        turned = _mirrored(face, points) if typical > 1.0 * MM else np.inf
-        if turned >= MIRRORED * typical:
-            return
-    turned = _mirrored(face, points)
+    good = share >= 0.5 and typical <= MEDIAN_MOST and LEAST_DEEP <= deep <= MOST_DEEP
+    if good and typical <= 1.0 * MM:
+        return
+    turned, axis = _mirrored(face, points, level)
     like = turned < MIRRORED * min(typical, FARTHEST)
+    if good and not like:
+        return
     what = (
         f"half of the scan is farther than {typical / MM:.1f} mm off the wanted face"
         if np.isfinite(typical)
         else "no point of the scan is near the wanted face"
     )
     what += (
-        f", {100.0 * (1.0 - share):.0f} % farther than {FARTHEST / MM:g} mm; it is {deep:.2g} times as deep"
+        f", {100.0 * (1.0 - share):.0f} % farther than {FARTHEST / MM:g} mm; it is {deep:.2g} times as deep, "
+        f"allowed {LEAST_DEEP:g} to {MOST_DEEP:g}"
     )
-    what += f"; mirrored it would be {turned / MM:.2f} mm off" if like else ""
     hint = "name the result folder of the part that was scanned, say which face it shows (--face), give marks"
     if like:
+        what += f"; mirrored along {axis} it would be {turned / MM:.2f} mm off"
         hint = "look for an axis with the wrong sign in scan and marks, or swapped columns"
     raise TandemError(Issue("scan.other_part", what, hint=hint))
 
 
-def _mirrored(face: TriangleMesh, points: FloatArray) -> float:
-    """By how much [m] half of the mirror images of points are off a face, of the two across its plane's axes
-    the nearer one."""
+def _require_shape(place: FloatArray, normal: FloatArray, off: FloatArray, level: float) -> None:
+    """Raise ``TandemError`` (scan.other_part) where places (M, 3) of one wanted depth have many depths in the
+    scan: what comes back depends on depth above all, and the shape of another part does not."""
+    wanted = place[:, 2] - level
+    deep = wanted + off / np.maximum(normal[:, 2], LEAST_UP)
+    square = float(np.mean(deep**2))
+    if square < LEAST_DEPTH**2:
+        return
+    bins = np.array_split(deep[np.argsort(wanted, kind="stable")], DEPTHS)
+    spread = float(np.sqrt(sum(((one - one.mean()) ** 2).sum() for one in bins if len(one)) / len(deep)))
+    share = spread / float(np.sqrt(square))
+    if share <= MOST_SPREAD:
+        return
+    what = (
+        f"places of one wanted depth differ by {spread / MM:.1f} mm in the scan's depth (root mean square), "
+        f"{100.0 * share:.0f} % of that, allowed {100.0 * MOST_SPREAD:g} %: its shape is another part's, or "
+        "it lies beside its place"
+    )
+    hint = "name the result folder of the part that was scanned, give marks, or measure them again"
+    raise TandemError(
+        Issue("scan.other_part", what, value=100.0 * share, limit=100.0 * MOST_SPREAD, hint=hint)
+    )
+
+
+def _mirrored(face: TriangleMesh, points: FloatArray, level: float) -> tuple[float, str]:
+    """By how much [m] half of the points' mirror images are off a face, of those along x, along y and along z
+    about the ``level`` [m] the nearest one; and along which. Marks in a plane fit a mirror image turned over:
+    that is one along z."""
     some = points[:: max(1, len(points) // 5_000)]
     values = []
-    for axis in (0, 1):
+    for axis in range(3 if len(some) else 0):
         image = some.copy()
         image[:, axis] *= -1.0
-        values.append(float(np.median(np.abs(_feet(face, image)[1]))) if len(some) else np.inf)
-    return min(values)
+        image[:, axis] += 2.0 * level if axis == 2 else 0.0
+        values.append(float(np.median(np.abs(_feet(face, image)[1]))))
+    return min(zip(values, "xyz", strict=True), default=(np.inf, "x"))
 
 
-def _beside(found: Deviation) -> tuple[FloatArray, float]:
-    """How far (2,) [m] to the side a scan would lie if that were all, by least squares, and what share of
-    the sum of squares of what it is off this explains."""
-    known = np.isfinite(found.off)
-    off, normal = found.off[known], found.normal[known, :2]
-    if len(off) < len(found.off) // 2:
-        return np.zeros(2), 0.0
-    move = np.linalg.lstsq(normal, off, rcond=None)[0]
-    left = off - normal @ move
-    return np.asarray(move, dtype=np.float64), 1.0 - float(left @ left) / max(float(off @ off), 1e-30)
-
-
-def issues(found: Deviation, pose: Pose, file: str) -> list[Issue]:
-    """What a user has to know of a scan: where it lies, what is stray, what is missing."""
+def issues(found: Deviation, file: str) -> list[Issue]:
+    """What a user has to know of a scan beside its place: what is stray, what is missing."""
     out = []
-    if not pose.marks:
-        what = (
-            f"{file}: no marks are given: the scan is taken to lie in the sheet's frame, but for its height "
-            "and tilt, which the flat around the part says"
-        )
-        beside, share = _beside(found)
-        if share > SIDEWAYS_SHARE and np.hypot(*beside) > SIDEWAYS:
-            x, y = beside / MM
-            what += (
-                f"; {100.0 * share:.0f} % of what it is off (squared) is as if it lay ({x:.2f}, {y:.2f}) mm "
-                "beside the part"
-            )
-        hint = "give three marks or more (--marks), unless the scanner is calibrated to the sheet's frame"
-        out.append(Issue("scan.no_marks", what, Severity.WARNING, hint=hint))
     if found.stray:
         share = found.stray / found.used
         what = f"{file}: {found.stray} of {found.used} points ({100.0 * share:.1f} %) are stray and left out"

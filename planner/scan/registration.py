@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 
 from planner.align.probing import ProbedPoints
-from planner.align.rigid_fit import align
+from planner.align.rigid_fit import align, bad_points
 from planner.geometry.arrays import (
     BoolArray,
     FloatArray,
@@ -52,6 +52,8 @@ MOST_NOISE: Final = 0.5 * MM
 """The flat is off a plane by no more [m], one standard deviation: stray points alone are."""
 LEAST_NEAR: Final = 0.2 * MM
 """Points within this [m] of the flat are of it in any case."""
+AGREE: Final = 0.15 * MM
+"""Marks that are off by more [m] do not agree: which of them is doubted is told."""
 MAD: Final = 1.4826
 """A standard deviation over the median of absolute deviations, of a normal distribution."""
 LEAST_SPREAD: Final = 0.25
@@ -62,12 +64,28 @@ LEAST_SPREAD: Final = 0.25
 class Pose:
     """``matrix`` (4, 4) carries points of the scan into the sheet's frame. ``flat``: how many points of the
     flat decide, ``noise`` [m] how far they are off it, one standard deviation; ``marks`` by name with what is
-    left of each [m], none where the scan was taken to be in the sheet's frame."""
+    left of each [m], none where the scan was taken to be in the sheet's frame.
+
+    ``within`` (6,): standard deviations of its turns about x, y and z [rad] and its ways along them [m], at
+    the sheet's origin; infinite where nothing holds it. ``doubtful``: the fewest marks without which the
+    others agree, where they do not."""
 
     matrix: FloatArray
     flat: int
     noise: float
     marks: dict[str, float]
+    within: FloatArray
+    doubtful: tuple[str, ...] = ()
+
+    @property
+    def beside(self) -> float:
+        """How well [m] the place in the sheet's plane is known, one standard deviation."""
+        return float(np.hypot(self.within[3], self.within[4]))
+
+    @property
+    def turned(self) -> float:
+        """How well [rad] the turn is known, one standard deviation."""
+        return float(np.linalg.norm(self.within[:3]))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -104,7 +122,7 @@ def register(points: FloatArray, flat: Flat, marks: ProbedPoints | None) -> Pose
     near = MARKED if names else UNMARKED
     some = points[flat.holds(transform(pose, points), near)]
     some = some[:: max(1, -(-len(some) // MOST_POINTS))]
-    noise, count = near, 0
+    noise, count, within = near, 0, np.full(6, np.inf)
     for _ in range(ROUNDS):
         there = transform(pose, some)
         rows = np.flatnonzero(flat.holds(there, near))
@@ -113,7 +131,7 @@ def register(points: FloatArray, flat: Flat, marks: ProbedPoints | None) -> Pose
         off = np.abs(off - np.median(off))
         noise = max(MAD * float(np.median(off)), LEAST_NOISE)
         best = there[rows[np.argsort(off, kind="stable")[: int(TRIMMED * len(rows))]]]
-        turn, way = _step(best, flat.level, noise, pose, known)
+        turn, way, within = _step(best, flat.level, noise, pose, known)
         pose, count = from_parts(exp_rotation(turn), way) @ pose, len(best)
         if float(np.abs(way).max() + np.abs(turn).max() * flat.side) < SETTLED:
             break
@@ -124,14 +142,17 @@ def register(points: FloatArray, flat: Flat, marks: ProbedPoints | None) -> Pose
         )
         raise _no_flat(what, noise / MM, MOST_NOISE / MM)
     rest = lengths(known[0] - transform(pose, known[1]))
-    return Pose(pose, count, noise, {name: float(value) for name, value in zip(names, rest, strict=True)})
+    left = {name: float(value) for name, value in zip(names, rest, strict=True)}
+    bad = bad_points(*known, AGREE) if len(names) > 3 and float(rest.max()) > AGREE else None
+    return Pose(pose, count, noise, left, within, tuple(names[k] for k in bad or ()))
 
 
 def _step(
     flat: FloatArray, level: float, noise: float, pose: FloatArray, known: tuple[FloatArray, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A small turn (3,) [rad] and way (3,) [m] that put points (N, 3) on the plane z = ``level`` and the
-    marks on their places, in the least squares of both over their noises."""
+    marks on their places, in the least squares of both over their noises; and the standard deviations (6,) of
+    both, infinite where nothing says them."""
     rows = np.zeros((len(flat), 6))
     rows[:, 0], rows[:, 1], rows[:, 5] = flat[:, 1], -flat[:, 0], 1.0  # (p x n, n) with n = z
     normal = rows.T @ rows / noise**2
@@ -147,8 +168,11 @@ def _step(
             mark = np.hstack([-skew(place), np.eye(3)])
             normal += mark.T @ mark / loose**2
             right -= mark.T @ rest / loose**2
-    out[some] = np.linalg.solve(normal[np.ix_(some, some)], right[some])
-    return out[:3], out[3:]
+    spread = np.linalg.inv(normal[np.ix_(some, some)])
+    out[some] = spread @ right[some]
+    within = np.full(6, np.inf)
+    within[some] = np.sqrt(np.diag(spread))
+    return out[:3], out[3:], within
 
 
 def _require_flat(there: FloatArray, flat: Flat, near: float) -> None:
@@ -174,7 +198,12 @@ def told(pose: Pose) -> str:
     x, y, z = pose.matrix[:3, 3] / MM
     angle = float(np.linalg.norm(log_rotation(pose.matrix[:3, :3]))) / DEG
     worst = max(pose.marks.values(), default=0.0) / MM
-    held = f"{len(pose.marks)} marks, {worst:.3f} mm off at most" if pose.marks else "no marks"
+    held = (
+        f"{len(pose.marks)} marks, {worst:.3f} mm off at most, so in its plane within {pose.beside / MM:.3f} "
+        f"mm, turned within {pose.turned / DEG:.3f} deg (one standard deviation)"
+        if pose.marks
+        else "no marks, so x, y and the turn about z as the scan has them"
+    )
     return (
         f"moved by ({x:.3f}, {y:.3f}, {z:.3f}) mm, turned by {angle:.3f} deg; {held}; {pose.flat} points of "
         f"the flat, {pose.noise / MM:.3f} mm off it (one standard deviation)"

@@ -209,6 +209,25 @@ def test_an_adjustment_without_its_scan_is_refused(folder: Path, outcome: Outcom
         processes.jobs(planner.load(path))[0].compensated()
 
 
+def test_a_scan_that_lies_beside_its_part_is_measured_with_a_warning_and_not_adjusted_by(
+    folder: Path, tmp_path: Path
+) -> None:
+    """No marks, two millimetres beside: `scan-fit` says what that hides, `adjust` moves no target."""
+    formed = pipeline.load_result(folder / "out").part.formed  # type: ignore[union-attr]
+    made = made_scan(
+        formed.mesh, np.array([200.0, 200.0, 1.0]) * MM, comes_back, 3, 40_000, turn=(0.0, 0.0, 0.0)
+    )
+    scan = write_ply(tmp_path / "beside.ply", made.points + made.pose[:3, 3] + [0.002, 0.0, 0.0])
+    issues = run_scan_fit(ScanFit(folder / "out", scan, ScanOptions()))
+    assert "scan.no_marks" in {issue.code for issue in issues}
+    with pytest.raises(TandemError, match="three marks or more") as error:
+        run_adjust(Adjust(folder / "out", scan, ScanOptions(), tmp_path / "next.yaml"))
+    (issue,) = error.value.issues
+    assert issue.code == "scan.no_marks"
+    assert 1.5 < issue.value < 2.5
+    assert not (tmp_path / "next.yaml").exists()
+
+
 @pytest.mark.parametrize(
     ("more", "code", "words"),
     [

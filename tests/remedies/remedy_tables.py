@@ -41,6 +41,7 @@ ELSEWHERE: Final = {
     "problem.turntable": ("reading/test_axes", "test_what_cannot_be_a_turntable_is_told"),
     "scan.file": ("scan/test_scan_fit", "test_bad_files_are_refused_in_words"),
     "scan.no_marks": ("scan/test_scan_fit", "test_without_marks_height_and_tilt_are_found_and_said"),
+    "scan.marks": ("scan/test_scan_fit", "test_marks_say_how_well_a_scan_lies_and_which_of_them_is_doubted"),
     "scan.hole": ("scan/test_adjustment", "test_a_scan_that_shows_too_little_is_refused_with_the_place"),
     "robot.bodies": (
         "reading/test_robot_file",

@@ -155,8 +155,8 @@ def test_a_scan_that_shows_too_little_is_refused_with_the_place(job: FormingJob)
     cloud, marks = scan_of(job, np.zeros((20, 24)), 7)
     pose, found = deviation.of_part(cloud, job.part, job.setup.stock.size, marks, True)
     assert pose.marks
-    bare = found.below[:, 0] < 0.01
-    less = dataclasses.replace(found, below=found.below[bare], above=found.above[bare])
+    bare = found.seen[:, 0] < 0.01
+    less = dataclasses.replace(found, seen=found.seen[bare], rise=found.rise[bare])
     with pytest.raises(
         TandemError, match=r"shows \d+ % of its way, allowed 70 % or more; nothing is known at"
     ) as error:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 import trimesh
 from scipy.spatial.transform import Rotation
 
@@ -16,9 +17,10 @@ from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.issues import Severity, TandemError
 from planner.problem import Formed, Part
-from planner.scan import cloud, deviation
+from planner.scan import cloud, deviation, freedoms
 from planner.scan.cloud import Cloud
 from tests import small_forming
+from tests.forming.shapes import pit
 from tests.scan.made_scan import Field, MadeScan, made_scan, write_ply
 
 SIZE = np.array([160.0, 160.0, 1.0]) * MM
@@ -84,15 +86,71 @@ def test_without_marks_height_and_tilt_are_found_and_said(dish: Mesh) -> None:
     assert np.sqrt(np.mean((found.off[known] - springs(found.point[known])) ** 2)) < 0.05 * MM
     whole = Cloud("scan.ply", "0" * 64, here.points, 0)
     told, more = deviation.of_part(whole, part(dish), SIZE, None, True)
-    (one,) = (i for i in deviation.issues(more, told, "scan.ply") if i.code == "scan.no_marks")
+    (one,) = freedoms.issues(more, told, "scan.ply")
+    assert one.code == "scan.no_marks"
     assert one.severity is Severity.WARNING
-    assert "beside the part" not in one.message
+    assert "x, y and the turn about z it leaves free" in one.message
+    assert "of the turn this part shows nothing" in one.message  # it is round
+    assert np.isinf(told.within[[2, 3, 4]]).all()
+    assert (told.within[[0, 1, 5]] < [1e-5, 1e-5, 0.001 * MM]).all()
+    # walls of 40 degrees
+    assert f"Each mm beside puts up to {np.sin(np.radians(40.0)):.2f} mm" in one.message
+    freedoms.require_place(more, told, "scan.ply")
     # a scan that lies 3 mm beside the part is off by that on every wall, less where a wall ends
     moved = dataclasses.replace(whole, points=here.points + np.array([0.003, 0.0, 0.0]))
     told, more = deviation.of_part(moved, part(dish), SIZE, None, True)
-    (one,) = (i for i in deviation.issues(more, told, "scan.ply") if i.code == "scan.no_marks")
+    (one,) = freedoms.issues(more, told, "scan.ply")
     x, y = re.search(r"lay \(([-0-9.]+), ([-0-9.]+)\) mm beside", one.message).groups()  # type: ignore[union-attr]
     np.testing.assert_allclose([float(x), float(y)], [3.0, 0.0], atol=0.5)
+    with pytest.raises(TandemError, match="targets would be moved by where the scan lies") as error:
+        freedoms.require_place(more, told, "scan.ply")
+    assert error.value.issues[0].code == "scan.no_marks"
+    # marks, as is advised, put it where it is
+    known = made.scan + made.pose[:3, 3] @ made.pose[:3, :3] + np.array([0.003, 0.0, 0.002])
+    told, more = deviation.of_part(
+        moved, part(dish), SIZE, ProbedPoints(tuple("abcd"), made.sheet, known), True
+    )
+    assert freedoms.issues(more, told, "scan.ply") == []
+    freedoms.require_place(more, told, "scan.ply")
+
+
+def test_a_turn_shows_on_a_part_that_is_not_round() -> None:
+    """A trough of 45 degrees, 100 x 30 mm: turned by a degree about its middle, and that alone."""
+    trough = pit(shapely.box(-0.05, -0.015, 0.05, 0.015), 45.0, 0.008)
+    made = made_scan(
+        trough, SIZE * [1.2, 1, 1], lambda q: np.zeros(len(q)), 4, stray=0.0, turn=(0.0, 0.0, 0.0)
+    )
+    turn = Rotation.from_rotvec([0.0, 0.0, np.radians(1.0)]).as_matrix()
+    whole = Cloud("scan.ply", "0" * 64, (made.points + made.pose[:3, 3]) @ turn.T, 0)
+    pose, found = deviation.of_part(whole, part(trough), SIZE * [1.2, 1, 1], None, True)
+    seen = freedoms.sideways(found)
+    assert abs(np.degrees(seen.turn) - 1.0) < 0.15
+    assert np.abs(seen.move).max() < 0.05 * MM
+    assert seen.share > 0.8
+    assert not seen.hidden
+    with pytest.raises(TandemError, match=r"turned by (0\.[89]|1\.)\d* deg"):
+        freedoms.require_place(found, pose, "scan.ply")
+
+
+def test_marks_say_how_well_a_scan_lies_and_which_of_them_is_doubted(dish: Mesh) -> None:
+    """Four marks at the corners of a rectangle, each known to 0.02 mm: the mean of them to half of that."""
+    made = made_scan(dish, SIZE, springs, 8)
+    names = ("a", "b", "c", "d")
+    whole = Cloud("scan.ply", "0" * 64, made.points, 0)
+    pose, found = deviation.of_part(whole, part(dish), SIZE, ProbedPoints(names, made.sheet, made.scan), True)
+    assert 0.25 < pose.beside / (np.sqrt(2.0) * 0.01 * MM) < 2.0
+    assert freedoms.issues(found, pose, "scan.ply") == []
+    far = made.scan.copy()
+    far[2, 0] += 1.0 * MM
+    pose, found = deviation.of_part(whole, part(dish), SIZE, ProbedPoints(names, made.sheet, far), True)
+    assert pose.doubtful == ("c",)
+    (one,) = freedoms.issues(found, pose, "scan.ply")
+    assert one.code == "scan.marks"
+    assert "'c' is 0." in one.message
+    assert "without 'c' the others agree" in one.message
+    assert one.limit == 0.05
+    wrong = pose.matrix @ np.linalg.inv(made.pose)
+    assert np.linalg.norm(wrong[:2, 3]) < 3.0 * one.value * MM
 
 
 def test_what_is_too_shallow_is_told_where_the_tool_is(dish: Mesh) -> None:
@@ -119,20 +177,24 @@ def test_scans_that_are_none_of_the_part_are_refused_by_what_they_are(dish: Mesh
     lean = trimesh.Trimesh(dish.vertices, dish.faces, process=False)
     slab = Mesh(lean.vertices * [1.0, 1.0, -4.0], lean.faces[:, ::-1])
     made = made_scan(dish, SIZE, springs, 5)
+    groove = pit(shapely.box(-0.03, -0.01, 0.03, 0.01).buffer(0.006), 45.0, DEEP)
+    alike = made_scan(groove, SIZE, springs, 5)
     other = made_scan(slab, SIZE, lambda q: np.zeros(len(q)), 5)
     there = made.points @ made.pose[:3, :3].T + made.pose[:3, 3]
     flat_gone = np.abs(there[:, 2] - SIZE[2]) > 4.0 * MM
     corner = (there[:, 0] > 0.005) & (there[:, 1] > 0.005)
     for name, scan, code, words in (
         ("other", other, "scan.other_part", "name the result folder of the part"),
-        ("inches", changed(made, made.points / 25.4, made.scan / 25.4), "scan.unit", "state the unit"),
+        ("inches", changed(made, made.points / 25.4, made.scan / 25.4), "scan.unit", "in 'in' it would be"),
+        ("metres", changed(made, made.points / 1e3, made.scan / 1e3), "scan.unit", "in 'm' it would be"),
         ("marks in metres", changed(made, made.points, made.scan * 1000.0), "align.units", "in mm"),
         (
             "mirrored",
             changed(made, made.points * [-1, 1, 1], made.scan * [-1, 1, 1]),
             "scan.other_part",
-            "deep",
+            "mirrored along z",  # its marks are in a plane, and fit when it is turned over
         ),
+        ("as deep", alike, "scan.other_part", "places of one wanted depth differ"),
         ("no flat", changed(made, made.points[flat_gone]), "scan.flat", "scan the flat around the part"),
         ("a part of it", changed(made, made.points[corner]), "scan.other_part", "scan the whole part"),
     ):
@@ -143,15 +205,16 @@ def test_scans_that_are_none_of_the_part_are_refused_by_what_they_are(dish: Mesh
         assert words in f"{issue.message} {issue.hint}", (name, issue.message)
 
 
-def test_a_mirrored_scan_in_the_right_place_is_called_so(dish: Mesh) -> None:
-    """Marks in a plane fit their mirror image turned over: only what is formed tells."""
+@pytest.mark.parametrize(("axis", "factor"), [("x", [-1.0, 1.0, 1.0]), ("z", [1.0, 1.0, -1.0])])
+def test_a_mirrored_scan_in_the_right_place_is_called_so(dish: Mesh, axis: str, factor: list[float]) -> None:
+    """Without marks, or by marks in a plane, which fit their mirror image: only what is formed tells."""
     groove = dish.vertices.copy()
     groove[:, 2] *= 1.0 + 0.9 * np.tanh(groove[:, 0] / 0.01)
     uneven = Mesh(groove, dish.faces)
-    made = made_scan(uneven, SIZE, lambda q: np.zeros(len(q)), 6, turn=(0.0, 0.0, 0.0))
+    made = made_scan(uneven, SIZE, lambda q: np.zeros(len(q)), 6, 40_000, turn=(0.0, 0.0, 0.0))
     there = made.points + made.pose[:3, 3]
-    scan = Cloud("scan.ply", "0" * 64, there * [-1.0, 1.0, 1.0], 0)
-    with pytest.raises(TandemError, match="mirrored it would be") as error:
+    scan = Cloud("scan.ply", "0" * 64, there * factor, 0)
+    with pytest.raises(TandemError, match=f"mirrored along {axis} it would be") as error:
         deviation.of_part(scan, part(uneven), SIZE, None, True)
     assert error.value.issues[0].code == "scan.other_part"
 
