@@ -91,9 +91,9 @@ _TRIAL: Final = """\
 Try it without wire and with the tool off: set the output by hand while the program waits, then
    stop. It must fall, and the arm must not move at the next start."""
 _TORCH_TRIAL: Final = """\
-Try it with the supply of the torch off and its input bridged: stop the program while the output is
-   TRUE. It must fall, the arm must not move at the next start, and the output must not be set by
-   hand; a reset alone leads out."""
+Try it with the supply of the torch off and its input bridged: stop the program while the output
+   is TRUE. It must fall, the arm must not move at the next start, and the output must not be set
+   by hand; a reset alone leads out."""
 _LOOK: Final = "Look at the outputs below while a program runs and while it stands."
 
 _WIRE: Final = """
@@ -140,12 +140,13 @@ set the output again by hand and wait until it is hot or runs at full speed; the
 FALSE in the variable display and the override to what it was. Never do so while block or part is in
 the way of a cold wire or a tool that stands."""
 _NEVER_LIT: Final = """\
-{torches} lights a torch. Behind a stop while it burned {flag} is TRUE: the submit interpreter holds
-that output at FALSE and the override at 0, whatever is set by hand, until the program is reset. It
-does not go on: the arc would burn where the torch stands, or metal would stay in the slot. Move the
-torch out by hand, look at the sheet, reset the program, and set the override to what it was. It
-cuts all of its slots: begin anew on a sheet without them, else plan anew what is left. Never select
-a line, and never write {flag}. Behind a power failure do the same, also where it is FALSE.
+{torches} lights a torch.
+Behind a stop while it burned {flag} is TRUE: the submit interpreter holds that output at FALSE
+and the override at 0, whatever is set by hand, until the program is reset. It does not go on: the
+arc would burn where the torch stands, or metal would stay in the slot. Move the torch out by hand,
+look at the sheet, reset the program, and set the override to what it was. It cuts all of its slots:
+begin anew on a sheet without them, else plan anew what is left. Never select a line, and never
+write {flag}. Behind a power failure do the same, also where it is FALSE.
 
 To be checked at the controller: $PRO_STATE1, and that it is #P_RESET behind a reset alone."""
 

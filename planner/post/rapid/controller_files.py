@@ -253,9 +253,9 @@ _TRIAL: Final = """\
 Try it without wire and with the tool off: start, set the request by hand, stop. The real output
    must fall with the program, with the motors, and when the enabling device is let go."""
 _TORCH_TRIAL: Final = """\
-Try it with the supply of the torch off and its input bridged: start, stop while the request is 1.
-   The real output must fall with the program, with the motors, and when the enabling device is let
-   go; Start and a step must stop at once, and only PP to main ask."""
+Try it with the supply of the torch off and its input bridged: start, stop while the request is
+   1. The real output must fall with the program, with the motors, and when the enabling device is
+   let go; Start and a step must stop at once, and only PP to main ask."""
 _LOOK: Final = "Look at the signals below while a program runs and while it stands."
 
 _WIRE: Final = """
@@ -297,11 +297,12 @@ _BY_HAND: Final = """
 To be checked, too: that TandemRequest lets the operator set the request by hand in automatic.
 """
 _TORCH: Final = """
-{torches} lights a torch. Behind a stop while it burned, and when the controller was off, no program
-goes on: nobody can set that request by hand (TandemTorch), no question offers it, and a start or a
-step stops at once. Move the torch out by hand, look at the sheet, then PP to main in all tasks and
-Start: "Begin" is the answer for a sheet that has no slot of this program yet. Else plan anew what
-is left. Never move PP into the program: it would light the torch where it stands.
+{torches} lights a torch.
+Behind a stop while it burned, and when the controller was off, no program goes on: nobody can set
+that request by hand (TandemTorch), no question offers it, and a start or a step stops at once. Move
+the torch out by hand, look at the sheet, then PP to main in all tasks and Start: "Begin" is the
+answer for a sheet that has no slot of this program yet. Else plan anew what is left. Never move PP
+into the program: it would light the torch where it stands.
 
 To be checked, too: the shelf POWER_ON; that Start behind PP to main runs START, and behind a stop
 RESTART; that nobody can set a signal of access TandemTorch at the panel.
