@@ -287,15 +287,15 @@ CAB_EXEC_HOOKS for START, RESTART and STEP, a wait in such a routine, UIMessageB
 
 To be checked at the controller: SYSSIG_OUT with MotOnState; the shelves STOP, QSTOP and RESET; that
 CycleOn falls at every stop; that Stop in a routine of START or RESTART keeps the arms where they
-are; that both tasks wait there; UIMessageBox with MsgArray and BtnArray.
+are; that both tasks wait there; UIMessageBox with MsgArray and BtnArray{by_hand}.
 
 A cross connection is no safety function: an emergency stop must cut the power by itself, too.
 """
 
 
-_BY_HAND: Final = """
-To be checked, too: that TandemRequest lets the operator set the request by hand in automatic.
-"""
+_BY_HAND: Final = """\
+; that TandemRequest lets
+the operator set the request by hand in automatic"""
 _TORCH: Final = """
 {torches} lights a torch.
 Behind a stop while it burned, and when the controller was off, no program goes on: nobody can set
@@ -341,13 +341,13 @@ def _readme(
         out += _wire(controller, arm, wires, bool(requests))
     if requests:
         both = "\nThe power is on only while the program of the other arm runs, too." if wires else ""
-        out += _POWER.format(signals="\n".join(_outputs(controller, requests)), both=both)
-        out += _BY_HAND if by_hand else ""
+        rows, said = "\n".join(_outputs(controller, requests)), _BY_HAND if by_hand else ""
+        out += _POWER.format(signals=rows, both=both, by_hand=said)
         out += _TORCH.format(torches=" and ".join(torches)) if torches else ""
         out += _HOT if by_hand else ""
     if named:
-        rows = [line for row in named for line in _named(row, arm)]
-        out += _OTHERS.format(signals="\n".join(rows))
+        more = [line for row in named for line in _named(row, arm)]
+        out += _OTHERS.format(signals="\n".join(more))
     return out
 
 
