@@ -243,7 +243,7 @@ AFTER_A_STOP: dict[str, tuple[str, Callable[[Programs], Programs]]] = {
         controller_file("ir_stopm_user.src", "$OUT[17]=FALSE", "$OUT[17]=TRUE"),
     ),
     "lit before anything moves": ("verify.dialogue", main("BAS(#INITMOV,0)\r\n", f"BAS(#INITMOV,0)\r\n{ON}")),
-    "left on from before": ("verify.signals", main("$OUT[17]=FALSE\r\n", "")),
+    "left on from before": ("verify.signals", main(OFF, "")),
     "nobody is told": (
         "verify.dialogue",
         main("A stop while the torch burns ends this program", "A stop while the torch burns is no matter"),
