@@ -17,6 +17,7 @@ from planner.post import write
 from planner.post.krl import controller_files as krl_files
 from planner.post.rapid import controller_files as rapid_files
 from planner.problem import Interlock, PowerOutput
+from planner.report import setup_sheet
 from planner.tooling import torch
 from planner.verify.context import Context
 from planner.verify.programs.program_text import krl_lines, rapid_words
@@ -45,11 +46,11 @@ def lit(problem):
 
 @functools.cache
 def abb(both=False):
-    """(problem, files) of an ABB arm with a torch, and with a spindle too."""
+    """(problem, files, plan) of an ABB arm with a torch, and with a spindle too."""
     outputs = {"doArc": PowerOutput("doArcOut", "Local_IO", 5)}
     actions = (*MILL[:1], *ARC, *MILL[1:]) if both else ARC
     plan, problem = post_job.alone("irb140", actions=actions, interlock=Interlock(outputs))
-    return lit(problem), write.programs(plan, lit(problem))
+    return lit(problem), write.programs(plan, lit(problem)), plan
 
 
 @functools.cache
@@ -58,7 +59,7 @@ def kuka(both=False):
     io = {"left": {"doArc": 17, "diArcOk": 17, "doArcOut": 40, "doSpindle": 18}}
     actions = (*MILL[:1], *ARC, *MILL[1:]) if both else ARC
     plan, problem = post_job.alone(actions=actions, io=io)
-    return lit(problem), write.programs(plan, lit(problem))
+    return lit(problem), write.programs(plan, lit(problem)), plan
 
 
 def told(job, files):
@@ -95,6 +96,13 @@ def test_other_power_beside_a_torch_is_asked_about_as_ever():
     assert '-Name "doArc" -SignalType "DO" -Access "TandemTorch"' in config
     lines = kuka(True)[1][LEFT + SUBMIT]
     assert "IF TANDEM_CUT THEN\r\n$OV_PRO=0\r\nENDIF" in lines and "IF TANDEM_LIT THEN" in lines
+
+
+@pytest.mark.parametrize(("made", "anew"), [(abb, "PP to main in all tasks"), (kuka, "reset, start")])
+def test_the_setup_sheet_says_the_same(made, anew):
+    shown = repr(setup_sheet.controller_checks(made(True)[0], made(True)[2]))
+    assert "doArc on at a stop: never set again by hand" in shown and "doSpindle on at" not in shown
+    assert f"sheet looked at, {anew}" in shown and "plan anew what is left" in shown
 
 
 def test_two_tasks_of_a_controller_end_both():
@@ -201,6 +209,23 @@ def test_a_submit_interpreter_ends_a_program_whose_torch_burned(seed):
 
 # ---- faults ----
 
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (r"IF tandem_lit_1 THEN\s+tandem_end;\s+ENDIF", ""),
+        (r"WHILE TRUE DO", "WHILE FALSE DO"),
+        (r"IF DOutput\(doArc\)=1 THEN\s+tandem_lit_1:=TRUE;\s+ENDIF", ""),
+        (r"(PROC tandem_again\(\)\s+tandem_off;)", r"\1 tandem_lit_1:=FALSE;"),
+    ],
+)
+def test_a_run_shows_where_a_restart_goes_on(old, new):
+    """The runs above can fail: so they do with these faults."""
+    routines = Routines(re.sub(old, new, abb()[1][HOME + MODULE], count=1), {"doArc": 1, "doArcOut": 0})
+    list(routines.run("tandem_off"))
+    assert list(routines.run("tandem_again")) == []
+
+
 QUESTION = r'(?s)"doArc burned at the stop,".*?\\BtnArray:=\["Begin","Stop"\]'
 RAPID = {
     "On is offered": (MODULE, r'\["Begin","Stop"\]', r'["Begin","On","Stop"]'),
@@ -279,14 +304,14 @@ def test_a_fault_in_lines_of_the_submit_interpreter_is_found(name):
 
 def test_files_that_take_a_torch_for_other_power_are_refused():
     """As they were written before: with the question whether it is on again."""
-    problem, files = abb()
+    problem, files, _ = abb()
     plain = rapid_files.files(problem.cell.controller, ["T_ROB1"], ["doArc"], {"diArcOk": "DI"}, ["left"])
     assert '"Free","On","Stop"' in plain[MODULE]
     put = {HOME + name: text for name, text in plain.items()}
     found = told(abb(), {**files, **put})
     assert any("no way on where a torch burned" in one for one in found)
     assert any("TandemRequest" in one for one in found) and any("POWER_ON" in one for one in found)
-    problem, files = kuka()
+    problem, files, _ = kuka()
     plain = krl_files.files(problem.cell.controller, "left", ["doArc"])
     put = {LEFT + name: text for name, text in plain.items()}
     assert krl_lines(put[LEFT + STOPPED]) != krl_lines(files[LEFT + STOPPED])
