@@ -290,9 +290,12 @@ LEVEL_FORMED: Final = Sentence("Tools off the sheet, which stays clamped?")
 TORCH: Final = Sentence(
     "Sheet of {t_mm:g} mm, {metal}; {cuts_by} torch, kerf {kerf_mm:g} mm, {off_mm:g} mm off the sheet"
 )
+TORCH_STOPPED: Final = Sentence(
+    "A stop while the torch burns ends this program: nothing lights it again there"
+)
 TORCH_READY: Final = Sentence(
-    "Sheet clamped, return lead on, fumes drawn off, nothing that burns beside or below the sheet, eyes "
-    "shielded, nobody in the cell?"
+    "Sheet clamped, none of these slots in it yet, return lead on, fumes drawn off, nothing that burns "
+    "beside or below the sheet, eyes shielded, nobody in the cell?"
 )
 TORCH_COLD: Final = Sentence(
     "Torch off and edges cold? What is cut out lies hot below the sheet. "
@@ -388,6 +391,28 @@ def again(signal: str) -> tuple[str, ...]:
         f"On: {signal} is 1 again by hand,",
         "and the wire is hot, or the tool at full speed.",
         "Stop: neither. Free it, then PP to main in all tasks.",
+    )
+
+
+BEGIN_BUTTONS: Final = ("Begin", "Stop")
+"""Answers to :func:`burned`: from main, with a sheet without these slots; or nothing."""
+ENDED: Final = (
+    "Not started: a torch burned at the stop",
+    "or the controller was off. Move it out",
+    "by hand, look at the sheet, then PP to",
+    "main in all tasks, and Start.",
+)
+"""Told where a program would go on behind a stop at which a torch burned."""
+
+
+def burned(signal: str) -> tuple[str, ...]:
+    """The question at a start anew behind a stop at which the torch of ``signal`` burned."""
+    return (
+        f"{signal} burned at the stop,",
+        "or the controller was off since.",
+        "Begin: PP is at main, the torch was moved out by hand,",
+        "and the sheet has no slot of this program yet.",
+        "Stop: else. Then plan anew what is left to cut.",
     )
 
 

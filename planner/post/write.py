@@ -51,18 +51,20 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
         signals = sorted((s for s in job.switched(task) if s in powered), key=str.lower)
         if not signals and not wires:
             continue
-        name = task.arm.name
+        name, torches = task.arm.name, _torches(problem, signals)
         if task.robot.family == "UR":
             continue  # its installation is set at the panel
         if task.robot.family == "KUKA":
-            made, folder = krl_files.files(controller, name, signals, wires, _torches(problem, signals)), name
+            made, folder = krl_files.files(controller, name, signals, wires, torches), name
         elif alone:
             others = _others(job, [task], signals)
-            made, folder = rapid_files.files(controller, [task.task], signals, others, [name], wires), name
+            made = rapid_files.files(controller, [task.task], signals, others, [name], wires, torches)
+            folder = name
         elif task.number == 1:
             tasks = [other.task for other in job.tasks]
             others, own = _others(job, job.tasks, signals), [other.arm.name for other in job.tasks]
-            made, folder = rapid_files.files(controller, tasks, signals, others, own), task.task
+            made = rapid_files.files(controller, tasks, signals, others, own, (), torches)
+            folder = task.task
         else:
             continue  # files of the first task are for all of one controller
         out |= {

@@ -315,6 +315,14 @@ def _powered(problem: Problem, plan: Plan, arm: str = "") -> list[str]:
     return list(out)
 
 
+def _torches(problem: Problem, signals: Sequence[str], anew: str) -> list[tuple[str, str]]:
+    """What follows a stop at which a torch burned; ``anew``: how a program begins again."""
+    own = {getattr(one, "signal", None) for one in problem.operations if one.process == "trim"}
+    words = f"the program ends: torch out by hand, sheet looked at, {anew}; it cuts all slots, so on a sheet "
+    words += "without them, else plan anew what is left"
+    return [(f"{signal} on at a stop: never set again by hand", words) for signal in signals if signal in own]
+
+
 def _hot(problem: Problem) -> bool:
     """Whether wires are mounted that get hot."""
     return any(operation.process.endswith("_wire") for operation in problem.operations)
@@ -344,6 +352,7 @@ def _abb(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str
                 "enabling device, and run to the end in manual",
             )
         )
+    out += _torches(problem, signals, "PP to main in all tasks, Start")
     out.append(("SoftES in SYS.cfg (RUNCHN_BOOL)", "selected: arms keep to their path at an emergency stop"))
     for item in problem.cell.arms:
         if item.track is not None and arm in ("", item.name):
@@ -454,6 +463,7 @@ def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[st
     if signals and _hot(problem):
         words = "not in automatic: mount cold, or in T1 with the enabling switch held by somebody else"
         out.append(("mounting while the wire is hot and the gate open", words))
+    out += _torches(problem, [signal for signal, _ in signals], "reset, start")
     rider = problem.cell.arm(arm)
     if rider.track is not None:
         out += _kuka_track(rider, rider.track)

@@ -61,7 +61,11 @@ def told(setup: Setup, torch: Torch) -> dict[str, float | str]:
 
 
 def _dialogue(op: Trim, setup: Setup, torch: Torch) -> OperatorDialogue:
-    first = (message_step(vocabulary.TORCH, **told(setup, torch)), question_step(vocabulary.TORCH_READY))
+    first = (
+        message_step(vocabulary.TORCH, **told(setup, torch)),
+        message_step(vocabulary.TORCH_STOPPED),
+        question_step(vocabulary.TORCH_READY),
+    )
     return OperatorDialogue(op.arms, first, (question_step(vocabulary.TORCH_COLD),))
 
 

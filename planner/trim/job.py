@@ -336,6 +336,7 @@ def _actions(op: Trim, setup: Setup, torch: Torch, route: Route) -> tuple[Action
     """What the operator is told and asked, and the arc."""
     out = [
         Action(0, "message", vocabulary.TORCH.filled(**told(setup, torch))),
+        Action(0, "message", vocabulary.TORCH_STOPPED.filled()),
         Action(0, "confirm", vocabulary.TORCH_READY.filled()),
     ]
     for first, last in zip(route.pierce, route.end, strict=True):

@@ -14,9 +14,12 @@ from planner import processes
 from planner.claims.trim import TrimsSheet
 from planner.issues import Issue, TandemError
 from planner.trim.operation import Trim, every_outline
+from planner.verify.context import Context
 from planner.verify.files import UnreadError
+from planner.verify.prove import TRIM_RULES
 from planner.verify.trim.outlines import drawn, expanded, order, worked_out
-from tests.trim.small_trim import problem
+from planner.verify.trim.torch_motion import Trimming
+from tests.trim.small_trim import Job, problem
 
 ezdxf = pytest.importorskip("ezdxf")
 CIRCLES = ((0.0, 0.0, 8.0), (20.0, 0.0, 3.0), (-20.0, 0.0, 3.0))
@@ -145,3 +148,24 @@ def test_a_claim_that_names_no_file_is_not_taken_for_no_curves(tmp_path: Path) -
     none = dataclasses.replace(claim.outlines[0], layers=("NOTHING",))
     with pytest.raises(UnreadError):
         expanded(dataclasses.replace(claim, outlines=(none,)))
+
+
+def test_a_drawing_is_planned_and_proven_and_a_curve_that_moves_later_is_told(tmp_path: Path) -> None:
+    def cuts(dx: float) -> None:
+        made = ezdxf.new()
+        made.modelspace().add_circle((dx, 0), 8, dxfattribs={"layer": "CUT"})
+        made.modelspace().add_circle((20, 0), 3, dxfattribs={"layer": "NOTES"})
+        made.saveas(tmp_path / "apertures.dxf")
+
+    cuts(0.0)
+    planned = Job(tmp_path, outlines=[outline(layers=["CUT"])])
+    assert any("trim_a_1" in text for text in planned.programs.values())
+    assert not any("trim_a_2" in text for text in planned.programs.values())
+    proof = planned.prove(planned.programs, None)
+    assert proof.issues == () and proof.ok
+    cuts(1.0)  # the programs are those of the drawing as it was
+    claims, unread = worked_out(planned.prover.claims)
+    context = Context(planned.problem, claims, planned.programs, unread)
+    trimming = Trimming(context)
+    codes = {issue.code for rule in TRIM_RULES for issue in rule(context, trimming).issues}
+    assert "verify.trim_kept" in codes

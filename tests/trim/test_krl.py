@@ -187,10 +187,62 @@ def test_the_older_dialect_says_it_in_a_comment(job: Job) -> None:
     assert "; No diArcOk in 5 s: the program ends. Reset it.\r\nLOOP\r\nHALT\r\nENDLOOP\r\n" in text
 
 
-def test_the_operator_is_told_never_to_light_the_torch_by_hand(job: Job) -> None:
+def test_the_operator_is_told_that_a_stop_in_a_slot_ends_the_program(job: Job) -> None:
     (told,) = [text for name, text in job.programs.items() if name.endswith("README.txt")]
-    assert "doArc lights a torch" in told and "Never set that output by hand" in told
-    assert "set the output again by hand" not in told
+    assert "doArc lights a torch" in told and "until the program is reset" in told
+    assert "set the output again by hand" not in told and "TANDEM_CUT" not in told
+    assert "A stop while the torch burns ends this program" in job.programs[MAIN]
+
+
+def controller_file(name: str, old: str, new: str) -> Callable[[Programs], Programs]:
+    path = f"controller/robot/{name}"
+
+    def put(programs: Programs) -> Programs:
+        assert old in programs[path], old
+        return {**programs, path: programs[path].replace(old, new)}
+
+    return put
+
+
+AFTER_A_STOP: dict[str, tuple[str, Callable[[Programs], Programs]]] = {
+    "held as other power is, and freed by hand": (
+        "verify.controller_files",
+        lambda programs: {
+            name: text.replace("TANDEM_LIT", "TANDEM_CUT") if name.startswith("controller/") else text
+            for name, text in programs.items()
+        },
+    ),
+    "no reset is asked for": (
+        "verify.controller_files",
+        controller_file("sps_user.sub", "IF $PRO_STATE1==#P_RESET THEN", "IF $PRO_ACT THEN"),
+    ),
+    "the arm goes on in the slot": (
+        "verify.controller_files",
+        controller_file("sps_user.sub", "$OV_PRO=0\r\n", ""),
+    ),
+    "lit by hand": (
+        "verify.controller_files",
+        controller_file("sps_user.sub", "IF TANDEM_LIT THEN\r\n$OUT[17]=FALSE", "IF TANDEM_LIT THEN"),
+    ),
+    "lit at a stop": (
+        "verify.controller_files",
+        controller_file("ir_stopm_user.src", "$OUT[17]=FALSE", "$OUT[17]=TRUE"),
+    ),
+    "lit before anything moves": ("verify.dialogue", main("BAS(#INITMOV,0)\r\n", f"BAS(#INITMOV,0)\r\n{ON}")),
+    "left on from before": ("verify.signals", main(OFF, "")),
+    "nobody is told": (
+        "verify.dialogue",
+        main("A stop while the torch burns ends this program", "A stop while the torch burns is no matter"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", AFTER_A_STOP)
+def test_nothing_lights_a_torch_behind_a_stop_nor_goes_on_in_a_slot(job: Job, name: str) -> None:
+    code, change = AFTER_A_STOP[name]
+    changed = change(job.programs)
+    assert changed != job.programs
+    assert code in {issue.code for issue in job.prove(changed, code).issues}
 
 
 def test_numbers_of_both_signals_are_asked_for(tmp_path: Any) -> None:

@@ -171,6 +171,50 @@ def test_the_dialogue_has_all_that_is_switched(job: Job) -> None:
         assert "verify.dialogue" in {i.code for i in job.prove(programs, "verify.dialogue").issues}
 
 
+MAIN_FILE = "T_ROB1/TandemMain_1.mod"
+HOOKS, ROWS = "controller/T_ROB1/TandemPower.sys", "controller/T_ROB1/SYS.cfg"
+AFTER_A_STOP: dict[str, tuple[str, str, str, str]] = {
+    "On is offered": ("verify.controller_files", HOOKS, '"Begin","Stop"', '"Begin","On"'),
+    "On is done": ("verify.controller_files", HOOKS, "SetDO doArc,0;", "SetDO doArc,1;"),
+    "it goes on in a slot": ("verify.controller_files", HOOKS, "      tandem_end;", ""),
+    "it goes on when it is started once more": (
+        "verify.controller_files",
+        HOOKS,
+        "WHILE TRUE DO",
+        "IF TRUE THEN",
+    ),
+    "a start where it stopped is a start anew": (
+        "verify.controller_files",
+        ROWS,
+        "tandem_again",
+        "tandem_begin",
+    ),
+    "a power failure is no stop": ("verify.controller_files", ROWS, '"POWER_ON"', '"RESET"'),
+    "an operator may set it": (
+        "verify.controller_files",
+        "controller/T_ROB1/EIO.cfg",
+        '"TandemTorch" -Rapid',
+        '"TandemTorch" -Rapid -LocalAuto',
+    ),
+    "left on from before": ("verify.signals", MAIN_FILE, "SetDO doArc,0;\r\n    UIMsgBox", "UIMsgBox"),
+    "lit by an error handler": (
+        "verify.error_handler",
+        MAIN_FILE,
+        "ERROR\r\n    SetDO doArc,0",
+        "ERROR\r\n    SetDO doArc,1",
+    ),
+    "nobody is told": ("verify.dialogue", MAIN_FILE, "A stop while the torch", "A stop while no torch"),
+}
+
+
+@pytest.mark.parametrize("name", AFTER_A_STOP)
+def test_nothing_lights_a_torch_behind_a_stop_nor_goes_on_in_a_slot(job: Job, name: str) -> None:
+    code, file, old, new = AFTER_A_STOP[name]
+    assert old in job.programs[file], old
+    changed = {**job.programs, file: job.programs[file].replace(old, new)}
+    assert code in {issue.code for issue in job.prove(changed, code).issues}
+
+
 def test_the_report_has_the_curves_with_the_stand_off(job: Job) -> None:
     shown = job.plan.operations[0].targets.exhibits
     assert {"setup", "slots", "curves", "standoff"} <= set(shown)

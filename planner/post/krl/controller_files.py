@@ -2,7 +2,7 @@
 
 No output of KRL falls at a stop by itself. Lines of the submit interpreter take it back, also the
 real output where the cell has one besides the program's request, and hold the arm until somebody
-says how it goes on.
+says how it goes on, or, where a torch burned, until the program is reset.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from planner.problem import Controller, KrlDialect, Problem
 
 POWER_FLAG: Final = "TANDEM_CUT"
 """The variable of a controller that says that a wire or tool was on when the program stopped."""
+TORCH_FLAG: Final = "TANDEM_LIT"
+"""That a torch burned then."""
 
 
 def files(
@@ -35,16 +37,19 @@ def files(
     """The files, by name, for the controller of ``arm`` whose program switches ``signals``; ``wires``: the
     running wires between it and another controller; ``torches``: those signals that light one."""
     runs = handshake.KRL_RUNS + (f" AND {handshake.krl_power_term(controller, arm)}" if wires else "")
-    numbers = [(signal, controller.number(arm, signal)) for signal in signals]
-    taken = [line for _, number in numbers for line in _taken(number)]
+    numbers = {signal: controller.number(arm, signal) for signal in signals}
+    flags = {signal: TORCH_FLAG if signal in torches else POWER_FLAG for signal in signals}
+    taken = [line for signal, number in numbers.items() for line in _taken(number, flags[signal])]
     submit = handshake.krl_submit_lines(controller, arm) if wires else []
     submit += [f"IF NOT ({runs}) THEN", *taken, "ENDIF"] if taken else []
-    for signal, number in numbers:
+    submit += _ended([numbers[signal] for signal in torches]) if torches else []
+    for signal, number in numbers.items():
         real = controller.number(arm, controller.interlock.of(signal).signal)
         if real is not None:
             submit.append(f"$OUT[{real}]=$OUT[{number}] AND {runs}")
-    submit += [f"IF {POWER_FLAG} THEN", "$OV_PRO=0", "ENDIF"] if taken else []
-    variables = ([POWER_FLAG] if taken else []) + ([handshake.KRL_PARTNER_SEEN] if wires else [])
+    kept = [flag for flag in (POWER_FLAG, TORCH_FLAG) if flag in flags.values()]
+    submit += [f"IF {POWER_FLAG} THEN", "$OV_PRO=0", "ENDIF"] if POWER_FLAG in kept else []
+    variables = kept + ([handshake.KRL_PARTNER_SEEN] if wires else [])
     out = {
         "config_user.dat": _text([f"DECL BOOL {name}=FALSE" for name in variables]),
         "sps_user.sub": _text(submit),
@@ -53,9 +58,19 @@ def files(
     return out | {"README.txt": _readme(controller, arm, signals, wires, torches)}
 
 
-def _taken(number: int | None) -> list[str]:
+def _taken(number: int | None, flag: str) -> list[str]:
     """The request is taken back, and that it was on is kept."""
-    return [f"IF $OUT[{number}] THEN", f"{POWER_FLAG}=TRUE", "ENDIF", f"$OUT[{number}]=FALSE"]
+    return [f"IF $OUT[{number}] THEN", f"{flag}=TRUE", "ENDIF", f"$OUT[{number}]=FALSE"]
+
+
+def _ended(numbers: Sequence[int | None]) -> list[str]:
+    """Where a torch burned no start goes on, nor is it lit by hand, until the program is reset."""
+    return [
+        *("IF $PRO_STATE1==#P_RESET THEN", f"{TORCH_FLAG}=FALSE", "ENDIF"),
+        f"IF {TORCH_FLAG} THEN",
+        *(f"$OUT[{number}]=FALSE" for number in numbers),
+        *("$OV_PRO=0", "ENDIF"),
+    ]
 
 
 def _text(lines: Sequence[str]) -> str:
@@ -75,6 +90,10 @@ _NO_STOPS: Final = "IR_STOPM.SRC stays as it is: this program switches no power.
 _TRIAL: Final = """\
 Try it without wire and with the tool off: set the output by hand while the program waits, then
    stop. It must fall, and the arm must not move at the next start."""
+_TORCH_TRIAL: Final = """\
+Try it with the supply of the torch off and its input bridged: stop the program while the output
+   is TRUE. It must fall, the arm must not move at the next start, and the output must not be set
+   by hand; a reset alone leads out."""
 _LOOK: Final = "Look at the outputs below while a program runs and while it stands."
 
 _WIRE: Final = """
@@ -107,7 +126,8 @@ To be checked at the controller: $PERI_RDY (drives ready); that $OV_PRO can be s
 interpreter in all modes; that IR_STOPM runs at every stop message.
 
 The submit interpreter is no safety function: an emergency stop must cut the power by itself, too.
-
+"""
+_HOT: Final = """
 Mounting a hot wire with the gate open: in automatic the open gate takes the drives away, and the
 power with them. Mount it cold; or in T1 while somebody else holds enabling switch and start key and
 the program waits; behind a change of mode the power is off.
@@ -120,10 +140,15 @@ set the output again by hand and wait until it is hot or runs at full speed; the
 FALSE in the variable display and the override to what it was. Never do so while block or part is in
 the way of a cold wire or a tool that stands."""
 _NEVER_LIT: Final = """\
-{torches} lights a torch. Behind a stop while it burned {flag} is TRUE and the override 0.
-Never set that output by hand, and do not let the program go on: the arc would burn where the
-torch stands, or metal would stay in the slot. Reset the program, move the torch out by hand, look
-at the sheet, set {flag} to FALSE in the variable display, and plan anew what is left."""
+{torches} lights a torch.
+Behind a stop while it burned {flag} is TRUE: the submit interpreter holds that output at FALSE
+and the override at 0, whatever is set by hand, until the program is reset. It does not go on: the
+arc would burn where the torch stands, or metal would stay in the slot. Move the torch out by hand,
+look at the sheet, reset the program, and set the override to what it was. It cuts all of its slots:
+begin anew on a sheet without them, else plan anew what is left. Never select a line, and never
+write {flag}. Behind a power failure do the same, also where it is FALSE.
+
+To be checked at the controller: $PRO_STATE1, and that it is #P_RESET behind a reset alone."""
 
 
 def _readme(
@@ -142,15 +167,17 @@ def _readme(
         else:
             rows.append(f"  $OUT[{number}] {signal}: request of the program, wired to nothing")
             rows.append(f"  $OUT[{real}] {lock}: the power hangs on this one")
-    stops, trial = (_STOPS, _TRIAL) if rows else (_NO_STOPS, _LOOK)
+    by_hand = bool(set(signals) - set(torches))
+    stops, trial = (_STOPS, _TRIAL if by_hand else _TORCH_TRIAL) if rows else (_NO_STOPS, _LOOK)
     out = _LOAD.format(arm=arm, stops=stops, trial=trial)
     if wires:
         out += _wire(controller, arm, wires, bool(rows))
     if rows:
         both = "\nThe power stays on only while the program of the other arm runs, too." if wires else ""
-        behind = [_FREED.format(flag=POWER_FLAG)] if set(signals) - set(torches) else []
-        behind += [_NEVER_LIT.format(flag=POWER_FLAG, torches=", ".join(torches))] if torches else []
+        behind = [_FREED.format(flag=POWER_FLAG)] if by_hand else []
+        behind += [_NEVER_LIT.format(flag=TORCH_FLAG, torches=", ".join(torches))] if torches else []
         out += _POWER.format(signals="\n".join(rows), behind="\n\n".join(behind), both=both)
+        out += _HOT if by_hand else ""
     return out
 
 

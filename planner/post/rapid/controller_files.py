@@ -2,7 +2,8 @@
 
 The program sets a request; a cross connection lets the real output follow while a program runs and the motors
 are on, of two controllers on both sides. Event routines take the request back at every stop, and ask at a
-start behind a stop in a cut.
+start behind a stop in a cut. Behind a stop at which a torch burned no program goes on: only one that begins
+anew is asked about, and nobody sets a torch's request by hand.
 """
 
 from __future__ import annotations
@@ -23,6 +24,10 @@ _OFF_AT: Final = ("STOP", "QSTOP", "RESET")
 """System events at which outputs go off."""
 _ON_AT: Final = ("START", "RESTART", "STEP")
 """System events at which an output may be on again."""
+_RESTARTS: Final = ("RESTART", "STEP")
+"""Those of them at which a program goes on where it stopped."""
+_POWERED_UP: Final = "POWER_ON"
+"""The system event of a controller that was off, when no stop was seen."""
 SignalType = Literal["DI", "DO"]
 """What a controller calls a digital input and a digital output."""
 _CONFIG_WIDTH: Final = 80
@@ -36,28 +41,31 @@ def files(
     others: Mapping[str, SignalType],
     arms: Sequence[str],
     wires: Sequence[SignalWire] = (),
+    torches: Sequence[str] = (),
 ) -> dict[str, str]:
     """The files, by name, for motion ``tasks`` of the one controller of ``arms``, whose programs switch
     ``signals``, which power something, and name ``others``; ``wires``: the running wires between it and
-    another controller."""
+    another controller; ``torches``: those of the signals that light one."""
     arm = arms[0]
     requests = [identifier(signal) for signal in signals]
+    lit = [identifier(signal) for signal in torches]
     suffix = ".sys" if controller.robotware == 6 else ".sysx"
     more = {identifier(name): kind for name, kind in others.items()}
     named: list[ConfigurationRow] = [
         {"Name": name, "SignalType": kind, **handshake.placed(controller, arms, name)}
         for name, kind in more.items()
     ]
-    out = {"EIO.cfg": _eio(controller, requests, arm, bool(wires), named)}
+    out = {"EIO.cfg": _eio(controller, requests, lit, arm, bool(wires), named)}
     if requests:
-        out["SYS.cfg"] = _sys(controller, tasks, suffix)
-        out[f"{POWER_MODULE}{suffix}"] = _module(controller, requests, len(tasks) > 1)
-    return out | {"README.txt": _readme(controller, requests, suffix, arm, wires, named)}
+        out["SYS.cfg"] = _sys(controller, tasks, suffix, bool(lit))
+        out[f"{POWER_MODULE}{suffix}"] = _module(controller, requests, lit, len(tasks) > 1)
+    return out | {"README.txt": _readme(controller, requests, lit, suffix, arm, wires, named)}
 
 
 def _eio(
     controller: Controller,
     requests: Sequence[str],
+    torches: Sequence[str],
     arm: str,
     joined: bool,
     named: Sequence[ConfigurationRow],
@@ -70,7 +78,8 @@ def _eio(
     for number, request in enumerate(requests, 1):
         real = lock.of(request)
         place = {"Device": real.device, "DeviceMap": str(real.bit)} if real.device else {}
-        signals.append({"Name": request, "SignalType": "DO", "Access": "TandemRequest"})
+        access = "TandemTorch" if request in torches else "TandemRequest"
+        signals.append({"Name": request, "SignalType": "DO", "Access": access})
         signals.append({"Name": real.signal, "SignalType": "DO", **place, "Access": "ReadOnly"})
         terms = (request, lock.cycle, lock.motors, *partner)
         row: dict[str, str | None] = {"Name": f"TandemPower{number}", "Res": real.signal}
@@ -86,12 +95,14 @@ def _eio(
         {"Status": "CycleOn", "Signal": lock.cycle},
         {"Status": "MotOnState", "Signal": lock.motors},
     ]
-    access: list[ConfigurationRow] = [
-        {"Name": "TandemRequest", "Rapid": None, "LocalManual": None, "LocalAuto": None}
-    ]
+    levels: list[ConfigurationRow] = []
+    if set(requests) - set(torches):
+        levels.append({"Name": "TandemRequest", "Rapid": None, "LocalManual": None, "LocalAuto": None})
+    if torches:
+        levels.append({"Name": "TandemTorch", "Rapid": None})
     head = f"EIO:CFG_1.0:{controller.robotware}:{1 if controller.robotware == 6 else 0}::"
     sections: dict[str, Sequence[ConfigurationRow]] = {
-        "EIO_ACCESS": access if requests else [],
+        "EIO_ACCESS": levels,
         "EIO_SIGNAL": [*signals, *named, *more.get("EIO_SIGNAL", [])],
         "SYSSIG_OUT": states,
         "SYSSIG_IN": more.get("SYSSIG_IN", []),
@@ -100,11 +111,15 @@ def _eio(
     return _cfg(head, {kind: rows for kind, rows in sections.items() if rows})
 
 
-def _sys(controller: Controller, tasks: Sequence[str], suffix: str) -> str:
+def _sys(controller: Controller, tasks: Sequence[str], suffix: str, torch: bool) -> str:
     hooks: list[ConfigurationRow] = []
     for number, task in enumerate(tasks):
         again = "tandem_again" if number == 0 else "tandem_wait"
-        routines = [(shelf, "tandem_off") for shelf in _OFF_AT] + [(shelf, again) for shelf in _ON_AT]
+        at = dict.fromkeys(_OFF_AT, "tandem_off") | dict.fromkeys(_ON_AT, again)
+        if torch:
+            at |= {"START": "tandem_begin" if number == 0 else "tandem_wait", _POWERED_UP: "tandem_lost"}
+            at |= dict.fromkeys(_RESTARTS, again if number == 0 else "tandem_stay")
+        routines = at.items()
         hooks += [{"Routine": routine, "Shelf": shelf, "Task": task} for shelf, routine in routines]
     loaded: list[ConfigurationRow] = [
         {"File": f"HOME:/{POWER_MODULE}{suffix}", "ModName": POWER_MODULE, "AllTask": None}
@@ -131,54 +146,96 @@ def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:
     return "\n".join([*out, ""])
 
 
-def _module(controller: Controller, requests: Sequence[str], together: bool) -> str:
-    flags = [f"tandem_cut_{number}" for number in range(1, len(requests) + 1)]
+def _module(controller: Controller, requests: Sequence[str], torches: Sequence[str], together: bool) -> str:
+    flags = {
+        request: f"tandem_{'lit' if request in torches else 'cut'}_{number}"
+        for number, request in enumerate(requests, 1)
+    }
+    lit = [flags[request] for request in torches]
+    cut = {request: flag for request, flag in flags.items() if request not in torches}
+    stop = "Stop\\AllMoveTasks;" if together else "Stop;"
     out = [
         f"MODULE {POWER_MODULE}(SYSMODULE)",
         "  ! Written by Tandem for the event routines that SYS.cfg names.",
         "  ! Whether the power was on at a stop, and nobody has said yet how it goes on.",
-        *(f"  PERS bool {flag}:=FALSE;" for flag in flags),
+        *(f"  PERS bool {flag}:=FALSE;" for flag in flags.values()),
         "",
         "  ! At every stop: power that was on does not come back by itself.",
         "  PROC tandem_off()",
     ]
-    for flag, request in zip(flags, requests, strict=True):
+    for request, flag in flags.items():
         out += [
             f"    IF DOutput({request})=1 THEN",
             f"      {flag}:=TRUE;",
             "    ENDIF",
             f"    SetDO {request},0;",
         ]
-    out += ["  ENDPROC", "", "  ! At every start: no arm moves on in a cut before somebody says that it may."]
-    out += ["  PROC tandem_again()", "    VAR num answer;", "    tandem_off;"]
-    buttons = ",".join(quoted(word) for word in vocabulary.BUTTONS)
-    stop = "Stop\\AllMoveTasks;" if together else "Stop;"
-    for flag, request in zip(flags, requests, strict=True):
-        lines = [quoted(line) for line in vocabulary.again(request)]
+    out += ["  ENDPROC"]
+    if torches:
+        out += _begun_anew(torches, flags, stop)
+    out += ["", "  ! At every start: no arm moves on in a cut before somebody says that it may."]
+    out += ["  PROC tandem_again()", *(["    VAR num answer;"] if cut else []), "    tandem_off;"]
+    out += _ended(lit)
+    for request, flag in cut.items():
         real = controller.interlock.of(request).signal
         out += [
-            f"    WHILE {flag} DO",
-            f"      answer:=UIMessageBox(\\Header:={quoted(vocabulary.HEADER)}",
-            f"        \\MsgArray:=[{lines[0]},",
-            *(f"          {line}," for line in lines[1:-1]),
-            f"          {lines[-1]}]",
-            f"        \\BtnArray:=[{buttons}]\\Icon:=iconWarning);",
-            "      IF answer=1 THEN",
-            f"        {flag}:=FALSE;",
+            *_asked(flag, vocabulary.again(request), vocabulary.BUTTONS),
             f"      ELSEIF answer=2 AND DOutput({real})=1 THEN",
             f"        {flag}:=FALSE;",
-            "      ELSE",
-            *(f"        TPWrite {quoted(line)};" for line in vocabulary.REFUSED),
-            f"        {stop}",
-            "      ENDIF",
-            "    ENDWHILE",
+            *_refused(vocabulary.REFUSED, stop),
         ]
     out += ["  ENDPROC"]
     if together:
         out += ["", "  ! The other task waits for the answer.", "  PROC tandem_wait()", "    tandem_off;"]
-        out += [f"    WaitUntil NOT {flag};" for flag in flags]
+        out += [f"    WaitUntil NOT {flag};" for flag in flags.values()]
         out += ["  ENDPROC"]
+    if together and torches:
+        out += ["", "  ! Nor does it go on where a torch burned.", "  PROC tandem_stay()", "    tandem_off;"]
+        out += [*_ended(lit), "    tandem_wait;", "  ENDPROC"]
     return "\n".join([*out, "ENDMODULE", ""])
+
+
+def _begun_anew(torches: Sequence[str], flags: Mapping[str, str], stop: str) -> list[str]:
+    """What becomes of a program that stopped while a torch burned."""
+    out = ["", "  ! A controller that was off saw no stop: a torch may have burned."]
+    out += ["  PROC tandem_lost()", *(f"    {flags[request]}:=TRUE;" for request in torches)]
+    out += ["    tandem_off;", "  ENDPROC", ""]
+    out += ["  ! Where a torch burned no start goes on; PP to main alone leads out."]
+    out += ["  PROC tandem_end()", "    WHILE TRUE DO"]
+    out += [f"      TPWrite {quoted(line)};" for line in vocabulary.ENDED]
+    out += [f"      {stop}", "    ENDWHILE", "  ENDPROC", ""]
+    out += ["  ! At a start anew: nothing is lit again, and all slots are still to be cut."]
+    out += ["  PROC tandem_begin()", "    VAR num answer;", "    tandem_off;"]
+    for request in torches:
+        words = vocabulary.burned(request)
+        out += _asked(flags[request], words, vocabulary.BEGIN_BUTTONS)
+        out += _refused(vocabulary.ENDED, stop)
+    return [*out, "    tandem_again;", "  ENDPROC"]
+
+
+def _ended(flags: Sequence[str]) -> list[str]:
+    """The program ends if one of the ``flags`` of torches is TRUE."""
+    return [line for flag in flags for line in (f"    IF {flag} THEN", "      tandem_end;", "    ENDIF")]
+
+
+def _asked(flag: str, lines: Sequence[str], buttons: Sequence[str]) -> list[str]:
+    """A question as long as a flag is TRUE, which the first answer takes back."""
+    return [
+        f"    WHILE {flag} DO",
+        f"      answer:=UIMessageBox(\\Header:={quoted(vocabulary.HEADER)}",
+        f"        \\MsgArray:=[{quoted(lines[0])},",
+        *(f"          {quoted(line)}," for line in lines[1:-1]),
+        f"          {quoted(lines[-1])}]",
+        f"        \\BtnArray:=[{','.join(quoted(word) for word in buttons)}]\\Icon:=iconWarning);",
+        "      IF answer=1 THEN",
+        f"        {flag}:=FALSE;",
+    ]
+
+
+def _refused(lines: Sequence[str], stop: str) -> list[str]:
+    """Any other answer stops again."""
+    told = [f"        TPWrite {quoted(line)};" for line in lines]
+    return ["      ELSE", *told, f"        {stop}", "      ENDIF", "    ENDWHILE"]
 
 
 _STEPS: Final = """For the controller that these programs run on. Make a backup first.
@@ -195,6 +252,10 @@ _HELD: Final = " Every motion task then holds the module and the event routines.
 _TRIAL: Final = """\
 Try it without wire and with the tool off: start, set the request by hand, stop. The real output
    must fall with the program, with the motors, and when the enabling device is let go."""
+_TORCH_TRIAL: Final = """\
+Try it with the supply of the torch off and its input bridged: start, stop while the request is
+   1. The real output must fall with the program, with the motors, and when the enabling device is
+   let go; Start and a step must stop at once, and only PP to main ask."""
 _LOOK: Final = "Look at the signals below while a program runs and while it stands."
 
 _WIRE: Final = """
@@ -226,11 +287,27 @@ CAB_EXEC_HOOKS for START, RESTART and STEP, a wait in such a routine, UIMessageB
 
 To be checked at the controller: SYSSIG_OUT with MotOnState; the shelves STOP, QSTOP and RESET; that
 CycleOn falls at every stop; that Stop in a routine of START or RESTART keeps the arms where they
-are; that both tasks wait there; UIMessageBox with MsgArray and BtnArray; that TandemRequest lets
-the operator set the request by hand in automatic.
+are; that both tasks wait there; UIMessageBox with MsgArray and BtnArray{by_hand}.
 
 A cross connection is no safety function: an emergency stop must cut the power by itself, too.
+"""
 
+
+_BY_HAND: Final = """\
+; that TandemRequest lets
+the operator set the request by hand in automatic"""
+_TORCH: Final = """
+{torches} lights a torch.
+Behind a stop while it burned, and when the controller was off, no program goes on: nobody can set
+that request by hand (TandemTorch), no question offers it, and a start or a step stops at once. Move
+the torch out by hand, look at the sheet, then PP to main in all tasks and Start: "Begin" is the
+answer for a sheet that has no slot of this program yet. Else plan anew what is left. Never move PP
+into the program: it would light the torch where it stands.
+
+To be checked, too: the shelf POWER_ON; that Start behind PP to main runs START, and behind a stop
+RESTART; that nobody can set a signal of access TandemTorch at the panel.
+"""
+_HOT: Final = """
 Mounting a hot wire with the gate open: in automatic the guard stop takes motors and program away,
 and the power with them. Mount it cold; or in manual at reduced speed, while somebody else holds the
 enabling device and the program waits at its question. The job then runs to its end in manual: a
@@ -249,6 +326,7 @@ One that the controller has already, wired, may stay as it is; its type has to b
 def _readme(
     controller: Controller,
     requests: Sequence[str],
+    torches: Sequence[str],
     suffix: str,
     arm: str,
     wires: Sequence[SignalWire],
@@ -256,16 +334,20 @@ def _readme(
 ) -> str:
     module = _COPY.format(module=f"{POWER_MODULE}{suffix}") if requests else _NO_COPY
     names = "EIO.cfg and SYS.cfg" if requests else "EIO.cfg"
-    held, trial = (_HELD, _TRIAL) if requests else ("", _LOOK)
+    by_hand = bool(set(requests) - set(torches))
+    held, trial = (_HELD, _TRIAL if by_hand else _TORCH_TRIAL) if requests else ("", _LOOK)
     out = _STEPS.format(module=module, files=names, held=held, trial=trial)
     if wires:
         out += _wire(controller, arm, wires, bool(requests))
     if requests:
         both = "\nThe power is on only while the program of the other arm runs, too." if wires else ""
-        out += _POWER.format(signals="\n".join(_outputs(controller, requests)), both=both)
+        rows, said = "\n".join(_outputs(controller, requests)), _BY_HAND if by_hand else ""
+        out += _POWER.format(signals=rows, both=both, by_hand=said)
+        out += _TORCH.format(torches=" and ".join(torches)) if torches else ""
+        out += _HOT if by_hand else ""
     if named:
-        rows = [line for row in named for line in _named(row, arm)]
-        out += _OTHERS.format(signals="\n".join(rows))
+        more = [line for row in named for line in _named(row, arm)]
+        out += _OTHERS.format(signals="\n".join(more))
     return out
 
 

@@ -45,6 +45,7 @@ from planner.verify.krl.syntax_tree import (
 )
 from planner.verify.krl.values import NO_LOAD, held_load, quaternion
 from planner.verify.programs.steps import (
+    UNUSED_AXIS,
     CarryStep,
     Fault,
     FlowError,
@@ -77,8 +78,6 @@ _EXACT_STOP = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """At a point without an approximation: the arm stops there."""
 _FLY_BY = Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """At a point of a spline block: the arm goes through it without a stop."""
-UNSTATED = 9e9
-"""Value of an external axis of which a target says nothing."""
 _PRELUDE = (
     (False, "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )"),
     (True, "INTERRUPT ON 3 behind it"),
@@ -465,7 +464,7 @@ class Runner:
 
 def _target(place: _Pose, outer: Outer) -> RobTarget:
     """A pose that the arm goes straight to, with the external axes that the text states there."""
-    axes = np.full(6, UNSTATED)
+    axes = np.full(6, UNUSED_AXIS)
     for column, value in outer:
         axes[column] = value
     return RobTarget(1e-3 * np.array(place.position), np.array(place.quaternion), None, axes)

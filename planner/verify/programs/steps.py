@@ -23,6 +23,8 @@ BASE_FRAME = "base_frame"
 """The datum of a program that says where its arm's base is,"""
 DIGEST = "problem_digest"
 """and the one that says from which problem it was made, in any language."""
+UNUSED_AXIS = 9e9
+"""Value of an external axis that is not there, or of which a target says nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,6 +20,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray, read_only
 from planner.verify.programs.steps import (
     LARGEST_NUMBER,
+    UNUSED_AXIS,
     JointTarget,
     Load,
     RobTarget,
@@ -32,8 +33,6 @@ from planner.verify.programs.steps import (
     singles,
 )
 
-UNUSED_AXIS = 9e9
-"""Value of an external axis that is not there."""
 QUATERNION_TOLERANCE = 1e-5
 """How far the norm of a quaternion may be off 1."""
 

@@ -35,6 +35,8 @@ from planner.verify.programs.steps import BASE_FRAME, SettingStep, SignalStep, S
 from planner.verify.rapid.reader import CHECK_MODULE, masked
 from planner.verify.rapid.syntax_tree import Instruction, Literal, ProcCall
 from planner.verify.replay import arm_model
+from planner.verify.rules import power_at_stops
+from planner.verify.rules.power_at_stops import POWER_MODULE, config_row
 from planner.verify.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR
 from planner.verify.urscript.flow import LOOK_KIND
 from planner.verify.urscript.reader import pose
@@ -44,18 +46,15 @@ CONTROLLER_FILES = "verify.controller_files"
 """Code of the rule about files for the controllers."""
 _COPY_HINT = "plan again, and copy all files as they are"
 """What to do about any of its faults."""
-_POWER_MODULE = "TandemPower"
-"""Name of the module that switches outputs off and on at stops."""
-_EVENTS = {"stop": "off", "qstop": "off", "reset": "off", "start": "on", "restart": "on", "step": "on"}
-"""What outputs have to do at each system event."""
 
 
 @rule("verify.controller_files")
 def controller_files(context: Context) -> Outcome:
     """Power hangs on more than the program: files for each controller let its output fall at every stop, take
-    the request back, and ask before an arm moves on in a cut; of two controllers each says that it runs, and
-    the other one's stop stops it and takes its power. They declare every signal that the programs name, with
-    the type of its use, fit the program, and none is left over."""
+    the request back, and ask before an arm moves on in a cut; where a torch burned nothing goes on, nor is it
+    set on again, until the program begins anew. Of two controllers each says that it runs, and the other
+    one's stop stops it and takes its power. They declare every signal that the programs name, with the type
+    of its use, fit the program, and none is left over."""
     controller = context.problem.cell.controller
     there: dict[str, dict[str, str]] = {}
     for path, text in context.programs.items():
@@ -70,12 +69,13 @@ def controller_files(context: Context) -> Outcome:
         files = there.pop(folder, {})
         count += len(signals)
         partner = Partner(controller, tasks[0].arm.name) if joined else None
+        lit = power_at_stops.torches(context, signals)
         if tasks[0].krl is None:
             names = [controller.tasks[_place(context, task)] for task in tasks]
             others = _others(controller, tasks, signals, partner)
-            faults = _abb(controller, names, signals, others, files, partner)
+            faults = _abb(controller, names, signals, lit, others, files, partner)
         else:
-            faults = _kuka(controller, tasks[0].arm.name, signals, files, partner)
+            faults = _kuka(controller, tasks[0].arm.name, signals, lit, files, partner)
         faults += [f"{name}: {fault.message}" for name in files for fault in strange(name, files[name])]
         issues += [
             Issue(
@@ -133,13 +133,14 @@ def _abb(
     controller: Controller,
     tasks: Sequence[str],
     signals: Sequence[str],
+    lit: frozenset[str],
     others: Sequence[Row],
     files: Mapping[str, str],
     partner: Partner | None,
 ) -> list[str]:
-    module = f"{_POWER_MODULE}{'.sys' if controller.robotware == 6 else '.sysx'}"
-    wanted = {"EIO": _signals(controller, signals, others, partner)} | (
-        {"SYS": _hooks(tasks, module)} if signals else {}
+    module = f"{POWER_MODULE}{'.sys' if controller.robotware == 6 else '.sysx'}"
+    wanted = {"EIO": _signals(controller, signals, lit, others, partner)} | (
+        {"SYS": power_at_stops.hooks(tasks, module, lit)} if signals else {}
     )
     faults = _names(files, [f"{name}.cfg" for name in wanted] + ([module] if signals else []))
     if faults:
@@ -155,8 +156,12 @@ def _abb(
         if name == "EIO":
             faults += _crosses(controller, signals, partner, got.pop("EIO_CROSS", []))
         faults += [fault for kind in {**rows, **got} for fault in _rows(name, kind, rows, got)]
-    if signals and rapid_words(files[module]) != rapid_words(_routines(controller, signals, len(tasks) > 1)):
-        faults.append(f"{module} does not do what it is to: request back at a stop, question at a start")
+    due = power_at_stops.routines(controller, signals, lit, len(tasks) > 1)
+    if signals and rapid_words(files[module]) != rapid_words(due):
+        what = "request back at a stop, " + (
+            "no way on where a torch burned" if lit else "question at a start"
+        )
+        faults.append(f"{module} does not do what it is to: {what}")
     return faults
 
 
@@ -177,10 +182,6 @@ def _shown_row(row: Row) -> str:
     return " ".join(f"-{key} {value}".strip() for key, value in sorted(row))
 
 
-def _row(**values: str) -> Row:
-    return frozenset(values.items())
-
-
 def _others(
     controller: Controller, tasks: Sequence[TaskText], signals: Sequence[str], partner: Partner | None
 ) -> list[Row]:
@@ -196,34 +197,41 @@ def _others(
         places = (controller.interlock.place(task.arm.name, name) for task in tasks)
         place = next((place for place in places if place is not None), None)
         wired = {"device": place.device, "devicemap": str(place.bit)} if place else {}
-        rows[name.lower(), kind] = _row(name=name, signaltype=kind, **wired)
+        rows[name.lower(), kind] = config_row(name=name, signaltype=kind, **wired)
     return list(rows.values())
 
 
 def _signals(
-    controller: Controller, signals: Sequence[str], others: Sequence[Row], partner: Partner | None
+    controller: Controller,
+    signals: Sequence[str],
+    lit: frozenset[str],
+    others: Sequence[Row],
+    partner: Partner | None,
 ) -> dict[str, list[Row]]:
-    """Requests that nothing but program and operator set, on no device; outputs that nobody sets by hand; and
-    the other signals that the programs name, without which they do not load."""
+    """Requests that nothing but program and operator set, of torches the program alone, on no device; outputs
+    that nobody sets by hand; and the other signals that the programs name, without which they do not load."""
     lock = controller.interlock
-    rows = []
+    rows = power_at_stops.requests(signals, lit)
     for request in signals:
         real = lock.of(request)
         wired = {"device": real.device, "devicemap": str(real.bit)} if real.device else {}
-        rows.append(_row(name=request, signaltype="DO", access="TandemRequest"))
-        rows.append(_row(name=real.signal, signaltype="DO", access="ReadOnly", **wired))
-    rows += [_row(name=name, signaltype="DO", access="ReadOnly") for name in (lock.cycle, lock.motors)]
+        rows.append(config_row(name=real.signal, signaltype="DO", access="ReadOnly", **wired))
+    rows += [config_row(name=name, signaltype="DO", access="ReadOnly") for name in (lock.cycle, lock.motors)]
     wanted = {
-        "EIO_SIGNAL": [*rows, *others, *(_row(**values) for values in (partner.signals if partner else ()))],
+        "EIO_SIGNAL": [
+            *rows,
+            *others,
+            *(config_row(**values) for values in (partner.signals if partner else ())),
+        ],
         "SYSSIG_OUT": [
-            _row(status="CycleOn", signal=lock.cycle),
-            _row(status="MotOnState", signal=lock.motors),
+            config_row(status="CycleOn", signal=lock.cycle),
+            config_row(status="MotOnState", signal=lock.motors),
         ],
     }
     if signals:
-        wanted["EIO_ACCESS"] = [_row(name="TandemRequest", rapid="", localmanual="", localauto="")]
+        wanted["EIO_ACCESS"] = power_at_stops.access(signals, lit)
     if partner:
-        wanted["SYSSIG_IN"] = [_row(signal=partner.lost, action="Stop")]
+        wanted["SYSSIG_IN"] = [config_row(signal=partner.lost, action="Stop")]
     return wanted
 
 
@@ -256,44 +264,6 @@ def _crosses(
     return faults
 
 
-def _hooks(tasks: Sequence[str], module: str) -> dict[str, list[Row]]:
-    hooks = []
-    for number, task in enumerate(tasks):
-        routine = {"off": "tandem_off", "on": "tandem_wait" if number else "tandem_again"}
-        hooks += [
-            _row(routine=routine[kind], shelf=shelf.upper(), task=task) for shelf, kind in _EVENTS.items()
-        ]
-    loaded = _row(file=f"HOME:/{module}", modname=_POWER_MODULE, alltask="")
-    return {"CAB_TASK_MODULES": [loaded], "CAB_EXEC_HOOKS": hooks}
-
-
-def _routines(controller: Controller, signals: Sequence[str], together: bool) -> str:
-    """The system module as it has to be."""
-    kept = {f"tandem_cut_{number}": request for number, request in enumerate(signals, 1)}
-    off = "".join(
-        f"IF DOutput({request})=1 THEN {flag}:=TRUE; ENDIF SetDO {request},0;"
-        for flag, request in kept.items()
-    )
-    ask, stop = "", "Stop\\AllMoveTasks" if together else "Stop"
-    for flag, request in kept.items():
-        lines = ",".join(f'"{line}"' for line in vocabulary.again(request))
-        words = ",".join(f'"{word}"' for word in vocabulary.BUTTONS)
-        told = "".join(f'TPWrite "{line}";' for line in vocabulary.REFUSED)
-        ask += (
-            f'WHILE {flag} DO answer:=UIMessageBox(\\Header:="{vocabulary.HEADER}"\\MsgArray:=[{lines}]'
-            f"\\BtnArray:=[{words}]\\Icon:=iconWarning); IF answer=1 THEN {flag}:=FALSE; "
-            f"ELSEIF answer=2 AND DOutput({controller.interlock.of(request).signal})=1 THEN {flag}:=FALSE; "
-            f"ELSE {told} {stop}; ENDIF ENDWHILE "
-        )
-    waits = "".join(f"WaitUntil NOT {flag};" for flag in kept)
-    wait = f"PROC tandem_wait() tandem_off; {waits} ENDPROC" if together else ""
-    data = "".join(f"PERS bool {flag}:=FALSE;" for flag in kept)
-    return (
-        f"MODULE {_POWER_MODULE}(SYSMODULE) {data} PROC tandem_off() {off} ENDPROC "
-        f"PROC tandem_again() VAR num answer; tandem_off; {ask} ENDPROC {wait} ENDMODULE"
-    )
-
-
 # ---- KUKA ----
 
 
@@ -301,28 +271,18 @@ def _kuka(
     controller: Controller,
     arm: str,
     signals: Sequence[str],
+    lit: frozenset[str],
     files: Mapping[str, str],
     partner: Partner | None,
 ) -> list[str]:
-    flag, runs = "TANDEM_CUT", "$PRO_ACT AND $PERI_RDY"
+    runs = "$PRO_ACT AND $PERI_RDY"
     watched, known = (partner.watched(runs), [partner.seen]) if partner else ([], [])
     runs += f" AND {partner.input}" if partner else ""
-    numbers = {signal: controller.number(arm, signal) for signal in signals}
-    back = [
-        line
-        for number in numbers.values()
-        for line in (f"IF $OUT[{number}] THEN", f"{flag}=TRUE", "ENDIF", f"$OUT[{number}]=FALSE")
-    ]
-    real = {
-        number: controller.number(arm, controller.interlock.of(s).signal) for s, number in numbers.items()
-    }
-    follow = [f"$OUT[{out}]=$OUT[{n}] AND {runs}" for n, out in real.items() if out is not None]
-    held = [f"IF {flag} THEN", "$OV_PRO=0", "ENDIF"]
-    power = [f"IF NOT({runs}) THEN", *back, "ENDIF", *follow, *held]
-    declared = [f"DECL BOOL {name}=FALSE" for name in ([flag] if signals else []) + known]
-    wanted = {"config_user.dat": declared, "sps_user.sub": [*watched, *(power if signals else [])]}
+    flags, submit, stopped = power_at_stops.krl_files(controller, arm, signals, lit, runs)
+    declared = [f"DECL BOOL {name}=FALSE" for name in [*flags, *known]]
+    wanted = {"config_user.dat": declared, "sps_user.sub": [*watched, *submit]}
     if signals:
-        wanted["ir_stopm_user.src"] = back
+        wanted["ir_stopm_user.src"] = stopped
     faults = _names(files, tuple(wanted))
     if faults:
         return faults

@@ -29,8 +29,7 @@ from planner.verify.context import (
     rule,
 )
 from planner.verify.job import TaskText
-from planner.verify.programs.steps import MoveStep, RobTarget, SettingStep
-from planner.verify.rapid.syntax_tree import UNUSED_AXIS
+from planner.verify.programs.steps import UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
 BLIND_SPEED = 0.25

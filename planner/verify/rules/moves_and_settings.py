@@ -16,6 +16,7 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_step, mm, outer_axes, rule
 from planner.verify.job import TaskText, sync_points
 from planner.verify.programs.steps import (
+    UNUSED_AXIS,
     JointTarget,
     LoadStep,
     MessageStep,
@@ -28,7 +29,7 @@ from planner.verify.programs.steps import (
     SyncStep,
     WaitStep,
 )
-from planner.verify.rapid.syntax_tree import UNUSED_AXIS, Module
+from planner.verify.rapid.syntax_tree import Module
 from planner.verify.rules import synchronisation
 from planner.verify.rules.synchronisation import straight_way
 
