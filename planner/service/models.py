@@ -100,6 +100,11 @@ JOBS: Final = Table(
 """``key``: what the answer depends on, the problem's digest and the versions. ``host`` works on the job until
 ``lease``. ``seq`` is the number of the job's last event. ``cancel``: 1 cancelled, 2 deleted too."""
 
+CANCELLED: Final = 1
+"""In a job's column `cancel`: its owner wants it to end."""
+DELETED: Final = 2
+"""In a job's column `cancel`: its owner wants it to end and to go."""
+
 FILES: Final = Table(
     "tandem_files",
     METADATA,
@@ -141,6 +146,19 @@ EVENTS: Final = Table(
     Column("at", Float, nullable=False),
 )
 """What happened to jobs, numbered, for the streams of events."""
+
+KEYS: Final = Table(
+    "tandem_keys",
+    METADATA,
+    Column("owner", String(32), primary_key=True),
+    Column("hash", String(64), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("job", String(32), nullable=False, index=True),
+    Column("content", String(64), nullable=False),
+    Column("created", Float, nullable=False),
+)
+"""The jobs, by ``number``, that a request with an idempotency key made: SHA-256 of the key, and of the
+request's ``content``."""
 
 SCHEMA: Final = Table(
     "tandem_schema", METADATA, Column("version", Integer, primary_key=True, autoincrement=False)
@@ -269,9 +287,10 @@ def _shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 5
+API: Final = 6
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
-data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known."""
+data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
+6: keys of requests that are done once."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[

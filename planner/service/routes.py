@@ -22,6 +22,7 @@ from pathlib import PurePosixPath
 from typing import Annotated, Any, Final, get_args
 from urllib.parse import quote, urlencode
 
+import anyio.to_thread
 from fastapi import APIRouter, Cookie, Depends, Header, Query, Request, Response, Security
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
@@ -30,6 +31,7 @@ from sqlalchemy.exc import SQLAlchemyError
 import planner
 from planner.catalogue.issue_codes import CODES
 from planner.issues import Issue, has_errors
+from planner.service import idempotency
 from planner.service.answers import MadeFile, is_known, stored_file, tagged
 from planner.service.jobs import Stream
 from planner.service.models import (
@@ -164,6 +166,26 @@ def job_to_read(
     if not open_to_all and not here.auth.in_force(owner):
         raise bad_link("the token of its job is no longer in force; ask for a new one")
     return found
+
+
+def idempotency_key(
+    request: Request,
+    given: Annotated[
+        str | None,
+        Header(
+            alias=idempotency.HEADER,
+            description="a value of your own, a UUID say: the same request sent again with it makes nothing "
+            "new and has the same answer",
+            json_schema_extra={"minLength": 1, "maxLength": idempotency.LONGEST, "pattern": "^[!-~]+$"},
+        ),
+    ] = None,
+) -> str | None:
+    """The idempotency key of a request; raises :class:`RefusedError`, 422."""
+    del given  # the last of several
+    return idempotency.checked(request.headers.getlist(idempotency.HEADER))
+
+
+Key = Annotated[str | None, Depends(idempotency_key)]
 
 
 STARTED: Final = time.time()
@@ -411,6 +433,7 @@ async def create(
     request: Request,
     owner: Caller,
     here: Here,
+    key: Key,
     timeout_s: Annotated[
         float | None,
         Query(gt=0, le=1e6, description="stop planning after so long; the service has a limit too"),
@@ -422,8 +445,12 @@ async def create(
     """Upload a problem with its files. An identical problem that was planned before has its answer at
     once."""
     upload = await take_upload(request, here.storage, owner, here.limits)
+    once = idempotency.once(owner, key, "jobs", upload.content, timeout_s, memory_mb)
+    known = await anyio.to_thread.run_sync(here.jobs.made, once)
+    if known:
+        return known[0]
     return await here.in_turn(
-        request, owner, lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading)
+        request, owner, lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading, once)
     )
 
 

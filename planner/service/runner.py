@@ -24,8 +24,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from planner.batch.job import LIKE, Done, Event, Finished, Found, Job, Progress
 from planner.issues import Issue, TandemError
+from planner.service import idempotency
 from planner.service.jobs import (
-    DELETED,
     answer_from_store,
     issues_json,
     job_files,
@@ -33,7 +33,7 @@ from planner.service.jobs import (
     record_event,
     remove,
 )
-from planner.service.models import ELEMENT_JOBS, JOBS, OPEN, SESSIONS, Database, State
+from planner.service.models import DELETED, ELEMENT_JOBS, JOBS, OPEN, SESSIONS, Database, State
 from planner.service.security import MB, issue_json
 from planner.service.storage import Blob, Files
 
@@ -231,10 +231,11 @@ class Work:
             return True
 
     def forget(self, older_s: float | None) -> None:
-        """Delete jobs that were finished so long ago, and sessions that are over."""
+        """Delete jobs that were finished so long ago, sessions that are over, and old idempotency keys."""
         now = time.time()
         with self._database.write() as db:
             db.execute(delete(SESSIONS).where(SESSIONS.c.expires < now))
+            idempotency.forget(self._database, db)
             if older_s is not None:
                 old = and_(JOBS.c.state.not_in(OPEN), JOBS.c.finished < now - older_s)
                 for job in db.execute(select(JOBS.c.id).where(old)).scalars().all():

@@ -27,6 +27,7 @@ from starlette.requests import Request
 from planner.batch.job import PROBLEM, all_versions
 from planner.issues import Issue, TandemError
 from planner.service.elements import Elements
+from planner.service.idempotency import Once
 from planner.service.jobs import Hub, Jobs, NewJob, OfElement
 from planner.service.models import Database, JobOut, default_url
 from planner.service.runner import Runner, Team, Work
@@ -229,11 +230,12 @@ class Service:
         timeout_s: float | None,
         memory_mb: float | None,
         reading: Reading | None = None,
+        once: Once | None = None,
     ) -> JobOut:
         """A job for an upload; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
         read = self.examine(upload, reading=reading)
         files = self.stored(owner, {PROBLEM: read}, upload.files)[PROBLEM]
-        return self.jobs.create(self.new_job(owner, read.name, read, files, timeout_s, memory_mb))
+        return self.jobs.create(self.new_job(owner, read.name, read, files, timeout_s, memory_mb), once)
 
     def examine_element(
         self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: Reading
