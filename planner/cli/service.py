@@ -1,4 +1,4 @@
-"""``tandem serve`` and ``tandem token``."""
+"""``tandem serve``, ``tandem token``, ``tandem backup`` and ``tandem restore``."""
 
 from __future__ import annotations
 
@@ -108,6 +108,31 @@ class Revoke:
     """database of the service, if it is not in the data folder"""
 
 
+@dataclasses.dataclass(frozen=True)
+class BackUp:
+    """Back the service's store up into a new folder: database and files as they are at one moment. The
+    service may run meanwhile."""
+
+    folder: tyro.conf.Positional[Path]
+    """the new folder"""
+    data: Path = DATA_FOLDER
+    """data folder of the service"""
+    database: str | None = None
+    """database of the service, if it is not in the data folder"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Restore:
+    """Restore a backup into a new data folder; nothing is overwritten."""
+
+    folder: tyro.conf.Positional[Path]
+    """what `tandem backup` made"""
+    data: Path = DATA_FOLDER
+    """data folder to be, of a service that does not run"""
+    database: str | None = None
+    """empty database to be filled, if it is not to lie in the data folder"""
+
+
 Token = tyro.conf.OmitSubcommandPrefixes[
     Annotated[Add, tyro.conf.subcommand("add")]
     | Annotated[List, tyro.conf.subcommand("list")]
@@ -172,6 +197,30 @@ def token(asked: Add | List | Revoke) -> None:
         for known in auth.list():
             table.add_row(known.name, _moment(known.created), _moment(known.revoked))
         out.print(table)
+
+
+def back_up(asked: BackUp) -> None:
+    """Make a backup; raises ``TandemError``."""
+    try:
+        from planner.service import backup
+    except ImportError as error:
+        raise TandemError(not_installed(error)) from error
+    made = backup.back_up(asked.data, asked.database, asked.folder)
+    _tell(f"{asked.folder}: a backup of {made.jobs} jobs, {made.files} files, {made.size / 1e6:,.1f} MB")
+
+
+def restore(asked: Restore) -> None:
+    """Restore a backup; raises ``TandemError``."""
+    try:
+        from planner.service import backup
+    except ImportError as error:
+        raise TandemError(not_installed(error)) from error
+    made = backup.restore(asked.folder, asked.data, asked.database)
+    _tell(f"{asked.data}: restored {made.jobs} jobs, {made.files} files, {made.size / 1e6:,.1f} MB")
+
+
+def _tell(what: str) -> None:
+    out.print(what, highlight=False, markup=False, soft_wrap=True)
 
 
 def not_installed(error: ImportError) -> Issue:

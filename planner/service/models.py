@@ -40,7 +40,7 @@ from sqlalchemy import (
     text,
 )
 from sqlalchemy.engine import make_url
-from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
+from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, OperationalError
 from sqlalchemy.sql.elements import ColumnElement
 
 from planner.issues import Issue, TandemError
@@ -180,7 +180,7 @@ class Database:
         """Raises ``TandemError`` with ``service.database`` where it cannot be opened."""
         self._lock = threading.Lock()
         try:
-            self._engine = _engine(url)
+            self._engine = open_engine(url)
             self.sqlite = self._engine.dialect.name == "sqlite"
             with self._engine.execution_options(write=True).begin() as connection:
                 if not self.sqlite:
@@ -191,7 +191,7 @@ class Database:
             issue = Issue("service.database", f"database {_shown(url)}: {error}", field="database")
             raise TandemError(issue) from error
         except (OperationalError, ArgumentError, NoSuchModuleError, ImportError) as error:
-            raise TandemError(_cannot_open(url, error)) from error
+            raise TandemError(cannot_open(url, error)) from error
         self._writer = self._engine.execution_options(write=True)
 
     @contextmanager
@@ -237,7 +237,9 @@ def default_url(data: Path) -> str:
     return f"sqlite:///{data.resolve() / 'tandem.db'}"
 
 
-def _engine(url: str) -> Engine:
+def open_engine(url: str) -> Engine:
+    """Connections to a database as it is. Raises ``ArgumentError``, ``NoSuchModuleError`` or ``ImportError``
+    for what is no URL or has no driver."""
     if url.startswith(("postgres://", "postgresql://")):
         url = "postgresql+psycopg://" + url.split("://", 1)[1]
     kind = make_url(url).get_backend_name()
@@ -272,10 +274,11 @@ def _begin_sqlite(connection: Connection) -> None:
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
-def _cannot_open(url: str, error: Exception) -> Issue:
+def cannot_open(url: str, error: Exception) -> Issue:
+    """What to say of a database that cannot be opened."""
     if isinstance(error, ImportError):
         what = "PostgreSQL needs its driver; pip install 'tandem-planner[service,postgres]'"
-    elif isinstance(error, OperationalError):
+    elif isinstance(error, DBAPIError):
         what = f"cannot be opened ({str(error.orig).splitlines()[0]}); see that it runs and may be written"
     else:
         what = "is no such URL; give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME"

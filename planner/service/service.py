@@ -76,7 +76,7 @@ class Service:
     def __init__(self, options: Options, make_team: Callable[[], Team]) -> None:
         """Raises ``TandemError``: the folder or the database cannot be had, or tokens are missing."""
         self.options, self.limits = options, options.limits
-        self._lock = _lock_data(options.data, options.database is None)
+        self._lock = lock_data(options.data, options.database is None)
         self.database = Database(options.url)
         self.auth = Auth(self.database)
         if options.tokens_required and not self.auth.any():
@@ -313,7 +313,7 @@ def _versions() -> str:
     return json.dumps(all_versions(), sort_keys=True)
 
 
-def _lock_data(data: Path, alone: bool) -> IO[str]:
+def lock_data(data: Path, alone: bool) -> IO[str]:
     """Make the data folder; where the database lies in it, keep other services out until this one ends."""
     try:
         data.mkdir(parents=True, exist_ok=True, mode=0o700)
