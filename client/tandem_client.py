@@ -342,10 +342,17 @@ class Client:
                 return self._answer(
                     self._url, f"sends requests on to {there}; give that address if it is yours"
                 )
+            said: Any = None
             try:
-                return self._refused(*json.loads(error.read())["issues"])
+                said = json.loads(error.read())
+                return self._refused(*said["issues"])
             except (ValueError, KeyError, TypeError, OSError, http.client.HTTPException):
-                return self._answer(self._url, f"answers with status {error.code}; is it a Tandem?")
+                told = [said.get(name) for name in ("title", "detail")] if isinstance(said, dict) else []
+                why = ": ".join(one[:200] for one in told if isinstance(one, str))  # of a proxy, perhaps
+                return self._answer(
+                    self._url,
+                    f"answers with status {error.code}{f' ({why})' if why else ''}; is it a Tandem?",
+                )
 
     def _want(self, api: int, what: str = "") -> None:
         """See that the service has this interface, and serves this client."""

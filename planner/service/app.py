@@ -37,7 +37,7 @@ from planner.service import bundled, element_routes, routes
 from planner.service.answers import Heads, Hurried, allowed
 from planner.service.routes import REFUSALS, REQUESTS, Caller, Here
 from planner.service.runner import Team
-from planner.service.security import LOOPBACK, Guard, RefusedError, issue_json
+from planner.service.security import LOOPBACK, PROBLEM_JSON, Guard, RefusedError, issue_json
 from planner.service.service import Options, Service
 from planner.service.storage import store_refusal, take_upload
 
@@ -196,7 +196,8 @@ ROUTERS: Final = (routes.job_router, element_routes.router, routes.about_router,
 LOG: Final = logging.getLogger("planner.service")
 """Log of the service."""
 ABOUT: Final = """Plans the motion of two industrial robots that share one job. Problems go in as files,
-programs come out if they are proven. Every refusal has `issues`, each with a `code` and the `field`."""
+programs come out if they are proven. Every refusal is a problem document (RFC 9457) with `issues`, each with
+a `code` and the `field`."""
 """What the description of the interface begins with."""
 
 
@@ -276,7 +277,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         made["components"]["schemas"] |= problem_schema(IN_OPENAPI)[1]
         for name in ("HTTPValidationError", "ValidationError"):  # no answer has them
             made["components"]["schemas"].pop(name, None)
-        refusal = {"application/json": {"schema": {"$ref": "#/components/schemas/Refusal"}}}
+        refusal = {PROBLEM_JSON: {"schema": {"$ref": "#/components/schemas/Refusal"}}}
         general = [str(one["description"]) for one in REFUSALS.values()]
         for path in made["paths"].values():
             for method in path.values():
@@ -284,7 +285,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
                 if said != REFUSALS[422]["description"]:  # the framework lists it for all that has parameters
                     method["responses"].pop("422", None)
                 for status, answer in method["responses"].items():
-                    # JSON, whatever a good answer is
+                    # a problem document, whatever a good answer is
                     if (status[0] == "4" and status != "416") or answer["description"] in general:
                         answer["content"] = refusal
         app.openapi_schema = made
@@ -295,7 +296,7 @@ async def _refused(request: Request, error: Exception) -> JSONResponse:
     del request
     if not isinstance(error, RefusedError):
         raise error
-    return JSONResponse(error.body, error.status, headers=error.headers)
+    return JSONResponse(error.body, error.status, headers=error.headers, media_type=PROBLEM_JSON)
 
 
 async def _invalid(request: Request, error: Exception) -> JSONResponse:

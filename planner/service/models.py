@@ -327,9 +327,13 @@ class Sent(BaseModel):
 
 
 class Refusal(Sent):
-    """Why a request was refused."""
+    """Why a request was refused, as a problem document (RFC 9457)."""
 
-    issues: list[Issue]
+    type: Literal["about:blank"] = Field(description="the status says the kind, codes of issues the rest")
+    title: str = Field(description="the status in words")
+    status: int
+    detail: str = Field(description="the messages of all issues")
+    issues: list[Issue] = Field(description="all that is wrong, by code and field")
 
 
 class JobOut(Sent):
