@@ -6,7 +6,7 @@ import dataclasses
 import datetime as dt
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 from rich.console import Console
@@ -70,6 +70,8 @@ class Serve:
     """most memory of planning, a job"""
     keep_days: float | None = None
     """delete finished jobs after so many days"""
+    log: Literal["text", "json"] = "text"
+    """how the log is written: for people, or as lines of JSON on standard output"""
     lease_s: float = 30.0
     """on a shared database: jobs of a host that has been silent for so long are planned by others"""
 
@@ -181,6 +183,7 @@ def serve(asked: Serve) -> None:
         ),
         asked.certificate,
         asked.key,
+        asked.log,
     )
 
 

@@ -33,7 +33,7 @@ from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
-from planner.service import bundled, element_routes, routes
+from planner.service import bundled, element_routes, logs, routes
 from planner.service.answers import Heads, Hurried, allowed
 from planner.service.routes import REFUSALS, REQUESTS, Caller, Here
 from planner.service.runner import Team
@@ -237,6 +237,7 @@ def create_app(service: Service) -> FastAPI:
     app.add_middleware(Heads)
     app.add_middleware(Guard, upload_mb=service.limits.upload_mb, open_hosts=names)
     app.add_middleware(_Counted)
+    app.add_middleware(logs.Logged)
     if options.tokens_required:  # without tokens, what a proxy passes on is refused
         app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(options.trusted_proxies))
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
@@ -327,21 +328,33 @@ async def _store(request: Request, error: Exception) -> JSONResponse:
     refused = store_refusal(error)
     if refused is None:
         return await _failed(request, error)
-    LOG.warning("%s %s: %s", request.method, request.url.path, type(error).__name__)
+    LOG.warning(
+        "%s %s: %s", request.method, request.url.path, type(error).__name__, extra=_of_request(request)
+    )
     return await _refused(request, refused)
 
 
 async def _failed(request: Request, error: Exception) -> JSONResponse:
-    LOG.error("%s %s failed", request.method, request.url.path, exc_info=error)
+    known = _of_request(request)
+    LOG.error("%s %s failed", request.method, request.url.path, exc_info=error, extra=known)
     issue = Issue("internal.error", "the service itself failed, and has written down how; report this")
-    return await _refused(request, RefusedError(500, issue))
+    headers = {logs.HEADER: known["request"]} if known["request"] else {}  # this answer passes by the others
+    return await _refused(request, RefusedError(500, issue, headers))
+
+
+def _of_request(request: Request) -> dict[str, Any]:
+    """What a record tells of a request."""
+    known = getattr(request.state, "request_id", None)
+    return {"request": known, "method": request.method, "path": request.url.path}
 
 
 STREAMS_END_S: Final = 3
 """Streams that are open get so long to end when the service stops."""
 
 
-def serve(options: Options, certificate: Path | None = None, key: Path | None = None) -> None:
+def serve(
+    options: Options, certificate: Path | None = None, key: Path | None = None, log: logs.Kind = "text"
+) -> None:
     """Serve until told to stop: after SIGTERM it returns. Raises ``TandemError`` where it cannot start."""
     if (certificate is None) != (key is None):
         raise TandemError(
@@ -362,6 +375,7 @@ def serve(options: Options, certificate: Path | None = None, key: Path | None = 
         port=options.port,
         http=Hurried,
         log_level="info",
+        access_log=log == "text",  # lines of JSON are about requests anyway
         server_header=False,
         proxy_headers=False,
         timeout_keep_alive=30,
@@ -373,6 +387,8 @@ def serve(options: Options, certificate: Path | None = None, key: Path | None = 
         ssl_keyfile=key,
     )
     logging.getLogger("uvicorn.access").addFilter(without_query)
+    if log == "json":
+        logs.write_json(options.data)
     # Uvicorn raises the signal that ended it again when all is stopped; to be asked to end is no failure, so
     # nothing more is to be done then
     signal.signal(signal.SIGTERM, lambda number, frame: None)

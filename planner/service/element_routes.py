@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from planner.issues import Issue
 from planner.service import idempotency
 from planner.service.answers import tagged
+from planner.service.logs import about
 from planner.service.models import (
     Change,
     Chosen,
@@ -51,6 +52,7 @@ def own_element(element: str, owner: Caller, here: Here) -> str:
     if not JOB_ID.fullmatch(element) or here.elements.owner(element) != owner:
         what = f"element {element[:40]!r}: there is none; list the elements"
         raise RefusedError(404, Issue("service.unknown_job", what))
+    about(element)
     return element
 
 

@@ -23,6 +23,7 @@ from starlette.types import Receive, Scope, Send
 from planner.issues import Issue
 from planner.service import idempotency
 from planner.service.idempotency import Once
+from planner.service.logs import about
 from planner.service.models import (
     CANCELLED,
     DELETED,
@@ -99,6 +100,7 @@ class Jobs:
                 return known
             self._allow(db, jobs)
             created = [self._created(db, new) for new in jobs]
+            about(*(job.id for job in created))
             if once is not None:
                 idempotency.keep(self._database, db, once, [job.id for job in created])
             return created
@@ -113,6 +115,7 @@ class Jobs:
 
     def _made(self, db: Connection, once: Once | None) -> list[JobOut]:
         known = [] if once is None else idempotency.made(db, once)
+        about(*known)
         return [job_out(job_row(db, job), self._ahead(db, job)) for job in known]
 
     def _created(self, db: Connection, new: NewJob) -> JobOut:

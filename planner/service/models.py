@@ -253,6 +253,7 @@ def open_engine(url: str) -> Engine:
         pool_timeout=WAIT_S,
         pool_pre_ping=kind != "sqlite",
         connect_args=waits,
+        hide_parameters=True,  # errors go to the log, hashes of tokens and users' data do not
     )
     if kind == "sqlite":
         event.listen(engine, "connect", _prepare_sqlite)

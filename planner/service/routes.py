@@ -34,6 +34,7 @@ from planner.issues import Issue, has_errors
 from planner.service import idempotency
 from planner.service.answers import MadeFile, is_known, stored_file, tagged
 from planner.service.jobs import Stream
+from planner.service.logs import about
 from planner.service.models import (
     API,
     OLDEST_API,
@@ -138,6 +139,7 @@ def own_job(job: str, owner: Caller, here: Here) -> JobOut:
     belongs_to, found = here.jobs.get(job)
     if belongs_to != owner:
         raise unknown_job(job)
+    about(job)
     return found
 
 

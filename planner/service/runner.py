@@ -291,6 +291,11 @@ ROOM_S: Final = 20.0
 """After a job that found the disk full, none is begun for so long."""
 
 
+def _of(claimed: Claimed) -> dict[str, Any]:
+    """What a record tells of a job."""
+    return {"jobs": [claimed.id]}
+
+
 class Team(Protocol):
     """What plans: :class:`planner.batch.workers.Workers`, or a cluster."""
 
@@ -364,7 +369,7 @@ class Runner(threading.Thread):
             try:
                 self._work.give_back(claimed)
             except SQLAlchemyError:
-                LOG.exception("job %s waits until its lease is over", claimed.id)
+                LOG.exception("job %s waits until its lease is over", claimed.id, extra=_of(claimed))
         for folder in self._folders.values():
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -408,6 +413,7 @@ class Runner(threading.Thread):
         folder = Path(tempfile.mkdtemp(dir=self._scratch, prefix="job-"))
         self._claimed[name], self._folders[name] = claimed, folder
         job = Job(name, bundle, timeout_s=claimed.timeout_s, memory_mb=claimed.memory_mb)
+        LOG.info("job %s begins, attempt %d", claimed.id, claimed.attempt, extra=_of(claimed))
         team.start(job, folder / "result")
 
     def _take(self, event: Event) -> None:
@@ -430,14 +436,17 @@ class Runner(threading.Thread):
         while not self._ending.is_set():
             try:
                 if any(issue.code == "output.disk_full" for issue in done.issues):
-                    LOG.warning("job %s waits for room on the disk", claimed.id)
+                    LOG.warning("job %s waits for room on the disk", claimed.id, extra=_of(claimed))
                     self._room_at = time.monotonic() + ROOM_S
                     self._work.give_back(claimed)
                     break
                 stored, told = self._stored(folder / "result"), self._told(done.issues)
                 kept = self._work.finish(claimed, done.state, told, done.metrics, done.seconds, stored)
                 if not kept:
-                    LOG.warning("job %s was taken over; what was planned here is dropped", claimed.id)
+                    what = "job %s was taken over; what was planned here is dropped"
+                    LOG.warning(what, claimed.id, extra=_of(claimed))
+                else:
+                    LOG.info("job %s ended: %s", claimed.id, done.state, extra=_of(claimed))
                 break
             except (SQLAlchemyError, OSError):
                 self._wait_again("the end of job %s cannot be stored now", claimed.id)
