@@ -25,7 +25,6 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 import planner
@@ -33,9 +32,9 @@ from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
-from planner.service import bundled, element_routes, logs, routes
+from planner.service import bundled, element_routes, logs, metrics, routes
 from planner.service.answers import Heads, Hurried, allowed
-from planner.service.routes import REFUSALS, REQUESTS, Caller, Here
+from planner.service.routes import REFUSALS, Caller, Here
 from planner.service.runner import Team
 from planner.service.security import LOOPBACK, PROBLEM_JSON, Guard, RefusedError, issue_json
 from planner.service.service import Options, Service
@@ -236,32 +235,14 @@ def create_app(service: Service) -> FastAPI:
     names = None if options.tokens_required else LOOPBACK | {options.host}
     app.add_middleware(Heads)
     app.add_middleware(Guard, upload_mb=service.limits.upload_mb, open_hosts=names)
-    app.add_middleware(_Counted)
+    every = [*app.routes, *(route for router in ROUTERS for route in router.routes)]
+    paths = [getattr(route, "path", "") for route in every]
+    app.add_middleware(metrics.Measured, routes=paths)
     app.add_middleware(logs.Logged)
     if options.tokens_required:  # without tokens, what a proxy passes on is refused
         app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(options.trusted_proxies))
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     return app
-
-
-class _Counted:
-    """Counts answers."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def counted(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                known = scope["method"] if scope["method"] in METHODS else "other"
-                REQUESTS.count(known, message["status"])
-            await send(message)
-
-        await self._app(scope, receive, counted if scope["type"] == "http" else send)
-
-
-METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
-"""Methods that are counted by name; others are counted together."""
 
 
 def _openapi(app: FastAPI) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from planner.issues import Issue
-from planner.service import idempotency
+from planner.service import idempotency, metrics
 from planner.service.idempotency import Once
 from planner.service.logs import about
 from planner.service.models import (
@@ -42,6 +42,8 @@ from planner.service.models import (
 from planner.service.security import Limits, RefusedError, issue_json, unknown_job
 from planner.service.storage import Blob
 
+STORE: Final = "store"
+"""Source of the outcome of a job that was answered from the store."""
 AGAIN: Final = ("crashed", "timeout", "memory", "cancelled")
 """States of jobs that may end otherwise when they are planned again."""
 
@@ -100,10 +102,13 @@ class Jobs:
                 return known
             self._allow(db, jobs)
             created = [self._created(db, new) for new in jobs]
-            about(*(job.id for job in created))
             if once is not None:
                 idempotency.keep(self._database, db, once, [job.id for job in created])
-            return created
+        about(*(job.id for job in created))
+        for job in created:
+            if job.from_store:
+                metrics.ended(job.state, STORE)
+        return created
 
     def made(self, once: Once | None) -> list[JobOut]:
         """The jobs, as they are now, that a request made which is to be done ``once``; empty where it made
@@ -191,7 +196,9 @@ class Jobs:
             done = job_out(job_row(db, job, deleted_too=True))
             if also_delete and done.state not in OPEN:
                 remove(db, job)
-            return done
+        if row["state"] == "queued" and done.state == "cancelled":
+            metrics.ended("cancelled")
+        return done
 
     def retry(self, job: str) -> JobOut:
         """Let a job wait again as if it had come now, its results gone. Raises :class:`RefusedError`, 404,
@@ -216,8 +223,11 @@ class Jobs:
             db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
             record_event(db, job, "issues", {"issues": [], "all": True})
             record_event(db, job, "state", {"state": "queued"})
-            answer_from_store(db, job, row["key"])
-            return job_out(job_row(db, job), self._ahead(db, job))
+            answered = answer_from_store(db, job, row["key"])
+            done = job_out(job_row(db, job), self._ahead(db, job))
+        if answered:
+            metrics.ended(done.state, STORE)
+        return done
 
     def files(self, job: str) -> dict[str, Blob]:
         """The files of a job by name."""
@@ -244,6 +254,14 @@ class Jobs:
         with self._database.read() as db:
             rows = db.execute(select(JOBS.c.state, func.count()).group_by(JOBS.c.state))
             return dict(tuple(row) for row in rows)
+
+    def oldest_waiting(self) -> float | None:
+        """When the job that has waited longest came [s since 1970]; None without one."""
+        with self._database.read() as db:
+            came: float | None = db.execute(
+                select(func.min(JOBS.c.created)).where(JOBS.c.state == "queued")
+            ).scalar()
+        return came
 
     def _ahead(self, db: Connection, job: str) -> int | None:
         row = job_row(db, job)

@@ -24,8 +24,9 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from planner.batch.job import LIKE, Done, Event, Finished, Found, Job, Progress
 from planner.issues import Issue, TandemError
-from planner.service import idempotency
+from planner.service import idempotency, metrics
 from planner.service.jobs import (
+    STORE,
     answer_from_store,
     issues_json,
     job_files,
@@ -77,6 +78,9 @@ class Work:
                     return None
                 job = row["id"]
                 if answer_from_store(db, job, row["key"]):
+                    metrics.ended(
+                        db.execute(select(JOBS.c.state).where(JOBS.c.id == job)).scalar_one(), STORE
+                    )
                     continue
                 attempt = row["attempts"] + 1
                 db.execute(
@@ -94,6 +98,7 @@ class Work:
                 )
                 record_event(db, job, "state", {"state": "running", "attempt": attempt})
                 files = {**job_files(db, job), **_like(db, job)}
+                metrics.waited(time.time() - row["created"])
                 return Claimed(job, row["name"], attempt, files, row["timeout_s"], row["memory_mb"])
 
     def _next(self) -> Select[Any]:
@@ -173,6 +178,7 @@ class Work:
             record_event(db, job, "issues", {"issues": [issue_json(issue) for issue in issues]})
         if state != "queued":
             values["finished"] = time.time()
+            metrics.ended(state)
         db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
         record_event(db, job, "state", {"state": state})
 
@@ -331,6 +337,7 @@ class Runner(threading.Thread):
         self._ending = threading.Event()
         self._claimed: dict[str, Claimed] = {}
         self._last_progress: dict[str, tuple[str, float]] = {}
+        self._stages: dict[str, tuple[str, float]] = {}
         self._folders: dict[str, Path] = {}
         self._due: dict[str, float] = {}
         self.alive_at = time.monotonic()
@@ -421,6 +428,9 @@ class Runner(threading.Thread):
         if claimed is None:
             return
         if isinstance(event, Progress):
+            if self._stages.get(event.name, ("", 0.0))[0] != event.stage:
+                self._stage_ended(event.name)
+                self._stages[event.name] = (event.stage, time.monotonic())
             stage, at = self._last_progress.get(event.name, ("", 0.0))
             if event.stage != stage or time.monotonic() - at >= PROGRESS_EVERY_S:
                 self._last_progress[event.name] = (event.stage, time.monotonic())
@@ -447,6 +457,8 @@ class Runner(threading.Thread):
                     LOG.warning(what, claimed.id, extra=_of(claimed))
                 else:
                     LOG.info("job %s ended: %s", claimed.id, done.state, extra=_of(claimed))
+                    self._stage_ended(name)
+                    metrics.ended(done.state)
                 break
             except (SQLAlchemyError, OSError):
                 self._wait_again("the end of job %s cannot be stored now", claimed.id)
@@ -456,7 +468,14 @@ class Runner(threading.Thread):
             return  # it is planned again
         del self._claimed[name], self._folders[name]
         self._last_progress.pop(name, None)
+        self._stages.pop(name, None)
         shutil.rmtree(folder, ignore_errors=True)
+
+    def _stage_ended(self, name: str) -> None:
+        """Count the stage in which a job is, if it is in one."""
+        stage, began = self._stages.pop(name, ("", 0.0))
+        if stage:
+            metrics.staged(stage, time.monotonic() - began)
 
     def _told(self, issues: Collection[Issue]) -> tuple[Issue, ...]:
         """Without where on this host it was: users have no use for that, and others might."""
