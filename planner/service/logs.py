@@ -162,7 +162,8 @@ class JsonLines(logging.Formatter):
 def write_json(data: Path, stream: IO[str] | None = None) -> None:
     """Let all lines of the log be JSON from now on; ``data`` is the service's folder, which is not told."""
     handler = logging.StreamHandler(stream or sys.stdout)
-    handler.setFormatter(JsonLines({str(data.resolve()): "(data)"}))
+    hidden = {str(data.resolve()): "(data)", str(data.absolute()): "(data)"}
+    handler.setFormatter(JsonLines(hidden))
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING)
