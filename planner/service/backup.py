@@ -27,7 +27,6 @@ from pathlib import Path
 from typing import Final
 
 from sqlalchemy import Connection, Engine, insert, select, text
-from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
 import planner
@@ -74,18 +73,12 @@ def back_up(data: Path, database: str | None, folder: Path) -> Backup:
         if not (data / FILES).is_dir():
             raise _refused(f"data folder {data}: there is no store in it; give --data as the service has it")
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        source, target = Files(data / FILES), Files(folder / FILES)
-        for _ in range(MOMENTS):
-            copy = folder / DATABASE
-            copy.unlink(missing_ok=True)
-            _moment(database or default_url(data), copy)
-            made, named = _read(copy)
-            lost = _copied(named, source, target)
-            if lost is None:
-                break
-        else:
-            what = f"data folder {data}: file {lost} of a job is not there, however often it is looked for; "
-            raise _refused(what + "the store is damaged: find the file, or delete that job")
+        try:
+            made = _backed_up(data, database or default_url(data), folder)
+        except BaseException:  # nothing stands in the way of another try
+            shutil.rmtree(folder / FILES, ignore_errors=True)
+            (folder / DATABASE).unlink(missing_ok=True)
+            raise
         about = dataclasses.asdict(made) | {"format": FORMAT, "program": planner.__version__}
         about["made"] = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
         write_whole(folder / ABOUT, json.dumps(about, indent=1))
@@ -122,14 +115,31 @@ def restore(folder: Path, data: Path, database: str | None) -> Backup:
         return made
 
 
+def _backed_up(data: Path, url: str, folder: Path) -> Backup:
+    """Copy the database of a moment and all files that it names."""
+    source, target, copy = Files(data / FILES), Files(folder / FILES), folder / DATABASE
+    for _ in range(MOMENTS):
+        copy.unlink(missing_ok=True)
+        _moment(url, copy)
+        made, named = _read(copy)
+        lost = _copied(named, source, target)
+        if lost is None:
+            return made
+    what = f"data folder {data}: file {lost} of a job is not there, however often it is looked for; "
+    raise _refused(what + "the store is damaged: find the file, or delete that job")
+
+
 def _moment(url: str, copy: Path) -> None:
     """Write the database as it is at one moment."""
-    if make_url(url).get_backend_name() == "sqlite":
-        path = Path(make_url(url).database or "")
+    try:
+        engine = open_engine(url)
+    except (SQLAlchemyError, ImportError) as error:
+        raise TandemError(cannot_open(url, error)) from error
+    if engine.dialect.name == "sqlite":
+        path = Path(engine.url.database or "")
         with contextlib.closing(_opened(path)) as source, contextlib.closing(sqlite3.connect(copy)) as target:
             source.backup(target)  # in one step, so in one transaction
         return
-    engine = open_engine(url)
     try:
         with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as guard:
             # who brings the tables up to date waits for this, and this for who does; the transaction below

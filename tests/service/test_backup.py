@@ -170,6 +170,18 @@ def test_what_is_there_is_never_overwritten(made: tuple[Path, str, str], tmp_pat
     with pytest.raises(TandemError, match="there is no store in it"):
         backup.back_up(tmp_path / "mine", None, tmp_path / "more")
     assert not (tmp_path / "more").exists()
+    (store / "files").mkdir()
+    for url in (
+        "nonsense",
+        "mysql://u:secret@h/d",
+        "postgresql://u:secret@127.0.0.1:1/d",
+        "sqlite:///no/such.db",
+    ):
+        with pytest.raises(TandemError) as caught:
+            backup.back_up(store, url, tmp_path / "url")
+        assert "secret" not in str(caught.value)
+        assert list((tmp_path / "url").iterdir()) == []
+    backup.back_up(store, None, tmp_path / "url")
 
 
 def test_nor_on_postgresql(made: tuple[Path, str, str], tmp_path: Path) -> None:
@@ -222,7 +234,7 @@ def test_a_damaged_store_is_told(made: tuple[Path, str, str], tmp_path: Path) ->
     path.unlink()
     with pytest.raises(TandemError, match=f"file {path.name} of a job is not there"):
         backup.back_up(data, None, tmp_path / "two")
-    assert not (tmp_path / "two" / "backup.json").exists()
+    assert list((tmp_path / "one").iterdir()) == list((tmp_path / "two").iterdir()) == []
 
 
 def test_an_older_store_while_another_process_brings_it_up_to_date(tmp_path: Path) -> None:
