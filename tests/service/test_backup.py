@@ -62,14 +62,17 @@ def refused(folder: Path, data: Path, database: str | None = None) -> str:
     return issue.message
 
 
-@pytest.mark.parametrize(("kind", "into"), [("sqlite", "postgresql"), ("postgresql", "sqlite")])
+@pytest.mark.parametrize(
+    ("kind", "into"),
+    [("sqlite", "postgresql"), pytest.param("postgresql", "sqlite", marks=pytest.mark.long)],
+)
 def test_backups_under_load_hold_what_they_list(tmp_path: Path, kind: str, into: str) -> None:
     """Two threads send jobs and delete some of them, and the service sweeps, while backups are made; what was
     there before a backup is in it."""
     database, other = (None if one == "sqlite" else postgres.fresh(tmp_path) for one in (kind, into))
     told: list[str] = []
     ended = threading.Event()
-    with InProcess(tmp_path / "data", Limits(open_jobs=500), examiners=2, database=database) as here:
+    with InProcess(tmp_path / "data", Limits(open_jobs=500), examiners=1, database=database) as here:
 
         def work(who: int) -> None:
             number = 0

@@ -20,7 +20,7 @@ import planner
 from planner import Client
 from planner.issues import TandemError
 from planner.service import idempotency, tandem_client
-from planner.service.jobs import Jobs
+from planner.service.jobs import Jobs, NewJob
 from planner.service.models import KEYS, Database, default_url
 from planner.service.security import Auth, Limits
 from tests import small_problem
@@ -140,14 +140,23 @@ def test_keys_belong_to_their_token(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_at_once_they_make_one_job(tmp_path: Path, kind: str) -> None:
-    database = None if kind == "sqlite" else postgres.fresh(tmp_path)
-    with InProcess(tmp_path / "data", examiners=3, database=database) as here, ThreadPoolExecutor(8) as pool:
-        here.team.hold.set()
-        sent = [pool.submit(here.post, named("at_once"), headers=key("e")) for _ in range(16)]
-        answers = [one.result() for one in sent]
-        assert {answer.status_code for answer in answers} == {201}
-        assert {answer.json()["id"] for answer in answers} == set(named_so(here, "at_once"))
-        assert len(named_so(here, "at_once")) == 1
+    """As routes ask the store, which has read each request by itself: none of them knows of the others."""
+    database = Database(default_url(tmp_path) if kind == "sqlite" else postgres.fresh(tmp_path))
+    jobs, asked = Jobs(database, Limits()), idempotency.once("ann", "e", "jobs", "parts")
+    together = threading.Barrier(8)
+
+    def send(number: int) -> list[str]:
+        digest = f"{number:064d}"
+        news = [NewJob("ann", f"n{number}", digest, digest, (), {}, 60.0, 1000.0) for _ in range(2)]
+        together.wait()
+        return [job.id for job in jobs.create_all(news, asked)]
+
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(send, range(8)))
+    assert all(answer == answers[0] for answer in answers)
+    assert [job.id for job in jobs.made(asked)] == answers[0]
+    assert len(jobs.page("ann", (), None, 50)[0]) == len(answers[0]) == 2
+    database.close()
 
 
 def test_a_crash_before_or_after_the_jobs_are_stored(
@@ -268,6 +277,7 @@ def client_jobs(url: str) -> list[dict[str, Any]]:
     return list(Client(url).jobs())
 
 
+@pytest.mark.long
 def test_elements_are_divided_planned_and_reported_on_once(tmp_path: Path) -> None:
     limits = Limits(open_jobs=10)
     with Elements(tmp_path / "data", limits, examiners=1, workers=4) as here:
