@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
 
-API: Final = 5
+API: Final = 6
 """Number of the service's interface that this client was made for."""
 LINKS_API: Final = 2
 """The interface from which on there are links."""
@@ -51,6 +51,8 @@ DESK_API: Final = 3
 """The interface from which on there are motions as data, and elements."""
 RETRY_API: Final = 4
 """The interface from which on jobs are tried again."""
+KEYS_API: Final = 6
+"""The interface from which on what is sent twice with the same key is done once."""
 PLANNED: Final = ("verified", "unproven")
 """States of jobs that have a plan."""
 OPEN: Final = ("queued", "running")
@@ -59,6 +61,8 @@ WAIT_S: Final = 60.0
 """A stream that says nothing for so long is opened anew."""
 RETRY_S: Final = 1.0
 """Pause [s] before a stream that broke off is opened again."""
+PAUSES_S: Final = (1.0, 3.0, 9.0)
+"""Pauses [s] before a request that makes jobs is sent again after its connection broke off."""
 HEALTH_BYTES: Final = 100_000
 """A service's word on itself is shorter."""
 Progress = Callable[[str, float], None]
@@ -168,14 +172,18 @@ class Client:
         timeout_s: float | None = None,
         memory_mb: float | None = None,
         files: Mapping[str, Content] | None = None,
+        key: str | None = None,
     ) -> str:
         """Send a problem to be planned, within ``timeout_s`` and ``memory_mb``; the id of its job.
 
-        Keep the id: any client with the same token asks by it, whenever.
+        Keep the id: any client with the same token asks by it, whenever. The request goes with a ``key``, one
+        of its own where none is given, so that it is sent again when the connection breaks off and makes one
+        job all the same; a script that may be started anew gives the same key for the same problem.
         """
         asked = {"timeout_s": timeout_s, "memory_mb": memory_mb}
         query = urllib.parse.urlencode({name: value for name, value in asked.items() if value is not None})
-        return str(self._upload(f"/v1/jobs?{query}", problem, files)["id"])
+        body, kind = _multipart(*self._bundle(problem, files or {}))
+        return str(self._make(f"/v1/jobs?{query}", body, kind, key)["id"])
 
     def job(self, job: str) -> dict[str, Any]:
         """State, stage and ``fraction`` of it, issues and figures of a job, at once."""
@@ -262,25 +270,29 @@ class Client:
         except (ValueError, IndexError) as error:
             raise self._answer(self._url, f"gives {name}, which is no mesh: {error}") from error
 
-    def divide(self, element: Any, files: Mapping[str, Content] | None = None) -> str:
+    def divide(self, element: Any, files: Mapping[str, Content] | None = None, key: str | None = None) -> str:
         """Send a building element to be divided into panels; its id, which is also that of a job to wait for.
 
-        An element is said as a problem is: a dict, the path of a file, or its text.
+        An element is said as a problem is: a dict, the path of a file, or its text. ``key`` as of
+        :meth:`submit`.
         """
         self._want(DESK_API, "elements")
-        return str(self._upload("/v1/elements", element, files)["id"])
+        body, kind = _multipart(*self._bundle(element, files or {}))
+        return str(self._make("/v1/elements", body, kind, key)["id"])
 
     def element(self, element: str) -> dict[str, Any]:
         """An element with its ``panels``: order, block, job and state of each."""
         self._want(DESK_API, "elements")
         return self._json(_of(element, kind="elements"))
 
-    def plan_panels(self, element: str, panels: Sequence[str] | None = None) -> list[str]:
-        """Plan panels of an element, or all that are not planned yet; the ids of their jobs."""
+    def plan_panels(
+        self, element: str, panels: Sequence[str] | None = None, key: str | None = None
+    ) -> list[str]:
+        """Plan panels of an element, or all that are not planned yet; the ids of their jobs. ``key`` as of
+        :meth:`submit`."""
         self._want(DESK_API, "elements")
         body = json.dumps({} if panels is None else {"panels": list(panels)}).encode()
-        kind = {"Content-Type": "application/json"}
-        made = self._read_json(self._request(_of(element, "/plan", "elements"), body, kind, "POST"))
+        made = self._make(_of(element, "/plan", "elements"), body, "application/json", key)
         return [str(one["id"]) for one in made["jobs"]]
 
     def report_url(self, job: str, seconds: int = 3600) -> str:
@@ -330,10 +342,17 @@ class Client:
                 return self._answer(
                     self._url, f"sends requests on to {there}; give that address if it is yours"
                 )
+            said: Any = None
             try:
-                return self._refused(*json.loads(error.read())["issues"])
+                said = json.loads(error.read())
+                return self._refused(*said["issues"])
             except (ValueError, KeyError, TypeError, OSError, http.client.HTTPException):
-                return self._answer(self._url, f"answers with status {error.code}; is it a Tandem?")
+                told = [said.get(name) for name in ("title", "detail")] if isinstance(said, dict) else []
+                why = ": ".join(one[:200] for one in told if isinstance(one, str))  # of a proxy, perhaps
+                return self._answer(
+                    self._url,
+                    f"answers with status {error.code}{f' ({why})' if why else ''}; is it a Tandem?",
+                )
 
     def _want(self, api: int, what: str = "") -> None:
         """See that the service has this interface, and serves this client."""
@@ -385,6 +404,13 @@ class Client:
         body, kind = _multipart(*self._bundle(problem, files or {}))
         return self._read_json(self._request(path, body, {"Content-Type": kind}, "POST"))
 
+    def _make(self, path: str, body: bytes, kind: str, key: str | None) -> dict[str, Any]:
+        """Send what makes jobs; again where the connection breaks off, if the service knows keys."""
+        self._want(1 if key is None else KEYS_API, "keys of requests")
+        headers = {"Content-Type": kind, "Idempotency-Key": secrets.token_hex(16) if key is None else key}
+        pauses = PAUSES_S if self._api >= KEYS_API else ()
+        return self._read_json(self._request(path, body, headers, "POST", pauses=pauses))
+
     def _json(self, path: str, method: str = "GET") -> dict[str, Any]:
         return self._read_json(self._request(path, method=method))
 
@@ -404,7 +430,10 @@ class Client:
         headers: Mapping[str, str] | None = None,
         method: str = "GET",
         timeout_s: float | None = None,
+        pauses: Sequence[float] = (),
     ) -> bytes:
+        """The answer; after each of the ``pauses`` [s] it is asked for again where the connection broke
+        off."""
         self._want(1)
         try:
             with self._open(path, body, headers or {}, method, timeout_s or self._timeout_s) as answer:
@@ -412,7 +441,10 @@ class Client:
         except urllib.error.HTTPError as error:
             raise self._refusal(error) from error
         except (OSError, ValueError, http.client.HTTPException) as error:
-            raise self._away(error) from error
+            if not (pauses and _broken_off(error)):
+                raise self._away(error) from error
+            time.sleep(pauses[0])
+        return self._request(path, body, headers, method, timeout_s, pauses[1:])
 
     def _open(
         self, path: str, body: bytes | None, headers: Mapping[str, str], method: str, timeout_s: float
@@ -430,6 +462,12 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
 
     def redirect_request(self, *asked: Any) -> None:
         """Nothing."""
+
+
+def _broken_off(error: Exception) -> bool:
+    """Whether a connection was lost or not had: the request came to its service, or it did not."""
+    reason = getattr(error, "reason", error)
+    return isinstance(reason, (ConnectionError, http.client.HTTPException, ssl.SSLEOFError))
 
 
 def _left(until: float) -> float:

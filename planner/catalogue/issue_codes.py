@@ -738,6 +738,8 @@ CODES: Final[dict[str, Code]] = {
     "service.stopping": Code("the service was told to stop while it read an upload"),
     "service.storage": Code("the files of a token, or of the whole service, have no more room"),
     "service.check_stopped": Code("reading or checking a problem took too much time or memory"),
+    "service.backup": Code("a store of the service cannot be backed up, or a backup not be restored"),
+    "service.idempotency": Code("an idempotency key is none, or came with another request before"),
     "service.state": Code("a job is in a state in which what is asked of it cannot be done"),
     "service.gave_up": Code("the service stopped several times while it worked on a job"),
     "service.answer": Code("an address does not answer as this service does"),

@@ -1,7 +1,8 @@
 """The command line.
 
 ``tandem plan | check | verify | upload | download | robots | materials | kerf | align | features | batch |
-compare | serve | token | issues``
+compare | serve | token | backup | restore |
+issues``
 """
 
 from __future__ import annotations
@@ -524,6 +525,26 @@ def token(action: service_commands.Token) -> int:
     """Make, list or revoke the tokens of a service."""
     try:
         service_commands.token(action)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def backup(request: tyro.conf.OmitArgPrefixes[service_commands.BackUp]) -> int:
+    """Back up the store of a service, which may run meanwhile."""
+    try:
+        service_commands.back_up(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def restore(request: tyro.conf.OmitArgPrefixes[service_commands.Restore]) -> int:
+    """Restore a backup of a service into a new data folder."""
+    try:
+        service_commands.restore(request)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE

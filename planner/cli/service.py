@@ -1,4 +1,4 @@
-"""``tandem serve`` and ``tandem token``."""
+"""``tandem serve``, ``tandem token``, ``tandem backup`` and ``tandem restore``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import datetime as dt
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 from rich.console import Console
@@ -70,6 +70,8 @@ class Serve:
     """most memory of planning, a job"""
     keep_days: float | None = None
     """delete finished jobs after so many days"""
+    log: Literal["text", "json"] = "text"
+    """how the log is written: for people, or as lines of JSON on standard output"""
     lease_s: float = 30.0
     """on a shared database: jobs of a host that has been silent for so long are planned by others"""
 
@@ -106,6 +108,31 @@ class Revoke:
     """data folder of the service"""
     database: str | None = None
     """database of the service, if it is not in the data folder"""
+
+
+@dataclasses.dataclass(frozen=True)
+class BackUp:
+    """Back the service's store up into a new folder: database and files as they are at one moment. The
+    service may run meanwhile."""
+
+    folder: tyro.conf.Positional[Path]
+    """the new folder"""
+    data: Path = DATA_FOLDER
+    """data folder of the service"""
+    database: str | None = None
+    """database of the service, if it is not in the data folder"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Restore:
+    """Restore a backup into a new data folder; nothing is overwritten."""
+
+    folder: tyro.conf.Positional[Path]
+    """what `tandem backup` made"""
+    data: Path = DATA_FOLDER
+    """data folder to be, of a service that does not run"""
+    database: str | None = None
+    """empty database to be filled, if it is not to lie in the data folder"""
 
 
 Token = tyro.conf.OmitSubcommandPrefixes[
@@ -156,6 +183,7 @@ def serve(asked: Serve) -> None:
         ),
         asked.certificate,
         asked.key,
+        asked.log,
     )
 
 
@@ -172,6 +200,30 @@ def token(asked: Add | List | Revoke) -> None:
         for known in auth.list():
             table.add_row(known.name, _moment(known.created), _moment(known.revoked))
         out.print(table)
+
+
+def back_up(asked: BackUp) -> None:
+    """Make a backup; raises ``TandemError``."""
+    try:
+        from planner.service import backup
+    except ImportError as error:
+        raise TandemError(not_installed(error)) from error
+    made = backup.back_up(asked.data, asked.database, asked.folder)
+    _tell(f"{asked.folder}: a backup of {made.jobs} jobs, {made.files} files, {made.size / 1e6:,.1f} MB")
+
+
+def restore(asked: Restore) -> None:
+    """Restore a backup; raises ``TandemError``."""
+    try:
+        from planner.service import backup
+    except ImportError as error:
+        raise TandemError(not_installed(error)) from error
+    made = backup.restore(asked.folder, asked.data, asked.database)
+    _tell(f"{asked.data}: restored {made.jobs} jobs, {made.files} files, {made.size / 1e6:,.1f} MB")
+
+
+def _tell(what: str) -> None:
+    out.print(what, highlight=False, markup=False, soft_wrap=True)
 
 
 def not_installed(error: ImportError) -> Issue:

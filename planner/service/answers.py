@@ -45,12 +45,16 @@ class Heads:
             await self._app(scope, receive, send)
             return
 
+        asked = {**scope, "method": "GET"}
+
         async def headless(message: Message) -> None:
             if message["type"] == "http.response.start":
+                if "route" in asked:  # for who counts
+                    scope["route"] = asked["route"]
                 await send(message)
                 await send({"type": "http.response.body", "body": b""})  # what streams is told to end
 
-        await self._app({**scope, "method": "GET"}, receive, headless)
+        await self._app(asked, receive, headless)
 
 
 def allowed(routes: list[BaseRoute], scope: Scope) -> str:

@@ -25,7 +25,6 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 import planner
@@ -33,11 +32,11 @@ from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
-from planner.service import bundled, element_routes, routes
+from planner.service import bundled, element_routes, logs, metrics, routes
 from planner.service.answers import Heads, Hurried, allowed
-from planner.service.routes import REFUSALS, REQUESTS, Caller, Here
+from planner.service.routes import REFUSALS, Caller, Here
 from planner.service.runner import Team
-from planner.service.security import LOOPBACK, Guard, RefusedError, issue_json
+from planner.service.security import LOOPBACK, PROBLEM_JSON, Guard, RefusedError, issue_json
 from planner.service.service import Options, Service
 from planner.service.storage import store_refusal, take_upload
 
@@ -196,7 +195,8 @@ ROUTERS: Final = (routes.job_router, element_routes.router, routes.about_router,
 LOG: Final = logging.getLogger("planner.service")
 """Log of the service."""
 ABOUT: Final = """Plans the motion of two industrial robots that share one job. Problems go in as files,
-programs come out if they are proven. Every refusal has `issues`, each with a `code` and the `field`."""
+programs come out if they are proven. Every refusal is a problem document (RFC 9457) with `issues`, each with
+a `code` and the `field`."""
 """What the description of the interface begins with."""
 
 
@@ -235,31 +235,14 @@ def create_app(service: Service) -> FastAPI:
     names = None if options.tokens_required else LOOPBACK | {options.host}
     app.add_middleware(Heads)
     app.add_middleware(Guard, upload_mb=service.limits.upload_mb, open_hosts=names)
-    app.add_middleware(_Counted)
+    every = [*app.routes, *(route for router in ROUTERS for route in router.routes)]
+    paths = [getattr(route, "path", "") for route in every]
+    app.add_middleware(metrics.Measured, routes=paths)
+    app.add_middleware(logs.Logged)
     if options.tokens_required:  # without tokens, what a proxy passes on is refused
         app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(options.trusted_proxies))
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     return app
-
-
-class _Counted:
-    """Counts answers."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def counted(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                known = scope["method"] if scope["method"] in METHODS else "other"
-                REQUESTS.count(known, message["status"])
-            await send(message)
-
-        await self._app(scope, receive, counted if scope["type"] == "http" else send)
-
-
-METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
-"""Methods that are counted by name; others are counted together."""
 
 
 def _openapi(app: FastAPI) -> dict[str, Any]:
@@ -276,7 +259,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         made["components"]["schemas"] |= problem_schema(IN_OPENAPI)[1]
         for name in ("HTTPValidationError", "ValidationError"):  # no answer has them
             made["components"]["schemas"].pop(name, None)
-        refusal = {"application/json": {"schema": {"$ref": "#/components/schemas/Refusal"}}}
+        refusal = {PROBLEM_JSON: {"schema": {"$ref": "#/components/schemas/Refusal"}}}
         general = [str(one["description"]) for one in REFUSALS.values()]
         for path in made["paths"].values():
             for method in path.values():
@@ -284,7 +267,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
                 if said != REFUSALS[422]["description"]:  # the framework lists it for all that has parameters
                     method["responses"].pop("422", None)
                 for status, answer in method["responses"].items():
-                    # JSON, whatever a good answer is
+                    # a problem document, whatever a good answer is
                     if (status[0] == "4" and status != "416") or answer["description"] in general:
                         answer["content"] = refusal
         app.openapi_schema = made
@@ -295,7 +278,7 @@ async def _refused(request: Request, error: Exception) -> JSONResponse:
     del request
     if not isinstance(error, RefusedError):
         raise error
-    return JSONResponse(error.body, error.status, headers=error.headers)
+    return JSONResponse(error.body, error.status, headers=error.headers, media_type=PROBLEM_JSON)
 
 
 async def _invalid(request: Request, error: Exception) -> JSONResponse:
@@ -326,21 +309,33 @@ async def _store(request: Request, error: Exception) -> JSONResponse:
     refused = store_refusal(error)
     if refused is None:
         return await _failed(request, error)
-    LOG.warning("%s %s: %s", request.method, request.url.path, type(error).__name__)
+    LOG.warning(
+        "%s %s: %s", request.method, request.url.path, type(error).__name__, extra=_of_request(request)
+    )
     return await _refused(request, refused)
 
 
 async def _failed(request: Request, error: Exception) -> JSONResponse:
-    LOG.error("%s %s failed", request.method, request.url.path, exc_info=error)
+    known = _of_request(request)
+    LOG.error("%s %s failed", request.method, request.url.path, exc_info=error, extra=known)
     issue = Issue("internal.error", "the service itself failed, and has written down how; report this")
-    return await _refused(request, RefusedError(500, issue))
+    headers = {logs.HEADER: known["request"]} if known["request"] else {}  # this answer passes by the others
+    return await _refused(request, RefusedError(500, issue, headers))
+
+
+def _of_request(request: Request) -> dict[str, Any]:
+    """What a record tells of a request."""
+    known = getattr(request.state, "request_id", None)
+    return {"request": known, "method": request.method, "path": request.url.path}
 
 
 STREAMS_END_S: Final = 3
 """Streams that are open get so long to end when the service stops."""
 
 
-def serve(options: Options, certificate: Path | None = None, key: Path | None = None) -> None:
+def serve(
+    options: Options, certificate: Path | None = None, key: Path | None = None, log: logs.Kind = "text"
+) -> None:
     """Serve until told to stop: after SIGTERM it returns. Raises ``TandemError`` where it cannot start."""
     if (certificate is None) != (key is None):
         raise TandemError(
@@ -361,6 +356,7 @@ def serve(options: Options, certificate: Path | None = None, key: Path | None = 
         port=options.port,
         http=Hurried,
         log_level="info",
+        access_log=log == "text",  # lines of JSON are about requests anyway
         server_header=False,
         proxy_headers=False,
         timeout_keep_alive=30,
@@ -372,6 +368,8 @@ def serve(options: Options, certificate: Path | None = None, key: Path | None = 
         ssl_keyfile=key,
     )
     logging.getLogger("uvicorn.access").addFilter(without_query)
+    if log == "json":
+        logs.write_json(options.data)
     # Uvicorn raises the signal that ended it again when all is stopped; to be asked to end is no failure, so
     # nothing more is to be done then
     signal.signal(signal.SIGTERM, lambda number, frame: None)

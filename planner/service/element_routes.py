@@ -10,7 +10,9 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel, ValidationError
 
 from planner.issues import Issue
+from planner.service import idempotency
 from planner.service.answers import tagged
+from planner.service.logs import about
 from planner.service.models import (
     Change,
     Chosen,
@@ -21,7 +23,18 @@ from planner.service.models import (
     JobOut,
     Marking,
 )
-from planner.service.routes import ASKED, CURSOR, JOB_ID, KNOWN, PAGE_SIZE, UPLOADED, Caller, Here, refusals
+from planner.service.routes import (
+    ASKED,
+    CURSOR,
+    JOB_ID,
+    KNOWN,
+    PAGE_SIZE,
+    UPLOADED,
+    Caller,
+    Here,
+    Key,
+    refusals,
+)
 from planner.service.security import MB, RefusedError, too_large
 from planner.service.storage import documented, take_upload
 
@@ -39,6 +52,7 @@ def own_element(element: str, owner: Caller, here: Here) -> str:
     if not JOB_ID.fullmatch(element) or here.elements.owner(element) != owner:
         what = f"element {element[:40]!r}: there is none; list the elements"
         raise RefusedError(404, Issue("service.unknown_job", what))
+    about(element)
     return element
 
 
@@ -76,10 +90,16 @@ async def _body(request: Request, model: type[Body]) -> Body:
     openapi_extra=UPLOADS,
     summary="Divide a building element",
 )
-async def create(request: Request, owner: Caller, here: Here) -> ElementOut:
+async def create(request: Request, owner: Caller, here: Here, key: Key) -> ElementOut:
     """Upload an element file as ``problem``, with all ``files`` that it names: meshes, templates, cells."""
     upload = await take_upload(request, here.storage, owner, here.limits)
-    return await here.in_turn(request, owner, lambda reading: here.elements.create(owner, upload, reading))
+    once = idempotency.once(owner, key, "elements", upload.content)
+    known = await anyio.to_thread.run_sync(here.elements.made, once)
+    if known is not None:
+        return known
+    return await here.in_turn(
+        request, owner, lambda reading: here.elements.create(owner, upload, reading, once)
+    )
 
 
 @router.get(
@@ -119,20 +139,25 @@ def get(found: OwnElement, here: Here) -> ElementPanels:
 )
 async def divide(
     request: Request,
-    found: OwnElement,
+    element: str,
     owner: Caller,
     here: Here,
+    key: Key,
     instead: Annotated[
         bool, Query(description="delete the former one if nothing was planned or marked of it")
     ] = False,
 ) -> ElementOut:
     """Another element, with the marks of this one: ``{"fields": {"panels.hexagons.count": 120}}``."""
     change = await _body(request, Change)
-    made = await here.in_turn(
-        request, owner, lambda reading: here.elements.change(owner, found, change.fields, reading)
-    )
-    if instead:
-        await anyio.to_thread.run_sync(here.elements.give_up, found)
+    once = idempotency.once(owner, key, f"elements/{element}/divide", change.fields, instead)
+    made = await anyio.to_thread.run_sync(here.elements.made, once)
+    if made is None:  # a request that was done has perhaps taken this element away
+        await anyio.to_thread.run_sync(own_element, element, owner, here)
+        made = await here.in_turn(
+            request, owner, lambda reading: here.elements.change(owner, element, change.fields, reading, once)
+        )
+    if instead and here.elements.owner(element) == owner:
+        await anyio.to_thread.run_sync(here.elements.give_up, element)
     return made
 
 
@@ -144,13 +169,16 @@ async def divide(
     openapi_extra=_described(Chosen),
     summary="Plan panels of an element",
 )
-async def plan(request: Request, found: OwnElement, owner: Caller, here: Here) -> JobList:
+async def plan(request: Request, found: OwnElement, owner: Caller, here: Here, key: Key) -> JobList:
     """A job for each panel that is not planned yet, or for those of ``{"panels": ["A01", ...]}``; each is
     planned like one beside it."""
     chosen = await _body(request, Chosen)
-    jobs = await here.in_turn(
-        request, owner, lambda reading: here.elements.plan(owner, found, chosen.panels, reading)
-    )
+    once = idempotency.once(owner, key, f"elements/{found}/plan", chosen.panels)
+    jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
+    if not jobs:
+        jobs = await here.in_turn(
+            request, owner, lambda reading: here.elements.plan(owner, found, chosen.panels, reading, once)
+        )
     return JobList(jobs=jobs)
 
 
@@ -171,14 +199,14 @@ async def mark(request: Request, found: OwnElement, owner: Caller, here: Here) -
 @router.post(
     "/elements/{element}/report",
     status_code=201,
-    responses=refusals(404, 429, 507),
+    responses=refusals(404, 422, 429, 507),
     response_model_exclude_none=True,
     summary="Report on what was planned",
 )
-def report(found: OwnElement, owner: Caller, here: Here) -> JobOut:
+def report(found: OwnElement, owner: Caller, here: Here, key: Key) -> JobOut:
     """A job that writes what ``tandem element report`` does: ``element.html``, ``report.csv`` and
     ``joints.csv``."""
-    return here.elements.report(owner, found)
+    return here.elements.report(owner, found, idempotency.once(owner, key, f"elements/{found}/report"))
 
 
 @router.post(

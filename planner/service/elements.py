@@ -23,8 +23,11 @@ from planner.batch.job import ELEMENT, PLANNED, PROBLEM, Done
 from planner.batch.neighbours import like_within
 from planner.element import progress
 from planner.issues import Issue, Severity, TandemError
-from planner.service.jobs import CANCELLED, NewJob, OfElement, job_files, job_out, job_row, put_files, remove
+from planner.service import idempotency
+from planner.service.idempotency import Once
+from planner.service.jobs import NewJob, OfElement, job_files, job_out, job_row, put_files, remove
 from planner.service.models import (
+    CANCELLED,
     ELEMENT_JOBS,
     JOBS,
     MARKS,
@@ -52,6 +55,10 @@ KEPT: Final = 8
 """So many elements' data are remembered."""
 
 
+_OUT: Final = set(ElementOut.model_fields)
+"""What is told of an element without its panels."""
+
+
 class _Panel(NamedTuple):
     """The last job of a panel."""
 
@@ -68,11 +75,24 @@ class Elements:
         self._jobs, self._files = service.jobs, service.files
         self._data = functools.lru_cache(KEPT)(self._read_data)
 
-    def create(self, owner: str, upload: Upload, reading: Reading) -> ElementOut:
-        """Divide an uploaded element; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
-        return self._divide(owner, upload.problem.sha, upload.files, {}, {}, reading)
+    def made(self, once: Once | None) -> ElementOut | None:
+        """The element that a request made which is to be done ``once``, as it is now; None where it made none
+        yet. Raises :class:`RefusedError`, 422."""
+        known = self._jobs.made(once)
+        return ElementOut(**self.get(known[0].id).model_dump(include=_OUT)) if known else None
 
-    def change(self, owner: str, element: str, fields: Mapping[str, Any], reading: Reading) -> ElementOut:
+    def create(self, owner: str, upload: Upload, reading: Reading, once: Once | None = None) -> ElementOut:
+        """Divide an uploaded element; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
+        return self._divide(owner, upload.problem.sha, upload.files, {}, {}, reading, once)
+
+    def change(
+        self,
+        owner: str,
+        element: str,
+        fields: Mapping[str, Any],
+        reading: Reading,
+        once: Once | None = None,
+    ) -> ElementOut:
         """Divide an element anew with fields replaced, as another one with the marks of this one; raises as
         :meth:`create`."""
         files = self._jobs.files(element)
@@ -80,7 +100,7 @@ class Elements:
         given = {name.removeprefix(prefix): blob for name, blob in files.items() if name.startswith(prefix)}
         document = given.pop(ELEMENT)
         marks = {MARKS: files[MARKS]} if MARKS in files else {}
-        return self._divide(owner, document.sha, given, fields, marks, reading)
+        return self._divide(owner, document.sha, given, fields, marks, reading, once)
 
     def _divide(
         self,
@@ -90,11 +110,12 @@ class Elements:
         fields: Mapping[str, Any],
         more: Mapping[str, Blob],
         reading: Reading,
+        once: Once | None,
     ) -> ElementOut:
         read = self._service.examine_element(sha, uploads, fields, reading)
         of = OfElement("division", about=read.summary)
         files = {**self._service.stored(owner, {ELEMENT: read}, uploads)[ELEMENT], **more}
-        made = self._jobs.create(self._service.new_job(owner, read.name, read, files, of=of))
+        made = self._jobs.create(self._service.new_job(owner, read.name, read, files, of=of), once)
         return self._head(made, json.dumps(read.summary), 0)
 
     def page(self, owner: str, cursor: str | None, count: int) -> tuple[list[ElementOut], str | None]:
@@ -155,7 +176,14 @@ class Elements:
             report=report,
         )
 
-    def plan(self, owner: str, element: str, chosen: Sequence[str] | None, reading: Reading) -> list[JobOut]:
+    def plan(
+        self,
+        owner: str,
+        element: str,
+        chosen: Sequence[str] | None,
+        reading: Reading,
+        once: Once | None = None,
+    ) -> list[JobOut]:
         """Plan panels as jobs, those that are chosen or all that are not planned yet, each like one beside
         it; raises :class:`RefusedError`, 404, 413, 422, 429, 499 or 507."""
         name, files = self._divided(element)
@@ -180,7 +208,7 @@ class Elements:
             made[one] = self._service.new_job(
                 owner, f"{name}-{one}", read[one], stored[one], of=of, after=key
             )
-        return self._jobs.create_all(list(made.values()))
+        return self._jobs.create_all(list(made.values()), once)
 
     def cancel(self, element: str) -> None:
         """Cancel what of an element waits or runs: its division, panels, and a report."""
@@ -222,10 +250,13 @@ class Elements:
             text = io.BytesIO(progress.text(found).encode())
             put_files(db, element, {MARKS: self._service.storage.put(owner, [text])[0]})
 
-    def report(self, owner: str, element: str) -> JobOut:
-        """Begin the report on what was planned; raises :class:`RefusedError`, 404, 429 or 507."""
+    def report(self, owner: str, element: str, once: Once | None = None) -> JobOut:
+        """Begin the report on what was planned; raises :class:`RefusedError`, 404, 422, 429 or 507."""
         name, files = self._divided(element)
         with self._database.write() as db:
+            known = [] if once is None else idempotency.made(db, once)
+            if known:
+                return job_out(job_row(db, known[0]))
             panels = _panels(db, element)
             ended = {one: panel for one, panel in panels.items() if panel.row["state"] not in OPEN}
             if not ended:
@@ -244,7 +275,8 @@ class Elements:
         rows = json.dumps(sorted((file, blob.sha) for file, blob in given.items()))
         digest = hashlib.sha256(rows.encode()).hexdigest()
         of = OfElement("report", element)
-        return self._jobs.create(self._service.new_job(owner, name, Examined((), name, digest), given, of=of))
+        new = self._service.new_job(owner, name, Examined((), name, digest), given, of=of)
+        return self._jobs.create(new, once)
 
     def _divided(self, element: str) -> tuple[str, dict[str, Blob]]:
         """Name and files of an element that is divided; raises :class:`RefusedError`, 404."""

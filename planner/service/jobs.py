@@ -21,11 +21,17 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from planner.issues import Issue
+from planner.service import idempotency, metrics
+from planner.service.idempotency import Once
+from planner.service.logs import about
 from planner.service.models import (
+    CANCELLED,
+    DELETED,
     ELEMENT_JOBS,
     EVENTS,
     FILES,
     JOBS,
+    KEYS,
     MARKS,
     OPEN,
     SETTLED,
@@ -36,12 +42,10 @@ from planner.service.models import (
 from planner.service.security import Limits, RefusedError, issue_json, unknown_job
 from planner.service.storage import Blob
 
-CANCELLED: Final = 1
-"""In a job's column `cancel`: its owner wants it to end."""
+STORE: Final = "store"
+"""Source of the outcome of a job that was answered from the store."""
 AGAIN: Final = ("crashed", "timeout", "memory", "cancelled")
 """States of jobs that may end otherwise when they are planned again."""
-DELETED: Final = 2
-"""In a job's column `cancel`: its owner wants it to end and to go."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,20 +84,44 @@ class Jobs:
     def __init__(self, database: Database, limits: Limits) -> None:
         self._database, self._limits = database, limits
 
-    def create(self, new: NewJob) -> JobOut:
-        """Store a job; one whose problem was planned before has its answer at once.
+    def create(self, new: NewJob, once: Once | None = None) -> JobOut:
+        """Store a job; one whose problem was planned before has its answer at once. The job of a request that
+        was done ``once`` is that one.
 
-        Raises :class:`RefusedError`, 429, where the owner has too many.
+        Raises :class:`RefusedError`, 422 for a key of another request, 429 where the owner has too many.
         """
-        return self.create_all([new])[0]
+        return self.create_all([new], once)[0]
 
-    def create_all(self, jobs: Sequence[NewJob]) -> list[JobOut]:
+    def create_all(self, jobs: Sequence[NewJob], once: Once | None = None) -> list[JobOut]:
         """Store jobs of one owner, all or none; panels count as one job for each element. Raises as
         :meth:`create`."""
         with self._database.write() as db:
             self._database.one_at_a_time(db, jobs[0].owner)
+            known = self._made(db, once)
+            if known:
+                return known
             self._allow(db, jobs)
-            return [self._created(db, new) for new in jobs]
+            created = [self._created(db, new) for new in jobs]
+            if once is not None:
+                idempotency.keep(self._database, db, once, [job.id for job in created])
+        about(*(job.id for job in created))
+        for job in created:
+            if job.from_store:
+                metrics.ended(job.state, STORE)
+        return created
+
+    def made(self, once: Once | None) -> list[JobOut]:
+        """The jobs, as they are now, that a request made which is to be done ``once``; empty where it made
+        none yet. Raises :class:`RefusedError`, 422."""
+        if once is None:
+            return []
+        with self._database.read() as db:
+            return self._made(db, once)
+
+    def _made(self, db: Connection, once: Once | None) -> list[JobOut]:
+        known = [] if once is None else idempotency.made(db, once)
+        about(*known)
+        return [job_out(job_row(db, job), self._ahead(db, job)) for job in known]
 
     def _created(self, db: Connection, new: NewJob) -> JobOut:
         job = new.id
@@ -168,7 +196,9 @@ class Jobs:
             done = job_out(job_row(db, job, deleted_too=True))
             if also_delete and done.state not in OPEN:
                 remove(db, job)
-            return done
+        if row["state"] == "queued" and done.state == "cancelled":
+            metrics.ended("cancelled")
+        return done
 
     def retry(self, job: str) -> JobOut:
         """Let a job wait again as if it had come now, its results gone. Raises :class:`RefusedError`, 404,
@@ -193,8 +223,11 @@ class Jobs:
             db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
             record_event(db, job, "issues", {"issues": [], "all": True})
             record_event(db, job, "state", {"state": "queued"})
-            answer_from_store(db, job, row["key"])
-            return job_out(job_row(db, job), self._ahead(db, job))
+            answered = answer_from_store(db, job, row["key"])
+            done = job_out(job_row(db, job), self._ahead(db, job))
+        if answered:
+            metrics.ended(done.state, STORE)
+        return done
 
     def files(self, job: str) -> dict[str, Blob]:
         """The files of a job by name."""
@@ -221,6 +254,14 @@ class Jobs:
         with self._database.read() as db:
             rows = db.execute(select(JOBS.c.state, func.count()).group_by(JOBS.c.state))
             return dict(tuple(row) for row in rows)
+
+    def oldest_waiting(self) -> float | None:
+        """When the job that has waited longest came [s since 1970]; None without one."""
+        with self._database.read() as db:
+            came: float | None = db.execute(
+                select(func.min(JOBS.c.created)).where(JOBS.c.state == "queued")
+            ).scalar()
+        return came
 
     def _ahead(self, db: Connection, job: str) -> int | None:
         row = job_row(db, job)
@@ -289,7 +330,7 @@ def remove(db: Connection, job: str) -> None:
     own = and_(ELEMENT_JOBS.c.element == job, ELEMENT_JOBS.c.role == "report")
     reports = db.execute(select(ELEMENT_JOBS.c.job).where(own)).scalars().all()
     for one in {job, *reports}:
-        for table in (EVENTS, FILES):
+        for table in (EVENTS, FILES, KEYS):
             db.execute(delete(table).where(table.c.job == one))
         db.execute(delete(JOBS).where(JOBS.c.id == one))
     db.execute(delete(ELEMENT_JOBS).where(or_(ELEMENT_JOBS.c.job == job, ELEMENT_JOBS.c.element == job)))

@@ -40,7 +40,7 @@ from sqlalchemy import (
     text,
 )
 from sqlalchemy.engine import make_url
-from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
+from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, OperationalError
 from sqlalchemy.sql.elements import ColumnElement
 
 from planner.issues import Issue, TandemError
@@ -100,6 +100,11 @@ JOBS: Final = Table(
 """``key``: what the answer depends on, the problem's digest and the versions. ``host`` works on the job until
 ``lease``. ``seq`` is the number of the job's last event. ``cancel``: 1 cancelled, 2 deleted too."""
 
+CANCELLED: Final = 1
+"""In a job's column `cancel`: its owner wants it to end."""
+DELETED: Final = 2
+"""In a job's column `cancel`: its owner wants it to end and to go."""
+
 FILES: Final = Table(
     "tandem_files",
     METADATA,
@@ -142,6 +147,19 @@ EVENTS: Final = Table(
 )
 """What happened to jobs, numbered, for the streams of events."""
 
+KEYS: Final = Table(
+    "tandem_keys",
+    METADATA,
+    Column("owner", String(32), primary_key=True),
+    Column("hash", String(64), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("job", String(32), nullable=False, index=True),
+    Column("content", String(64), nullable=False),
+    Column("created", Float, nullable=False),
+)
+"""The jobs, by ``number``, that a request with an idempotency key made: SHA-256 of the key, and of the
+request's ``content``."""
+
 SCHEMA: Final = Table(
     "tandem_schema", METADATA, Column("version", Integer, primary_key=True, autoincrement=False)
 )
@@ -162,7 +180,7 @@ class Database:
         """Raises ``TandemError`` with ``service.database`` where it cannot be opened."""
         self._lock = threading.Lock()
         try:
-            self._engine = _engine(url)
+            self._engine = open_engine(url)
             self.sqlite = self._engine.dialect.name == "sqlite"
             with self._engine.execution_options(write=True).begin() as connection:
                 if not self.sqlite:
@@ -173,7 +191,7 @@ class Database:
             issue = Issue("service.database", f"database {_shown(url)}: {error}", field="database")
             raise TandemError(issue) from error
         except (OperationalError, ArgumentError, NoSuchModuleError, ImportError) as error:
-            raise TandemError(_cannot_open(url, error)) from error
+            raise TandemError(cannot_open(url, error)) from error
         self._writer = self._engine.execution_options(write=True)
 
     @contextmanager
@@ -219,7 +237,9 @@ def default_url(data: Path) -> str:
     return f"sqlite:///{data.resolve() / 'tandem.db'}"
 
 
-def _engine(url: str) -> Engine:
+def open_engine(url: str) -> Engine:
+    """Connections to a database as it is. Raises ``ArgumentError``, ``NoSuchModuleError`` or ``ImportError``
+    for what is no URL or has no driver."""
     if url.startswith(("postgres://", "postgresql://")):
         url = "postgresql+psycopg://" + url.split("://", 1)[1]
     kind = make_url(url).get_backend_name()
@@ -233,6 +253,7 @@ def _engine(url: str) -> Engine:
         pool_timeout=WAIT_S,
         pool_pre_ping=kind != "sqlite",
         connect_args=waits,
+        hide_parameters=True,  # errors go to the log, hashes of tokens and users' data do not
     )
     if kind == "sqlite":
         event.listen(engine, "connect", _prepare_sqlite)
@@ -254,10 +275,11 @@ def _begin_sqlite(connection: Connection) -> None:
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
-def _cannot_open(url: str, error: Exception) -> Issue:
+def cannot_open(url: str, error: Exception) -> Issue:
+    """What to say of a database that cannot be opened."""
     if isinstance(error, ImportError):
         what = "PostgreSQL needs its driver; pip install 'tandem-planner[service,postgres]'"
-    elif isinstance(error, OperationalError):
+    elif isinstance(error, DBAPIError):
         what = f"cannot be opened ({str(error.orig).splitlines()[0]}); see that it runs and may be written"
     else:
         what = "is no such URL; give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME"
@@ -269,9 +291,10 @@ def _shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 5
+API: Final = 6
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
-data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known."""
+data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
+6: keys of requests that are done once."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -305,9 +328,13 @@ class Sent(BaseModel):
 
 
 class Refusal(Sent):
-    """Why a request was refused."""
+    """Why a request was refused, as a problem document (RFC 9457)."""
 
-    issues: list[Issue]
+    type: Literal["about:blank"] = Field(description="the status says the kind, codes of issues the rest")
+    title: str = Field(description="the status in words")
+    status: int
+    detail: str = Field(description="the messages of all issues")
+    issues: list[Issue] = Field(description="all that is wrong, by code and field")
 
 
 class JobOut(Sent):

@@ -2,8 +2,6 @@
 
 Every route is given the service, who asks, and the job that is asked for. Schemas and catalogue are
 imported when they are asked for: with all processes they take seconds to load.
-
-Figures of the service are in Prometheus's text format (version 0.0.4).
 """
 
 from __future__ import annotations
@@ -13,15 +11,13 @@ import hashlib
 import io
 import json
 import re
-import resource
-import threading
 import time
 import zipfile
-from collections.abc import Iterable, Mapping
 from pathlib import PurePosixPath
-from typing import Annotated, Any, Final, get_args
+from typing import Annotated, Any, Final
 from urllib.parse import quote, urlencode
 
+import anyio.to_thread
 from fastapi import APIRouter, Cookie, Depends, Header, Query, Request, Response, Security
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
@@ -30,8 +26,10 @@ from sqlalchemy.exc import SQLAlchemyError
 import planner
 from planner.catalogue.issue_codes import CODES
 from planner.issues import Issue, has_errors
+from planner.service import idempotency, metrics
 from planner.service.answers import MadeFile, is_known, stored_file, tagged
 from planner.service.jobs import Stream
+from planner.service.logs import about
 from planner.service.models import (
     API,
     OLDEST_API,
@@ -136,6 +134,7 @@ def own_job(job: str, owner: Caller, here: Here) -> JobOut:
     belongs_to, found = here.jobs.get(job)
     if belongs_to != owner:
         raise unknown_job(job)
+    about(job)
     return found
 
 
@@ -166,62 +165,24 @@ def job_to_read(
     return found
 
 
-STARTED: Final = time.time()
-"""When this process started [s since 1970]."""
+def idempotency_key(
+    request: Request,
+    given: Annotated[
+        str | None,
+        Header(
+            alias=idempotency.HEADER,
+            description="a value of your own, a UUID say: the same request sent again with it makes nothing "
+            "new and has the same answer",
+            json_schema_extra={"minLength": 1, "maxLength": idempotency.LONGEST, "pattern": "^[!-~]+$"},
+        ),
+    ] = None,
+) -> str | None:
+    """The idempotency key of a request; raises :class:`RefusedError`, 422."""
+    del given  # the last of several
+    return idempotency.checked(request.headers.getlist(idempotency.HEADER))
 
 
-class Counter:
-    """Requests by method and status."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._counts: dict[tuple[str, int], int] = {}
-
-    def count(self, method: str, status: int) -> None:
-        """One more."""
-        with self._lock:
-            self._counts[method, status] = self._counts.get((method, status), 0) + 1
-
-    def rows(self) -> list[tuple[Mapping[str, str], float]]:
-        """All counts with their labels."""
-        with self._lock:
-            return [({"method": m, "status": str(s)}, n) for (m, s), n in sorted(self._counts.items())]
-
-
-REQUESTS: Final = Counter()
-"""Requests answered so far, by method and status."""
-
-
-def text(here: Service) -> str:
-    """All figures of an instance; jobs are those of the store."""
-    counts = here.jobs.counts()
-    jobs = [({"state": state}, float(counts.get(state, 0))) for state in get_args(State)]
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
-    return "".join(
-        (
-            _figure("tandem_info", "gauge", "Version.", [({"version": planner.__version__}, 1.0)]),
-            _figure("tandem_jobs", "gauge", "Jobs in the store by state.", jobs),
-            _figure("tandem_files_bytes", "gauge", "Stored files.", [({}, float(here.files.used))]),
-            _figure("tandem_workers", "gauge", "Worker processes.", [({}, float(here.options.workers))]),
-            _figure(
-                "tandem_planning",
-                "gauge",
-                "Whether jobs are being planned.",
-                [({}, float(here.runner.healthy))],
-            ),
-            _figure("tandem_http_requests_total", "counter", "Requests answered.", REQUESTS.rows()),
-            _figure("process_start_time_seconds", "gauge", "Start, seconds since 1970.", [({}, STARTED)]),
-            _figure("process_max_resident_memory_bytes", "gauge", "Most memory held.", [({}, memory)]),
-        )
-    )
-
-
-def _figure(name: str, kind: str, about: str, rows: Iterable[tuple[Mapping[str, str], float]]) -> str:
-    lines = [f"# HELP {name} {about}", f"# TYPE {name} {kind}"]
-    for labels, value in rows:
-        inner = ",".join(f'{key}="{label}"' for key, label in labels.items())
-        lines.append(f"{name}{{{inner}}} {value:.17g}" if inner else f"{name} {value:.17g}")
-    return "\n".join([*lines, ""])
+Key = Annotated[str | None, Depends(idempotency_key)]
 
 
 about_router: Final = APIRouter(tags=["about"])
@@ -271,10 +232,17 @@ def ready(here: Here, response: Response) -> Ready:
 @about_router.get(
     "/metrics", responses=ASKED, response_class=PlainTextResponse, summary="Figures for Prometheus"
 )
-def metrics(owner: Caller, here: Here) -> PlainTextResponse:
-    """In Prometheus's text format."""
+def figures(owner: Caller, here: Here) -> PlainTextResponse:
+    """In Prometheus's text format: of this instance since its start, but jobs and files of the store."""
     del owner
-    return PlainTextResponse(text(here), media_type="text/plain; version=0.0.4; charset=utf-8")
+    told = metrics.text(
+        here.jobs.counts(),
+        here.jobs.oldest_waiting(),
+        float(here.files.used),
+        here.options.workers,
+        here.runner.healthy,
+    )
+    return PlainTextResponse(told, media_type=metrics.CONTENT_TYPE)
 
 
 @about_router.get("/v1/processes", responses=ASKED, summary="The processes")
@@ -411,6 +379,7 @@ async def create(
     request: Request,
     owner: Caller,
     here: Here,
+    key: Key,
     timeout_s: Annotated[
         float | None,
         Query(gt=0, le=1e6, description="stop planning after so long; the service has a limit too"),
@@ -422,8 +391,12 @@ async def create(
     """Upload a problem with its files. An identical problem that was planned before has its answer at
     once."""
     upload = await take_upload(request, here.storage, owner, here.limits)
+    once = idempotency.once(owner, key, "jobs", upload.content, timeout_s, memory_mb)
+    known = await anyio.to_thread.run_sync(here.jobs.made, once)
+    if known:
+        return known[0]
     return await here.in_turn(
-        request, owner, lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading)
+        request, owner, lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading, once)
     )
 
 

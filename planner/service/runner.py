@@ -24,8 +24,9 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from planner.batch.job import LIKE, Done, Event, Finished, Found, Job, Progress
 from planner.issues import Issue, TandemError
+from planner.service import idempotency, metrics
 from planner.service.jobs import (
-    DELETED,
+    STORE,
     answer_from_store,
     issues_json,
     job_files,
@@ -33,7 +34,7 @@ from planner.service.jobs import (
     record_event,
     remove,
 )
-from planner.service.models import ELEMENT_JOBS, JOBS, OPEN, SESSIONS, Database, State
+from planner.service.models import DELETED, ELEMENT_JOBS, JOBS, OPEN, SESSIONS, Database, State
 from planner.service.security import MB, issue_json
 from planner.service.storage import Blob, Files
 
@@ -77,6 +78,9 @@ class Work:
                     return None
                 job = row["id"]
                 if answer_from_store(db, job, row["key"]):
+                    metrics.ended(
+                        db.execute(select(JOBS.c.state).where(JOBS.c.id == job)).scalar_one(), STORE
+                    )
                     continue
                 attempt = row["attempts"] + 1
                 db.execute(
@@ -94,6 +98,7 @@ class Work:
                 )
                 record_event(db, job, "state", {"state": "running", "attempt": attempt})
                 files = {**job_files(db, job), **_like(db, job)}
+                metrics.waited(time.time() - row["created"])
                 return Claimed(job, row["name"], attempt, files, row["timeout_s"], row["memory_mb"])
 
     def _next(self) -> Select[Any]:
@@ -173,6 +178,7 @@ class Work:
             record_event(db, job, "issues", {"issues": [issue_json(issue) for issue in issues]})
         if state != "queued":
             values["finished"] = time.time()
+            metrics.ended(state)
         db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
         record_event(db, job, "state", {"state": state})
 
@@ -231,10 +237,11 @@ class Work:
             return True
 
     def forget(self, older_s: float | None) -> None:
-        """Delete jobs that were finished so long ago, and sessions that are over."""
+        """Delete jobs that were finished so long ago, sessions that are over, and old idempotency keys."""
         now = time.time()
         with self._database.write() as db:
             db.execute(delete(SESSIONS).where(SESSIONS.c.expires < now))
+            idempotency.forget(self._database, db)
             if older_s is not None:
                 old = and_(JOBS.c.state.not_in(OPEN), JOBS.c.finished < now - older_s)
                 for job in db.execute(select(JOBS.c.id).where(old)).scalars().all():
@@ -290,6 +297,11 @@ ROOM_S: Final = 20.0
 """After a job that found the disk full, none is begun for so long."""
 
 
+def _of(claimed: Claimed) -> dict[str, Any]:
+    """What a record tells of a job."""
+    return {"jobs": [claimed.id]}
+
+
 class Team(Protocol):
     """What plans: :class:`planner.batch.workers.Workers`, or a cluster."""
 
@@ -325,6 +337,7 @@ class Runner(threading.Thread):
         self._ending = threading.Event()
         self._claimed: dict[str, Claimed] = {}
         self._last_progress: dict[str, tuple[str, float]] = {}
+        self._stages: dict[str, tuple[str, float]] = {}
         self._folders: dict[str, Path] = {}
         self._due: dict[str, float] = {}
         self.alive_at = time.monotonic()
@@ -363,7 +376,7 @@ class Runner(threading.Thread):
             try:
                 self._work.give_back(claimed)
             except SQLAlchemyError:
-                LOG.exception("job %s waits until its lease is over", claimed.id)
+                LOG.exception("job %s waits until its lease is over", claimed.id, extra=_of(claimed))
         for folder in self._folders.values():
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -407,6 +420,7 @@ class Runner(threading.Thread):
         folder = Path(tempfile.mkdtemp(dir=self._scratch, prefix="job-"))
         self._claimed[name], self._folders[name] = claimed, folder
         job = Job(name, bundle, timeout_s=claimed.timeout_s, memory_mb=claimed.memory_mb)
+        LOG.info("job %s begins, attempt %d", claimed.id, claimed.attempt, extra=_of(claimed))
         team.start(job, folder / "result")
 
     def _take(self, event: Event) -> None:
@@ -414,6 +428,9 @@ class Runner(threading.Thread):
         if claimed is None:
             return
         if isinstance(event, Progress):
+            if self._stages.get(event.name, ("", 0.0))[0] != event.stage:
+                self._stage_ended(event.name)
+                self._stages[event.name] = (event.stage, time.monotonic())
             stage, at = self._last_progress.get(event.name, ("", 0.0))
             if event.stage != stage or time.monotonic() - at >= PROGRESS_EVERY_S:
                 self._last_progress[event.name] = (event.stage, time.monotonic())
@@ -429,14 +446,19 @@ class Runner(threading.Thread):
         while not self._ending.is_set():
             try:
                 if any(issue.code == "output.disk_full" for issue in done.issues):
-                    LOG.warning("job %s waits for room on the disk", claimed.id)
+                    LOG.warning("job %s waits for room on the disk", claimed.id, extra=_of(claimed))
                     self._room_at = time.monotonic() + ROOM_S
                     self._work.give_back(claimed)
                     break
                 stored, told = self._stored(folder / "result"), self._told(done.issues)
                 kept = self._work.finish(claimed, done.state, told, done.metrics, done.seconds, stored)
                 if not kept:
-                    LOG.warning("job %s was taken over; what was planned here is dropped", claimed.id)
+                    what = "job %s was taken over; what was planned here is dropped"
+                    LOG.warning(what, claimed.id, extra=_of(claimed))
+                else:
+                    LOG.info("job %s ended: %s", claimed.id, done.state, extra=_of(claimed))
+                    self._stage_ended(name)
+                    metrics.ended(done.state)
                 break
             except (SQLAlchemyError, OSError):
                 self._wait_again("the end of job %s cannot be stored now", claimed.id)
@@ -446,7 +468,14 @@ class Runner(threading.Thread):
             return  # it is planned again
         del self._claimed[name], self._folders[name]
         self._last_progress.pop(name, None)
+        self._stages.pop(name, None)
         shutil.rmtree(folder, ignore_errors=True)
+
+    def _stage_ended(self, name: str) -> None:
+        """Count the stage in which a job is, if it is in one."""
+        stage, began = self._stages.pop(name, ("", 0.0))
+        if stage:
+            metrics.staged(stage, time.monotonic() - began)
 
     def _told(self, issues: Collection[Issue]) -> tuple[Issue, ...]:
         """Without where on this host it was: users have no use for that, and others might."""

@@ -13,7 +13,7 @@ from typing import Final
 
 from sqlalchemy import Connection, MetaData, inspect, text
 
-VERSION: Final = 2
+VERSION: Final = 3
 """Version of the tables that this program reads and writes."""
 UNNUMBERED: Final = 1
 """Version of a store that has jobs and does not say which it is."""
@@ -28,6 +28,12 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
         '"like" VARCHAR(32), about TEXT NOT NULL, PRIMARY KEY (job))',
         "CREATE INDEX IF NOT EXISTS ix_tandem_element_jobs_element ON tandem_element_jobs (element)",
         _NUMBER,
+    ),
+    2: (
+        "CREATE TABLE tandem_keys (owner VARCHAR(32) NOT NULL, hash VARCHAR(64) NOT NULL, "
+        "number INTEGER NOT NULL, job VARCHAR(32) NOT NULL, content VARCHAR(64) NOT NULL, "
+        "created FLOAT NOT NULL, PRIMARY KEY (owner, hash, number))",
+        "CREATE INDEX ix_tandem_keys_job ON tandem_keys (job)",
     ),
 }
 """What brings a store of each version to the next one."""

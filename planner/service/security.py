@@ -17,6 +17,7 @@ import re
 import secrets
 import time
 from collections.abc import Mapping, MutableMapping, Sequence
+from http import HTTPStatus
 from typing import Any, Final
 from urllib.parse import urlsplit
 
@@ -57,6 +58,10 @@ class Limits:
     keep_days: float | None = None
 
 
+PROBLEM_JSON: Final = "application/problem+json"
+"""Content type of a refusal (RFC 9457)."""
+
+
 class RefusedError(Exception):
     """A request that is refused; ``issues`` carry code and field."""
 
@@ -70,8 +75,15 @@ class RefusedError(Exception):
 
     @property
     def body(self) -> dict[str, Any]:
-        """The answer as JSON."""
-        return {"issues": [issue_json(issue) for issue in self.issues]}
+        """The answer as a problem document (RFC 9457), with the issues besides."""
+        known = {one.value: one.phrase for one in HTTPStatus}
+        return {
+            "type": "about:blank",
+            "title": known.get(self.status, "Refused"),
+            "status": self.status,
+            "detail": str(self),
+            "issues": [issue_json(issue) for issue in self.issues],
+        }
 
 
 def issue_json(issue: Issue) -> dict[str, Any]:
@@ -365,7 +377,7 @@ def _foreign(why: str) -> RefusedError:
 async def _answer(refused: RefusedError, send: Send) -> None:
     """Send a refusal that no handler of the application saw."""
     body = json.dumps(refused.body).encode()
-    headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
+    headers = [(b"content-type", PROBLEM_JSON.encode()), (b"content-length", str(len(body)).encode())]
     headers += [(name.lower().encode(), value.encode()) for name, value in refused.headers.items()]
     headers.append((b"connection", b"close"))  # the rest of the body is not read
     await send({"type": "http.response.start", "status": refused.status, "headers": headers})

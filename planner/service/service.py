@@ -27,6 +27,7 @@ from starlette.requests import Request
 from planner.batch.job import PROBLEM, all_versions
 from planner.issues import Issue, TandemError
 from planner.service.elements import Elements
+from planner.service.idempotency import Once
 from planner.service.jobs import Hub, Jobs, NewJob, OfElement
 from planner.service.models import Database, JobOut, default_url
 from planner.service.runner import Runner, Team, Work
@@ -75,7 +76,7 @@ class Service:
     def __init__(self, options: Options, make_team: Callable[[], Team]) -> None:
         """Raises ``TandemError``: the folder or the database cannot be had, or tokens are missing."""
         self.options, self.limits = options, options.limits
-        self._lock = _lock_data(options.data, options.database is None)
+        self._lock = lock_data(options.data, options.database is None)
         self.database = Database(options.url)
         self.auth = Auth(self.database)
         if options.tokens_required and not self.auth.any():
@@ -229,11 +230,12 @@ class Service:
         timeout_s: float | None,
         memory_mb: float | None,
         reading: Reading | None = None,
+        once: Once | None = None,
     ) -> JobOut:
         """A job for an upload; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
         read = self.examine(upload, reading=reading)
         files = self.stored(owner, {PROBLEM: read}, upload.files)[PROBLEM]
-        return self.jobs.create(self.new_job(owner, read.name, read, files, timeout_s, memory_mb))
+        return self.jobs.create(self.new_job(owner, read.name, read, files, timeout_s, memory_mb), once)
 
     def examine_element(
         self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: Reading
@@ -311,7 +313,7 @@ def _versions() -> str:
     return json.dumps(all_versions(), sort_keys=True)
 
 
-def _lock_data(data: Path, alone: bool) -> IO[str]:
+def lock_data(data: Path, alone: bool) -> IO[str]:
     """Make the data folder; where the database lies in it, keep other services out until this one ends."""
     try:
         data.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -327,6 +327,11 @@ class Upload:
     problem: Blob
     files: Mapping[str, Blob]
 
+    @property
+    def content(self) -> list[Any]:
+        """What tells it from others, as plain data."""
+        return [self.problem.sha, {name: blob.sha for name, blob in self.files.items()}]
+
 
 async def take_upload(request: Request, storage: Storage, owner: str, limits: Limits) -> Upload:
     """The upload of a request: ``multipart/form-data`` with ``problem`` and ``files``, or the problem alone

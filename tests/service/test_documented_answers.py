@@ -133,6 +133,8 @@ def provoked(
     for parameter in about.get("parameters", []):
         if parameter["in"] == "query":
             out.add(status(params={**GOOD.get(one, {}).get("params", {}), parameter["name"]: "~" * 300}))
+        if parameter["in"] == "header" and "maxLength" in str(parameter["schema"]):
+            out.add(status(headers={parameter["name"]: "~" * 300}))
     if "requestBody" in about:
         for content in (b"\xff{", b" " * int(UPLOAD_MB * 1e6 + 1)):
             out.add(status(content=content, files=None, json=None))

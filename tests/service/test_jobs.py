@@ -277,7 +277,7 @@ def test_what_is_built_in(here: InProcess) -> None:
 def test_figures_are_in_prometheus_text_format(here: InProcess) -> None:
     """The format: https://prometheus.io/docs/instrumenting/exposition_formats."""
     lines = here.http.get("/metrics").text.splitlines()
-    assert 'tandem_jobs{state="queued"} 0' in lines
+    assert 'tandem_jobs{state="queued"} 0.0' in lines
     for line in lines:
         if not line.startswith("#"):
             name, value = line.rsplit(" ", 1)

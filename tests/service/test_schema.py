@@ -15,14 +15,18 @@ from planner.service.models import Database, default_url
 from tests.service import postgres
 from tests.service.support import InProcess
 
-OLD = (Path(__file__).parent / "stores" / "version_1.sql").read_text()
+STORES = {
+    int(path.stem.rpartition("_")[2]): path.read_text()
+    for path in (Path(__file__).parent / "stores").glob("version_*.sql")
+}
+"""Stores of all older versions, as SQL."""
 TOKEN = "tandem_0123456789abcdef_" + "a" * 43
 
 
-def old_store(data: Path) -> Path:
+def old_store(data: Path, version: int = 1) -> Path:
     data.mkdir()
     with sqlite3.connect(data / "tandem.db") as db:
-        db.executescript(OLD)
+        db.executescript(STORES[version])
     return data
 
 
@@ -47,8 +51,13 @@ def version(data: Path) -> list[tuple[int]]:
         return db.execute("SELECT version FROM tandem_schema").fetchall()
 
 
-def test_an_old_store_becomes_what_a_new_one_is_and_is_served(tmp_path: Path) -> None:
-    data, new = old_store(tmp_path / "old"), tmp_path / "new"
+def test_there_is_a_store_of_each_older_version() -> None:
+    assert sorted(STORES) == sorted(schema.STEPS) == list(range(1, schema.VERSION))
+
+
+@pytest.mark.parametrize("old", STORES)
+def test_an_old_store_becomes_what_a_new_one_is_and_is_served(tmp_path: Path, old: int) -> None:
+    data, new = old_store(tmp_path / "old", old), tmp_path / "new"
     new.mkdir()
     with InProcess(data, require_token=True) as here:
         auth = {"Authorization": f"Bearer {TOKEN}"}
@@ -61,12 +70,13 @@ def test_an_old_store_becomes_what_a_new_one_is_and_is_served(tmp_path: Path) ->
     assert version(data) == [(schema.VERSION,)]
 
 
-def test_the_same_on_postgresql(tmp_path: Path) -> None:
+@pytest.mark.parametrize("of", STORES)
+def test_the_same_on_postgresql(tmp_path: Path, of: int) -> None:
     old, new = postgres.fresh(tmp_path), postgres.fresh(tmp_path)
     import psycopg
 
     with psycopg.connect(old) as connection:
-        for one in OLD.split(";\n"):
+        for one in STORES[of].split(";\n"):
             begin = max(one.find("CREATE"), one.find("INSERT"))
             if begin >= 0:
                 connection.execute(one[begin:].encode())

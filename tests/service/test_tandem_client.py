@@ -346,7 +346,8 @@ def odd() -> Iterator[tuple[type[Odd], str]]:
 
 def test_a_client_that_is_too_old_is_told(odd: tuple[type[Odd], str]) -> None:
     kind, url = odd
-    kind.health = b'{"status": "ok", "version": "9.0", "api": 7, "api_oldest": 6}'
+    newer = {"status": "ok", "version": "9.0", "api": API + 2, "api_oldest": API + 1}
+    kind.health = json.dumps(newer).encode()
     (issue,) = refusal(lambda: tandem_client.Client(url, "t").job("a"))
     assert issue.code == "service.version"
     assert "pip install --upgrade tandem-client" in issue.message

@@ -98,7 +98,7 @@ def test_a_database_whose_disk_is_full_is_507(here: InProcess, monkeypatch: pyte
     full = sqlite3.OperationalError("database or disk is full")
     full.sqlite_errorcode = sqlite3.SQLITE_FULL
     error = OperationalError("INSERT", {}, full)
-    monkeypatch.setattr(here.service.jobs, "create", lambda new: (_ for _ in ()).throw(error))
+    monkeypatch.setattr(here.service.jobs, "create", lambda *asked: (_ for _ in ()).throw(error))
     late = here.post(named("late"))
     away(error, monkeypatch)
     for answer in (late, here.http.get("/v1/jobs")):

@@ -1,0 +1,276 @@
+"""Backups: made while jobs come, end and go, restored into another store on either database, and refused
+where something would be lost or is not whole."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import sqlite3
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planner.cli import service as commands
+from planner.cli.command_line import app
+from planner.issues import TandemError
+from planner.service import backup, storage
+from planner.service.models import Database, default_url
+from planner.service.schema import VERSION
+from planner.service.security import Auth, Limits
+from tests.service import postgres
+from tests.service.support import InProcess, named
+from tests.service.test_schema import TOKEN, old_store, version
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """A backup of a service with a token and a job that has ended; the token and the job."""
+    folder = tmp_path_factory.mktemp("backup")
+    (folder / "data").mkdir()
+    database = Database(default_url(folder / "data"))
+    token = Auth(database).make("ann")
+    database.close()
+    auth = {"Authorization": f"Bearer {token}"}
+    with InProcess(folder / "data", examiners=1, require_token=True) as here:
+        job = str(here.post(named("kept"), headers=auth).json()["id"])
+        here.ended(job, headers=auth)
+    backup.back_up(folder / "data", None, folder / "made")
+    return folder / "made", token, job
+
+
+def serves_all_that_it_lists(here: InProcess, **more: Any) -> int:
+    """Read every file of every job of a service; how many jobs there are."""
+    jobs = here.http.get("/v1/jobs?limit=200", **more).json()["jobs"]
+    for job in jobs:
+        for one in here.http.get(f"/v1/jobs/{job['id']}/files", **more).json()["files"]:
+            content = here.http.get(f"/v1/jobs/{job['id']}/files/{one['name']}", **more).content
+            assert hashlib.sha256(content).hexdigest() == one["sha256"]
+    return len(jobs)
+
+
+def refused(folder: Path, data: Path, database: str | None = None) -> str:
+    with pytest.raises(TandemError) as caught:
+        backup.restore(folder, data, database)
+    (issue,) = caught.value.issues
+    assert issue.code == "service.backup"
+    assert not (data / "tandem.db").exists() or (data / "tandem.db").stat().st_size > 0
+    return issue.message
+
+
+@pytest.mark.parametrize(
+    ("kind", "into"),
+    [("sqlite", "postgresql"), pytest.param("postgresql", "sqlite", marks=pytest.mark.long)],
+)
+def test_backups_under_load_hold_what_they_list(tmp_path: Path, kind: str, into: str) -> None:
+    """Two threads send jobs and delete some of them, and the service sweeps, while backups are made; what was
+    there before a backup is in it."""
+    database, other = (None if one == "sqlite" else postgres.fresh(tmp_path) for one in (kind, into))
+    told: list[str] = []
+    ended = threading.Event()
+    with InProcess(tmp_path / "data", Limits(open_jobs=500), examiners=1, database=database) as here:
+
+        def work(who: int) -> None:
+            number = 0
+            while not ended.is_set():
+                number += 1
+                job = here.post(named(f"job{who}x{number}")).json()["id"]
+                if number % 3 == 0:
+                    here.http.delete(f"/v1/jobs/{job}")
+                    here.service.files.sweep(here.service.jobs.shas)
+                else:
+                    told.append(job)
+
+        with ThreadPoolExecutor(2) as pool:
+            busy = [pool.submit(work, who) for who in range(2)]
+            while len(told) < 3:
+                time.sleep(0.02)
+            before = []
+            for number in range(3):
+                before = list(told)
+                backup.back_up(tmp_path / "data", database, tmp_path / f"backup{number}")
+            ended.set()
+        for one in busy:
+            one.result()
+    backup.restore(tmp_path / "backup2", tmp_path / "new", other)
+    with InProcess(tmp_path / "new", examiners=1, database=other) as here:
+        for job in before:
+            assert here.ended(job)["state"] == "verified"  # what ran or waited then is planned now
+        assert serves_all_that_it_lists(here) >= len(before)
+
+
+def test_a_job_that_goes_between_the_moment_and_its_files_is_not_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(storage, "GRACE_S", -1.0)
+    with InProcess(tmp_path / "data", examiners=1) as here:
+        jobs = [here.post(named(name)).json()["id"] for name in ("stays", "goes")]
+        for job in jobs:
+            here.ended(job)
+        moment, moments = backup._moment, []
+
+        def then_delete(url: str, copy: Path) -> None:
+            moment(url, copy)
+            moments.append(url)
+            if len(moments) == 1:
+                here.http.delete(f"/v1/jobs/{jobs[1]}")
+                assert here.service.files.sweep(here.service.jobs.shas) > 0
+
+        monkeypatch.setattr(backup, "_moment", then_delete)
+        found = backup.back_up(tmp_path / "data", None, tmp_path / "backup")
+    assert len(moments) == 2
+    assert found.jobs == 1
+    backup.restore(tmp_path / "backup", tmp_path / "new", None)
+    with InProcess(tmp_path / "new", examiners=1) as here:
+        assert [one["id"] for one in here.http.get("/v1/jobs").json()["jobs"]] == jobs[:1]
+        assert serves_all_that_it_lists(here) == 1
+
+
+def test_files_are_marked_as_wanted_before_they_are_copied(
+    made: tuple[Path, str, str], tmp_path: Path
+) -> None:
+    """What the sweep leaves: the job may be deleted while its files are copied."""
+    data = shutil.copytree(made[0], tmp_path / "data")
+    files = [path for path in (data / "files").rglob("*") if path.is_file()]
+    for path in files:
+        storage.os.utime(path, (1.0, 1.0))
+    backup.back_up(data, None, tmp_path / "backup")
+    assert storage.Files(data / "files").sweep(lambda shas: set()) == 0
+    assert all(path.exists() for path in files)
+
+
+def test_tokens_and_links_are_in_it(made: tuple[Path, str, str], tmp_path: Path) -> None:
+    folder, token, job = made
+    assert (folder.stat().st_mode & 0o077) == 0
+    backup.restore(folder, tmp_path / "new", None)
+    auth = {"Authorization": f"Bearer {token}"}
+    with InProcess(tmp_path / "new", examiners=1, require_token=True) as here:
+        assert here.http.get(f"/v1/jobs/{job}", headers=auth).json()["state"] == "verified"
+        assert serves_all_that_it_lists(here, headers=auth) == 1
+        assert "a service is running" in str(_running(folder, tmp_path / "new"))
+
+
+def _running(folder: Path, data: Path) -> TandemError:
+    with pytest.raises(TandemError) as caught:
+        backup.restore(folder, data, None)
+    return caught.value
+
+
+def test_what_is_there_is_never_overwritten(made: tuple[Path, str, str], tmp_path: Path) -> None:
+    folder = made[0]
+    store = old_store(tmp_path / "store")
+    before = (store / "tandem.db").read_bytes()
+    assert "a store is in it already" in refused(folder, store)
+    assert (store / "tandem.db").read_bytes() == before
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("dear")
+    with pytest.raises(TandemError, match="is not empty"):
+        backup.back_up(store, None, tmp_path / "mine")
+    with pytest.raises(TandemError, match="there is no store in it"):
+        backup.back_up(tmp_path / "mine", None, tmp_path / "more")
+    assert not (tmp_path / "more").exists()
+    (store / "files").mkdir()
+    for url in (
+        "nonsense",
+        "mysql://u:secret@h/d",
+        "postgresql://u:secret@127.0.0.1:1/d",
+        "sqlite:///no/such.db",
+    ):
+        with pytest.raises(TandemError) as caught:
+            backup.back_up(store, url, tmp_path / "url")
+        assert "secret" not in str(caught.value)
+        assert list((tmp_path / "url").iterdir()) == []
+    backup.back_up(store, None, tmp_path / "url")
+
+
+def test_nor_on_postgresql(made: tuple[Path, str, str], tmp_path: Path) -> None:
+    url = postgres.fresh(tmp_path)
+    Database(url).close()
+    assert "Tandem's tables already" in refused(made[0], tmp_path / "new", url)
+    import psycopg
+
+    with psycopg.connect(url) as connection:
+        connection.execute("UPDATE tandem_schema SET version = 99")
+    (tmp_path / "new" / "files").mkdir(exist_ok=True)
+    with pytest.raises(TandemError, match="version 99; this program makes backups of version"):
+        backup.back_up(tmp_path / "new", url, tmp_path / "backup")
+
+
+def test_a_newer_an_unfinished_and_a_damaged_backup(made: tuple[Path, str, str], tmp_path: Path) -> None:
+    def spoilt(name: str) -> Path:
+        return Path(shutil.copytree(made[0], tmp_path / name))
+
+    newer = spoilt("newer")
+    with sqlite3.connect(newer / "tandem.db") as db:
+        db.execute("UPDATE tandem_schema SET version = 99")
+    assert "version 99, this program knows" in refused(newer, tmp_path / "a")
+    unfinished = spoilt("unfinished")
+    (unfinished / "backup.json").unlink()
+    assert "did not come to its end" in refused(unfinished, tmp_path / "a")
+    assert "did not come to its end" in refused(tmp_path / "nowhere", tmp_path / "a")
+    for content in ("", "[]", "{", '{"format": 1'):
+        (unfinished / "backup.json").write_text(content)
+        assert "cannot be read" in refused(unfinished, tmp_path / "a")
+    (unfinished / "backup.json").write_text(json.dumps({"format": 2}))
+    assert "has format 2" in refused(unfinished, tmp_path / "a")
+    for name, spoil in (("changed", lambda path: path.write_bytes(b"x")), ("lost", Path.unlink)):
+        other = spoilt(name)
+        spoil(next(path for path in (other / "files").rglob("*") if path.is_file()))
+        assert "damaged" in refused(other, tmp_path / name / "new")
+    torn = spoilt("torn")
+    content = (torn / "tandem.db").read_bytes()
+    (torn / "tandem.db").write_bytes(content[: len(content) // 2])
+    assert "database" in refused(torn, tmp_path / "b")
+    backup.restore(made[0], tmp_path / "a", None)  # what was refused leaves nothing in the way
+
+
+def test_a_damaged_store_is_told(made: tuple[Path, str, str], tmp_path: Path) -> None:
+    data = shutil.copytree(made[0], tmp_path / "data")
+    path = next(path for path in (data / "files").rglob("*") if path.is_file())
+    path.write_bytes(b"rot")
+    with pytest.raises(TandemError, match="its content is not that of its name"):
+        backup.back_up(data, None, tmp_path / "one")
+    path.unlink()
+    with pytest.raises(TandemError, match=f"file {path.name} of a job is not there"):
+        backup.back_up(data, None, tmp_path / "two")
+    assert list((tmp_path / "one").iterdir()) == list((tmp_path / "two").iterdir()) == []
+
+
+def test_an_older_store_while_another_process_brings_it_up_to_date(tmp_path: Path) -> None:
+    """The backup is of before, whole, and changes nothing; what is restored is of this version."""
+    data = old_store(tmp_path / "data", 2)
+    (data / "files").mkdir()
+    other = sqlite3.connect(data / "tandem.db", isolation_level=None)
+    other.execute("PRAGMA journal_mode=WAL")
+    other.execute("BEGIN IMMEDIATE")
+    other.execute("CREATE TABLE tandem_keys (owner VARCHAR(32))")
+    other.execute("UPDATE tandem_schema SET version = 3")
+    found = backup.back_up(data, None, tmp_path / "backup")
+    other.execute("ROLLBACK")
+    other.close()
+    assert (found.version, found.jobs) == (2, 1)
+    assert version(data) == version(tmp_path / "backup") == [(2,)]
+    restored = backup.restore(tmp_path / "backup", tmp_path / "new", None)
+    assert restored.version == VERSION
+    assert version(tmp_path / "new") == [(VERSION,)]
+    with InProcess(tmp_path / "new", require_token=True, examiners=1) as here:
+        auth = {"Authorization": f"Bearer {TOKEN}"}
+        assert [one["name"] for one in here.http.get("/v1/jobs", headers=auth).json()["jobs"]] == ["panel"]
+
+
+def test_the_commands(
+    made: tuple[Path, str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = tmp_path / "data"
+    assert app.cli(args=["restore", str(made[0]), "--data", str(data)]) == 0
+    assert app.cli(args=["backup", str(tmp_path / "again"), "--data", str(data)]) == 0
+    assert app.cli(args=["restore", str(made[0]), "--data", str(data)]) == 2
+    said = capsys.readouterr()
+    assert "restored 1 jobs" in said.out
+    assert f"{tmp_path / 'again'}: a backup of 1 jobs" in said.out
+    assert "service.backup" in said.out + said.err
+    assert commands.DATA_FOLDER == commands.BackUp(tmp_path).data == commands.Serve().data

@@ -1,0 +1,146 @@
+"""The log as lines of JSON: what each has, and what none has."""
+
+from __future__ import annotations
+
+import datetime as dt
+import io
+import json
+import logging
+import re
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planner.service import logs
+from planner.service.jobs import Jobs
+from planner.service.models import Database, default_url
+from planner.service.security import Auth
+from tests.service.support import InProcess, Process, named
+
+RFC_3339 = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z")
+"""Section 5.6 of RFC 3339, in UTC with thousandths."""
+
+
+class Told(InProcess):
+    """A service with tokens, whose log is kept."""
+
+    def __init__(self, data: Path, token: str) -> None:
+        super().__init__(data, examiners=1, require_token=True)
+        self.written = io.StringIO()
+        self.token = token
+        self.http.headers["Authorization"] = f"Bearer {token}"
+        logs.write_json(data, self.written)
+
+    @property
+    def lines(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.written.getvalue().splitlines()]
+
+    def of(self, request: str) -> list[dict[str, Any]]:
+        return [line for line in self.lines if line.get("request") == request]
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Told]:
+    data = tmp_path_factory.mktemp("logs") / "data"
+    data.mkdir()
+    root, own = logging.getLogger(), logging.getLogger("planner.service")
+    before = (list(root.handlers), root.level, own.level)
+    with Told(data, Auth(Database(default_url(data))).make("ann")) as made:
+        yield made
+    root.handlers[:], root.level, own.level = before
+
+
+def test_a_request_is_a_line_with_its_jobs(here: Told) -> None:
+    answer = here.post(named("told"), headers={"X-Request-Id": "from-a-proxy:1.2_3"})
+    job = answer.json()["id"]
+    assert answer.headers["x-request-id"] == "from-a-proxy:1.2_3"
+    (line,) = here.of("from-a-proxy:1.2_3")
+    assert RFC_3339.fullmatch(line["time"])
+    assert abs(dt.datetime.fromisoformat(line["time"]).timestamp() - time.time()) < 60
+    assert (line["level"], line["method"], line["path"], line["status"]) == ("info", "POST", "/v1/jobs", 201)
+    assert line["jobs"] == [job]
+    assert 0 <= line["seconds"] < 600
+    here.ended(job)
+    about = [one["message"] for one in here.lines if one.get("jobs") == [job] and "request" not in one]
+    assert about == [f"job {job} begins, attempt 1", f"job {job} ended: verified"]
+    asked = here.http.get(f"/v1/jobs/{job}/files")
+    (line,) = here.of(asked.headers["x-request-id"])
+    assert line["jobs"] == [job]
+
+
+@pytest.mark.parametrize(
+    "given", [[], [b""], [b"a" * 10_000], [b"<script>"], [b"a\tb"], ["ä".encode()], [b"a", b"b"], [b"-"]]
+)
+def test_an_identifier_that_is_none_is_replaced(here: Told, given: list[bytes]) -> None:
+    headers = [(b"X-Request-Id", one) for one in given]
+    answer = here.http.get("/v1/health", headers=headers)
+    assert re.fullmatch("[0-9a-f]{32}", answer.headers["x-request-id"])
+    assert len(here.of(answer.headers["x-request-id"])) == 1
+
+
+def test_refusals_and_faults_have_it_too(here: Told, monkeypatch: pytest.MonkeyPatch) -> None:
+    for status, more in ((404, {"url": "/nowhere"}), (403, {"url": "/v1/jobs", "method": "POST"})):
+        request = {
+            "method": "GET",
+            "headers": {"X-Request-Id": f"r{status}", "Origin": "http://evil"},
+            **more,
+        }
+        answer = here.http.request(**request)
+        assert (answer.status_code, answer.headers["x-request-id"]) == (status, f"r{status}")
+        assert [line["status"] for line in here.of(f"r{status}")] == [status]
+
+    def fail(*asked: object) -> None:
+        secret = (
+            f"postgresql://tandem:pass@db/x {here.token} {here.service.files.root}/ab and /etc/tandem/key"
+        )
+        try:
+            raise OSError(2, "no such file", "/srv/secret/place.txt")
+        except OSError as error:
+            raise RuntimeError(secret) from error
+
+    monkeypatch.setattr(Jobs, "page", fail)
+    answer = here.http.get("/v1/jobs?limit=3", headers={"X-Request-Id": "broken"})
+    assert (answer.status_code, answer.headers["x-request-id"]) == (500, "broken")
+    fault, request = sorted(here.of("broken"), key=lambda line: line["level"])
+    assert (request["status"], fault["level"]) == (500, "error")
+    assert fault["message"] == "GET /v1/jobs failed"
+    assert [one["type"] for one in fault["errors"]] == ["RuntimeError", "FileNotFoundError"]
+    assert fault["errors"][0]["message"] == "postgresql://db/x (token) (data)/files/ab and (path)"
+    assert "planner.service.routes:page:" in str(fault["errors"][0]["trace"])
+
+
+def test_no_line_has_a_token_a_query_or_a_place(here: Told) -> None:
+    """Wherever a user may put them."""
+    token = here.token
+    here.http.get(f"/v1/jobs/{token}", headers={"X-Request-Id": token})
+    here.http.get(f"/v1/jobs?state={token}")
+    here.http.get("/v1/jobs/x%0A%7B%22level%22:%22error%22%7D")
+    here.http.get("/v1/jobs", headers={"Authorization": f"Bearer {token[:-1]}"})
+    here.http.cookies.set("tandem_session", "c00k1e")
+    here.http.get("/v1/jobs", headers={"Authorization": ""})
+    here.http.cookies.clear()
+    logging.getLogger("uvicorn.error").error("cannot open %s", here.service.scratch / "upload")
+    text = here.written.getvalue()
+    assert len(here.lines) == len(text.splitlines())  # a line is a line, whatever a path has
+    assert all({"time", "level", "logger", "message"} <= line.keys() for line in here.lines)
+    for secret in (token[24:], "c00k1e", str(here.service.options.data.resolve()), "?", "state="):
+        assert secret not in text
+
+
+def test_the_command_writes_nothing_but_json(tmp_path: Path) -> None:
+    process = Process(tmp_path / "data", "--log", "json").wait()
+    request = urllib.request.Request(f"{process.url}/v1/nothing", headers={"X-Request-Id": "mine"})
+    with pytest.raises(urllib.error.HTTPError) as refused:
+        urllib.request.urlopen(request)
+    assert refused.value.headers["X-Request-Id"] == "mine"
+    assert process.stop() == 0
+    text = process.log.read_text()
+    lines = [json.loads(line) for line in text.splitlines()]
+    assert [line["path"] for line in lines if line.get("request") == "mine"] == ["/v1/nothing"]
+    assert any("Uvicorn running" in line["message"] for line in lines)
+    assert str(tmp_path) not in text
