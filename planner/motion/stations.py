@@ -148,7 +148,26 @@ def stationed(problem: Problem, targets: Sequence[Targets], passes: Passes | Non
                 there = problem.stationed({**out, index: at})
                 at = {**at, name: _station(there, index, own, axes[name], at, passes)}
         out[index] = at
-    return problem.stationed(out)
+    made = problem.stationed(out)
+    if passes is None:
+        _check_way_home(made, axes, at)
+    return made
+
+
+def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str, float]) -> None:
+    """Raise an issue (``motion.station``) where axes cannot go home behind the last operation."""
+    index = len(problem.operations) - 1
+    enough = problem.settings.clearance + WAY_ROOM_M
+    for name, axis in axes.items():
+        if at[name] == axis.track.home:
+            continue
+        way = axis.way(problem.setup_of(index), (at[name], axis.track.home), enough)
+        if not way.clear:
+            what = f"operation {problem.operations[index].name}: on the way of {axis.unit} home behind it "
+            what += f"{' and '.join(way.pair)} come as near as {way.least / MM:.1f} mm"
+            hint = "take what is there away, or let the axis have its home on the other side of it"
+            field = f"operations.{index}"
+            raise TandemError(Issue("motion.station", what, hint=hint, field=field))
 
 
 def values(track: LinearTrack) -> FloatArray:

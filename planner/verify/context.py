@@ -241,8 +241,8 @@ class Context:
 
     @cached_property
     def setups(self) -> tuple[Setup, ...]:
-        """How the cell stands, setup by setup."""
-        return self.problem.setups
+        """How the cell stands, setup by setup; at last, without operations, with all axes home again."""
+        return setup_text.setups_of(self.problem)
 
     @cached_property
     def setup_claims(self) -> tuple[SetupClaims, ...]:

@@ -109,6 +109,9 @@ def in_cut(text: str, axis: str, old: str, new: str) -> str:
     return text[:at] + first(text[at:], f"{axis} {old}", f"{axis} {new}")
 
 
+LOOK = re.compile(r"tm_shift=ABS\(\$AXIS_ACT\.E\d-0\.0000\)\n(?:[^\n]*\n)*?ENDIF\n")
+"""What looks whether an axis is at home."""
+
 TRACK: dict[str, tuple[str, Callable[[str, str], str]]] = {
     "missing E1": ("external_axes", lambda t, e: t.replace(f",E1 {e}}}", "}")),
     "missing E1 in one move": ("external_axes", lambda t, e: changed(t, rf"(SLIN .*),E1 {e}\}}", r"\1}", 1)),
@@ -150,6 +153,37 @@ TRACK: dict[str, tuple[str, Callable[[str, str], str]]] = {
             else first(t, "; Operation b.", "PTP x_2_station_1\n; Operation b.")
         ),
     ),
+    "no look at E1": ("external_axes", lambda t, e: LOOK.sub("", t, count=1)),
+    "a look at E1 before the question": (
+        "external_axes",
+        lambda t, e: first(
+            LOOK.sub("", t, count=1),
+            "tm_answer=0\n",
+            f"{LOOK.search(t)[0]}tm_answer=0\n",  # type: ignore[index]
+        ),
+    ),
+    "a look at E1 behind the first move": (
+        "external_axes",
+        lambda t, e: first(LOOK.sub("", t, count=1), "PTP x_home\n", f"PTP x_home\n{LOOK.search(t)[0]}"),  # type: ignore[index]
+    ),
+    "a look at E2": ("external_axes", lambda t, e: first(t, "ABS($AXIS_ACT.E1-", "ABS($AXIS_ACT.E2-")),
+    "a look for another home": (
+        "external_axes",
+        lambda t, e: first(t, "ABS($AXIS_ACT.E1-0.0000)", "ABS($AXIS_ACT.E1+700.0000)"),
+    ),
+    "a wide look": ("external_axes", lambda t, e: first(t, "IF tm_shift>1.0 THEN", "IF tm_shift>50.0 THEN")),
+    "a look of one side": (
+        "syntax",
+        lambda t, e: first(t, "ABS($AXIS_ACT.E1-0.0000)", "$AXIS_ACT.E1-0.0000"),
+    ),
+    "a look that goes on": ("syntax", lambda t, e: first(t, "LOOP\nHALT\nENDLOOP\nENDIF", "HALT\nENDIF")),
+    "a look that says something else": ("external_axes", lambda t, e: first(t, "mm off home", "mm off")),
+    "not home at the end": ("external_axes", lambda t, e: re.sub(r"(?s)(.*)PTP x_home\n", r"\1", t)),
+    "elsewhere at the end": (
+        "external_axes",
+        lambda t, e: re.sub(r"(?s)(.*)PTP x_home\n", r"\1PTP x_1_station_1\n", t),
+    ),
+    "nobody asked before it goes home": ("setup", lambda t, e: first(t, "All work done", "Work done")),
     "told another value": ("setup", lambda t, e: first(t, f"to {float(e):.3f}", "to -900.000")),
     "no look at the foot": ("syntax", lambda t, e: t.replace("$ROBROOT_C", "$ROBROOT")),
     "a look along another way": (
@@ -186,6 +220,10 @@ TABLE: dict[str, tuple[str, Callable[[str], str]]] = {
     "of another kinematic": ("syntax", lambda t: first(t, "$BASE=b_stock_2", "BAS(#EX_BASE,3)")),
     "no speed": ("external_axes", lambda t: changed(t, r"\$VEL_EXTAX\[2\]=\d+\n", "")),
     "not folded": ("external_axes", lambda t: first(t, "PTP x_2_station_1\n", "")),
+    "no look at E2": ("external_axes", lambda t: LOOK.sub("", t, count=1)),
+    "a wide look": ("external_axes", lambda t: first(t, "IF tm_shift>0.1 THEN", "IF tm_shift>1.0 THEN")),
+    "a look at E1": ("external_axes", lambda t: first(t, "ABS($AXIS_ACT.E2-", "ABS($AXIS_ACT.E1-")),
+    "not home at the end": ("external_axes", lambda t: re.sub(r"(?s)(.*)PTP x_home\n", r"\1", t)),
     "told another value": ("setup", lambda t: first(t, f"{THERE} deg", "20.0000 deg")),
 }
 """On a turntable."""
