@@ -44,7 +44,7 @@ from planner.post.program import (
     TaskProgram,
     Track,
 )
-from planner.problem import BLIND_SPEED, STOCK, Arm, Cell, Problem, Settings, Setup, Turntable
+from planner.problem import STOCK, Arm, Cell, Problem, Settings, Setup, Turntable
 from planner.targets import Action, Targets
 
 LEAST_MASS = 0.001
@@ -370,12 +370,11 @@ def outer_speeds(task: TaskProgram, plan: Plan, problem: Problem) -> dict[int, O
     """Speeds of the external axes that a task moves, by column: what they carry goes at most at
     :data:`planner.problem.BLIND_SPEED`."""
     out: dict[int, OuterSpeed] = {}
+    speeds = axis_way.travel_speeds(problem, plan.places)
     if (track := task.arm.track) is not None:
-        out[TRACK_COLUMN] = OuterSpeed(min(track.speed, BLIND_SPEED), track.speed)
+        out[TRACK_COLUMN] = OuterSpeed(speeds[task.arm.name], track.speed)
     if (table := task.table) is not None:
-        places = ((setup, np.asarray(plan.places[setup.number - 1])) for setup in problem.setups)
-        rim = max(axis_way.rim(setup, place, table) for setup, place in places)
-        out[table.column] = OuterSpeed(min(table.speed, BLIND_SPEED / rim), table.speed)
+        out[table.column] = OuterSpeed(speeds[STOCK], table.speed)
     return out
 
 

@@ -200,11 +200,10 @@ def _move_faults(
     table = context.problem.cell.turntable
     if axis.carries == STOCK and table is not None:
         rim = max((_rim(s.stock, s.stock.place, table) for s in context.setups), default=0.0)
-        speed, most = move.speed.rotary, min(BLIND_SPEED / max(rim, 1e-3), axis.speed)
+        most = min(BLIND_SPEED / max(rim, 1e-3), axis.speed)
     else:
-        speed, most = move.speed.linear, min(BLIND_SPEED, axis.speed)
-    if move.speed.outer is not None:  # KRL: a share of the axis' own speed
-        speed = move.speed.outer[axis.column] * axis.speed
+        most = min(BLIND_SPEED, axis.speed)
+    speed = axis.told(move)
     if not 0.0 < speed <= most * SLACK:
         yield f"{axis.unit} goes at {axis.shown(speed)}/s; allowed: {axis.shown(most)}/s"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -15,6 +16,7 @@ from planner import processes
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import inverse
 from planner.pipeline import Outcome
+from planner.report import scene
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import external_axes
@@ -78,6 +80,22 @@ def test_the_text_has_the_block_within_a_micrometre_of_the_plan_on_a_table(turne
         tcp = arm.base @ forward(arm.data, made.q["left"]) @ arm.tool.tcp
         seen = (inverse(np.asarray(context.places[index])) @ tcp)[:, :3, 3]
         assert np.linalg.norm(seen - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
+
+
+def test_axes_take_the_time_of_the_text_on_the_proofs_clock_and_in_the_replay() -> None:
+    for out, own in ((track_job.planned_krl(), 1.0), (table_job.planned_krl(), 20.0)):
+        context = Context(out.problem, processes.claims(out.problem), out.programs)
+        shown = re.search(r"\$VEL_EXTAX\[\d\]=(\d+)", "".join(out.programs.values()))
+        assert shown is not None
+        speed = own * float(shown[1]) / 100.0  # m/s, deg/s
+        text = "".join(out.programs.values())
+        found = re.findall(r"x_\d_station_1=\{.*?E(?:1 (-?[1-9][\d.]*)|2 (-?[1-9][\d.]*))", text)
+        ends = [0.0, *(float(a) * 1e-3 if a else float(b) for a, b in found), 0.0]
+        ramp = 0.0 if own > 1.0 else speed / 1.0  # the track's 1 m/s2
+        wanted = [abs(b - a) / speed + ramp for a, b in itertools.pairwise(ends)]
+        gaps = np.diff(context.motion.time)
+        np.testing.assert_allclose(gaps[gaps > 1.0], wanted, atol=0.01)
+        assert scene.track(out.problem, out.plan, 100).travel == pytest.approx(sum(wanted), abs=1e-3)
 
 
 # ---- programs that are wrong ----
