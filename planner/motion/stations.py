@@ -314,16 +314,18 @@ BASE_ROOM_M: Final = 0.3
 """A block on a turntable that is advised turns so far [m] from the middle of a base."""
 ANGLE_NOISE: Final = 1e-9
 """Turntables that would turn by less [rad] are not advised."""
+WRITTEN: Final = ("ABB", "KUKA")
+"""Families of arms whose programs move external axes."""
 AXES: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
 """Directions of tracks that are advised."""
 
 
 def advice(problem: Problem, targets: Sequence[Targets]) -> str:
-    """What takes the arm of a cell of one ABB arm, or the block, to where it reaches every operation: the
-    shortest track under the arm, or a turntable under the block, whichever will do; empty where neither does,
-    or there is one. Bodies in the way are not looked at."""
+    """What takes the arm of a cell of one ABB or KUKA arm, or the block, to where it reaches every operation:
+    the shortest track under the arm, or a turntable under the block, whichever will do; empty where neither
+    does, or there is one. Bodies in the way are not looked at."""
     (arm, *others), place = problem.cell.arms, problem.stock.place
-    stated = not others and place is not None and arm.data.family == "ABB" and not arm.base_auto
+    stated = not others and place is not None and arm.data.family in WRITTEN and not arm.base_auto
     stated = stated and problem.stock.held_by is None and problem.stock.sheet is None
     if not stated or arm.track is not None or problem.cell.turntable is not None or problem.changes:
         return ""

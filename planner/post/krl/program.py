@@ -255,9 +255,12 @@ class Main:
 
     def _units(self) -> dict[int, tuple[str, str]]:
         """Names of the external axes, and the units of their values in texts, by column."""
-        moved = [(TRACK_COLUMN, self.task.arm.track, "mm")]
-        moved += [] if self.task.table is None else [(self.task.table.column, self.task.table, "deg")]
-        return {column: (one.unit, sign) for column, one, sign in moved if one is not None}
+        out: dict[int, tuple[str, str]] = {}
+        if (track := self.task.arm.track) is not None:
+            out[TRACK_COLUMN] = (track.unit, "mm")
+        if (table := self.task.table) is not None:
+            out[table.column] = (table.unit, "deg")
+        return out
 
     def _outer_speeds(self) -> list[str]:
         """Speeds of the external axes, whole percents of their own; they move to stations alone."""

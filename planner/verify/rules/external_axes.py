@@ -136,8 +136,8 @@ def _looked(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
             seen = any(_looks_at(axis, look, dialect) for look in looks if look.kind == AXIS_LOOK)
         if not seen:
             what = f"an arm moves, and nothing looks right before whether {axis.unit} is at home"
-            step = steps[first] if first < len(steps) else None
-            yield at_step(_CODE, f"{what} ({axis.shown(axis.home)})", task, step)
+            move = steps[first] if first < len(steps) else None
+            yield at_step(_CODE, f"{what} ({axis.shown(axis.home)})", task, move)
 
 
 def _looks_at(axis: OuterAxis, look: SettingStep, dialect: str) -> bool:
