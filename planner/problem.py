@@ -16,7 +16,7 @@ import numpy as np
 from planner.catalogue.materials import Foam, SheetMetal
 from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.claims.claim import ForceFrame
-from planner.claims.vocabulary import KEEP_OFF, KEEP_OFF_TABLE, Handshake
+from planner.claims.vocabulary import CLOSED, KEEP_OFF, KEEP_OFF_TABLE, Handshake
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape, exp_rotation
 from planner.geometry.units import DEG
 from planner.issues import Issue
@@ -452,8 +452,8 @@ class Setup:
     """How the cell stands for some operations in a row: the cell with the tools that are mounted, the block
     as found and clamped.
 
-    ``operations``: indices of the problem's operations. ``steps``: what the operator does before them, a
-    sentence each; where there are any, the programs ask for a confirmation.
+    ``operations``: indices of the problem's operations, none for the end of a program. ``steps``: what the
+    operator does before them, a sentence each; where there are any, the programs ask for a confirmation.
     """
 
     number: int
@@ -465,6 +465,8 @@ class Setup:
     @property
     def confirmation(self) -> str:
         """What the operator confirms before anything moves in this setup."""
+        if not self.operations:
+            return CLOSED
         return f"Setup {self.number} done as told, nobody in the cell?"
 
 
@@ -542,6 +544,24 @@ class Problem:
             left = operation.leaves(left)
         return tuple(out)
 
+    @property
+    def closing(self) -> Setup | None:
+        """How the cell stands behind the last operation, where tracks or the turntable go home again, so that
+        the next run finds them there; None without such axes."""
+        if not self.homes or not self.operations:
+            return None
+        last = self.setups[-1]
+        arms = tuple(_back(arm) for arm in last.cell.arms)
+        steps = tuple(_keep_off(arm) for arm in arms if arm.track is not None)
+        stock, table = last.stock, self.cell.turntable
+        if table is not None and stock.place is not None:
+            here = table.home if stock.station is None else stock.station
+            place = table.turned(stock.place, table.home - here)
+            stock = dataclasses.replace(stock, place=place, attitude=place[:3, :3], station=table.home)
+            steps += (_keep_off_table(table, table.home),)
+        cell = dataclasses.replace(last.cell, arms=arms)
+        return Setup(last.number + 1, cell, stock, (), steps)
+
     def setup_of(self, index: int) -> Setup:
         """The setup of an operation, by its index."""
         return next(setup for setup in self.setups if index in setup.operations)
@@ -549,6 +569,14 @@ class Problem:
 
 def _standing(arm: Arm, stations: Mapping[str, float]) -> Arm:
     return arm.at_station(stations[arm.name]) if arm.name in stations else arm
+
+
+def _back(arm: Arm) -> Arm:
+    """An arm that stands at a station with its track at home again."""
+    if arm.track is None:
+        return arm
+    way = arm.track.home - (arm.station or 0.0)
+    return dataclasses.replace(arm, base=arm.track.moved(arm.base, way), station=arm.track.home)
 
 
 def _keep_off(arm: Arm) -> str:

@@ -10,9 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 import planner
+from planner import processes
 from planner.pipeline import plan, verify, write_pages
+from planner.report import scene
+from planner.verify.context import Context
 from tests import table_job
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
@@ -74,6 +78,23 @@ def test_report_and_files_show_the_block_where_it_stands(tmp_path: Path) -> None
     again = write_pages(tmp_path)  # of the files alone
     assert again.ok
     assert verify(planner.load(tmp_path / "problem" / "problem.yaml"), outcome.programs).ok
+
+
+def test_the_table_takes_its_time_in_proof_and_replay() -> None:
+    outcome = table_job.planned()
+    context = Context(outcome.problem, processes.claims(outcome.problem), outcome.programs)
+    gaps = np.diff(context.motion.time)
+    np.testing.assert_allclose(gaps[gaps > 1.0], [6.0, 6.0], atol=0.01)  # 120 deg at 20 deg/s, there and back
+    run = scene.track(outcome.problem, outcome.plan, 200)
+    assert run.travel == pytest.approx(12.0)
+    turned = np.rad2deg(run.stands["stock"])
+    assert turned[0] == turned[-1] == 0.0 and turned.max() == pytest.approx(120.0)
+    # scipy's turn of the stated place about the table's centre, at each keyframe
+    stated = np.array([30.0, 20.0, 40.0])
+    centre = np.array([900.0, 0.0, 200.0])
+    at = centre + Rotation.from_euler("z", turned[:, None], degrees=True).apply(stated)
+    np.testing.assert_allclose(1e3 * run.block[:, :3, 3], at, atol=1e-6)
+    assert ((turned > 5.0) & (turned < 115.0)).sum() > 20  # it is seen on its way
 
 
 def test_one_operation_that_no_angle_reaches_is_told_with_what_to_do(tmp_path: Path) -> None:

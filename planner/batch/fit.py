@@ -95,11 +95,12 @@ def margin(row: Row, settings: Settings) -> float:
 
 def ranked(rows: Sequence[Row], settings: Settings) -> list[Row]:
     """Rows from the best cell to the worst: those that are proven, of these with ample margins, of these the
-    fastest; the others in the order in which they came."""
+    fastest, with the time of tracks and turntables; the others in the order in which they came."""
 
     def order(row: Row) -> tuple[bool, float, float]:
         proven = row.done.state == "verified"
         wide = round(margin(row, settings), 2) if proven else 0.0
-        return not proven, -wide, row.done.metrics.get("cycle_s", 0.0) if proven else 0.0
+        times = (row.done.metrics.get(name, 0.0) for name in ("cycle_s", "travel_s"))
+        return not proven, -wide, sum(times) if proven else 0.0
 
     return sorted(rows, key=order)

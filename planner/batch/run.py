@@ -426,8 +426,8 @@ share of a limit, least distance to a singularity, share of the cut faces within
 
 
 def figures(plan: Plan, rules: Iterable[RuleResult]) -> dict[str, float]:
-    """``targets``, ``cycle_s`` [s] from first to last target, ``path_cost``, and the worst values of
-    `FIGURE_OF_RULE`.
+    """``targets``, ``cycle_s`` [s] from first to last target, ``travel_s`` [s] of tracks and turntables where
+    there are any, ``path_cost``, and the worst values of `FIGURE_OF_RULE`.
 
     What a plan or proof does not know, or is not finite, is left out.
     """
@@ -435,6 +435,8 @@ def figures(plan: Plan, rules: Iterable[RuleResult]) -> dict[str, float]:
         "targets": float(sum(operation.targets.count for operation in plan.operations)),
         "cycle_s": plan.duration,
     }
+    if "travel_s" in plan.metrics:
+        out["travel_s"] = float(plan.metrics["travel_s"])
     costs = [operation.metrics.get("trajopt_cost") for operation in plan.operations]
     known = [float(cost) for cost in costs if isinstance(cost, int | float)]
     if known and len(known) == len(costs):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from planner.cell import clearance, distance
 from planner.cell.bodies import Solid, own_shapes
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, Shape, corners, transform
-from planner.problem import PLATE, Setup, Turntable
+from planner.geometry.units import DEG
+from planner.problem import BLIND_SPEED, PLATE, STOCK, Arm, Problem, Setup, Turntable
 
 LEAST_STEP_M: Final = 1e-3
 """Looks are no nearer [m]."""
@@ -27,6 +28,8 @@ STANDING_GAP_M: Final = 5e-3
 """What a base is as near to [m] where its way begins it stands on."""
 REACH_M: Final = 0.5
 """Distances are looked for up to here [m]."""
+ABB_TURN_RAD_S: Final = 45.0 * DEG
+"""Highest turning [rad/s] in joint moves of RAPID programs."""
 RIDERS: Final = ("stock", "support")
 """Bodies that a turntable turns."""
 
@@ -42,6 +45,14 @@ class AxisWay:
     pair: tuple[str, str]
     looks: int
     clear: bool = False
+
+
+class Travel(NamedTuple):
+    """A way of an external axis from one value [m, rad] to another, and the time [s] that it takes."""
+
+    begin: float
+    end: float
+    seconds: float
 
 
 def along(
@@ -113,6 +124,54 @@ def rim(setup: Setup, place: FloatArray, table: Turntable) -> float:
     """How far [m] what a turntable turns in a setup, with the block at ``place`` (4, 4), reaches from its
     axis."""
     return swing((*own_shapes(setup.cell, setup.stock)["stock"], *setup.stock.support), place, table)
+
+
+def travel_speeds(problem: Problem, places: Sequence[FloatArray]) -> dict[str, float]:
+    """Speeds [m/s, rad/s] of tracks and the turntable on the way to stations as programs have them, by what
+    they carry, which goes at most at :data:`planner.problem.BLIND_SPEED`; ``places`` (4, 4) of the block in
+    each setup. In KRL they are whole percents of the axis' own."""
+    out: dict[str, float] = {}
+    for arm in problem.cell.arms:
+        if arm.track is not None:
+            most = min(arm.track.speed, BLIND_SPEED)
+            out[arm.name] = _in_percents(most, arm.track.speed, arm)
+    table = problem.cell.turntable
+    if table is not None:
+        rows = zip(problem.setups, places, strict=False)
+        far = max(rim(setup, np.asarray(place), table) for setup, place in rows)
+        mover = problem.cell.arm(table.arm)
+        most = min(table.speed, BLIND_SPEED / far)
+        most = min(most, ABB_TURN_RAD_S) if mover.data.family == "ABB" else most
+        out[STOCK] = _in_percents(most, table.speed, mover)
+    return out
+
+
+def _in_percents(most: float, own: float, mover: Arm) -> float:
+    if mover.data.family != "KUKA":
+        return most
+    return max(1.0, float(np.floor(100.0 * most / own + 1e-9))) / 100.0 * own
+
+
+def travels(problem: Problem, places: Sequence[FloatArray]) -> tuple[dict[str, Travel], ...]:
+    """Ways of tracks and the turntable before each operation, and home behind the last one, by what they
+    carry; those that stay have none. Ramps are at a track's own acceleration, and none is stated of a
+    turntable."""
+    if not problem.homes or not problem.operations:
+        return ()
+    speeds, here, out = travel_speeds(problem, places), problem.homes, list[dict[str, Travel]]()
+    ramps = {arm.name: arm.track.acceleration for arm in problem.cell.arms if arm.track is not None}
+    for index in range(len(problem.operations) + 1):
+        there = problem.homes if index == len(problem.operations) else problem.stations.get(index, here)
+        own: dict[str, Travel] = {}
+        for name, value in there.items():
+            way = abs(value - here[name])
+            if way > 0.0:
+                ramp = ramps.get(name, np.inf)
+                top = min(speeds[name], float(np.sqrt(way * ramp)))
+                own[name] = Travel(here[name], value, way / top + top / ramp)
+        out.append(own)
+        here = {**here, **there}
+    return tuple(out)
 
 
 def _looked(

@@ -194,6 +194,10 @@ KEEP_OFF_TABLE: Final = Sentence(
     "Keep off the turntable {unit} and what stands on it: it turns to {value} deg once this is confirmed."
 )
 """Told before a turntable goes to a station."""
+CLOSED: Final = "All work done, nobody in the cell?"
+"""Asked before tracks and turntables go home behind the last operation."""
+KRL_AXIS_AWAY: Final = Sentence("{unit} is %1 {sign} off home, {home}: jog it there, reset")
+"""Of a KUKA robot whose track or turntable is not at home before its first move."""
 
 # ---- two controllers ----
 
@@ -374,6 +378,8 @@ BUTTONS: Final = ("Free", "On", "Stop")
 
 OFF_BY_MM: Final = "is off by [mm]"
 OFF_BY_DEGREES: Final = "and turned by [degrees]"
+OFF_HOME: Final = "is off its home by"
+"""What a track or turntable is; its figure, in mm or degrees, follows."""
 NOT_AS_PLANNED: Final = "is not as it was planned."
 NOTHING_MOVES: Final = ("Nothing moves. Put it right,", "then PP to main in all tasks.")
 REFUSED: Final = (
@@ -434,6 +440,11 @@ def user_frame_of(name: str) -> str:
 def object_frame_of(name: str) -> str:
     """What is compared: the object frame of a work object."""
     return f"Object frame of {name}"
+
+
+def axis_of(unit: str) -> str:
+    """What is compared: where a track or turntable stands."""
+    return f"Axis {unit}"
 
 
 def kind_of(name: str) -> str:

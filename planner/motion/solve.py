@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.cell import clearance, plant, support
+from planner.cell import axis_way, clearance, plant, support
 from planner.cell.plant import CellModel
 from planner.files import versions
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
@@ -172,6 +172,9 @@ def _solve(
         places += [settled.place.stock] * len(stand.setups)
         operations += settled.operations
     tell("motion", 1.0)
+    ways = axis_way.travels(problem, places)
+    if ways:
+        metrics["travel_s"] = sum(way.seconds for own in ways for way in own.values())
     issues = [*(issue for t in targets for issue in t.issues), *notes]
     issues += [issue for operation in operations for issue in operation.issues]
     return Plan(

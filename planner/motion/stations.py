@@ -148,7 +148,26 @@ def stationed(problem: Problem, targets: Sequence[Targets], passes: Passes | Non
                 there = problem.stationed({**out, index: at})
                 at = {**at, name: _station(there, index, own, axes[name], at, passes)}
         out[index] = at
-    return problem.stationed(out)
+    made = problem.stationed(out)
+    if passes is None:
+        _check_way_home(made, axes, at)
+    return made
+
+
+def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str, float]) -> None:
+    """Raise an issue (``motion.station``) where axes cannot go home behind the last operation."""
+    index = len(problem.operations) - 1
+    enough = problem.settings.clearance + WAY_ROOM_M
+    for name, axis in axes.items():
+        if at[name] == axis.track.home:
+            continue
+        way = axis.way(problem.setup_of(index), (at[name], axis.track.home), enough)
+        if not way.clear:
+            what = f"operation {problem.operations[index].name}: on the way of {axis.unit} home behind it "
+            what += f"{' and '.join(way.pair)} come as near as {way.least / MM:.1f} mm"
+            hint = "take what is there away, or let the axis have its home on the other side of it"
+            field = f"operations.{index}"
+            raise TandemError(Issue("motion.station", what, hint=hint, field=field))
 
 
 def values(track: LinearTrack) -> FloatArray:
@@ -295,16 +314,18 @@ BASE_ROOM_M: Final = 0.3
 """A block on a turntable that is advised turns so far [m] from the middle of a base."""
 ANGLE_NOISE: Final = 1e-9
 """Turntables that would turn by less [rad] are not advised."""
+WRITTEN: Final = ("ABB", "KUKA")
+"""Families of arms whose programs move external axes."""
 AXES: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
 """Directions of tracks that are advised."""
 
 
 def advice(problem: Problem, targets: Sequence[Targets]) -> str:
-    """What takes the arm of a cell of one ABB arm, or the block, to where it reaches every operation: the
-    shortest track under the arm, or a turntable under the block, whichever will do; empty where neither does,
-    or there is one. Bodies in the way are not looked at."""
+    """What takes the arm of a cell of one ABB or KUKA arm, or the block, to where it reaches every operation:
+    the shortest track under the arm, or a turntable under the block, whichever will do; empty where neither
+    does, or there is one. Bodies in the way are not looked at."""
     (arm, *others), place = problem.cell.arms, problem.stock.place
-    stated = not others and place is not None and arm.data.family == "ABB" and not arm.base_auto
+    stated = not others and place is not None and arm.data.family in WRITTEN and not arm.base_auto
     stated = stated and problem.stock.held_by is None and problem.stock.sheet is None
     if not stated or arm.track is not None or problem.cell.turntable is not None or problem.changes:
         return ""

@@ -56,6 +56,13 @@ class Joints:
 
 
 @dataclasses.dataclass(frozen=True)
+class AxesLook:
+    """The program ends unless the external axes that it moves stand at ``station``, before its first move."""
+
+    station: Outer
+
+
+@dataclasses.dataclass(frozen=True)
 class Meet:
     """All tasks wait here for each other; ``number`` from 1. ``reached``: what is then so. ``seconds``: what
     one of them does alone before takes so long by the plan, as far as the plan says."""
@@ -135,7 +142,7 @@ class Run:
     synchronised: bool
 
 
-Step = Joints | Meet | SyncOn | SyncOff | Do | Carry | Run
+Step = Joints | AxesLook | Meet | SyncOn | SyncOff | Do | Carry | Run
 
 
 @dataclasses.dataclass(frozen=True)

@@ -28,6 +28,7 @@ from planner.post.program import (
     POSITION_DECIMALS,
     QUATERNION_DECIMALS,
     TIME_DECIMALS,
+    AxesLook,
     Carry,
     Do,
     Job,
@@ -43,7 +44,7 @@ from planner.post.program import (
     TaskProgram,
     Track,
 )
-from planner.problem import BLIND_SPEED, STOCK, Arm, Cell, Problem, Settings, Setup, Turntable
+from planner.problem import STOCK, Arm, Cell, Problem, Settings, Setup, Turntable
 from planner.targets import Action, Targets
 
 LEAST_MASS = 0.001
@@ -125,7 +126,14 @@ def build(plan: Plan, problem: Problem) -> Job:
     builder = _Builder([arm.name for arm in arms], handshake, problem.settings, homes)
     loads = carries(plan, problem)
     parts = [
-        builder.operation(i, operation, setups[i], plan.places[setups[i].number - 1], loads.get(i, {}))
+        builder.operation(
+            i,
+            operation,
+            setups[i],
+            plan.places[setups[i].number - 1],
+            loads.get(i, {}),
+            problem.closing if i + 1 == len(problem.operations) else None,
+        )
         for i, operation in enumerate(plan.operations)
     ]
     place = {arm.name: i for i, arm in enumerate(problem.cell.arms)}
@@ -175,8 +183,10 @@ class _Builder:
         setup: Setup,
         place: FloatArray,
         loads: Mapping[str, Carry],
+        closing: Setup | None = None,
     ) -> dict[str, OperationProgram]:
-        """The operation's program for each task; ``loads``: what arms carry from its beginning on."""
+        """The operation's program for each task; ``loads``: what arms carry from its beginning on;
+        ``closing``: how the cell stands behind it, where external axes go home."""
         targets = plan.targets
         _check(plan, self.handshake is None)
         frames = _frames(plan, setup)
@@ -210,16 +220,11 @@ class _Builder:
         for arm in self.arms:
             if number == 0 and (opened or arm not in targets.arms):
                 home = Joints(homes[arm], "entry", station=before[arm])
-                self._alone(arm, [home], f"{arm} stands at home")
+                look = () if home.station is None else (AxesLook(home.station),)
+                self._alone(arm, [*look, home], f"{arm} stands at home")
         if opened:
             self._setup(setup)
-        for arm in self.arms:
-            station = stands[arm]
-            if station is not None and station != before[arm]:
-                there = Joints(homes[arm], "station", station=station)
-                what = arm if _table(arms[arm], setup.cell) is None else "the block"
-                self._alone(arm, [there], f"{what} stands at its station")
-                self.stands[arm] = station
+        self._stations(stands, arms, setup.cell)
         for arm, carry in loads.items():
             self.steps[arm].append(carry)
         from_home = number > 0 or opened
@@ -243,6 +248,10 @@ class _Builder:
                 self._alone(arm, steps[1:], f"{arm} is home again")
         for arm in self.arms:
             self.steps[arm] = [_at_station(step, stands[arm]) for step in self.steps[arm]]
+        if closing is not None:
+            self._setup(closing, "all work is done")
+            ends = {arm: _outer(arms[arm], closing.cell, _values(closing)) for arm in self.arms}
+            self._stations(ends, arms, closing.cell)
         ids = np.arange(1, len(keep) + 1)
         return {
             arm: OperationProgram(
@@ -260,11 +269,25 @@ class _Builder:
             for arm in self.arms
         }
 
-    def _setup(self, setup: Setup) -> None:
+    def _stations(self, stands: Mapping[str, Outer | None], arms: Mapping[str, Arm], cell: Cell) -> None:
+        """External axes that stand elsewhere go to where they are to stand, arm after arm, folded."""
+        for arm in self.arms:
+            station = stands[arm]
+            if station is not None and station != self.stands[arm]:
+                there = Joints(arms[arm].home, "station", station=station)
+                what = arm if _table(arms[arm], cell) is None else "the block"
+                self._alone(arm, [there], f"{what} stands at its station")
+                self.stands[arm] = station
+
+    def _setup(self, setup: Setup, reached: str = "") -> None:
         """The first task tells what is to be done and asks whether it is; nobody moves before all met."""
         told = [Action(0, "message", text=text) for text in setup.steps]
         asked = Action(0, "confirm", text=setup.confirmation)
-        self._alone(self.arms[0], [Do(action) for action in (*told, asked)], f"setup {setup.number} is done")
+        self._alone(
+            self.arms[0],
+            [Do(action) for action in (*told, asked)],
+            reached or f"setup {setup.number} is done",
+        )
 
     def _meet(self, reached: str, seconds: float = 0.0) -> None:
         if len(self.arms) > 1:
@@ -347,12 +370,11 @@ def outer_speeds(task: TaskProgram, plan: Plan, problem: Problem) -> dict[int, O
     """Speeds of the external axes that a task moves, by column: what they carry goes at most at
     :data:`planner.problem.BLIND_SPEED`."""
     out: dict[int, OuterSpeed] = {}
+    speeds = axis_way.travel_speeds(problem, plan.places)
     if (track := task.arm.track) is not None:
-        out[TRACK_COLUMN] = OuterSpeed(min(track.speed, BLIND_SPEED), track.speed)
+        out[TRACK_COLUMN] = OuterSpeed(speeds[task.arm.name], track.speed)
     if (table := task.table) is not None:
-        places = ((setup, np.asarray(plan.places[setup.number - 1])) for setup in problem.setups)
-        rim = max(axis_way.rim(setup, place, table) for setup, place in places)
-        out[table.column] = OuterSpeed(min(table.speed, BLIND_SPEED / rim), table.speed)
+        out[table.column] = OuterSpeed(speeds[STOCK], table.speed)
     return out
 
 

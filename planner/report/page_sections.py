@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.catalogue import robots
+from planner.cell import axis_way
 from planner.claims.claim import CutsSurface, FeedWindow, StraightWire, WireJoins
 from planner.files import named_files
 from planner.geometry.arrays import FloatArray
@@ -23,7 +24,7 @@ from planner.problem import Problem
 from planner.report import charts, markup, motion_charts
 from planner.report.cell_picture import Picture
 from planner.report.markup import Block, Phrase
-from planner.report.scene import MOTION_TIME
+from planner.report.scene import MOTION_TIME, TRAVEL_TIME
 from planner.verify.result import CutFace, Proof, RuleResult
 
 _CLEARANCE_RULES: Final = ("verify.clearance", "verify.wire_clearance")
@@ -83,6 +84,8 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
     count = sum(op.targets.count for op in plan.operations)
     time = markup.Tile(f"motion time {MOTION_TIME}", *duration(plan.duration))
     out = [markup.Tile("targets", f"{count}"), time]
+    ways = [way.seconds for own in axis_way.travels(problem, plan.places) for way in own.values()]
+    out += [markup.Tile(f"time {TRAVEL_TIME}", *duration(sum(ways)))] if ways else []
     # one figure for each thing: where the proof has it, the page and the list of rules say the same
     proven = motion_charts.worst_by_rule(proof)
     if motion.clearance is not None:

@@ -27,7 +27,7 @@ from planner.plans import Plan
 from planner.problem import Problem, Setup
 from planner.report import raster, released_sheet
 from planner.report import scene as scenes
-from planner.report.scene import MOTION_TIME, SETUP_SEGMENT, Track, track
+from planner.report.scene import MOTION_TIME, SETUP_SEGMENT, TRAVEL_TIME, Track, track
 from planner.verify.result import Proof
 
 _SEGMENT_COLOURS: Final = {
@@ -163,7 +163,9 @@ def _shares(end: float, run: Track, motion_time: float | None) -> str:
         return ""
     rest = "ways from and to home"
     rest += " and changes of setup" if SETUP_SEGMENT in run.segment else ""
-    return f": {_clock_time(motion_time)} {MOTION_TIME}, {_clock_time(end - motion_time)} {rest}"
+    travel = f"{_clock_time(run.travel)} {TRAVEL_TIME}, " if run.travel else ""
+    left = end - motion_time - run.travel
+    return f": {_clock_time(motion_time)} {MOTION_TIME}, {travel}{_clock_time(left)} {rest}"
 
 
 def _clock_time(seconds: float) -> str:
@@ -371,7 +373,7 @@ def _bodies(
 ) -> None:
     """Robots and fixed bodies, tools and blocks of all setups, each shown in the setups that have it."""
     scene = scenes.extract(model)
-    poses = scenes.ridden(scene, problem.setups, run.setup, scene.poses(run.q))
+    poses = scenes.ridden(scene, problem.setups, run.setup, scene.poses(run.q), run.stands)
     for number, piece in enumerate(scene.pieces):
         _object(film, f"/cell/{piece.body}/{number}", piece)
     for body in scene.bodies():

@@ -15,6 +15,8 @@ import numpy as np
 import trimesh
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, Rgba, Role, Sphere
 
+from planner.cell import axis_way
+from planner.cell.axis_way import Travel
 from planner.cell.bodies import drake_shape
 from planner.cell.kinematics import forward
 from planner.cell.plant import STOCK_COLOUR, SUPPORT_COLOUR, TOOL_COLOUR, CellModel
@@ -22,7 +24,7 @@ from planner.cell.support import with_support
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Shape, axis_ends, inverse, transform
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Problem, Setup
+from planner.problem import STOCK, Arm, Problem, Setup
 from planner.report import raster, scene
 from planner.report.raster import Solid
 from planner.tooling import Bow, Mill, working_solid
@@ -193,13 +195,21 @@ def standing(setup: Setup) -> dict[str, FloatArray]:
 
 
 def ridden(
-    scene: Scene, setups: Sequence[Setup], setup: IntArray, poses: Mapping[str, FloatArray]
+    scene: Scene,
+    setups: Sequence[Setup],
+    setup: IntArray,
+    poses: Mapping[str, FloatArray],
+    values: Mapping[str, FloatArray] | None = None,
 ) -> dict[str, FloatArray]:
     """World poses {body: (T, 4, 4)} of a scene with arms on tracks where they stand in the setups (T,) that
-    are in force."""
+    are in force, or at ``values`` (T,) [m] of their tracks."""
     out = dict(poses)
     for arm in standing(setups[0]):
         stands = np.array([one.cell.arm(arm).base[:3, 3] for one in setups])[setup]
+        first = setups[0].cell.arm(arm)
+        if values and first.track is not None:
+            way = values[arm] - (first.station or 0.0)
+            stands = first.base[:3, 3] + way[:, None] * first.track.axis
         for body in [body for body in poses if body.startswith(f"{arm}/")]:
             out[body] = np.array(np.broadcast_to(poses[body], (len(setup), 4, 4)))
             out[body][:, :3, 3] += stands - scene.model.bases[arm][:3, 3]
@@ -271,12 +281,16 @@ WIRE_POINTS: Final = 29
 """Points of a bent wire as the replay shows it."""
 MOTION_TIME: Final = "from first to last target"
 """Of what report and replay state the motion time; the ways from and to home have no clock of the plan."""
+TRAVEL_TIME: Final = "of track or turntable from station to station"
+"""Of what report and replay state the time of external axes, which the proof has on its clock."""
 ENTRY_PACE: Final = 0.25
 """Share of the joint speed limits at which the replay shows entry and exit, which have no clock."""
 SETUP_PAUSE_S: Final = 2.0
 """Time [s] for which the replay shows a change of setup, half of it before and half of it after."""
 SETUP_SEGMENT: Final = Segment("setup")
 """Segment of a replay in which the operator changes the setup."""
+TRAVEL_STEP_S: Final = 0.25
+"""Time [s] between keyframes on the way of a track or turntable."""
 CHANGE_TIME_S: Final = 0.01
 """Time [s] in which things change place between two setups."""
 
@@ -298,7 +312,8 @@ class Track:
 
     ``setup`` (T,) counts from 0; ``block`` (T, 4, 4) is the stock's pose in the world. ``wire`` (T, P, 3) in
     the world is a wire that joins the arms, None for jobs without; ``shown`` (T,): whether it is mounted.
-    ``sweeps``: what wires cut.
+    ``sweeps``: what wires cut. ``stands`` (T,): values [m, rad] of tracks and the turntable, by what they
+    carry, on whose ways ``travel`` [s] of the time goes.
     """
 
     time: FloatArray
@@ -311,11 +326,14 @@ class Track:
     wire_radius: float
     stops: tuple[tuple[float, str], ...]
     sweeps: tuple[Sweep, ...]
+    stands: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+    travel: float = 0.0
 
 
 @dataclasses.dataclass
 class _Rows:
-    """Keyframes as they are gathered; ``wire`` has NaN where none joins the arms."""
+    """Keyframes as they are gathered; ``wire`` has NaN where none joins the arms. ``stands``: values of
+    external axes at the keyframes, ``here`` those of now."""
 
     time: list[FloatArray]
     q: dict[str, list[FloatArray]]
@@ -323,6 +341,9 @@ class _Rows:
     segment: list[Segment]
     operation: list[int]
     stops: list[tuple[float, str]]
+    stands: dict[str, list[FloatArray]]
+    here: dict[str, float]
+    travel: float = 0.0
 
     def end(self) -> float:
         return float(self.time[-1][-1]) if self.time else 0.0
@@ -332,18 +353,26 @@ def track(problem: Problem, plan: Plan, keys: int) -> Track:
     """About ``keys`` keyframes of a plan, denser where the motion is quick."""
     setups = problem.setups
     arms = [arm.name for arm in problem.cell.arms]
-    rows = _Rows([], {arm: [] for arm in arms}, [], [], [], [])
+    rows = _Rows(
+        [], {arm: [] for arm in arms}, [], [], [], [], {name: [] for name in problem.homes}, problem.homes
+    )
+    travels = axis_way.travels(problem, plan.places)
     here = {arm.name: np.asarray(arm.home) for arm in problem.cell.arms}
     for index, operation in enumerate(plan.operations):
         setup = setups[scene.setup_index(problem, index)]
         if setup.steps and setup.operations[0] == index:
             _setup_pause(rows, setup, index, here)
+        if travels:
+            _travel(rows, travels[index], index, here)
         alone = [(arm,) for arm in operation.order]
         first = [operation.order] if "entry" in operation.together else alone
         last = [operation.order] if "exit" in operation.together else alone[::-1]
         here = _ways(rows, problem, index, operation.entry, first, here, Segment("entry"))
         here = _operation_rows(rows, setup, plan, index, operation, here)
         here = _ways(rows, problem, index, operation.exit, last, here, Segment("exit"))
+    if problem.closing is not None and len(plan.operations) == len(problem.operations):
+        _setup_pause(rows, problem.closing, len(plan.operations) - 1, here)
+        _travel(rows, travels[-1], len(plan.operations) - 1, here)
     if not rows.time:
         _append(rows, 0, np.zeros(1), {arm: q[None] for arm, q in here.items()}, None, (Segment("home"),))
     time = np.concatenate(rows.time)
@@ -362,6 +391,20 @@ def _setup_pause(rows: _Rows, setup: Setup, index: int, here: Mapping[str, Float
         _append(rows, index - 1, np.array([start, middle]), q, None, (SETUP_SEGMENT,) * 2)
         start = middle + CHANGE_TIME_S
     _append(rows, index, np.array([start, middle + 0.5 * SETUP_PAUSE_S]), q, None, (SETUP_SEGMENT,) * 2)
+
+
+def _travel(rows: _Rows, own: Mapping[str, Travel], index: int, here: Mapping[str, FloatArray]) -> None:
+    """Tracks and the turntable go where they are to stand, one after the other, in their time."""
+    q = {arm: v[None] for arm, v in here.items()}
+    for name, travel in own.items():
+        # keyframes are rounded to hundredths
+        start, seconds = np.ceil(100.0 * rows.end()) / 100.0, travel.seconds
+        share = np.linspace(0.0, 1.0, max(2, int(np.ceil(seconds / TRAVEL_STEP_S)) + 1))
+        values = travel.begin + share * (travel.end - travel.begin)
+        moved = {name: values}
+        _append(rows, index, start + share * seconds, q, None, (SETUP_SEGMENT,) * len(share), moved)
+        rows.here = {**rows.here, name: travel.end}
+        rows.travel += seconds
 
 
 def _ways(
@@ -439,8 +482,12 @@ def _append(
     q: Mapping[str, FloatArray],
     wire: FloatArray | None,
     segment: tuple[Segment, ...],
+    moved: Mapping[str, FloatArray] | None = None,
 ) -> None:
+    """Keyframes; ``moved``: values of external axes that move meanwhile."""
     count = len(time)
+    for name, values in rows.stands.items():
+        values.append(np.broadcast_to((moved or {}).get(name, rows.here[name]), (count,)))
     rows.time.append(time)
     for arm, gathered in rows.q.items():
         gathered.append(np.broadcast_to(q[arm], (count, 6)))
@@ -483,17 +530,24 @@ def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, problem: Problem, 
         own = setup == k
         held = {arm: values[own] for arm, values in q.items()}
         block[own] = scene.block_pose(problem.setups[k], plan.places[k], plan.bases, held)
+    stands = {name: mix(np.concatenate(parts)) for name, parts in rows.stands.items()}
+    table = problem.cell.turntable
+    if table is not None:
+        station = np.array([one.stock.station or 0.0 for one in problem.setups])[setup]
+        turns = stands[STOCK] - station
+        block = np.stack([table.turned(pose, turn) for pose, turn in zip(block, turns, strict=True)])
     wire = mix(np.concatenate(rows.wire))
     shown = np.asarray(np.isfinite(wire).all(axis=(1, 2)), dtype=np.bool_)
     sweeps = _sweeps(problem, plan, q, segments, operation, wire, block)
     edges = [op.targets.edge for op in plan.operations if op.targets.edge is not None]
     base = (pick, q, segments, setup, block)
     if not edges or not shown.any():
-        return Track(*base, None, np.zeros(len(pick), dtype=bool), 0.0, tuple(rows.stops), sweeps)
+        none = np.zeros(len(pick), dtype=bool)
+        return Track(*base, None, none, 0.0, tuple(rows.stops), sweeps, stands, rows.travel)
     # A hidden wire waits where it is next or was last seen, so that nothing flies in from afar.
     seen = np.flatnonzero(shown)
     wire = wire[seen[np.clip(np.searchsorted(seen, np.arange(len(pick))), 0, len(seen) - 1)]]
-    return Track(*base, wire, shown, edges[0].radius, tuple(rows.stops), sweeps)
+    return Track(*base, wire, shown, edges[0].radius, tuple(rows.stops), sweeps, stands, rows.travel)
 
 
 def _sweeps(

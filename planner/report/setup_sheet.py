@@ -375,9 +375,15 @@ def _track(arm: Arm, track: LinearTrack, robot: str) -> list[tuple[str, str]]:
         (f"mechanical unit {track.unit}", "there, one linear axis, the first external one (eax_a), in mm"),
         (f"{track.unit}: base frame", f"its values grow along ({along}) of the world"),
         (f"{track.unit}: joint", f"{span}{track.acceleration / MM:g} mm/s²; home {track.home / MM:g} mm"),
+        (f"{track.unit} before PP to main", _jogged(f"{track.home / MM:g} mm")),
         (f"{robot}: base frame moved by", f"{track.unit}"),
         (f"{robot}: base frame", f"that of arm {arm.name} at 0 mm: {_point(arm.base[:3, 3])} mm"),
     ]
+
+
+def _jogged(home: str) -> str:
+    """Where an external axis has to stand before a program begins."""
+    return f"jogged home, to {home}: a program looks before its first move, and goes no further elsewhere"
 
 
 def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
@@ -408,7 +414,7 @@ def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
         (f"{table.unit}: base frame", root),
         (f"{table.unit}: sense", f"seen from above, growing values turn it {sense}"),
         (f"{table.unit}: joint", f"{ends}; home {table.home / DEG:g} deg"),
-        (start, f"at home, {table.home / DEG:g} deg: the first move takes it there"),
+        (start, _jogged(f"{table.home / DEG:g} deg")),
         (f"block with {table.unit} at 0 deg", f"at {place} mm, roll, pitch, yaw {turn} deg"),
     ]
 
@@ -428,10 +434,7 @@ def _kuka_track(arm: Arm, track: LinearTrack) -> list[tuple[str, str]]:
         (f"{unit}: $SOFTN_END[7], $SOFTP_END[7]", limits),
         ("$ERSYSROOT", f"so that $WORLD lies in the foot of arm {arm.name} with {unit} at 0 mm"),
         ("that foot, the base frame", f"{_point(arm.base[:3, 3])} mm of the world"),
-        (
-            f"{unit} before the program starts",
-            f"at home, {track.home / MM:g} mm: the first move takes it there",
-        ),
+        (f"{unit} before the program starts", _jogged(f"{track.home / MM:g} mm")),
     ]
 
 

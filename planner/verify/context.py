@@ -51,7 +51,8 @@ MOST_OUTER = 1e6
 class OuterAxis:
     """An external axis that a task of the text moves: what it ``carries``, an arm by its name or
     :data:`STOCK`; its ``unit``, its ``column`` [from 0] in targets, whose values times ``scale`` are in m or
-    rad, as ``low``, ``high``, ``home`` and ``speed`` are; ``sign`` is the unit of values in texts."""
+    rad, as ``low``, ``high``, ``home``, ``speed`` and ``acceleration`` are, which is infinite where none is
+    stated; ``sign`` is the unit of values in texts."""
 
     carries: str
     unit: str
@@ -62,6 +63,13 @@ class OuterAxis:
     high: float
     home: float
     speed: float
+    acceleration: float
+
+    def told(self, move: MoveStep) -> float:
+        """The speed [m/s, rad/s] that the text gives the axis in a move."""
+        if move.speed.outer is not None:  # KRL: a share of the axis' own
+            return move.speed.outer[self.column] * self.speed
+        return move.speed.rotary if self.carries == STOCK else move.speed.linear
 
     def shown(self, value: float) -> str:
         """A value [m, rad] for messages."""
@@ -72,10 +80,10 @@ def outer_axes(arm: Arm, table: Turntable | None) -> tuple[OuterAxis, ...]:
     """The external axes that the task of an arm moves: its track, the first one, and the turntable."""
     out = []
     if (track := arm.track) is not None:
-        ends = (track.low, track.high, track.home, track.speed)
+        ends = (track.low, track.high, track.home, track.speed, track.acceleration)
         out.append(OuterAxis(arm.name, track.unit, 0, 1e-3, "mm", *ends))
     if table is not None and table.arm == arm.name:
-        ends = (table.low, table.high, table.home, table.speed)
+        ends = (table.low, table.high, table.home, table.speed, np.inf)
         out.append(OuterAxis(STOCK, table.unit, table.column, np.pi / 180.0, "deg", *ends))
     return tuple(out)
 
@@ -241,8 +249,8 @@ class Context:
 
     @cached_property
     def setups(self) -> tuple[Setup, ...]:
-        """How the cell stands, setup by setup."""
-        return self.problem.setups
+        """How the cell stands, setup by setup; at last, without operations, with all axes home again."""
+        return setup_text.setups_of(self.problem)
 
     @cached_property
     def setup_claims(self) -> tuple[SetupClaims, ...]:
@@ -415,12 +423,32 @@ class Context:
         tools = [{arm.name: arm.tool.tcp for arm in setup.cell.arms} for setup in self.setups]
         based = self.bases_by_setup
         of_stage = self.spans.of_stage
-        made = replay(self.job, [based[i] for i in of_stage], [tools[i] for i in of_stage])
+        rows = ([based[i] for i in of_stage], [tools[i] for i in of_stage])
+        made = replay(self.job, *rows, self._travels())
         arms = [self._bending(index) for index in range(len(self.setups))]
         if not any(arms):
             return made
         of_node = self.spans.of_stage[made.node_stage]
         return bending.bent(made, arms, np.asarray(of_node[made.node]), of_node)
+
+    def _travels(self) -> dict[int, float]:
+        """{identity of a move: time [s]} of the moves that take an external axis elsewhere, by the speed that
+        the text gives it: from rest to rest, ramps at the axis' own acceleration."""
+        out: dict[int, float] = {}
+        for task in self.job.tasks:
+            for axis in outer_axes(task.arm, self.problem.cell.turntable):
+                here = axis.home
+                for move in (step for step in task.steps if isinstance(step, MoveStep)):
+                    value = axis.scale * float(move.target.external[axis.column])
+                    if abs(value) >= axis.scale * MOST_OUTER:
+                        continue
+                    way, speed = abs(value - here), axis.told(move)
+                    here = value
+                    if way > 0.0 and speed > 0.0:  # none is a fault of its own
+                        reached = min(speed, float(np.sqrt(way * axis.acceleration)))
+                        seconds = way / reached + reached / axis.acceleration
+                        out[id(move)] = max(out.get(id(move), 0.0), seconds)
+        return out
 
     def _bending(self, index: int) -> dict[str, Bent]:
         """Arms of a setup that bend under what is claimed of their loads."""

@@ -275,7 +275,7 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
         faults += wrong
         no_way += lost
     lists = {path: text for path, text in programs.items() if path.lower().endswith(".pgf")}
-    asked = {setup.confirmation for setup in problem.setups if setup.steps}
+    asked = {setup.confirmation for setup in setups_of(problem) if setup.steps}
     found, stages = None, _stages(tasks, asked)
     if controller.sync == "handshake":
         ways = {task.name: task.steps for task in tasks}
@@ -442,6 +442,11 @@ class Spans:
     asked: tuple[tuple[Asked, ...], ...]
 
 
+def setups_of(problem: Problem) -> tuple[Setup, ...]:
+    """How the cell stands, setup by setup, and at last, without operations, with all axes home again."""
+    return problem.setups if problem.closing is None else (*problem.setups, problem.closing)
+
+
 def spans(setups: tuple[Setup, ...], job: JobText) -> Spans:
     """Setups by stage. A setup begins at the first stage that asks for its confirmation; where that is
     missing or out of order ``verify.setup`` says so, and nothing else is to be concluded."""
@@ -593,7 +598,7 @@ def claims_of(
 
 def stays(problem: Problem, setup: Setup) -> bool:
     """Whether the block stands where the setup before had it: nothing that is changed moves it."""
-    change = problem.changes.get(setup.operations[0])
+    change = problem.changes.get(setup.operations[0]) if setup.operations else None
     return setup.number > 1 and not (
         change is not None and set(change.stock) & {"place", "support", "held_by", "grip", "attitude"}
     )

@@ -25,6 +25,7 @@ from planner.verify import result
 from planner.verify.context import Begin, Context, Outcome, Rule, at_once
 from planner.verify.forming import swept
 from planner.verify.forming.state import Forming, Left, begun_faces
+from planner.verify.job import setups_of
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.tool_motion import Milling
 from planner.verify.programs.operator_dialogue import chosen_groups
@@ -309,7 +310,7 @@ class Prover:
     def _model(
         self, places: Sequence[FloatArray | None], based: Sequence[Mapping[str, FloatArray]], index: int
     ) -> CellModel:
-        setup, place, bases = self.problem.setups[index], places[index], based[index]
+        setup, place, bases = setups_of(self.problem)[index], places[index], based[index]
         place = np.eye(4) if place is None else place
         if index not in self._models:
             self._models[index] = build(setup.cell, setup.stock, place, bases)

@@ -39,6 +39,7 @@ from planner.post.krl.data import Data
 from planner.post.krl.syntax import Lines, comment, mark, name
 from planner.post.program import (
     LINE_END,
+    AxesLook,
     Carry,
     Do,
     Job,
@@ -57,7 +58,7 @@ from planner.post.program import (
     parts,
     short,
 )
-from planner.post.steps import outer_speeds
+from planner.post.steps import TRACK_COLUMN, outer_speeds
 from planner.problem import Controller, KrlDialect, Problem
 from planner.targets import Action
 
@@ -217,6 +218,10 @@ class Main:
         match step:
             case Joints():
                 return self._ptp(step, index, operation)
+            case AxesLook(station):
+                names = self._units()
+                looks = (syntax.axis_check(names[c], c, value, self.dialect) for c, value in station)
+                return [line for look in looks for line in look]
             case Meet(number, reached, seconds) if self.partner is not None:
                 steps = self.partner.meet(number, seconds)
                 lines = partner_lines(self.partner, self.controller, steps)
@@ -247,6 +252,15 @@ class Main:
 
     def _look(self) -> list[str]:
         return syntax.robroot_check(self.task.arm.name, self.dialect, self.along)
+
+    def _units(self) -> dict[int, tuple[str, str]]:
+        """Names of the external axes, and the units of their values in texts, by column."""
+        out: dict[int, tuple[str, str]] = {}
+        if (track := self.task.arm.track) is not None:
+            out[TRACK_COLUMN] = (track.unit, "mm")
+        if (table := self.task.table) is not None:
+            out[table.column] = (table.unit, "deg")
+        return out
 
     def _outer_speeds(self) -> list[str]:
         """Speeds of the external axes, whole percents of their own; they move to stations alone."""

@@ -167,6 +167,9 @@ ALONG_DECIMALS: Final = 6
 FOOT_SHIFT, FOOT_TURN = "0.1", "0.02"
 """How far the robot's foot may be off zero: [mm], [deg]."""
 
+AXIS_AWAY: Final = {"mm": "1.0", "deg": "0.1"}
+"""How far an external axis may be off home before the first move, by the unit of its values."""
+
 INTERRUPT: Final = ("GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )", "INTERRUPT ON 3")
 """What lets the stop reactions of IR_STOPM.src act, as in every program that KUKA's template makes."""
 EXT_BAS: Final = "EXT BAS (BAS_COMMAND :IN,REAL :IN )"
@@ -278,6 +281,26 @@ def robroot_check(arm: str, dialect: KrlDialect, along: FloatArray | None = None
         after = ["tm_par[1].Par_Type=#EMPTY", "tm_par[2].Par_Type=#EMPTY"]
     away = f"WHILE (tm_shift>{FOOT_SHIFT}) OR (tm_turn>{FOOT_TURN})"
     return [*looked, away, *shown, "HALT", *looked, "ENDWHILE", *after]
+
+
+def axis_check(axis: tuple[str, str], column: int, home: float, dialect: KrlDialect) -> list[str]:
+    """The program never goes on where an external axis, number ``column`` [from 0], is off its ``home`` [mm
+    or deg]; ``axis``: its name, and the unit of its values."""
+    unit, sign = axis
+    wanted = number(home, OUTER_DECIMALS)
+    off = f"{'+' if wanted.startswith('-') else '-'}{wanted.removeprefix('-')}"
+    text = vocabulary.KRL_AXIS_AWAY.filled(unit=unit, sign=sign, home=wanted)
+    shown = comment(text.replace("%1", "tm_shift"))
+    if dialect == "krc4":
+        shown = [
+            "tm_par[1].Par_Type=#VALUE",
+            "tm_par[1].Par_Real=tm_shift",
+            _message(text, 6),
+            "tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)",
+        ]
+    most = AXIS_AWAY[sign]
+    looked = f"tm_shift=ABS($AXIS_ACT.E{column + 1}{off})"
+    return [looked, f"IF tm_shift>{most} THEN", *shown, "LOOP", "HALT", "ENDLOOP", "ENDIF"]
 
 
 def _not_external() -> list[str]:

@@ -16,7 +16,17 @@ from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post.program import Carry, Job, Joints, Load, OperationProgram, TaskProgram, number, short
+from planner.post.program import (
+    OUTER_DECIMALS,
+    Carry,
+    Job,
+    Joints,
+    Load,
+    OperationProgram,
+    TaskProgram,
+    number,
+    short,
+)
 from planner.post.rapid.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
 from planner.post.steps import LEAST_MASS, TRACK_COLUMN, outer_speeds
 from planner.problem import BLIND_SPEED, Problem
@@ -254,8 +264,39 @@ def _pose(what: str, got: str, wanted: str) -> str:
     return f"check_pose {quoted(what)},{got},{wanted};"
 
 
-def helpers(together: bool) -> list[str]:
+AXES_CHECK = "check_axes"
+"""Name of the procedure that looks whether tracks and turntables are at home, right before the first move."""
+AXIS_AWAY = {"mm": "1", "deg": "0.1"}
+"""How far one may be off home, by the unit of its values."""
+
+
+def axes_checks(task: TaskProgram) -> list[str]:
+    """Statements of the procedure :data:`AXES_CHECK`, none where the task moves no external axis. One that is
+    not active has the value 9E9 and is off, too."""
+    if task.home_station is None:
+        return []
+    out = ["VAR jointtarget cfg_here;", "cfg_here:=CJointT();"]
+    for column, home in task.home_station:
+        track = task.arm.track if column == TRACK_COLUMN else None
+        one, sign = (task.table, "deg") if track is None else (track, "mm")
+        name = quoted(vocabulary.axis_of("" if one is None else one.unit))
+        value = f"cfg_here.extax.eax_{'abcdef'[column]}"
+        out.append(f"check_axis {name},{value},{number(home, OUTER_DECIMALS)},{AXIS_AWAY[sign]};")
+    return out
+
+
+def helpers(together: bool, axes: bool) -> list[str]:
     """The procedures that compare and, where something is off, say what and never go on."""
+    axis = [
+        "PROC check_axis(string what,num got,num wanted,num most)",
+        "  IF Abs(got-wanted)>most THEN",
+        "    TPWrite what;",
+        f"    TPWrite {quoted(vocabulary.OFF_HOME)}\\Num:=got-wanted;",
+        "    check_stop;",
+        "  ENDIF",
+        "ENDPROC",
+        "",
+    ]
     apart = [f"Pow(got.rot.q{i}-off_sign*wanted.rot.q{i},2)" for i in range(1, 5)]
     along = "+".join(f"got.rot.q{i}*wanted.rot.q{i}" for i in range(1, 5))
     return [
@@ -284,6 +325,7 @@ def helpers(together: bool) -> list[str]:
         "  ENDIF",
         "ENDPROC",
         "",
+        *(axis if axes else ()),
         "! a start does not lead out of here",
         "PROC check_stop()",
         *(f"  TPWrite {quoted(line)};" for line in vocabulary.NOTHING_MOVES),
@@ -294,6 +336,6 @@ def helpers(together: bool) -> list[str]:
     ]
 
 
-def lines(procedure: Sequence[str], together: bool) -> list[str]:
-    """The module's lines around the procedure :data:`CELL_CHECK`."""
-    return [*procedure, "", *helpers(together)]
+def lines(procedures: Sequence[str], together: bool, axes: bool) -> list[str]:
+    """The module's lines: :data:`CELL_CHECK` and, with ``axes``, :data:`AXES_CHECK`, and what they call."""
+    return [*procedures, "", *helpers(together, axes)]

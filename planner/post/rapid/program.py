@@ -30,6 +30,7 @@ from planner.post.handshake import (
 )
 from planner.post.program import (
     LINE_END,
+    AxesLook,
     Carry,
     Do,
     Job,
@@ -322,7 +323,11 @@ class _Task:
         place = [arm.name for arm in self.problem.cell.arms].index(task.arm.name)
         robot = self.problem.cell.controller.robot(place)
         body = rapid_data.check_procedures(task, self.job, self.plan, self.tools, robot)
-        return rapid_data.lines(self._procedure(rapid_data.CELL_CHECK, body), together)
+        out = self._procedure(rapid_data.CELL_CHECK, body)
+        axes = rapid_data.axes_checks(task)
+        if axes:
+            out += ["", *self._procedure(rapid_data.AXES_CHECK, axes)]
+        return rapid_data.lines(out, together, bool(axes))
 
     def _operation(self, index: int, operation: OperationProgram) -> list[str]:
         body = comment(f"Operation {operation.name}.")
@@ -337,6 +342,8 @@ class _Task:
                 tool = self.tools.of(self.task.operations[operation].arm.tool)
                 ident = "" if step.id is None else f"\\ID:={step.id}"
                 return [f"MoveAbsJ {name}{ident}\\NoEOffs,{ENTRY_SPEED_NAME},fine,{tool};"]
+            case AxesLook():
+                return [f"{rapid_data.AXES_CHECK};"]
             case Meet(number, reached, seconds) if self.partner is not None:
                 steps = self.partner.meet(number, seconds)
                 return [*comment(f"Meeting: {reached}"), *partner_lines(self.partner, steps)]

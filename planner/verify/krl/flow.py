@@ -24,6 +24,7 @@ from planner.verify.krl.syntax_tree import (
     OUTER_SPEEDS,
     SPLINE_MOVE,
     Await,
+    AxisLook,
     Call,
     DataList,
     Foot,
@@ -78,6 +79,9 @@ _EXACT_STOP = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """At a point without an approximation: the arm stops there."""
 _FLY_BY = Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """At a point of a spline block: the arm goes through it without a stop."""
+AXIS_LOOK = "$AXIS_ACT"
+"""Kind of the step that looks at an external axis: its values are column [from 0], home and most off it
+[mm or deg], its one switch is the text that is shown."""
 _PRELUDE = (
     (False, "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )"),
     (True, "INTERRUPT ON 3 behind it"),
@@ -224,6 +228,8 @@ class Runner:
                 self.steps.append(SettingStep(*where, "HALT", (), (), stops=True))
             case Foot():
                 self.steps.append(SettingStep(*where, "$ROBROOT", (), ()))
+            case AxisLook(column=column, home=home, most=most, text=text):
+                self.steps.append(SettingStep(*where, AXIS_LOOK, (text,), (column, home, most)))
             case Output(number=number, value=on):
                 self.on = self.on | {number} if on else self.on - {number}
                 name = self.signals.outputs.get(number, f"$OUT[{number}]")

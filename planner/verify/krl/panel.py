@@ -19,6 +19,7 @@ from typing import Literal, NamedTuple
 from planner.claims import vocabulary
 from planner.verify.krl import syntax_tree
 from planner.verify.krl.syntax_tree import (
+    AxisLook,
     Call,
     Cleared,
     Dialog,
@@ -98,7 +99,11 @@ class Panel:
     def halts(self, statement: Statement) -> bool:
         """Whether the program may halt at the statement without having asked anything."""
         alone = isinstance(statement, Halt) and self.dialect == "krc4"
-        return alone or isinstance(statement, Foot) or (isinstance(statement, NotExternal) and not self._open)
+        return (
+            alone
+            or isinstance(statement, Foot | AxisLook)
+            or (isinstance(statement, NotExternal) and not self._open)
+        )
 
     def take(self, statement: Statement, depth: int) -> Message | None:
         """What a statement shows. Raises `PanelError`."""
@@ -143,6 +148,12 @@ class Panel:
             case Foot():
                 self._main(depth, "the look at $ROBROOT")
                 self._foot(statement)
+            case AxisLook(text=text):
+                self._main(depth, "the look at an external axis")
+                if bool(text) != (self.dialect == "krc4"):
+                    raise PanelError(f"an external axis is looked at, and the panel shows {text!r}")
+                if text and not self.prepared:
+                    raise PanelError("a message, and tm_opt is not set before")
         return None
 
     def _main(self, depth: int, what: str) -> None:
@@ -369,6 +380,23 @@ def _along(row: re.Match[str]) -> tuple[float, float, float]:
     return parts[0] + 0.0, parts[1] + 0.0, parts[2] + 0.0
 
 
+_AXIS_OFF = (
+    re.compile(
+        r"tm_shift\s*=\s*ABS\s*\(\s*\$AXIS_ACT\.E([1-6])\s*([+-])\s*(\d+(?:\.\d+)?)\s*\)",
+        re.IGNORECASE | re.ASCII,
+    ),
+    re.compile(r"IF\s+tm_shift\s*>\s*(\d+(?:\.\d+)?)\s+THEN", re.IGNORECASE | re.ASCII),
+)
+"""Statements that work out how far an external axis is off home, and begin what follows where it is."""
+_AXIS_MESSAGE = _rows(*_FOOT_MESSAGE[:2], *_FOOT_MESSAGE[4:])
+_NEVER_ON = _rows("LOOP", "HALT", "ENDLOOP", "ENDIF")
+
+
+def _axis_look(line: int, found: Found, text: str) -> Statement:
+    home = float(found[0][3]) * (1.0 if found[0][2] == "-" else -1.0)
+    return AxisLook(line, int(found[0][1]) - 1, home + 0.0, float(found[1][1]), text)
+
+
 PANEL_FORMS: tuple[Form, ...] = (
     Form(
         "the interrupt of stop messages",
@@ -406,6 +434,16 @@ PANEL_FORMS: tuple[Form, ...] = (
             ),
         ),
         lambda line, found: Notice(line, _text(found[0][1]), found[1][1] is not None),
+    ),
+    Form(
+        "the look at an external axis",
+        (*_AXIS_OFF, *_NEVER_ON),
+        lambda line, found: _axis_look(line, found, ""),
+    ),
+    Form(
+        "the look at an external axis",
+        (*_AXIS_OFF, *_AXIS_MESSAGE, *_NEVER_ON),
+        lambda line, found: _axis_look(line, found, found[4][1]),
     ),
     Form(
         "the end of a state",

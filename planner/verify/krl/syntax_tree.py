@@ -116,6 +116,17 @@ class Foot(Statement):
 
 
 @dataclass(frozen=True, slots=True)
+class AxisLook(Statement):
+    """The program never goes on where the external axis number `column` [from 0] is more than `most` off
+    `home` [mm or deg]. `text` is shown, "" where nothing is."""
+
+    column: int
+    home: float
+    most: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class NotExternal(Statement):
     """The loop that halts as long as the mode of operation is automatic external."""
 

@@ -362,7 +362,7 @@ def wanted_dialogue(context: Context) -> dict[str, list[Part]]:
     """What each task should say, in order, by its name."""
     tasks = context.job.tasks
     out: dict[str, list[Part]] = {task.name: [Part(Place("start"), _start(context, task))] for task in tasks}
-    opened = {setup.operations[0]: setup for setup in context.setups if setup.steps}
+    opened = {setup.operations[0]: setup for setup in context.setups if setup.steps and setup.operations}
     for number, operation in enumerate(context.problem.operations):
         if number in opened and tasks:
             out[tasks[0].name].append(Part(Place("setup", number), _setup(opened[number])))
@@ -372,6 +372,9 @@ def wanted_dialogue(context: Context) -> dict[str, list[Part]]:
                 speaker = next((task for task in tasks if task.arm.name in claim.arms), None)
                 if speaker is not None:
                     out[speaker.name] += _operation(number, claim)
+    if tasks and not context.setups[-1].operations:
+        end = Place("setup", len(context.problem.operations))
+        out[tasks[0].name].append(Part(end, _setup(context.setups[-1])))
     return out
 
 

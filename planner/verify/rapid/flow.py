@@ -7,9 +7,11 @@ over motion, signals or synchronisation: such a program cannot be proven and is 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 from typing import Literal
 
 from planner.verify.programs.steps import (
@@ -50,6 +52,10 @@ from planner.verify.rapid.syntax_tree import (
     While,
 )
 
+CHECK_MODULE = re.compile(r"(?i)TandemCheck_\w+\.(modx?)$")
+"""Names of the modules that compare the cell with the plan, which a rule of their own reads."""
+AXES_CHECK = "check_axes"
+"""Name of the procedure there that looks at external axes, and the kind of the step that calls it."""
 MAX_CALLS = 50
 """Procedures that call each other may be so deep."""
 MAX_LOOPS = 100_000
@@ -129,6 +135,7 @@ class Runner(Evaluator):
             case Assign():
                 self._assign(statement.target, self.value(statement.value, self._kind(statement.target)))
             case ProcCall():
+                self._checks(statement)
                 self.call(statement.start, statement.name)
             case LateCall():
                 name = self.value(statement.name, "string")
@@ -150,6 +157,13 @@ class Runner(Evaluator):
         self.names.work -= work
         if self.names.work < 0:
             raise self.fail(statement.start, "the program has no end, or runs its lines too often to be read")
+
+    def _checks(self, statement: ProcCall) -> None:
+        """A step for a call of the look at external axes, whose statements a rule of its own reads."""
+        found = self.find(statement.name.lower())
+        file = "" if found is None else PurePosixPath(found[0].file).name
+        if statement.name.lower() == AXES_CHECK and CHECK_MODULE.match(file):
+            self.steps.append(SettingStep(*self._where(statement), AXES_CHECK, (), ()))
 
     def call(self, start: int, name: str) -> None:
         """Put the steps of a procedure in place. `name` may be "module:procedure"."""

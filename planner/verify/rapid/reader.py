@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 from planner.verify.programs import program_text
 from planner.verify.programs.steps import Fault, FlowError
 from planner.verify.rapid.expressions import MAX_BRACKETS, expression, instruction, quick_move, typed
-from planner.verify.rapid.flow import Flow, flatten, flow, handlers
+from planner.verify.rapid.flow import CHECK_MODULE, Flow, flatten, flow, handlers
 from planner.verify.rapid.lexer import (
     FUNCTIONS,
     INSTRUCTIONS,
@@ -358,10 +358,9 @@ __all__ = [
 ]
 
 
-CHECK_MODULE = re.compile(r"(?i)TandemCheck_\w+\.(modx?)$")
-"""Names of the modules that compare the cell with the plan, which a rule of their own reads."""
 _COMPARES = re.compile(
-    r"(?is)(?<=PROC check_cell\(\)).*?(?=^\s*ERROR\b)|^\s*PROC check_pose\b.*(?=^\s*ENDMODULE)", re.M
+    r"(?is)(?<=PROC check_(?:cell|axes)\(\)).*?(?=^\s*ERROR\b)|^\s*PROC check_pose\b.*(?=^\s*ENDMODULE)",
+    re.M,
 )
 
 

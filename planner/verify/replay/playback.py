@@ -39,11 +39,13 @@ def replay(
     job: JobText,
     bases: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
     tools: Sequence[Mapping[str, FloatArray]] | None = None,
+    travels: Mapping[int, float] | None = None,
 ) -> Motion:
     """Run the programs. ``bases`` {arm: (4, 4)} in the world, for each stage where that changes; ``tools``:
-    for each stage {arm: TCP (4, 4) in the flange} of what is mounted, where that changes. Needs stages that
+    for each stage {arm: TCP (4, 4) in the flange} of what is mounted, where that changes; ``travels``
+    {identity of a move: time [s]} that external axes take in it, before the arm moves. Needs stages that
     match (:func:`planner.verify.job.read`)."""
-    return _Player(job, bases, tools).run()
+    return _Player(job, bases, tools, travels or {}).run()
 
 
 class _Player:
@@ -52,8 +54,10 @@ class _Player:
         job: JobText,
         bases: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
         mounted: Sequence[Mapping[str, FloatArray]] | None,
+        travels: Mapping[int, float],
     ) -> None:
         self.job = job
+        self.travels = travels
         self.mounted = mounted
         self.units = {task.unit.lower(): task.arm.name for task in job.tasks}
         self.standing = None if isinstance(bases, Mapping) else bases
@@ -195,8 +199,11 @@ class _Player:
                 self.events += [(self.clock, number, task.name, step) for step in stage.steps[task.name]]
         logic_steps = {task.name: between(stage.steps[task.name], count) for task in movers}
         pauses = np.array(
-            [max(dwell_time(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
+            [max(dwell_time(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)],
+            dtype=np.float64,
         )
+        for row in rows:
+            pauses[:count] += [self.travels.get(id(move), 0.0) for move in row.moves]
         logic = np.array(
             [any(needs_standstill(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
         )

@@ -18,7 +18,7 @@ from planner.claims.forming import SinksHolder
 from planner.geometry.arrays import inverse
 from planner.issues import Issue
 from planner.problem import Controller
-from planner.verify.context import Context, Outcome, at_step, mm, rule
+from planner.verify.context import Context, Outcome, OuterAxis, at_step, mm, outer_axes, rule
 from planner.verify.job import CONTROLLER, TaskText
 from planner.verify.programs.program_text import (
     Partner,
@@ -32,7 +32,8 @@ from planner.verify.programs.program_text import (
     strange,
 )
 from planner.verify.programs.steps import BASE_FRAME, SettingStep, SignalStep, Step
-from planner.verify.rapid.reader import CHECK_MODULE, masked
+from planner.verify.rapid.flow import CHECK_MODULE
+from planner.verify.rapid.reader import masked
 from planner.verify.rapid.syntax_tree import Instruction, Literal, ProcCall
 from planner.verify.replay import arm_model
 from planner.verify.rules import power_at_stops
@@ -302,6 +303,10 @@ _BEFORE_CALL = frozenset({"ConfJ", "ConfL", "SingArea", "SetDO", "Reset"})
 """What may stand in main before the call."""
 _CHECK_HEAD = ["proc", "check_cell", "(", ")"]
 """Words that the procedure begins with."""
+_AXES_HEAD = ["proc", "check_axes", "(", ")"]
+"""The same of that which looks where tracks and turntables are."""
+_OFF_HOME = {"mm": "1", "deg": "0.1"}
+"""How far one of those may be off home, in the unit of its values."""
 _DISTANCE, _TURN = 0.1, 0.02
 """How far the controller's frames may be off the plan's [mm], [degrees]."""
 
@@ -309,7 +314,8 @@ _DISTANCE, _TURN = 0.1, 0.02
 @rule("verify.cell_check")
 def cell_check(context: Context) -> Outcome:
     """Before anything else each RAPID program compares base frame, tools and work objects with what was
-    planned, and stops for good over 0.1 mm or 0.02 degrees; one of URScript ends unless its controller has
+    planned, and stops for good over 0.1 mm or 0.02 degrees; so does what looks where tracks and turntables
+    are, over 1 mm or 0.1 degrees; one of URScript ends unless its controller has
     the flange, at home, where the plan has it within 10 mm."""
     issues: list[Issue] = []
     for task in context.job.tasks:
@@ -358,10 +364,14 @@ def _faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
     if parts is None:
         return [*out, (file, "it is not of the form that check_cell has")]
     module, body, handler, rest = parts
-    if rapid_words(masked(task.files[file])) != [*module, *_CHECK_HEAD, *handler, "endmodule"]:
+    axes = outer_axes(task.arm, context.problem.cell.turntable)
+    second, looks, rest = _axes_parts(rest) if axes else ([], [], rest)
+    if rapid_words(masked(task.files[file])) != [*module, *_CHECK_HEAD, *handler, *second, "endmodule"]:
         out.append((file, "its handler cannot be told from what compares"))
+    if looks != _axes_wanted(axes):
+        out.append((file, "it does not look as it should whether tracks and turntables are at home"))
     head, calls = _wanted(context, task)
-    if module[:1] != ["module"] or len(module) != 2 or rest != rapid_words(_helpers(together)):
+    if module[:1] != ["module"] or len(module) != 2 or rest != rapid_words(_helpers(together, bool(axes))):
         out.append((file, "the procedures that compare are not as they should be"))
     if body[: len(head)] != head:
         out.append((file, "it does not read the base frame as it should, or not of this robot"))
@@ -404,6 +414,30 @@ def _parts(words: Sequence[str]) -> tuple[list[str], list[str], list[str], list[
         return None
     body: list[str] = [" ".join(part) for part in _split(text[at + 4 : handler])]
     return text[:at], body, text[handler : end + 1], text[end + 1 : -1]
+
+
+def _axes_parts(rest: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
+    """Words of the frame of the procedure that looks at external axes, with its handler, its statements, and
+    words behind it; all is behind it where there is none."""
+    text = list(rest)
+    if text[: len(_AXES_HEAD)] != _AXES_HEAD or "error" not in text or "endproc" not in text:
+        return [], [], text
+    handler, end = text.index("error"), text.index("endproc")
+    if handler > end:
+        return [], [], text
+    body = [" ".join(part) for part in _split(text[len(_AXES_HEAD) : handler])]
+    return [*_AXES_HEAD, *text[handler : end + 1]], body, text[end + 1 :]
+
+
+def _axes_wanted(axes: Sequence[OuterAxis]) -> list[str]:
+    """What that procedure has to look at."""
+    text = "VAR jointtarget cfg_here; cfg_here:=CJointT();" if axes else ""
+    for axis in axes:
+        here, name = f"cfg_here.extax.eax_{'abcdef'[axis.column]}", vocabulary.axis_of(axis.unit)
+        home = f"{axis.home / axis.scale:.4f}"
+        home = home.removeprefix("-") if float(home) == 0.0 else home
+        text += f'check_axis "{name}",{here},{home},{_OFF_HOME[axis.sign]};'
+    return _statements(text)
 
 
 def _split(words: Sequence[str]) -> list[list[str]]:
@@ -480,12 +514,18 @@ def _components(text: str) -> list[str]:
     return [part.strip() for part in out] + [""] * 5
 
 
-def _helpers(together: bool) -> str:
-    """The procedures that compare, as they have to be."""
+def _helpers(together: bool, axes: bool) -> str:
+    """The procedures that compare, as they have to be; ``axes``: tracks and turntables, too."""
     parts = ("1", "2", "3", "4")
     dot = "+".join(f"got.rot.q{i}*wanted.rot.q{i}" for i in parts)
     squares = "+".join(f"Pow(got.rot.q{i}-off_sign*wanted.rot.q{i},2)" for i in parts)
     stop = "Stop\\AllMoveTasks" if together else "Stop"
+    axis = f"""
+    PROC check_axis(string what, num got, num wanted, num most)
+      IF Abs(got-wanted)>most THEN
+        TPWrite what; TPWrite "{vocabulary.OFF_HOME}"\\Num:=got-wanted; check_stop;
+      ENDIF
+    ENDPROC"""
     said_last = "".join(f'TPWrite "{line}";' for line in vocabulary.NOTHING_MOVES)
     return f"""
     PROC check_pose(string what, pose got, pose wanted)
@@ -500,6 +540,7 @@ def _helpers(together: bool) -> str:
     PROC check_true(string what, bool same)
       IF NOT same THEN TPWrite what; TPWrite "{vocabulary.NOT_AS_PLANNED}"; check_stop; ENDIF
     ENDPROC
+    {axis if axes else ""}
     PROC check_stop()
       {said_last} WHILE TRUE DO {stop}; ENDWHILE
     ENDPROC

@@ -15,6 +15,7 @@ import numpy as np
 from planner.cell import axis_way
 from planner.cell.axis_way import AxisWay
 from planner.cell.plant import CellModel
+from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
 from planner.problem import STOCK, Setup, Stock, Turntable
@@ -29,7 +30,9 @@ from planner.verify.context import (
     rule,
 )
 from planner.verify.job import TaskText
+from planner.verify.krl.flow import AXIS_LOOK
 from planner.verify.programs.steps import UNUSED_AXIS, MoveStep, RobTarget, SettingStep
+from planner.verify.rapid.flow import AXES_CHECK
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
 BLIND_SPEED = 0.25
@@ -38,6 +41,8 @@ SAME_VALUE = 1e-6
 """Values [m, rad] that differ by no more are one station."""
 SLACK = 1.0 + 1e-6
 """Speeds may be higher by this factor: they are rounded."""
+OFF_HOME = {"mm": 1.0, "deg": 0.1}
+"""How far an axis may be off home where a program begins, by the unit of its values."""
 _CODE = "verify.external_axes"
 """Code of the rule about units and values."""
 _WAY = "verify.track_way"
@@ -56,9 +61,10 @@ def standing(context: Context) -> Context:
 
 @rule("verify.external_axes")
 def external_axes(context: Context) -> Outcome:
-    """A track or turntable is switched on once (RAPID), before anything moves; each target has a value of it,
-    within its range; it moves as the first thing of a setup, alone, what it carries at most at 250 mm/s, all
-    arms folded at home; a turned block is where the value has it."""
+    """A track or turntable is switched on once (RAPID), before anything moves, and looked at right before the
+    first move, which nothing follows unless it is at home; each target has a value of it, within its range;
+    it moves as the first thing of a setup, alone, what it carries at most at 250 mm/s, all arms folded at
+    home, and is at home at the end; a turned block is where the value has it."""
     issues: list[Issue] = []
     told = []
     table = context.problem.cell.turntable
@@ -66,6 +72,7 @@ def external_axes(context: Context) -> Outcome:
         axes = outer_axes(task.arm, table)
         issues += _units(task, axes) if task.rapid else ()
         if axes:
+            issues += _looked(context, task, axes)
             issues += _values(context, task, axes)
         for axis in axes:
             where = ", ".join(axis.shown(v) for v in dict.fromkeys(_stations(context, axis)))
@@ -110,6 +117,37 @@ def _units(task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
         yield Issue(_CODE, what, arm=task.arm.name, file=task.name, hint=f"ActUnit {unit};")
 
 
+def _looked(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
+    """Axes at which a program does not look right before its first move: whether they are at home, so that
+    this move takes none of them anywhere. Nothing may come between the look and the move but settings."""
+    steps = list(task.steps)
+    first = next((i for i, step in enumerate(steps) if isinstance(step, MoveStep)), len(steps))
+    looks: list[SettingStep] = []
+    for step in reversed(steps[:first]):
+        if not isinstance(step, SettingStep) or step.stops or step.kind == "DeactUnit":
+            break
+        looks.append(step)
+    for axis in axes:
+        if task.rapid:  # what is compared there is for verify.cell_check
+            seen = any(look.kind == AXES_CHECK for look in looks)
+        else:
+            dialect = context.problem.cell.controller.dialect
+            seen = any(_looks_at(axis, look, dialect) for look in looks if look.kind == AXIS_LOOK)
+        if not seen:
+            what = f"an arm moves, and nothing looks right before whether {axis.unit} is at home"
+            move = steps[first] if first < len(steps) else None
+            yield at_step(_CODE, f"{what} ({axis.shown(axis.home)})", task, move)
+
+
+def _looks_at(axis: OuterAxis, look: SettingStep, dialect: str) -> bool:
+    """Whether a look of KRL is at an axis, at its home, as narrow as it should be, and tells the operator."""
+    column, home, most = look.values
+    wanted = f"{home:.4f}"
+    text = vocabulary.KRL_AXIS_AWAY.filled(unit=axis.unit, sign=axis.sign, home=wanted)
+    here = column == axis.column and abs(axis.scale * home - axis.home) <= SAME_VALUE
+    return here and most <= OFF_HOME[axis.sign] and look.switches == (text if dialect == "krc4" else "",)
+
+
 def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
     """What is wrong with the values of external axes, and with their moves."""
     before: MoveStep | None = None
@@ -145,6 +183,10 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
                     yield at_step(_CODE, f"{what}({axis.shown(axis.home)})", task, move)
                 last[axis.column] = value
             before, came = move, number
+    for axis in axes:
+        if abs(last[axis.column] - axis.home) > SAME_VALUE:
+            what = f"the program ends with {axis.unit} at {axis.shown(last[axis.column])}, not home again "
+            yield Issue(_CODE, f"{what}({axis.shown(axis.home)})", arm=task.arm.name, file=task.name)
 
 
 def _move_faults(
@@ -157,11 +199,10 @@ def _move_faults(
     table = context.problem.cell.turntable
     if axis.carries == STOCK and table is not None:
         rim = max((_rim(s.stock, s.stock.place, table) for s in context.setups), default=0.0)
-        speed, most = move.speed.rotary, min(BLIND_SPEED / max(rim, 1e-3), axis.speed)
+        most = min(BLIND_SPEED / max(rim, 1e-3), axis.speed)
     else:
-        speed, most = move.speed.linear, min(BLIND_SPEED, axis.speed)
-    if move.speed.outer is not None:  # KRL: a share of the axis' own speed
-        speed = move.speed.outer[axis.column] * axis.speed
+        most = min(BLIND_SPEED, axis.speed)
+    speed = axis.told(move)
     if not 0.0 < speed <= most * SLACK:
         yield f"{axis.unit} goes at {axis.shown(speed)}/s; allowed: {axis.shown(most)}/s"
 
@@ -214,11 +255,13 @@ def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
     its own, in the plane, of what the problem says of value 0."""
     at = context.problem.stock.place
     for index, setup in enumerate(context.setups):
-        change = context.problem.changes.get(setup.operations[0])
-        if change is not None and "place" in change.stock:
-            at = change.stock["place"]
-        place, value = context.places[index], context.stations.get(setup.operations[0], {}).get(STOCK)
-        if at is None or place is None or value is None:
+        place, value = context.places[index], table.home  # which it has again behind all operations
+        for number in setup.operations:
+            change = context.problem.changes.get(number)
+            if change is not None and "place" in change.stock:
+                at = change.stock["place"]
+            value = context.stations.get(number, {}).get(STOCK, np.nan)
+        if at is None or place is None or not np.isfinite(value):
             what = f"nothing says where {table.unit} has the block stand in setup {index + 1}"
             yield Issue(_CODE, what, hint=f"a value of {table.unit} in each target")
             continue

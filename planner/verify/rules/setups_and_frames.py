@@ -193,11 +193,12 @@ def held_frame(context: Context) -> Outcome:
 def load(context: Context) -> Outcome:
     """The controller knows the held block's load from its setup's confirmation on until it is let go."""
     issues: list[Issue] = []
+    worked = len(context.problem.setups) - 1  # what is held stays so while axes go home behind it
     for task in context.job.tasks:
         name = task.arm.name
         known: int | None = None  # the setup whose block the controller counts with
         for number, stage in enumerate(context.job.stages):
-            index = int(context.spans.of_stage[number])
+            index = min(int(context.spans.of_stage[number]), worked)
             held = context.holder(index)
             wanted = held if held is not None and held.arm == name else None
             asked = context.spans.asked[index]

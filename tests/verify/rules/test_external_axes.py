@@ -53,6 +53,18 @@ def moves(text: str, new: str) -> str:
     return re.sub(rf"(MoveL .*?),\[{HERE},", rf"\1,[{new},", text)
 
 
+ENTRY = "  PROC operation_1()"
+LOOK = "    check_axes;\n"
+"""The call of what looks whether the track is at home."""
+
+
+def last_home(text: str, new: str) -> str:
+    """The last move, which takes the track home, as another line."""
+    line = "    MoveAbsJ j_home\\NoEOffs,v_entry,fine,t_ball_tool;\n"
+    at = text.rindex(line)
+    return text[:at] + new + text[at + len(line) :]
+
+
 MUTANTS = {
     "another unit": ("external_axes", lambda t: first(t, "ActUnit TRACK_1", "ActUnit TRACK_2")),
     "no unit": ("external_axes", lambda t: first(t, "    ActUnit TRACK_1;\n", "")),
@@ -84,6 +96,42 @@ MUTANTS = {
             t,
             count=1,
         ),
+    ),
+    "no look before the first move": ("external_axes", lambda t: first(t, LOOK, "")),
+    "a look before the question": (
+        "external_axes",
+        lambda t: first(first(t, LOOK, ""), "    ActUnit TRACK_1;\n", f"    ActUnit TRACK_1;\n{LOOK}"),
+    ),
+    "a look behind the first move": (
+        "external_axes",
+        lambda t: re.sub(rf"({LOOK})(    MoveAbsJ j_home[^\n]*\n)", r"\2\1", t, count=1),
+    ),
+    "a look of its own": (
+        "external_axes",
+        lambda t: first(
+            t, "  PROC operation_1()", "  LOCAL PROC check_axes()\n  ENDPROC\n  PROC operation_1()"
+        ),
+    ),
+    "a wide look": ("cell_check", lambda t: first(t, "eax_a,0.0000,1;", "eax_a,0.0000,100;")),
+    "a look at another axis": ("cell_check", lambda t: first(t, "extax.eax_a,", "extax.eax_b,")),
+    "a look for another home": ("cell_check", lambda t: first(t, "eax_a,0.0000,1;", f"eax_a,{HERE},1;")),
+    "a look at nothing": ("cell_check", lambda t: re.sub(r"\n *check_axis \"[^\n]*", "", t, count=1)),
+    "a look that goes on": (
+        "cell_check",
+        lambda t: first(t, "IF Abs(got-wanted)>most", "IF got-wanted>most"),
+    ),
+    "not home at the end": ("external_axes", lambda t: last_home(t, "")),
+    "elsewhere at the end": (
+        "external_axes",
+        lambda t: last_home(t, "    MoveAbsJ j_1_station_1\\NoEOffs,v_entry,fine,t_ball_tool;\n"),
+    ),
+    "nobody asked before it goes home": (
+        "external_axes",
+        lambda t: re.sub(r" *UIMsgBox[^\n]*All work done[^\n]*\n[^\n]*\n", "", t, count=1),
+    ),
+    "nobody told before it goes home": (
+        "setup",
+        lambda t: re.sub(r'(?s)(.*)TPWrite "[^\n]*folded[^\n]*', r"\1", t, count=1),
     ),
     "told another value": ("setup", lambda t: first(t, "-500.000 mm", "-900.000 mm")),
 }

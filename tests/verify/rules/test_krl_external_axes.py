@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -15,6 +16,7 @@ from planner import processes
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import inverse
 from planner.pipeline import Outcome
+from planner.report import scene
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import external_axes
@@ -80,6 +82,22 @@ def test_the_text_has_the_block_within_a_micrometre_of_the_plan_on_a_table(turne
         assert np.linalg.norm(seen - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
 
 
+def test_axes_take_the_time_of_the_text_on_the_proofs_clock_and_in_the_replay() -> None:
+    for out, own in ((track_job.planned_krl(), 1.0), (table_job.planned_krl(), 20.0)):
+        context = Context(out.problem, processes.claims(out.problem), out.programs)
+        shown = re.search(r"\$VEL_EXTAX\[\d\]=(\d+)", "".join(out.programs.values()))
+        assert shown is not None
+        speed = own * float(shown[1]) / 100.0  # m/s, deg/s
+        text = "".join(out.programs.values())
+        found = re.findall(r"x_\d_station_1=\{.*?E(?:1 (-?[1-9][\d.]*)|2 (-?[1-9][\d.]*))", text)
+        ends = [0.0, *(float(a) * 1e-3 if a else float(b) for a, b in found), 0.0]
+        ramp = 0.0 if own > 1.0 else speed / 1.0  # the track's 1 m/s2
+        wanted = [abs(b - a) / speed + ramp for a, b in itertools.pairwise(ends)]
+        gaps = np.diff(context.motion.time)
+        np.testing.assert_allclose(gaps[gaps > 1.0], wanted, atol=0.01)
+        assert scene.track(out.problem, out.plan, 100).travel == pytest.approx(sum(wanted), abs=1e-3)
+
+
 # ---- programs that are wrong ----
 
 
@@ -108,6 +126,9 @@ def in_cut(text: str, axis: str, old: str, new: str) -> str:
     at = [m.start() for m in re.finditer(rf"SLIN [^\n]*,{axis} {re.escape(old)}\}}", text)][2]
     return text[:at] + first(text[at:], f"{axis} {old}", f"{axis} {new}")
 
+
+LOOK = re.compile(r"tm_shift=ABS\(\$AXIS_ACT\.E\d-0\.0000\)\n(?:[^\n]*\n)*?ENDIF\n")
+"""What looks whether an axis is at home."""
 
 TRACK: dict[str, tuple[str, Callable[[str, str], str]]] = {
     "missing E1": ("external_axes", lambda t, e: t.replace(f",E1 {e}}}", "}")),
@@ -150,6 +171,37 @@ TRACK: dict[str, tuple[str, Callable[[str, str], str]]] = {
             else first(t, "; Operation b.", "PTP x_2_station_1\n; Operation b.")
         ),
     ),
+    "no look at E1": ("external_axes", lambda t, e: LOOK.sub("", t, count=1)),
+    "a look at E1 before the question": (
+        "external_axes",
+        lambda t, e: first(
+            LOOK.sub("", t, count=1),
+            "tm_answer=0\n",
+            f"{LOOK.search(t)[0]}tm_answer=0\n",  # type: ignore[index]
+        ),
+    ),
+    "a look at E1 behind the first move": (
+        "external_axes",
+        lambda t, e: first(LOOK.sub("", t, count=1), "PTP x_home\n", f"PTP x_home\n{LOOK.search(t)[0]}"),  # type: ignore[index]
+    ),
+    "a look at E2": ("external_axes", lambda t, e: first(t, "ABS($AXIS_ACT.E1-", "ABS($AXIS_ACT.E2-")),
+    "a look for another home": (
+        "external_axes",
+        lambda t, e: first(t, "ABS($AXIS_ACT.E1-0.0000)", "ABS($AXIS_ACT.E1+700.0000)"),
+    ),
+    "a wide look": ("external_axes", lambda t, e: first(t, "IF tm_shift>1.0 THEN", "IF tm_shift>50.0 THEN")),
+    "a look of one side": (
+        "syntax",
+        lambda t, e: first(t, "ABS($AXIS_ACT.E1-0.0000)", "$AXIS_ACT.E1-0.0000"),
+    ),
+    "a look that goes on": ("syntax", lambda t, e: first(t, "LOOP\nHALT\nENDLOOP\nENDIF", "HALT\nENDIF")),
+    "a look that says something else": ("external_axes", lambda t, e: first(t, "mm off home", "mm off")),
+    "not home at the end": ("external_axes", lambda t, e: re.sub(r"(?s)(.*)PTP x_home\n", r"\1", t)),
+    "elsewhere at the end": (
+        "external_axes",
+        lambda t, e: re.sub(r"(?s)(.*)PTP x_home\n", r"\1PTP x_1_station_1\n", t),
+    ),
+    "nobody asked before it goes home": ("setup", lambda t, e: first(t, "All work done", "Work done")),
     "told another value": ("setup", lambda t, e: first(t, f"to {float(e):.3f}", "to -900.000")),
     "no look at the foot": ("syntax", lambda t, e: t.replace("$ROBROOT_C", "$ROBROOT")),
     "a look along another way": (
@@ -186,6 +238,10 @@ TABLE: dict[str, tuple[str, Callable[[str], str]]] = {
     "of another kinematic": ("syntax", lambda t: first(t, "$BASE=b_stock_2", "BAS(#EX_BASE,3)")),
     "no speed": ("external_axes", lambda t: changed(t, r"\$VEL_EXTAX\[2\]=\d+\n", "")),
     "not folded": ("external_axes", lambda t: first(t, "PTP x_2_station_1\n", "")),
+    "no look at E2": ("external_axes", lambda t: LOOK.sub("", t, count=1)),
+    "a wide look": ("external_axes", lambda t: first(t, "IF tm_shift>0.1 THEN", "IF tm_shift>1.0 THEN")),
+    "a look at E1": ("external_axes", lambda t: first(t, "ABS($AXIS_ACT.E2-", "ABS($AXIS_ACT.E1-")),
+    "not home at the end": ("external_axes", lambda t: re.sub(r"(?s)(.*)PTP x_home\n", r"\1", t)),
     "told another value": ("setup", lambda t: first(t, f"{THERE} deg", "20.0000 deg")),
 }
 """On a turntable."""

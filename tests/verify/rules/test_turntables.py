@@ -141,6 +141,17 @@ MUTANTS = {
             HERE + '  ERROR\n    StopMove\\Quick;\n    TPWrite "Tandem: error in operation_1',
         ),
     ),
+    "no look before the first move": ("external_axes", lambda t: first(t, "    check_axes;\n", "")),
+    "a wide look": ("cell_check", lambda t: first(t, "eax_a,0.0000,0.1;", "eax_a,0.0000,5;")),
+    "a look at another unit": ("cell_check", lambda t: first(t, '"Axis STN_1"', '"Axis STN_2"')),
+    "not home at the end": (
+        "external_axes",
+        lambda t: re.sub(r"(?s)(.*\n) *MoveAbsJ j_home[^\n]*\n", r"\1", t, count=1),
+    ),
+    "nobody asked before it turns home": (
+        "external_axes",
+        lambda t: re.sub(r" *UIMsgBox[^\n]*All work done[^\n]*\n[^\n]*\n", "", t, count=1),
+    ),
     "told another value": ("setup", lambda t: first(t, f"turns to {THERE} deg", "turns to 130.0000 deg")),
 }
 

@@ -56,6 +56,7 @@ export const isOpen = (state) => state === "queued" || state === "running";
 
 const FIGURES = {
   cycle_s: "Motion time, first to last target",
+  travel_s: "Time of track or turntable",
   targets: "Targets",
   path_cost: "Path cost",
   clearance_mm: "Least clearance",
@@ -64,7 +65,7 @@ const FIGURES = {
   singularity_deg: "Distance to singularity",
   surface_percent: "Surface in tolerance",
 };
-export const BETTER = { cycle_s: -1, path_cost: -1, clearance_mm: 1, joint_limits_deg: 1, joint_speed_percent: -1, singularity_deg: 1, surface_percent: 1 };
+export const BETTER = { cycle_s: -1, travel_s: -1, path_cost: -1, clearance_mm: 1, joint_limits_deg: 1, joint_speed_percent: -1, singularity_deg: 1, surface_percent: 1 };
 export const figureName = (name) => FIGURES[name] ?? labelOf(name);
 export const figureOrder = (names) => {
   const known = Object.keys(FIGURES);
