@@ -31,6 +31,7 @@ from planner.verify.context import (
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import MoveStep, RobTarget, SettingStep
 from planner.verify.rapid.syntax_tree import UNUSED_AXIS
+from planner.verify.rules.clearance import of_one_arm
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
 BLIND_SPEED = 0.25
@@ -308,4 +309,5 @@ def _way(
         model = model.with_stock(table.turned(model.stock_pose, at[STOCK] - setup.stock.station))
         if axis.carries == STOCK:
             return axis_way.turning(model, table, ends, homes, limit)
-    return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit)
+    itself = of_one_arm(model)  # verify.own_clearance has these, which the way does not change
+    return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit, itself)
