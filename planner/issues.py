@@ -26,8 +26,9 @@ class Severity(StrEnum):
 @dataclasses.dataclass(frozen=True)
 class Remedy:
     """A change that was tried and helps: ``move_mm`` in the world of an obstacle, the stock or the base of an
-    arm, ``home_deg``, an arm's posture at home, ``size_mm`` of a block, or ``clearance_mm``; ``name`` is the
-    obstacle's or the arm's, else that of the field."""
+    arm, ``home_deg``, an arm's posture at home, ``size_mm`` of a block, or ``clearance_mm`` and
+    ``own_clearance_mm``, one of them or both; ``name`` is the obstacle's or the arm's, else that of the
+    field."""
 
     what: Literal["obstacle", "stock", "base", "home", "size", "clearance"]
     name: str
@@ -35,6 +36,7 @@ class Remedy:
     home_deg: tuple[float, ...] | None = None
     size_mm: tuple[float, ...] | None = None
     clearance_mm: float | None = None
+    own_clearance_mm: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -422,19 +422,37 @@ class Fixed(Protocol):
         """The stock with bodies of fixtures, by which bodies of the cell keep clear."""
 
 
+OWN_CLEARANCE: Final = 0.005
+"""What the links and the tool of one arm keep off each other [m] where nothing is said and
+``Settings.clearance`` is more: they follow from the arm's own axes and the tool's calibration alone (decision
+0031)."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Limits that motion and proof share: clearance [m], fractions of joint speed and acceleration, margins
+    """Limits that motion and proof share: clearances [m], fractions of joint speed and acceleration, margins
     [rad]. These are the defaults of problem files as well.
+
+    ``own_clearance`` is stated for links and tool of one arm; :attr:`of_one_arm` is what counts.
     """
 
     clearance: float = 0.010
+    own_clearance: float | None = None
     speed_fraction: float = 0.9
     acceleration_fraction: float = 0.8
     joint_margin: float = 2.0 * DEG
     singularity_margin: float = 5.0 * DEG
     tcp_speed: float = 0.25
     seed: int = 0
+
+    @property
+    def of_one_arm(self) -> float:
+        """The clearance [m] of links and tool of one arm to each other: never more than that of all else."""
+        return min(self.clearance, OWN_CLEARANCE if self.own_clearance is None else self.own_clearance)
+
+    def wider(self, by: float) -> Settings:
+        """The same with both clearances wider by a distance [m]."""
+        return dataclasses.replace(self, clearance=self.clearance + by, own_clearance=self.of_one_arm + by)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -268,6 +268,7 @@ FIGURES: Final[dict[str, str]] = {
     "targets": "targets",
     "cycle_s": "cycle s",
     "clearance_mm": "clearance mm",
+    "own_clearance_mm": "own clearance mm",
     "joint_limits_deg": "to limits deg",
     "joint_speed_percent": "joint speed %",
     "singularity_deg": "singularity deg",

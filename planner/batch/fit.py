@@ -26,6 +26,7 @@ AMPLE: Final = 2.0
 """Margins of so many times what the problem asks are as good as larger ones."""
 MARGINS: Final = {
     "clearance_mm": ("clearance", MM),
+    "own_clearance_mm": ("of_one_arm", MM),
     "joint_limits_deg": ("joint_margin", DEG),
     "singularity_deg": ("singularity_margin", DEG),
 }

@@ -416,6 +416,7 @@ def exit_code(rows: Sequence[Row]) -> int:
 
 FIGURE_OF_RULE: Final[dict[str, str]] = {
     "verify.clearance": "clearance_mm",
+    "verify.own_clearance": "own_clearance_mm",
     "verify.joint_limits": "joint_limits_deg",
     "verify.joint_speed": "joint_speed_percent",
     "verify.singularity": "singularity_deg",

@@ -418,6 +418,10 @@ CODES: Final[dict[str, Code]] = {
         "bodies of the cell come too near to each other",
         remedy="move what is in the way, or the stock, and plan again",
     ),
+    "verify.own_clearance": Code(
+        "links or tool of one arm come too near to each other",
+        remedy="mount the tool otherwise, or let targets turn more freely, and plan again",
+    ),
     "verify.wire_clearance": Code(
         "the wire comes too near to a body", remedy="move what is in the wire's way, and plan again"
     ),

@@ -62,10 +62,11 @@ def along(
     ends: tuple[float, float],
     q: Mapping[str, FloatArray],
     enough: float,
+    ignore: clearance.Pairs = frozenset(),
 ) -> AxisWay:
     """The way of the track of ``arm``, along the unit vector ``direction`` (3,), from one value [m] to the
     other; ``model`` has the base where it begins, ``q`` {arm: (6,)} [rad] are all arms' joints meanwhile. It
-    ends at a distance below ``enough`` [m]."""
+    ends at a distance below ``enough`` [m]. Pairs of bodies in ``ignore`` are not looked at."""
     base = model.bases[arm]
     resting = frozenset(name for name, gap in _beside(model, arm).items() if gap < STANDING_GAP_M)
 
@@ -78,7 +79,7 @@ def along(
         found = _beside(placed, arm).items()
         return {(f"{arm}/base_link", name): gap for name, gap in found if name not in resting}
 
-    return _looked(at, beside, 1.0, ends, q, enough)
+    return _looked(at, beside, 1.0, ends, q, enough, ignore)
 
 
 def turning(

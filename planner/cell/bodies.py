@@ -80,6 +80,23 @@ class LeastClearance:
         return int(np.argmin(self.distance))
 
 
+@dataclasses.dataclass(frozen=True)
+class Easing:
+    """Pairs of bodies that may be nearer to each other than all others by ``by`` [m], at least 0: they count
+    as so much farther apart than they are."""
+
+    pairs: frozenset[frozenset[str]] = frozenset()
+    by: float = 0.0
+
+    def of(self, one: str, other: str) -> float:
+        """How much farther [m] apart two bodies count than they are."""
+        return self.by if frozenset((one, other)) in self.pairs else 0.0
+
+
+NOT_EASED: Final = Easing()
+"""All pairs count as they are."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Solid:
     """A collision solid of a body: ``shape.pose`` is in the body's frame; a mesh stands for its convex

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.cell.bodies import Solid, extent, hull_points, signed_distance
+from planner.cell.bodies import Easing, Solid, extent, hull_points, signed_distance
 from planner.cell.bodies import fixed as is_fixed
 from planner.cell.distance import AGREED_M, Cores, between_segments, cores, distances, nearest_to_box
 from planner.geometry.arrays import (
@@ -56,6 +56,8 @@ class Bounds:
     ``exact``. ``pairs`` (M, 2) are pairs of capsules,
     ``box_pairs`` (N, 2) of a capsule and a box, that are held apart. ``given`` (S + K,) are the solids
     themselves, moving and fixed ones, ``own`` (S + K, 4, 4) their poses in their bodies, and their ``cores``.
+    ``ease`` (S + K, S + K) [m]: how much farther apart two of them count than they are, in all that is said
+    of distances here; 0 but where :meth:`eased` has it.
     """
 
     solids: tuple[Solid, ...]
@@ -75,6 +77,13 @@ class Bounds:
     given: tuple[Solid, ...]
     own: FloatArray
     cores: Cores
+    ease: FloatArray
+
+    def eased(self, easing: Easing) -> Bounds:
+        """The same with pairs of bodies that count as farther apart than they are."""
+        bodies = [solid.body for solid in self.given]
+        ease = np.array([[easing.of(one, other) for other in bodies] for one in bodies])
+        return dataclasses.replace(self, ease=ease.reshape(len(bodies), len(bodies)))
 
     def among(self, ignore: frozenset[frozenset[str]]) -> Bounds:
         """The same without the pairs of bodies in ``ignore``."""
@@ -173,11 +182,12 @@ class Bounds:
         lower, upper = np.full(placed.rows, np.inf), np.full(placed.rows, np.inf)
         boxes = self._near_boxes(placed, limit)
         if both:
-            np.minimum.at(upper, boxes.row, self._at_most(boxes))
+            np.minimum.at(upper, boxes.row, self._at_most(boxes) + self._box_ease(boxes))
         row, a, b = self._near(placed.centre, limit, np.ones(placed.rows, dtype=np.bool_))
+        ease = self.ease[a, b]
         if both:
-            np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1])
-        np.minimum.at(lower, row, self._apart(placed, limit, row, a, b))
+            np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1] + ease)
+        np.minimum.at(lower, row, self._apart(placed, limit, row, a, b) + ease)
         self._below(lower, placed, boxes, limit)
         return lower, upper
 
@@ -188,7 +198,7 @@ class Bounds:
         places in ``given`` of the two solids (B, 2) of each, -1 where there are none; and whether their cores
         overlap (B,), so that the depth is only bounded.
 
-        Distances are at most 1e-7 m below the truth and never above it.
+        Distances, but for what ``ease`` adds, are at most 1e-7 m below the truth and never above it.
         """
         placed, row, first, second, low = self._near_pairs(poses, limit)
         best = np.full(placed.rows, limit)
@@ -203,6 +213,7 @@ class Bounds:
                 continue
             at, one, other = row[some], first[some], second[some]
             gap, way, _ = self._measured(placed, at, one, other)
+            gap = gap + self.ease[one, other]
             closest = np.lexsort((gap, at))
             closest = closest[np.diff(at[closest], prepend=-1) != 0]
             closest = closest[gap[closest] < best[at[closest]]]
@@ -216,9 +227,9 @@ class Bounds:
         placed = self._placed(poses)
         boxes = self._near_boxes(placed, padding + AGREED_M)
         out = np.ones(placed.rows, dtype=np.bool_)
-        out[boxes.row[self._at_most(boxes) <= padding]] = False
+        out[boxes.row[self._at_most(boxes) + self._box_ease(boxes) <= padding]] = False
         row, first, second, _ = self._pairs_within(placed, boxes, padding + AGREED_M, out)
-        return out & self._all_apart(placed, row, first, second, np.full(len(row), padding))
+        return out & self._all_apart(placed, row, first, second, padding - self.ease[first, second])
 
     def stay_apart(
         self, poses: Mapping[str, FloatArray], padding: float, change: FloatArray, lever: FloatArray
@@ -232,7 +243,8 @@ class Bounds:
         placed, count = self._placed(poses), len(self.pairs)
         pairs = np.concatenate([self.pairs, self.box_pairs + np.array([0, len(self.solids)])])
         one, other = lever[pairs[:, 0]], lever[pairs[:, 1]]
-        room = padding + change @ np.where((one > 0.0) & (other > 0.0), 0.0, one + other).T
+        room = padding - self.ease[tuple(pairs.T)]
+        room = room + change @ np.where((one > 0.0) & (other > 0.0), 0.0, one + other).T
         a, b = self.pairs.T
         apart = lengths(placed.centre[:, a] - placed.centre[:, b])
         over = apart - self.inner[1][a] - self.inner[1][b]
@@ -281,6 +293,7 @@ class Bounds:
         distance (M,) as in :meth:`nearest`, and the line that it lies on, as in :func:`distances`."""
         placed, row, first, second, _ = self._near_pairs(poses, limit)
         gap, way, place = self._measured(placed, row, first, second)
+        gap = gap + self.ease[first, second]
         near = np.flatnonzero(gap < limit)
         return row[near], np.stack([first, second], axis=1)[near], gap[near], way[near], place[near]
 
@@ -443,11 +456,17 @@ class Bounds:
         shadows = self._shadows(placed, near.some(touch))
         low[touch] = np.maximum(low[touch], shadows)
         most[touch] = np.maximum(most[touch], shadows)  # what is found in the end is not above that
+        ease = self._box_ease(near)
+        low, most = low + ease, most + ease
         least = lower.copy()
         np.minimum.at(least, near.row, most)
         open_ = np.flatnonzero((low < least[near.row]) & (low < limit))
-        low[open_] = np.maximum(low[open_], self._to_box(near.some(open_)))
+        low[open_] = np.maximum(low[open_], self._to_box(near.some(open_)) + ease[open_])
         np.minimum.at(lower, near.row, low)
+
+    def _box_ease(self, near: _NearBox) -> FloatArray:
+        """How much farther (M,) [m] from their boxes solids count than they are."""
+        return self.ease[near.solid, near.box + len(self.solids)]
 
     def _at_most(self, near: _NearBox) -> FloatArray:
         """Upper bounds (M,) of distances to boxes, of inner capsules; infinite to what only lies in a box."""
@@ -547,6 +566,7 @@ def prepare(
         given=tuple(given),
         own=np.array([solid.shape.pose for solid in given]).reshape(-1, 4, 4),
         cores=cores(given),
+        ease=np.zeros((len(given), len(given))),
         solids=capsules,
         bodies=bodies,
         part=np.array([bodies.index(s.body) for s in capsules], dtype=np.intp),

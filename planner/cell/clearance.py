@@ -3,6 +3,8 @@
 Arms that are not named in ``q`` stay at home. Pairs that :attr:`CellModel.pairs_filtered` lists are
 not looked at, which include pairs of fixed bodies: :func:`overlaps` looks at those. `edge` measures
 from a flexible edge (a wire) that joins the tools to every body of the cell.
+
+Between bodies that a model's easing names, what counts is their distance and what they are eased by.
 """
 
 from __future__ import annotations
@@ -367,6 +369,7 @@ def witness(
             near = [(float(d), _names(model, int(a), int(b))) for d, a, b in each]
             near = [one for one in near if frozenset(one[1]) not in model.held_in_part]
             near += _steady(functools.partial(_between_parts, model, ignore), rows[i])
+            near = [(d + model.easing.of(*pair), pair) for d, pair in near]
             least, pair = min(near, key=lambda one: one[0], default=(np.inf, ("", "")))
             if least < reach:
                 distance[i], pairs[i] = least, pair
@@ -476,8 +479,9 @@ def _drake_into(
     whole = (one for one in deepest if frozenset(_names(model, *one[1])) not in model.held_in_part)
     said = {frozenset(pair): (d, j) for d, pair, j in whole}
     for entry, pair in zip(own, bodies.tolist(), strict=True):
-        depth, gradient = said.get(frozenset(pair), (gap[entry], slope[entry]))
-        gap[entry], slope[entry] = min(depth, gap[entry]), gradient
+        ease = model.easing.of(*_names(model, *pair))
+        depth, gradient = said.get(frozenset(pair), (gap[entry] - ease, slope[entry]))
+        gap[entry], slope[entry] = min(depth + ease, gap[entry]), gradient
 
 
 def overlaps(model: CellModel, tolerance: float = 1e-3) -> tuple[tuple[str, str, float], ...]:

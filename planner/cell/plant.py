@@ -36,6 +36,8 @@ from planner.catalogue.robots import RobotData, RobotFile
 from planner.cell import support
 from planner.cell.bodies import (
     LINK_CHAIN,
+    NOT_EASED,
+    Easing,
     FilteredPair,
     Solid,
     body_poses,
@@ -171,6 +173,7 @@ class _Shared:
     parts: dict[frozenset[str], tuple[SolidPair, ...]] = dataclasses.field(default_factory=dict)
     placed: object | None = None
     heights: dict[float, CellModel] = dataclasses.field(default_factory=dict)
+    eased: dict[Easing, Bounds] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -182,7 +185,8 @@ class CellModel:
     q is the concatenation of six serial joint angles [rad] per arm, in the order of ``cell.arms``. Bodies
     are named "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_6", "<arm>/tool", "<arm>/edge" (a tool's own
     edge, if it has one), "stock", "support", "<obstacle>". A held stock moves with its holder;
-    ``stock_pose`` is then only remembered.
+    ``stock_pose`` is then only remembered. What is said of distances between bodies counts pairs of
+    ``easing`` as farther apart than they are; there are none unless :meth:`with_easing` states them.
     """
 
     cell: Cell
@@ -191,10 +195,11 @@ class CellModel:
     bases: Mapping[str, FloatArray]
     robots: Mapping[str, RobotData]
     _shared: _Shared
+    easing: Easing = NOT_EASED
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For another process, which builds it again: Drake's part of it does not travel."""
-        return build, (self.cell, self.stock, self.stock_pose, dict(self.bases))
+        return _again, (self.cell, self.stock, self.stock_pose, dict(self.bases), self.easing)
 
     @property
     def arms(self) -> tuple[str, ...]:
@@ -237,7 +242,12 @@ class CellModel:
     @property
     def bounds(self) -> Bounds:
         """Capsules and boxes that bound the least distance."""
-        return self._shared.bounds
+        if not self.easing.by:
+            return self._shared.bounds
+        known = self._shared.eased
+        if self.easing not in known:
+            known[self.easing] = self._shared.bounds.eased(self.easing)
+        return known[self.easing]
 
     @property
     def home(self) -> FloatArray:
@@ -338,11 +348,16 @@ class CellModel:
             made = build(self.cell, self.stock, pose, self.bases)
             made._shared.heights = known
             known[_height(pose)] = made
-        return dataclasses.replace(known[_height(pose)], stock_pose=pose, bases=self.bases)
+        there = known[_height(pose)]
+        return dataclasses.replace(there, stock_pose=pose, bases=self.bases, easing=self.easing)
 
     def with_bases(self, bases: Mapping[str, FloatArray]) -> CellModel:
         """The same cell with the named arms' bases at other poses (4, 4) in the world; nothing is rebuilt."""
         return dataclasses.replace(self, bases={**self.bases, **bases})
+
+    def with_easing(self, easing: Easing) -> CellModel:
+        """The same cell, in which pairs of bodies count as farther apart than they are."""
+        return dataclasses.replace(self, easing=easing)
 
     def place(self) -> None:
         """Sets the checker's contexts to this placement, unless they are there."""
@@ -378,6 +393,12 @@ def build(
         return _new(cell, stock, stock_pose, bases, meshcat)
     content = (cell, stock, np.asarray(stock_pose, dtype=np.float64), bases)
     return kept_model(content, lambda: _new(cell, stock, stock_pose, bases, None))
+
+
+def _again(
+    cell: Cell, stock: Stock, stock_pose: FloatArray, bases: Mapping[str, FloatArray], easing: Easing
+) -> CellModel:
+    return build(cell, stock, stock_pose, bases).with_easing(easing)
 
 
 def _new(

@@ -12,6 +12,7 @@ from planner.cell import clearance
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
+from planner.motion import own_clearance
 from planner.motion.placement import reach_gap
 from planner.motion.planning_scene import Scene, holders
 from planner.motion.search.ladder_search import Blocked, Dead
@@ -155,7 +156,8 @@ def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
     looked = np.flatnonzero((dead.next if open_ else dead.possible) & ~dead.free)
     if not len(looked):
         return _broken(targets, dead.index)
-    blocks, best = _blocking(scene, targets, dead, looked)
+    blocks, (counted, nearest) = _blocking(scene, targets, dead, looked)
+    best, limit, setting = own_clearance.told(scene.settings, counted, nearest)
     name, count = targets.name(dead.index), len(looked)
     every = (
         f"{count} sample{'s' if count > 1 else ''} of {_names(targets)}"
@@ -182,16 +184,16 @@ def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
     choices = f"all {tried} choices of branches" if tried > 1 else "the only choice of branches"
     return Issue(
         "motion.collision",
-        f"{what}; the best of them leaves {_close(best / MM, scene.settings.clearance / MM)} mm, allowed is "
-        f"{scene.settings.clearance / MM:.1f} mm at least ({choices} tried)",
+        f"{what}; the best of them leaves {_close(best / MM, limit / MM)} mm, allowed is "
+        f"{limit / MM:.1f} mm at least ({choices} tried)",
         index=dead.index,
         target=name,
         bodies=blocks[0].pair,
         value=best / MM,
-        limit=scene.settings.clearance / MM,
+        limit=limit / MM,
         unit="mm",
         count=count,
-        hint=f"{_else(targets)}, move the obstacle, or lower clearance_mm",
+        hint=_room(targets, setting),
     )
 
 
@@ -208,10 +210,12 @@ class Block:
         return f"{self.pair[0]} with {self.pair[1]}"
 
 
-def _blocking(scene: Scene, targets: Targets, dead: Dead, samples: IndexArray) -> tuple[list[Block], float]:
+def _blocking(
+    scene: Scene, targets: Targets, dead: Dead, samples: IndexArray
+) -> tuple[list[Block], tuple[float, tuple[str, str]]]:
     """Things that are too near each other at ``samples`` (K,) of the target where paths end: those that block
-    most, then those that block most of the rest, until all are explained; and the distance [m] that the best
-    sample leaves."""
+    most, then those that block most of the rest, until all are explained; and the distance [m], as it counts,
+    that the best sample leaves, with its pair."""
     if scene.model is None:
         raise ValueError("without a model nothing is in the way")
     q = {arm: r.q[dead.index, samples] for arm, r in dead.rungs.items()}
@@ -225,7 +229,8 @@ def _blocking(scene: Scene, targets: Targets, dead: Dead, samples: IndexArray) -
             for a, b in near.bodies[near.distance < wanted].tolist():
                 first, second = sorted((scene.model.body_name(a), scene.model.body_name(b)))
                 found.setdefault((first, second), set()).add(row)
-    least = scene.least(targets, q, index, REPORTED_DISTANCE_M).distance
+    bodies = scene.least(targets, q, index, REPORTED_DISTANCE_M)
+    least = bodies.distance
     wire, wire_pairs = scene.edge_clearance(targets, q, index)
     for row in np.flatnonzero(wire < wanted).tolist():
         first, second = sorted(wire_pairs[row])
@@ -242,7 +247,10 @@ def _blocking(scene: Scene, targets: Targets, dead: Dead, samples: IndexArray) -
         own = [pair for pair in sorted(found) if (_thing(pair[0]), _thing(pair[1])) == things]
         out.append(Block(things, max(own, key=lambda pair: len(found[pair])), len(together[things])))
         left -= together.pop(things)
-    return out, float(np.minimum(least, wire).max())
+    best = int(np.argmax(np.minimum(least, wire)))
+    if wire[best] < least[best]:
+        return out, (float(wire[best]), wire_pairs[best])
+    return out, (float(least[best]), bodies.pair[best])
 
 
 def _thing(body: str) -> str:
@@ -299,20 +307,28 @@ def describe(
     wire, wire_pair = scene.edge_clearance(targets, one, np.array([index]))
     if float(wire[0]) < distance:
         distance, pair = float(wire[0]), wire_pair[0]
+    distance, limit, setting = own_clearance.told(scene.settings, distance, pair)
     name = targets.name(index)
     return Issue(
         "motion.collision",
         f"{pair[0]} and {pair[1]} are {distance / MM:.1f} mm apart at target {name}, "
-        f"allowed is {scene.settings.clearance / MM:.1f} mm at least, with {_tried(targets)} tried",
+        f"allowed is {limit / MM:.1f} mm at least, with {_tried(targets)} tried",
         index=index,
         target=name,
         bodies=pair,
         value=distance / MM,
-        limit=scene.settings.clearance / MM,
+        limit=limit / MM,
         unit="mm",
         count=count,
-        hint=f"{_else(targets)}, move the obstacle, or lower clearance_mm",
+        hint=_room(targets, setting),
     )
+
+
+def _room(targets: Targets, setting: str) -> str:
+    """What to do where bodies are too near each other; ``setting`` is the one that asks for it."""
+    if setting == own_clearance.OWN_FIELD:
+        return f"{_else(targets)}, mount the tool otherwise, or lower {setting}"
+    return f"{_else(targets)}, move the obstacle, or lower {setting}"
 
 
 def _held(targets: Targets) -> bool:

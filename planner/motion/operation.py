@@ -485,15 +485,16 @@ def _clock(
 
 
 def _not_kept(scene: Scene) -> Issue:
-    wanted = scene.settings.clearance / MM
+    wanted, own = scene.settings.clearance / MM, scene.settings.of_one_arm / MM
+    itself = "" if own == wanted else f", or than {own:.1f} mm to its own arm"
     return Issue(
         "motion.path_kept",
-        f"the optimised path came nearer than {wanted:.1f} mm to something, so the ladder's path is used, "
-        "which is less smooth",
+        f"the optimised path came nearer than {wanted:.1f} mm to something{itself}, so the ladder's path is "
+        "used, which is less smooth",
         severity=Severity.NOTE,
         limit=wanted,
         unit="mm",
-        hint="lower clearance_mm, or make room where the report shows the least clearance",
+        hint="lower clearance_mm or own_clearance_mm, or make room where the report shows the least of them",
     )
 
 
@@ -546,10 +547,11 @@ def _margins(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dic
         out["limit_margin_deg"][arm] = float(limit.min()) / DEG
         out["singularity_margin_deg"][arm] = float(single.min()) / DEG
     if scene.model is not None:
-        distance, pair, index = scene.nearest(targets, q, diagnosis.REPORTED_DISTANCE_M)
-        out["clearance_mm"] = distance / MM
-        out["clearance_pair"] = list(pair)
-        out["clearance_index"] = index
+        for name, own in (("clearance", False), ("own_clearance", True)):
+            distance, pair, index = scene.nearest(targets, q, diagnosis.REPORTED_DISTANCE_M, own)
+            out[f"{name}_mm"] = distance / MM
+            out[f"{name}_pair"] = list(pair)
+            out[f"{name}_index"] = index
         out.update(_edge_margin(scene, targets, q))
     return out
 

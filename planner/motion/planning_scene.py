@@ -20,13 +20,14 @@ import numpy as np
 
 from planner.catalogue.robots import ArmForm, OpwParameters, ParallelParameters, RobotData
 from planner.cell import clearance
+from planner.cell.bodies import NOT_EASED
 from planner.cell.clearance import Against, LeastClearance, Pairs
 from planner.cell.clearance import edge as edge_clearance
 from planner.cell.kinematics import forward, jacobian
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, interpolate, inverse, transform
 from planner.geometry.arrays import inverse as rigid_inverse
-from planner.motion import spherical_wrist, three_parallel
+from planner.motion import own_clearance, spherical_wrist, three_parallel
 from planner.problem import Arm, Cell, Settings
 from planner.targets import Targets
 from planner.tooling import FormingTool, working_solid
@@ -223,7 +224,9 @@ DISTANCE_BATCH = 64
 class Scene:
     """Arms of one operation with the stock at ``stock`` (4, 4) in the world.
 
-    ``model`` is the cell's collision model, or None for kinematics alone.
+    ``model`` is the cell's collision model, or None for kinematics alone. Of :meth:`of` it is one in which
+    bodies of one arm count as farther apart than they are, so that ``settings.clearance`` can be asked of all
+    (:mod:`planner.motion.own_clearance`).
     """
 
     chains: Mapping[str, Chain]
@@ -243,7 +246,7 @@ class Scene:
         """The scene of the named arms of a cell; ``bases`` replaces base poses."""
         moved = bases or {}
         chains = {name: Chain.of(cell.arm(name), moved.get(name)) for name in arms}
-        return Scene(chains, stock, settings, model)
+        return Scene(chains, stock, settings, None if model is None else own_clearance.eased(model, settings))
 
     def world(self, targets: Targets, poses: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """TCP poses in the world of poses {arm: (..., 4, 4)} in the work frames of the targets."""
@@ -336,8 +339,8 @@ class Scene:
     def least(
         self, targets: Targets, q: Mapping[str, FloatArray], move: IndexArray, reach: float
     ) -> LeastClearance:
-        """Least distances (B,) between bodies at joints {arm: (B, 6)} on the moves to targets ``move`` (B,),
-        of those within ``reach`` [m]; without the flexible edge."""
+        """Least distances (B,) between bodies, as they count, at joints {arm: (B, 6)} on the moves to targets
+        ``move`` (B,), of those within ``reach`` [m]; without the flexible edge."""
         distance, pair = np.full(len(move), reach), [("", "")] * len(move)
         if self.model is None:
             return LeastClearance(distance, tuple(pair))
@@ -350,23 +353,26 @@ class Scene:
         return LeastClearance(distance, tuple(pair))
 
     def nearest(
-        self, targets: Targets, q: Mapping[str, FloatArray], reach: float
+        self, targets: Targets, q: Mapping[str, FloatArray], reach: float, own: bool = False
     ) -> tuple[float, tuple[str, str], int]:
-        """The least distance [m] between bodies over all targets, if within ``reach`` [m], its pair and its
-        target; exact, though only targets are looked at whose cheap lower bounds leave room for less."""
+        """The least true distance [m] over all targets between bodies of one arm (``own``) or all others, if
+        within ``reach`` [m], its pair and its target; exact, though only targets are looked at whose cheap
+        lower bounds leave room for less."""
         best, pair, where = reach, ("", ""), 0
         if self.model is None:
             return best, pair, where
-        for ignore, rows in self.by_kind(targets, np.arange(targets.count)):
-            part = {arm: v[rows] for arm, v in q.items()}
-            lower = clearance.at_least(self.model, part, reach, ignore)
+        model = self.model.with_easing(NOT_EASED)
+        aside = own_clearance.other_pairs(model) if own else own_clearance.own_pairs(model)
+        for passing, rows in self.by_kind(targets, np.arange(targets.count)):
+            part, ignore = {arm: v[rows] for arm, v in q.items()}, passing | aside
+            lower = clearance.at_least(model, part, reach, ignore)
             order = np.argsort(lower, kind="stable")
             for start in range(0, len(order), DISTANCE_BATCH):
                 some = order[start : start + DISTANCE_BATCH]
                 some = some[lower[some] < best]
                 if not len(some):
                     break
-                found = clearance.least(self.model, {arm: v[some] for arm, v in part.items()}, best, ignore)
+                found = clearance.least(model, {arm: v[some] for arm, v in part.items()}, best, ignore)
                 k = found.worst()
                 if found.distance[k] < best:
                     best, pair, where = float(found.distance[k]), found.pair[k], int(rows[some[k]])

@@ -18,7 +18,7 @@ from planner.cell.bodies import own_shapes
 from planner.geometry.arrays import FloatArray, Shape, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Remedy, TandemError
-from planner.motion import stations, ways
+from planner.motion import own_clearance, stations, ways
 from planner.motion.placement import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
@@ -134,8 +134,12 @@ def applied(problem: Problem, remedy: Remedy) -> Problem:
         place = stock.place.copy()
         place[:3, 3] += shift
         return dataclasses.replace(problem, stock=dataclasses.replace(stock, place=place))
-    if remedy.clearance_mm is not None:
-        settings = dataclasses.replace(problem.settings, clearance=MM * remedy.clearance_mm)
+    if remedy.what == "clearance":
+        settings = problem.settings
+        if remedy.clearance_mm is not None:
+            settings = dataclasses.replace(settings, clearance=MM * remedy.clearance_mm)
+        if remedy.own_clearance_mm is not None:
+            settings = dataclasses.replace(settings, own_clearance=MM * remedy.own_clearance_mm)
         return dataclasses.replace(problem, settings=settings)
     if remedy.what == "obstacle":
         moved = (_moved(o, shift) if o.name == remedy.name else o for o in cell.obstacles)
@@ -152,8 +156,13 @@ def applied(problem: Problem, remedy: Remedy) -> Problem:
 
 
 def _sentence(remedy: Remedy) -> str:
-    if remedy.clearance_mm is not None:
-        return f"take clearance_mm: {remedy.clearance_mm:g}, the widest that works of those tried"
+    if remedy.what == "clearance":
+        stated = (
+            (own_clearance.FIELD, remedy.clearance_mm),
+            (own_clearance.OWN_FIELD, remedy.own_clearance_mm),
+        )
+        fields = " and ".join(f"{name}: {value:g}" for name, value in stated if value is not None)
+        return f"take {fields}, the widest that works of those tried"
     if remedy.home_deg is not None:
         return f"take home_deg [{', '.join(f'{a:.4g}' for a in remedy.home_deg)}] for arm {remedy.name}"
     move = remedy.move_mm or (0.0, 0.0, 0.0)
@@ -270,9 +279,14 @@ class _Trial:
         """The widest clearance with which the whole job is planned: what the best posture leaves where paths
         end, or a step less, or where that is too much elsewhere, halved between until work runs out.
 
-        Not where curves of spline blocks need room besides, which the clearance here has in it.
+        The one of the two settings that holds for the bodies in the way. Not where curves of spline blocks
+        need room besides, which the clearance here has in it.
         """
-        best, wanted = issue.value or 0.0, self._problem.settings.clearance / MM
+        own = len(issue.bodies) == 2 and own_clearance.is_own(*issue.bodies)
+        settings = self._problem.settings
+        wanted = (settings.of_one_arm if own else settings.clearance) / MM
+        # the best posture may be near to other bodies than those that are in the way most often
+        best = wanted - ((issue.limit or 0.0) - (issue.value or 0.0))
         if not 0.0 < best < wanted or self._problem.cell.controller.path == "spline":
             return None
         low, high, found = 0, int(best / CLEARANCE_STEP_MM) + 1, None
@@ -280,13 +294,23 @@ class _Trial:
             value = high - 1 if number < 2 else (low + high) // 2
             if not low < value < high:
                 break
-            remedy = Remedy("clearance", "clearance_mm", clearance_mm=value * CLEARANCE_STEP_MM)
+            remedy = self._of_clearance(own, value * CLEARANCE_STEP_MM)
             changed = applied(self._problem, remedy)
             if self._opens(changed, remedy) and self._plans(changed):
                 low, found = value, remedy
             else:
                 high = value
         return found
+
+    def _of_clearance(self, own: bool, value: float) -> Remedy:
+        """One clearance [mm] changed, the other with it where it is stated and would be wider than all."""
+        if own:
+            return Remedy("clearance", own_clearance.OWN_FIELD, own_clearance_mm=value)
+        stated = self._problem.settings.own_clearance
+        wide = stated is not None and stated / MM > value
+        return Remedy(
+            "clearance", own_clearance.FIELD, clearance_mm=value, own_clearance_mm=value if wide else None
+        )
 
     @property
     def _stock_moves(self) -> bool:

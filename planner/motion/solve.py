@@ -51,8 +51,7 @@ def with_room(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tu
     way, turn = sag.room(problem)
     if way > 0.0 or turn > 0.0:
         settings = dataclasses.replace(
-            own,
-            clearance=own.clearance + way,
+            own.wider(way),
             joint_margin=own.joint_margin + turn,
             singularity_margin=own.singularity_margin + turn,
         )
@@ -61,8 +60,7 @@ def with_room(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tu
         return problem, tuple(targets)
     own = problem.settings
     settings = dataclasses.replace(
-        own,
-        clearance=own.clearance + SPLINE_CLEARANCE_M,
+        own.wider(SPLINE_CLEARANCE_M),
         joint_margin=own.joint_margin + SPLINE_MARGIN_RAD,
         singularity_margin=own.singularity_margin + SPLINE_MARGIN_RAD,
         tcp_speed=own.tcp_speed / SPLINE_SLOWING_FACTOR,

@@ -18,7 +18,7 @@ from planner.cell.axis_way import AxisWay
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.motion import diagnosis
+from planner.motion import diagnosis, own_clearance
 from planner.motion.placement import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
@@ -82,7 +82,9 @@ class _Track:
         return np.tile(_place(setup), (len(grid), 1, 1, 1)), bases
 
     def way(self, setup: Setup, ends: tuple[float, float], enough: float) -> AxisWay:
-        return axis_way.along(_model(setup), self.name, self.track.axis, ends, _homes(setup), enough)
+        model = _model(setup)
+        within = own_clearance.own_pairs(model)  # a way of the base changes nothing within an arm
+        return axis_way.along(model, self.name, self.track.axis, ends, _homes(setup), enough, within)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,6 +21,7 @@ from planner.cell.clearance import Pairs
 from planner.geometry.arrays import BoolArray, FloatArray, log_rotation
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
+from planner.motion import own_clearance
 from planner.motion.planning_scene import Scene
 from planner.motion.rrt import (
     MOST_MOVES,
@@ -243,16 +244,17 @@ def require_home(scene: Scene, targets: Targets) -> None:
     if clearance.free(scene.model, q, scene.settings.clearance).all():
         return
     found = clearance.least(scene.model, q, 0.2)
-    pair, distance = found.pair[0], float(found.distance[0]) / MM
+    pair = found.pair[0]
+    apart, wanted, _ = own_clearance.told(scene.settings, float(found.distance[0]), pair)
+    distance = apart / MM
     said = f"{distance:.1f} mm apart" if distance > 0.0 else f"{-distance:.1f} mm inside of one another"
     raise TandemError(
         Issue(
             "motion.home",
-            f"at home {pair[0]} and {pair[1]} are {said}, allowed is "
-            f"{scene.settings.clearance / MM:.1f} mm apart at least",
+            f"at home {pair[0]} and {pair[1]} are {said}, allowed is {wanted / MM:.1f} mm apart at least",
             bodies=pair,
             value=distance,
-            limit=scene.settings.clearance / MM,
+            limit=wanted / MM,
             unit="mm",
             hint="choose another home posture (home_deg), such as with axis 2 drawn back or axis 1 turned "
             "away, or move what is in the way",
@@ -524,18 +526,19 @@ def _blocked(scene: Scene, targets: Targets, stuck: _Stuck, row: int) -> Issue:
     ends = [k for k in (0, 1) if found.distance[k] < scene.settings.clearance]
     worst = ends[0] if ends else found.worst()
     place = "at home" if worst == 0 else f"at {name}" if worst == 1 else f"between home and {name}"
-    distance = float(found.distance[worst]) / MM
+    apart, wanted, _ = own_clearance.told(scene.settings, float(found.distance[worst]), found.pair[worst])
+    distance = apart / MM
     return Issue(
         "motion.entry",
         f"arm {arm} has no free way from home to {name}: "
         f"{found.pair[worst][0]} and {found.pair[worst][1]} are {distance:.1f} mm apart {place}, "
-        f"allowed is {scene.settings.clearance / MM:.1f} mm at least",
+        f"allowed is {wanted / MM:.1f} mm at least",
         arm=arm,
         index=row,
         target=name,
         bodies=found.pair[worst],
         value=distance,
-        limit=scene.settings.clearance / MM,
+        limit=wanted / MM,
         unit="mm",
         hint="choose other home postures (home_deg), such as with axis 1 turned away, or clear the way",
     )

@@ -100,9 +100,13 @@ OperationModels = Mapping[str, type[BaseModel] | Issue]
 
 
 class SettingsFile(Strict):
-    """Limits that planning and proof share."""
+    """Limits that planning and proof share. ``clearance_mm`` holds between all bodies: arms, tools, block,
+    obstacles, wires. ``own_clearance_mm`` takes its place between base, links and tool of one arm, and is at
+    most as much; not for its wire, cutter or forming head, nor for a block that it holds. Unless stated it is
+    5, or ``clearance_mm`` where that is less."""
 
     clearance_mm: Annotated[float, Field(ge=0, le=500)] = Settings.clearance / MM
+    own_clearance_mm: Annotated[float, Field(ge=0, le=500)] | None = None
     speed_fraction: Annotated[float, Field(ge=0.01, le=1)] = Settings.speed_fraction
     acceleration_fraction: Annotated[float, Field(ge=0.01, le=1)] = Settings.acceleration_fraction
     joint_margin_deg: Annotated[float, Field(ge=0, le=45)] = Settings.joint_margin / DEG
@@ -110,10 +114,20 @@ class SettingsFile(Strict):
     tcp_speed_mm_s: Annotated[float, Field(ge=1, le=5000)] = Settings.tcp_speed / MM
     seed: Annotated[int, Field(ge=0, lt=2**31)] = Settings.seed
 
+    @model_validator(mode="after")
+    def _own_is_less(self) -> SettingsFile:
+        if self.own_clearance_mm is not None and self.own_clearance_mm > self.clearance_mm:
+            raise ValueError(
+                f"own_clearance_mm is {self.own_clearance_mm:g}, allowed is at most clearance_mm, here "
+                f"{self.clearance_mm:g}: lower it, or widen clearance_mm, which holds for all bodies"
+            )
+        return self
+
     def build(self) -> Settings:
         """The settings in SI units."""
         return Settings(
             clearance=self.clearance_mm * MM,
+            own_clearance=None if self.own_clearance_mm is None else self.own_clearance_mm * MM,
             speed_fraction=self.speed_fraction,
             acceleration_fraction=self.acceleration_fraction,
             joint_margin=self.joint_margin_deg * DEG,

@@ -1,12 +1,12 @@
-"""Charts of a motion on one clock: feed, clearance, margins, joint angles and speeds, and limits.
+"""Charts of a motion on one clock: feed, clearances, margins, joint angles and speeds, and limits.
 
 Drawn from the proof's replay or, without one, from the plan. Names that are read from
 ``Proof.series``, all optional: ``time`` (T,) [s] and ``label`` (T,) of segments; per arm
 ``joints/<arm>``, ``speed/<arm>``, ``acceleration/<arm>`` (T, 6) [rad, rad/s, rad/s^2];
-``clearance/time``, ``clearance/distance`` [m] and ``clearance/pair`` (K,); per wire n
-``wire/<n>/time``, ``label``, ``feed`` [m/s], ``clearance`` [m], ``curvature`` [1/m] and
-``stability`` [-], each (W,); per gap n of two tools ``gap/<n>/time``, ``got``, ``low``, ``high``
-[m], each (G,).
+``clearance/time``, ``clearance/distance`` [m] and ``clearance/pair`` (K,), the same of
+``own_clearance``; per wire n ``wire/<n>/time``, ``label``, ``feed`` [m/s], ``clearance`` [m],
+``curvature`` [1/m] and ``stability`` [-], each (W,); per gap n of two tools ``gap/<n>/time``,
+``got``, ``low``, ``high`` [m], each (G,).
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class ArmMotion:
 
 @dataclasses.dataclass(frozen=True)
 class Clearance:
-    """Least distance (T,) [m] of anything to anything, and between what."""
+    """Least distance (T,) [m] of bodies that one clearance holds for, and between what."""
 
     time: FloatArray
     distance: FloatArray
@@ -113,6 +113,7 @@ class Motion:
     source: str
     work: tuple[tuple[float, float], ...] = ()
     gap: Gap | None = None
+    own_clearance: Clearance | None = None
 
     def wrist(self, arm: str) -> float:
         """Least wrist angle [rad] of an arm in the segments of the targets."""
@@ -134,7 +135,8 @@ def motion_series(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
         source = "replayed from the programs' text, from home to home"
         named = {segment.key for op in plan.operations for segment in op.targets.segment}
         work = tuple((band.start, band.end) for band in bands if band.name in named)
-        return Motion(arms, _clearance(series), feed, _wires(plan, series), bands, source, work, _gap(series))
+        near, own = (_clearance(series, name) for name in ("clearance", "own_clearance"))
+        return Motion(arms, near, feed, _wires(plan, series), bands, source, work, _gap(series), own)
     rows = [_bands(op.targets.segment, op.time + t) for op, t in zip(plan.operations, starts, strict=True)]
     bands = tuple(band for row in rows for band in row)
     shown = _planned(problem, plan, starts)
@@ -207,11 +209,11 @@ def _planned(problem: Problem, plan: Plan, starts: list[float]) -> dict[str, Arm
     return out
 
 
-def _clearance(series: Mapping[str, Any]) -> Clearance | None:
-    time, distance = series.get("clearance/time"), series.get("clearance/distance")
+def _clearance(series: Mapping[str, Any], name: str) -> Clearance | None:
+    time, distance = series.get(f"{name}/time"), series.get(f"{name}/distance")
     if time is None or distance is None or not np.isfinite(distance).any():
         return None
-    pair = series.get("clearance/pair", [""] * len(time))
+    pair = series.get(f"{name}/pair", [""] * len(time))
     names = tuple(str(p).replace(" - ", " – ") for p in pair)
     return Clearance(np.asarray(time, dtype=np.float64), np.asarray(distance, dtype=np.float64), names)
 
@@ -325,10 +327,28 @@ def clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
         levels=[Level(settings.clearance / MM, "asked for")],
         y_range=(0.0, min(top * 1.1, 150.0) + 1.0),
     )
+    return Figure("Clearance of everything to everything", body, _least_of(data))
+
+
+def own_clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
+    """Least distance of links and tool of one arm over time [mm], with the asked one."""
+    top = min(float(np.nanmax(data.distance)) / MM * 1.1, 150.0) + 1.0
+    body = chart(
+        [Line("links and tool", data.time, data.distance / MM, 2)],
+        x_label="s",
+        y_label="mm",
+        bands=motion.bands,
+        levels=[Level(settings.of_one_arm / MM, "asked for")],
+        y_range=(0.0, top),
+    )
+    return Figure("Clearance of each arm to itself", body, _least_of(data))
+
+
+def _least_of(data: Clearance) -> str:
+    """The least distance, when it is, and between what."""
     worst = int(np.nanargmin(data.distance))
     at = f"{markup.fixed(data.distance[worst] / MM, 1)} mm at {markup.fixed(data.time[worst], 1)} s"
-    note = f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
-    return Figure("Clearance of everything to everything", body, note)
+    return f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
 
 
 def gap(data: Gap, motion: Motion) -> Figure:

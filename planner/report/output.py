@@ -125,6 +125,8 @@ def _motion(problem: Problem, motion: Motion, proof: Proof | None) -> list[Secti
     figures = [motion_charts.feed(motion)] if len(motion.feed.time) > 1 else []
     if motion.clearance is not None:
         figures.append(motion_charts.clearance(motion.clearance, motion, settings))
+    if motion.own_clearance is not None:
+        figures.append(motion_charts.own_clearance(motion.own_clearance, motion, settings))
     if motion.gap is not None:
         figures.append(motion_charts.gap(motion.gap, motion))
     figures += motion_charts.margins(motion, settings, proof) if motion.arms else []

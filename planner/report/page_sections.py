@@ -7,7 +7,7 @@ The search for a place of the stock is read from ``metrics["placement"]``: ``pos
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -29,7 +29,14 @@ from planner.verify.result import CutFace, Proof, RuleResult
 
 _CLEARANCE_RULES: Final = ("verify.clearance", "verify.wire_clearance")
 """Rules that say whether the least clearance is enough."""
-_IN_TILES: Final = frozenset({"clearance_mm", "clearance_index", "edge_clearance_mm", "peak_speed_share"})
+_OWN_RULES: Final = ("verify.own_clearance",)
+"""The rule that says so of arms to themselves."""
+_IN_TILES: Final = frozenset(
+    {
+        *("clearance_mm", "clearance_index", "own_clearance_mm", "own_clearance_index"),
+        *("edge_clearance_mm", "peak_speed_share"),
+    }
+)
 """Figures of the plan's targets alone: of the whole motion they are in tiles."""
 CELL: Final = "the cell"
 """What the picture of a cell is called."""
@@ -90,9 +97,12 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
     proven = motion_charts.worst_by_rule(proof)
     if motion.clearance is not None:
         least = proven.get("verify.clearance", float(np.nanmin(motion.clearance.distance)) / MM)
-        out.append(
-            markup.Tile("least clearance", f"{least:.1f}", "mm", _too_close(problem, proof, least * MM))
-        )
+        close = _too_close(proof, _CLEARANCE_RULES, least * MM < problem.settings.clearance)
+        out.append(markup.Tile("least clearance", f"{least:.1f}", "mm", close))
+    if motion.own_clearance is not None:
+        least = proven.get("verify.own_clearance", float(np.nanmin(motion.own_clearance.distance)) / MM)
+        close = _too_close(proof, _OWN_RULES, least * MM < problem.settings.of_one_arm)
+        out.append(markup.Tile("of an arm to itself", f"{least:.1f}", "mm", close))
     if motion.arms:
         margin = min(float(a.limit_margin.min()) for a in motion.arms.values()) / DEG
         margin = proven.get("verify.joint_limits", margin)
@@ -139,10 +149,11 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
     return tuple(out)
 
 
-def _too_close(problem: Problem, proof: Proof | None, least: float) -> bool:
-    """Whether the proof says so; it allows a little between targets."""
-    rules = [r for r in (proof.rules if proof is not None else ()) if r.code in _CLEARANCE_RULES]
-    return any(not r.passed for r in rules) if rules else least < problem.settings.clearance
+def _too_close(proof: Proof | None, codes: Collection[str], less: bool) -> bool:
+    """Whether the proof says so, which allows a little between targets; ``less``: whether it is less than
+    wanted."""
+    rules = [r for r in (proof.rules if proof is not None else ()) if r.code in codes]
+    return any(not r.passed for r in rules) if rules else less
 
 
 def duration(seconds: float) -> tuple[str, str]:

@@ -29,7 +29,7 @@ from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.replay.motion import Motion
 from planner.verify.replay.moves import chosen, flange_at
 from planner.verify.replay.playback import LONGEST_MOTION
-from planner.verify.rules.clearance import MEASURED_REACH, accepted
+from planner.verify.rules.clearance import MEASURED_REACH, accepted, aside, wanted_of
 from planner.verify.rules.robot_motion import JOINT_JUMP, TCP_SLACK
 
 UNREAD = "verify.unread"
@@ -308,26 +308,34 @@ def _bad(
         return out
     rows = np.unique(np.clip(np.searchsorted(way, np.linspace(0.0, way[-1], looks + 1)), 0, len(q) - 1))
     try:
-        rows, apart = _clearance(problem, context, prover, arm, rows, q)
+        found = [_clearance(problem, context, prover, arm, rows, q, itself) for itself in (False, True)]
     except TandemError as error:  # too many looks are in doubt
         mark(np.ones(len(q), dtype=bool), error.issues[0].message)
         return out
     wrong = np.zeros(len(q), dtype=bool)
-    wrong[rows[~(apart >= accepted(settings.clearance))]] = True
+    for itself, (some, apart) in zip((False, True), found, strict=True):
+        wrong[some[~(apart >= accepted(wanted_of(settings, itself)))]] = True
     mark(wrong, "bodies of the cell come too near to each other")
     return out
 
 
 def _clearance(
-    problem: Problem, context: Context, prover: Prover, arm: str, rows: IntArray, q: FloatArray
+    problem: Problem,
+    context: Context,
+    prover: Prover,
+    arm: str,
+    rows: IntArray,
+    q: FloatArray,
+    itself: bool,
 ) -> tuple[IntArray, FloatArray]:
-    """The least distance [m] of bodies at samples, of those of ``rows`` that were looked at."""
+    """The least distance [m] of bodies at samples, of those of ``rows`` that were looked at; ``itself``: of
+    those of one arm, else of all others."""
     joints = {other.name: np.tile(other.home, (len(rows), 1)) for other in problem.cell.arms}
     joints[arm] = q[rows]
-    limit = accepted(problem.settings.clearance)
-    reach_ = max(MEASURED_REACH, 1.5 * problem.settings.clearance)
+    wanted = wanted_of(problem.settings, itself)
+    limit, reach_ = accepted(wanted), max(MEASURED_REACH, 1.5 * wanted)
     model = prover.model(context)
     cut = {f"{arm}/edge", "stock"}  # what the tool's edge does to the block is the process's own
     ignore = frozenset({frozenset(cut)}) if cut <= {solid.body for solid in model.solids} else frozenset()
-    found = least_distances(model, joints, limit, reach_, ignore)
+    found = least_distances(model, joints, limit, reach_, ignore | aside(model, itself))
     return rows[found.look], np.asarray(found.least.distance)

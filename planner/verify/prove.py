@@ -162,11 +162,12 @@ OTHER_RULES: tuple[Rule[..., Any], ...] = (
     cut_part.part,
     robot_motion.kinematics,
     clearance.bodies,
+    clearance.own_bodies,
     clearance.step_apart,
     external_axes.track_way,
     clearance.wire_bodies,
 )
-"""Rules about any motion that ask the most time; another process may look at the last five of them."""
+"""Rules about any motion that ask the most time; another process may look at the last six of them."""
 FORMING_RULES: tuple[Rule[[Context, Forming], Outcome], ...] = (
     forming_part.forming_part,
     forming_claims.forming_claims,
@@ -351,6 +352,7 @@ class Prover:
         models = functools.cache(functools.partial(self.model, context))
         yield robot_motion.kinematics(context, models)
         yield clearance.bodies(context, models, begun)
+        yield clearance.own_bodies(context, models, begun)
         yield clearance.step_apart(context, models)
         yield external_axes.track_way(context, models)
 
@@ -362,7 +364,7 @@ class Prover:
     ) -> Iterator[Measured | None]:
         """What is measured at looks at clearance, with blocks and bases there."""
         models = functools.cache(functools.partial(self._model, places, based))
-        yield from clearance.measured(models, looks, self.problem.settings.clearance)
+        yield from clearance.measured(models, looks, self.problem.settings)
 
     def _of_wires(self, context: Context, wires: tuple[Wire, ...]) -> Iterator[Any]:
         """What rules on wires find that ask the most time."""
@@ -423,6 +425,9 @@ class Prover:
         outcome, run.looks, run.clearance = next(of_bodies)
         run.add("verify.clearance", outcome)
         yield
+        outcome, run.own_looks, run.own_clearance = next(of_bodies)
+        run.add("verify.own_clearance", outcome)
+        yield
         run.add("verify.step_apart", next(of_bodies))
         yield
         run.add("verify.track_way", next(of_bodies))
@@ -446,6 +451,8 @@ class _Run:
         self.part = ""
         self.looks: Any = np.zeros(0, dtype=np.int64)
         self.clearance: Any = None
+        self.own_looks: Any = np.zeros(0, dtype=np.int64)
+        self.own_clearance: Any = None
         self.wire_clearance: list[Any] = []
 
     @property
@@ -478,9 +485,11 @@ class _Run:
         )
         series: dict[str, Any] = {}
         if self.context.playable and "verify.reach" in self.results:
-            series = result.series(
-                self.context, self.wires, self.forming, self.looks, self.clearance, self.wire_clearance
-            )
+            distances = {
+                "clearance": (self.looks, self.clearance),
+                "own_clearance": (self.own_looks, self.own_clearance),
+            }
+            series = result.series(self.context, self.wires, self.forming, distances, self.wire_clearance)
         return Proof(
             self.context.problem.digest, rules, aggregate(self.issues), series, self.faces, self.part
         )

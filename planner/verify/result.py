@@ -120,16 +120,16 @@ def series(
     context: Context,
     wires: tuple[Wire, ...],
     forming: Forming | None,
-    looks: IntArray,
-    clearance: LeastClearance | None,
+    distances: Mapping[str, tuple[IntArray, LeastClearance | None]],
     wire_clearance: list[FloatArray],
 ) -> dict[str, Any]:
     """Names and units as they are: SI, per arm ``joints/<arm>`` (S, 6), ``speed/<arm>``,
     ``acceleration/<arm>``, ``tcp_speed/<arm>``, ``singular/<arm>`` (S,) [rad] off singular postures.
 
     The motion is thinned to a few thousand samples, extremes of speeds and accelerations kept within each.
-    ``clearance/...`` over the looks of the clearance rule, ``wire/<n>/...`` over the stations of each wire;
-    straight ones have no stability, curvature and clearance of their own. ``gap/<n>/...`` over what two tools
+    ``clearance/...`` over the looks of the clearance rule, ``own_clearance/...`` over those of the rule on
+    arms and themselves, as ``distances`` has both; ``wire/<n>/...`` over the stations of each wire; straight
+    ones have no stability, curvature and clearance of their own. ``gap/<n>/...`` over what two tools
     form: what they leave between them and what is wanted.
     """
     motion = context.motion
@@ -156,10 +156,11 @@ def series(
         out[f"singular/{arm}"] = np.minimum.reduceat(near, rows)
     out["targets/time"] = motion.time[motion.node_sample]
     out["targets/label"] = motion.node_label
-    if clearance is not None:
-        out["clearance/time"] = motion.time[looks]
-        out["clearance/distance"] = clearance.distance
-        out["clearance/pair"] = np.array([" - ".join(pair) for pair in clearance.pair])
+    for name, (looks, found) in distances.items():
+        if found is not None:
+            out[f"{name}/time"] = motion.time[looks]
+            out[f"{name}/distance"] = found.distance
+            out[f"{name}/pair"] = np.array([" - ".join(pair) for pair in found.pair])
     for n, wire in enumerate(wires, 1):
         if wire.fault:
             continue
@@ -202,6 +203,7 @@ def _peaks(values: FloatArray, rows: IntArray) -> FloatArray:
 
 SHOWN_RESULTS: dict[str, str] = {
     "verify.clearance": "clearance",
+    "verify.own_clearance": "own clearance",
     "verify.joint_limits": "joint limits",
     "verify.joint_speed": "joint speed",
     "verify.singularity": "singularity",

@@ -27,8 +27,12 @@ SHOWN: dict[str, tuple[tuple[str, str], ...]] = {
     "01_first_job": (
         ("plan", r"<Outcome of gauge_lanes: verified, (\d+) of \1 rules, \d+\.\d s>"),
         ("show", r'<iframe srcdoc="&lt;!DOCTYPE'),
-        ("margins", r"clearance +\d+\.?\d*  limit 4\.5 mm .*\nsingularity +\d+\.\d+  limit 5 deg"),
-        ("wider", r"error \[motion\.collision\] .*robot/link_4 with robot/tool.* allowed is 30\.0 mm"),
+        (
+            "margins",
+            r"^clearance +\d+\.?\d*  limit 9 mm .*\nown_clearance +\d+\.?\d*  limit 4\.5 mm .*\n"
+            r"singularity +\d+\.\d+  limit 5 deg",
+        ),
+        ("wider", r"error \[motion\.collision\] .*robot/tool with stock.* allowed is 60\.0 mm"),
         ("save", r"\.mod \d+ lines\n(.*\n)*\['motion\.json', .*'programs', .*'replay\.html', 'report\.html'"),
         ("motion", r"^0\.00 s, .*/1: TCP at \[.*'joint_6': -?\d"),
     ),

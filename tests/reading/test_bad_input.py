@@ -148,6 +148,8 @@ WRONG = [
     ("cell.controller.max_moves", 1.5, "problem.field"),
     ("settings.clearance_mm", -1, "problem.field"),
     ("settings.clearance_mm", "10", "problem.field"),
+    ("settings.own_clearance_mm", -1, "problem.field"),
+    ("settings.own_clearance_mm", 10.5, "problem.field"),
     ("settings.speed_fraction", 1e-9, "problem.field"),
     ("settings.speed_fraction", 90, "problem.field"),
     ("settings.seed", 10**30, "problem.field"),

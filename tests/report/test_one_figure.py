@@ -18,6 +18,7 @@ from tests import small_problem
 TAGS = re.compile(r"<(script|style|svg)\b.*?</\1>|<[^>]+>", re.DOTALL)
 TILES = {
     "clearance_mm": ("least clearance", "verify.clearance", "clearance", "mm"),
+    "own_clearance_mm": ("of an arm to itself", "verify.own_clearance", "own clearance", "mm"),
     "joint_limits_deg": ("to a joint limit", "verify.joint_limits", "joint limits", "deg margin"),
     "singularity_deg": ("from a singular posture", "verify.singularity", "singularity", "deg"),
     "joint_speed_percent": ("highest joint speed", "verify.joint_speed", "joint speed", "% of the limit"),
@@ -75,6 +76,7 @@ def test_charts_tell_the_least_that_tiles_tell(report: str) -> None:
             r"([\d.]+) ° from a singular posture",
         ),
         (r"Clearance of everything to everything least: ([\d.]+) mm", r"([\d.]+) mm least clearance"),
+        (r"Clearance of each arm to itself least: ([\d.]+) mm", r"([\d.]+) mm of an arm to itself"),
     ):
         assert shown(chart, report) == shown(tile, report)
 

@@ -208,6 +208,22 @@ def entry_through_block(rng, texts):
     return put(texts, task, rows, "Data")
 
 
+@mutator("verify.own_clearance")
+def tool_against_its_forearm(rng, texts):
+    """A waypoint of the entry at which a bent wrist brings the tool within 3 mm of the arm's own forearm, or
+    into it."""
+    return bent(texts, one(rng), rng.uniform(106.5, 113.0))
+
+
+def bent(texts: Texts, task: int, degrees: float) -> Texts:
+    """The first waypoint of a task's entry with axis 5 at an angle."""
+    rows, i = _data_row(texts, task, "j_1_entry_1")
+    values = [float(v) for v in re.search(r"\[\[([^\]]*)\]", rows[i]).group(1).split(",")]
+    values[4] = degrees
+    rows[i] = re.sub(r"\[\[[^\]]*\]", "[[" + ",".join(f"{v:.6f}" for v in values) + "]", rows[i], count=1)
+    return put(texts, task, rows, "Data")
+
+
 # ---- process ----------------------------------------
 
 

@@ -54,19 +54,21 @@ class Measured:
     rest: float
 
 
-def clearance_rows(context: Context, index: int) -> IntArray:
+def clearance_rows(context: Context, index: int, itself: bool = False) -> IntArray:
     """Samples of setup ``index`` at which clearance is looked at: no point of an arm, its tool or what it
-    holds moves farther than ``SAMPLE_STRIDE`` between them."""
+    holds moves farther than ``SAMPLE_STRIDE`` between them, of all arms together. ``itself``: at which that
+    of each arm to itself is, where the others' ways do not count."""
     rows = np.flatnonzero(context.sample_setup == index)
     if not len(rows):
         return rows
-    way = np.zeros(len(rows))
+    wanted, way = context.problem.settings.clearance, np.zeros(len(rows))
     for task in context.job.tasks:
-        way[1:] += travel(context, index, task.arm.name, rows)
+        gone = travel(context, index, task.arm.name, rows)
+        way[1:] = np.maximum(way[1:], gone) if itself else way[1:] + gone
+    if itself:
+        wanted = context.problem.settings.of_one_arm
     along = np.cumsum(way)
-    count = max(
-        int(np.ceil(along[-1] / min(SAMPLE_STRIDE, max(context.problem.settings.clearance, LEAST_STRIDE)))), 1
-    )
+    count = max(int(np.ceil(along[-1] / min(SAMPLE_STRIDE, max(wanted, LEAST_STRIDE)))), 1)
     marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
     return rows[np.unique(np.clip(marks, 0, len(along) - 1))]
 

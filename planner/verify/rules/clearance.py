@@ -1,6 +1,7 @@
-"""Rules on clearance: bodies against bodies, the wire against everything, arms between meetings.
+"""Rules on clearance: bodies against bodies, each arm against itself, the wire against everything, arms
+between meetings.
 
-verify.clearance, wire_clearance. verify.step_apart: arms at any two instants of one interval
+verify.clearance, own_clearance, wire_clearance. verify.step_apart: arms at any two instants of one interval
 between meetings by signals, and the distance of their tools. The model check proves no more than
 that both are in the same interval, or one of them at its end. So of each interval every pair of
 instants counts, one for each arm.
@@ -20,6 +21,7 @@ from planner.cell.plant import CellModel
 from planner.claims.forming import ToolGap
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths
 from planner.issues import Issue, TandemError
+from planner.problem import Settings
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.replay.clearance_samples import (
     DISTANCE_PRECISION,
@@ -52,12 +54,14 @@ def accepted(wanted: float) -> float:
 @dataclasses.dataclass(frozen=True)
 class Looks:
     """Samples ``rows`` (K,) of setup ``index`` at which bodies are looked at, but for pairs in ``ignore``,
-    with the joints ``q`` {arm: (K, 6)} there."""
+    with the joints ``q`` {arm: (K, 6)} there. ``itself``: links and tool of each arm against each other, else
+    all other pairs."""
 
     index: int
     rows: IntArray
     ignore: Pairs
     q: Mapping[str, FloatArray]
+    itself: bool = False
 
 
 Begun = tuple[Sequence[Looks], Iterator[Measured | None]]
@@ -65,24 +69,50 @@ Begun = tuple[Sequence[Looks], Iterator[Measured | None]]
 
 
 def looks(context: Context) -> tuple[Looks, ...]:
-    """Where the bodies of all setups are looked at."""
+    """Where the bodies of all setups are looked at: first against others, then each arm against itself."""
+    setups = range(len(context.setups))
+    others = [(k, *some, False) for k in setups for some in _groups(context, k, clearance_rows(context, k))]
+    own = [(k, clearance_rows(context, k, itself=True), frozenset[frozenset[str]](), True) for k in setups]
+    joints = context.motion.links.items()
     return tuple(
-        Looks(index, chosen, ignore, {arm: q[chosen] for arm, q in context.motion.links.items()})
-        for index in range(len(context.setups))
-        for chosen, ignore in _groups(context, index, clearance_rows(context, index))
+        Looks(index, rows, ignore, {arm: q[rows] for arm, q in joints}, itself)
+        for index, rows, ignore, itself in (*others, *own)
+        if len(rows)
     )
 
 
-def measured(models: Models, some: Sequence[Looks], wanted: float) -> Iterator[Measured | None]:
-    """What is measured at each of the looks where a clearance is ``wanted`` [m]; None where the cell's model
-    lacks a body that is to be ignored."""
+def of_one_arm(model: CellModel) -> Pairs:
+    """Pairs of bodies between which the clearance of an arm to itself holds: its base, its six links and the
+    tool on its flange. Not what works at the tool (wire, cutter, head), nor a block that it holds."""
+    there = {solid.body for solid in model.solids}
+    parts = ("base_link", *(f"link_{number}" for number in range(1, 7)), "tool")
+    arms = [there & {f"{arm.name}/{part}" for part in parts} for arm in model.cell.arms]
+    return frozenset(frozenset(two) for arm in arms for two in itertools.combinations(sorted(arm), 2))
+
+
+def aside(model: CellModel, itself: bool) -> Pairs:
+    """Pairs of bodies that are not looked at where arms are held against themselves, or where all else is."""
+    if not itself:
+        return of_one_arm(model)
+    there = sorted({solid.body for solid in model.solids})
+    return frozenset(map(frozenset, itertools.combinations(there, 2))) - of_one_arm(model)
+
+
+def wanted_of(settings: Settings, itself: bool) -> float:
+    """The clearance [m] that a problem wants of an arm to itself, or of all else."""
+    return settings.of_one_arm if itself else settings.clearance
+
+
+def measured(models: Models, some: Sequence[Looks], settings: Settings) -> Iterator[Measured | None]:
+    """What is measured at each of the looks; None where the cell's model lacks a body that is to be
+    ignored."""
     for look in some:
-        model = models(look.index)
+        model, wanted = models(look.index), wanted_of(settings, look.itself)
         if _missing(model, look.ignore):
             yield None
         else:
-            reach = max(MEASURED_REACH, 1.5 * wanted)
-            yield least_distances(model, look.q, accepted(wanted), reach, look.ignore)
+            reach, ignore = max(MEASURED_REACH, 1.5 * wanted), look.ignore | aside(model, look.itself)
+            yield least_distances(model, look.q, accepted(wanted), reach, ignore)
 
 
 def _missing(model: CellModel, ignore: Pairs) -> list[str]:
@@ -99,23 +129,44 @@ def bodies(
 
     ``begun``: the looks, and what is measured there where that has been begun.
     """
-    wanted = context.problem.settings.clearance
-    limit = accepted(wanted)
     issues: list[Issue] = []
-    looked: list[IntArray] = []
-    distance: list[FloatArray] = []
-    pairs: list[tuple[str, str]] = []
-    rest = np.inf
     for index in range(len(context.setups)):
         for one, other, deep in clearance.overlaps(models(index)):
             what = f"{one} and {other}, which stand still, are {mm(deep):.1f} mm inside of one another"
             issues.append(Issue("verify.clearance", what, bodies=(one, other), value=-mm(deep), unit="mm"))
-    some = looks(context) if begun is None else begun[0]
-    found = measured(models, some, wanted) if begun is None else begun[1]
+    return _kept("verify.clearance", context, models, begun, issues)
+
+
+@rule("verify.own_clearance")
+def own_bodies(
+    context: Context, models: Models, begun: Begun | None = None
+) -> tuple[Outcome, IntArray, clearance.LeastClearance]:
+    """Base, links and tool of each arm keep the clearance that the problem wants of an arm to itself.
+
+    ``begun``: as in :func:`bodies`, which has to have been asked before.
+    """
+    return _kept("verify.own_clearance", context, models, begun, [])
+
+
+def _kept(
+    code: str, context: Context, models: Models, begun: Begun | None, issues: list[Issue]
+) -> tuple[Outcome, IntArray, clearance.LeastClearance]:
+    """What the looks of one of both rules find, behind what is wrong already."""
+    itself = code == "verify.own_clearance"
+    settings = context.problem.settings
+    wanted = wanted_of(settings, itself)
+    limit = accepted(wanted)
+    looked: list[IntArray] = []
+    distance: list[FloatArray] = []
+    pairs: list[tuple[str, str]] = []
+    rest = np.inf
+    every = looks(context) if begun is None else begun[0]
+    some = [look for look in every if look.itself == itself]
+    found = measured(models, some, settings) if begun is None else itertools.islice(begun[1], len(some))
     for look, there in zip(some, found, strict=True):
         if there is None:
             what = f"the cell's model has no body {_missing(models(look.index), look.ignore)[0]}"
-            issues.append(Issue("verify.clearance", what, hint="state the edge of the bow's tool"))
+            issues.append(Issue(code, what, hint="state the edge of the bow's tool"))
             continue
         looked.append(look.rows[there.look])
         distance.append(there.least.distance)
@@ -133,9 +184,7 @@ def bodies(
         )
         arm = context.job.tasks[0].arm.name
         measure = (mm(everywhere[i]), mm(wanted), "mm")
-        issues.append(
-            at_sample("verify.clearance", message, context.motion, arm, int(rows[i]), measure, pair)
-        )
+        issues.append(at_sample(code, message, context.motion, arm, int(rows[i]), measure, pair))
     if not len(rows):
         return Outcome(tuple(issues), where="nothing moves"), rows, least
     k = least.worst()

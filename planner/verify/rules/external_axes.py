@@ -33,6 +33,7 @@ from planner.verify.job import TaskText
 from planner.verify.krl.flow import AXIS_LOOK
 from planner.verify.programs.steps import UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.verify.rapid.flow import AXES_CHECK
+from planner.verify.rules.clearance import of_one_arm
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
 BLIND_SPEED = 0.25
@@ -350,4 +351,5 @@ def _way(
         model = model.with_stock(table.turned(model.stock_pose, at[STOCK] - setup.stock.station))
         if axis.carries == STOCK:
             return axis_way.turning(model, table, ends, homes, limit)
-    return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit)
+    itself = of_one_arm(model)  # verify.own_clearance has these, which the way does not change
+    return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit, itself)

@@ -398,8 +398,7 @@ def _left(context: Context, first: Block, most: Allowance) -> list[Issue]:
 def tightened(context: Context, most: Allowance) -> Context:
     """The same proof with that much less room: clearance and margins, tolerances and feeds of claims."""
     settings = dataclasses.replace(
-        context.problem.settings,
-        clearance=context.problem.settings.clearance + most.body,
+        context.problem.settings.wider(most.body),
         singularity_margin=context.problem.settings.singularity_margin + 2.0 * most.joints,
     )
     problem = dataclasses.replace(context.problem, settings=settings)

@@ -66,7 +66,7 @@ def test_tcp_speed():
 
 
 def test_clearance_of_bodies_and_wire():
-    job = small_job.problem(clearance=0.03)
+    job = small_job.problem(clearance=0.3)
     proof = Prover(job, small_job.claims()).prove(programs(), last="verify.wire_clearance")
     assert broken(proof) >= {"verify.clearance", "verify.wire_clearance"}
 
