@@ -229,6 +229,14 @@ AFTER_A_STOP: dict[str, tuple[str, Callable[[Programs], Programs]]] = {
         controller_file("ir_stopm_user.src", "$OUT[17]=FALSE", "$OUT[17]=TRUE"),
     ),
     "lit before anything moves": ("verify.dialogue", main("BAS(#INITMOV,0)\r\n", f"BAS(#INITMOV,0)\r\n{ON}")),
+    "the program frees itself": (
+        "verify.syntax",
+        main("BAS(#INITMOV,0)\r\n", "BAS(#INITMOV,0)\r\nTANDEM_LIT=FALSE\r\n"),
+    ),
+    "the program lets the arm go": (
+        "verify.syntax",
+        main("BAS(#INITMOV,0)\r\n", "BAS(#INITMOV,0)\r\n$OV_PRO=100\r\n"),
+    ),
     "left on from before": ("verify.signals", main(OFF, "")),
     "nobody is told": (
         "verify.dialogue",

@@ -203,6 +203,31 @@ AFTER_A_STOP: dict[str, tuple[str, str, str, str]] = {
         "ERROR\r\n    SetDO doArc,0",
         "ERROR\r\n    SetDO doArc,1",
     ),
+    "left on by an error handler": (
+        "verify.error_handler",
+        MAIN_FILE,
+        "ERROR\r\n    SetDO doArc,0;",
+        "ERROR",
+    ),
+    "an error handler that goes on": ("verify.error_handler", MAIN_FILE, "Stop;\r\n    EXIT;", "TRYNEXT;"),
+    "lit where the pointer is moved away": (
+        "verify.hidden",
+        MAIN_FILE,
+        "away\r\n    SetDO doArc,0;",
+        "away\r\n    SetDO doArc,1;",
+    ),
+    "left on where the pointer is moved away": (
+        "verify.undo",
+        MAIN_FILE,
+        "away\r\n    SetDO doArc,0;",
+        "away",
+    ),
+    "the program frees itself": (
+        "verify.declarations",
+        MAIN_FILE,
+        "    operation_1;\r\n",
+        "    tandem_lit_1:=FALSE;\r\n    operation_1;\r\n",
+    ),
     "nobody is told": ("verify.dialogue", MAIN_FILE, "A stop while the torch", "A stop while no torch"),
 }
 

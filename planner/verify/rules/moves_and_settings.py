@@ -12,6 +12,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
+from planner.claims.trim import TrimsSheet
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_step, mm, outer_axes, rule
 from planner.verify.job import TaskText, sync_points
@@ -148,7 +149,8 @@ def undo(context: Context) -> Outcome:
 
 def powers(context: Context, task: TaskText) -> list[str]:
     """Signals of power that a task can switch: all of one controller's tasks, or those of its own one."""
-    everywhere = sorted({claim.signal for claim in context.contacts})
+    lit = (claim.signal for claim in context.claims if isinstance(claim, TrimsSheet))
+    everywhere = sorted({*(claim.signal for claim in context.contacts), *lit})
     if context.job.readings is None:
         return everywhere
     own = {step.signal.lower() for step in task.steps if isinstance(step, SignalStep)}
