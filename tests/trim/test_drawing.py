@@ -150,6 +150,7 @@ def test_a_claim_that_names_no_file_is_not_taken_for_no_curves(tmp_path: Path) -
         expanded(dataclasses.replace(claim, outlines=(none,)))
 
 
+@pytest.mark.long
 def test_a_drawing_is_planned_and_proven_and_a_curve_that_moves_later_is_told(tmp_path: Path) -> None:
     def cuts(dx: float) -> None:
         made = ezdxf.new()
