@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any, Final
 
 import numpy as np
 
+from planner.cell.bodies import Easing
 from planner.geometry.arrays import exp_twist
 from tests.verify.planner_faults import Fault, fields, given, result
 
@@ -75,6 +77,17 @@ def _link(name: str, more: float) -> Any:
 
 def _straight_way(old: Any) -> Any:
     return lambda scene, standing, arm, goal: np.stack([scene.chains[arm].home, goal])
+
+
+def _all_eased(old: Any) -> Any:
+    """Arms, block and obstacles may be as near as the links of one arm may, and 0.2 m nearer."""
+
+    def eased(model: Any, settings: Any) -> Any:
+        names = {solid.body for solid in model.solids}
+        pairs = frozenset(map(frozenset, itertools.combinations(sorted(names), 2)))
+        return model.with_easing(Easing(pairs, 0.2))
+
+    return eased
 
 
 def _free(old: Any) -> Any:
@@ -158,7 +171,10 @@ KINEMATICS: Final = (
     ),
 )
 
-WAYS: Final = (Fault("ways_unchecked", "behind", {"motion.ways:_way": _straight_way}),)
+WAYS: Final = (
+    Fault("ways_unchecked", "behind", {"motion.ways:_way": _straight_way}),
+    Fault("own_clearance_of_all", "behind", {"motion.own_clearance:eased": _all_eased}),
+)
 
 TIME: Final = (
     Fault("clock_ten_times", "spif", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.1 * op.time})}),

@@ -45,8 +45,6 @@ SAMPLE: Final = (
     "handshake_no_wait",
     "krl_a_for_c",
     "sag_wrong_sign",
-    "sag_claims_left_out",
-    "sag_feed_half_force",
 )
 """Faults that are tried in every run of the tests: each process, mode and language at least once."""
 
