@@ -172,10 +172,10 @@ def test_krl_by_degrees_about_z_y_x(krl: dict[str, str]) -> None:
         ("_1.src", "$VEL.CP=0.03529593", "$VEL.CP=0.1", "speed was $VEL.CP=0.03529593, is $VEL.CP=0.1"),
         ("beads.src", "beads_1()\n", "WAIT SEC 2.0\nbeads_1()\n", "wait is new: WAIT SEC 2.0"),
         ("beads.src", "beads_1()\n", "$OUT[3]=TRUE\nbeads_1()\n", "signal is new: $OUT[3]=TRUE"),
-        ("beads.dat", "A2 -110.000000", "A2 -109.5", "E6AXIS x_home (line 15): A2 moved by +0.500"),
-        ("beads.dat", "Z 160.0000", "Z 160.5", "FRAME t_plain (line 16): moved by 0.500 mm"),
-        ("beads.dat", "T 34", "T 35", "E6POS p_1_start (line 19): T was 34, is 35"),
-        ("beads.dat", "M 0.900", "M 0.95", "LOAD l_plain (line 17): was {M 0.900"),
+        ("beads.dat", "A2 -110.000000", "A2 -109.5", "E6AXIS x_home (line 16): A2 moved by +0.500"),
+        ("beads.dat", "Z 160.0000", "Z 160.5", "FRAME t_plain (line 17): moved by 0.500 mm"),
+        ("beads.dat", "T 34", "T 35", "E6POS p_1_start (line 20): T was 34, is 35"),
+        ("beads.dat", "M 0.900", "M 0.95", "LOAD l_plain (line 18): was {M 0.900"),
     ],
 )
 def test_other_changes_of_krl(krl: dict[str, str], ending: str, old: str, new: str, words: str) -> None:

@@ -172,8 +172,8 @@ def test_a_path_that_is_gone_on_with_is_the_one_found_anew(
 
     monkeypatch.setattr(roadmap._Graph, "shortest", both)
     scene = scene_of(cell, stock, targets, place)
-    find_path(dataclasses.replace(scene, settings=Settings(clearance=0.014)), targets)
-    assert sum(rows > 1 for rows in kept) >= 4
+    find_path(dataclasses.replace(scene, settings=Settings(clearance=0.019)), targets)
+    assert sum(rows > 1 for rows in kept) >= 3
 
 
 def test_moves_are_straight_in_the_held_frame(facing: tuple[Cell, Stock, Targets, FloatArray]) -> None:
