@@ -449,8 +449,7 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
 
 
 def _running(cell: Cell, operations: Sequence[tuple[str, Operation]], uses: Mapping[str, str]) -> list[Issue]:
-    """Ends of the running wires have names of their own at their controller, and ABB's bits of their own."""
-    lock, order = cell.controller.interlock, [arm.name for arm in cell.arms]
+    """Ends of the running wires have names of their own at their controller."""
     issues = []
     for arm in cell.arms:
         own = cell.controller.handshake.of(arm.name)
@@ -460,26 +459,15 @@ def _running(cell: Cell, operations: Sequence[tuple[str, Operation]], uses: Mapp
                 got = f"{name} is to be {uses[name.lower()]} and an end of a running wire"
                 got += "; a signal has one use"
                 issues.append(Issue("problem.field", got, field=field, hint="give them different signals"))
-        taken: dict[tuple[str, int], str] = {}
-        for _, operation in operations:
-            signal = getattr(operation, "signal", None)
-            if isinstance(signal, str) and min(operation.arms, key=order.index) == arm.name:
-                output = lock.of(signal)
-                taken |= {(output.device.lower(), output.bit): output.signal} if output.device else {}
-        place = lock.place(arm.name, own.running)
-        if place is not None and (place.device.lower(), place.bit) in taken:
-            other = taken[place.device.lower(), place.bit]
-            got = f"{other} and {own.running} are both bit {place.bit} of {place.device}"
-            hint = "give each output a bit of its own (device_map)"
-            field = f"cell.controller.interlock.places.{arm.name}"
-            issues.append(Issue("problem.field", got, field=field, hint=hint))
     return issues
 
 
 def _places(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
-    """Places are stated of signals that ABB controllers have and that power nothing; no two inputs share
-    one."""
+    """Places are stated of signals that ABB controllers have and that power nothing; no two inputs, and no
+    two outputs, of a controller share one."""
     controller, issues = cell.controller, list[Issue]()
+    alone, taken = controller.sync == "handshake", dict[tuple[str, bool, str, int], str]()
+    order = [arm.name for arm in cell.arms]
     ends: dict[str, list[str]] = {}
     inputs: dict[str, set[str]] = {}
     for arm in cell.arms:
@@ -489,6 +477,11 @@ def _places(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Iss
         if controller.sync == "handshake":
             mine, given = [own.running, own.output], [own.partner_running, own.input]
         for _, operation in operations:
+            power = getattr(operation, "signal", None)
+            if isinstance(power, str) and arm.name == next((n for n in order if n in operation.arms), ""):
+                real = controller.interlock.of(power)
+                if real.device:
+                    taken[arm.name if alone else "", False, real.device.lower(), real.bit] = real.signal
             if arm.name in operation.arms or controller.sync != "handshake":
                 given += [one] if (one := _waited(operation)) is not None else []
                 die = getattr(operation, "die", None)
@@ -498,15 +491,14 @@ def _places(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Iss
     ends = {name: names for name, names in ends.items() if names}
     for at, places in controller.interlock.places.items():
         known = [name.lower() for name in ends.get(at, [])]
-        taken: dict[tuple[str, int], str] = {}
         for signal, place in places.items():
-            if signal.lower() in inputs.get(at, set()):
-                other = taken.setdefault((place.device.lower(), place.bit), signal)
-                if other != signal:
-                    got = f"{other} and {signal} are both bit {place.bit} of {place.device}"
-                    field = f"cell.controller.interlock.places.{at}"
-                    hint = "give each input a bit of its own (device_map)"
-                    issues.append(Issue("problem.field", got, field=field, hint=hint))
+            given = signal.lower() in inputs.get(at, set())
+            other = taken.setdefault((at if alone else "", given, place.device.lower(), place.bit), signal)
+            if other.lower() != signal.lower():
+                got = f"{other} and {signal} are both bit {place.bit} of {place.device}"
+                field = f"cell.controller.interlock.places.{at}"
+                hint = f"give each {'input' if given else 'output'} a bit of its own (device_map)"
+                issues.append(Issue("problem.field", got, field=field, hint=hint))
             if signal.lower() not in known:
                 got = f"arm {at} has no signal {signal} at an ABB controller that powers nothing"
                 may = "; ".join(f"{name}: {', '.join(names)}" for name, names in ends.items()) or "none"

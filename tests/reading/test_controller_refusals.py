@@ -96,6 +96,11 @@ WRONG: list[tuple[str, Any, str, str]] = [
     (FIELD, HANDSHAKE | {"interlock": {"outputs": {"doWirePower": {"device": "d1", "device_map": 3}},
                                        "places": {"left": {"doRunning": PLACE}}}},
      "problem.field", PLACES + "left"),
+    (FIELD, HANDSHAKE | {"interlock": {"outputs": {"doWirePower": {"device": "d1", "device_map": 3}},
+                                       "places": {"left": {"doPartner": PLACE}}}},
+     "problem.field", PLACES + "left"),
+    (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doPartner": PLACE, "doRunning": PLACE}}}},
+     "problem.field", PLACES + "left"),
 ]  # fmt: skip
 
 

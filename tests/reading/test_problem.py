@@ -153,7 +153,7 @@ def test_a_bundle_reads_as_the_same_problem(tmp_path: Path) -> None:
 def test_what_a_file_leaves_out_is_what_values_in_python_leave_out() -> None:
     """To the last bit, as the same plan comes of both."""
     assert SettingsFile().build() == Settings()
-    assert Settings() == Settings(0.01, 0.9, 0.8, np.deg2rad(2.0), np.deg2rad(5.0), 0.25, 0)
+    assert Settings() == Settings(0.01, None, 0.9, 0.8, np.deg2rad(2.0), np.deg2rad(5.0), 0.25, 0)
     arms = ["left", "right"]
     assert controllers(ControllerFile.model_validate({}), arms) == Controller()
     assert controllers(ControllerFile.model_validate({"max_kilobytes": 1000}), arms) == Controller()

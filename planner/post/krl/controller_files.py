@@ -54,7 +54,10 @@ def files(
         "config_user.dat": _text([f"DECL BOOL {name}=FALSE" for name in variables]),
         "sps_user.sub": _text(submit),
     }
-    out |= {"ir_stopm_user.src": _text(taken)} if taken else {}
+    if taken:  # the real outputs too: a submit interpreter that stands takes none back
+        real = [controller.number(arm, controller.interlock.of(signal).signal) for signal in signals]
+        off = [f"$OUT[{number}]=FALSE" for number in real if number is not None]
+        out["ir_stopm_user.src"] = _text([*taken, *off])
     return out | {"README.txt": _readme(controller, arm, signals, wires, torches)}
 
 

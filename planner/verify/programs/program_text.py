@@ -151,8 +151,17 @@ Row = frozenset[tuple[str, str]]
 
 _SILENT_ATTRIBUTES = ("label", "category")
 """Attributes that change nothing."""
-_ATTRIBUTE = re.compile(r'-(\w+)(?:\s+("[^"]*"|[^\s"-]\S*))?\s*')
+_ATTRIBUTE = re.compile(r'-(\w+)(?:\s+("[^"]*"|[^\s"-][^\s"]*))?(?:\s+|$)')
 """An attribute of a line of a configuration file."""
+_SPELLINGS: Final = {
+    name.lower(): name
+    for name in (
+        *("Name", "SignalType", "Device", "DeviceMap", "Access", "Rapid", "LocalManual", "LocalAuto"),
+        *("Status", "Signal", "Action", "Routine", "Shelf", "Task", "File", "ModName", "AllTask"),
+        *("Res", "Act1", "Oper1", "Act2", "Oper2", "Act3", "Oper3", "Act4", "Act1_invert"),
+    )
+}
+"""Attributes as a controller writes them: whether it minds their case is not known."""
 _INSTANCE_KIND = re.compile(r"(\w+):")
 """The kind of what such a file lists."""
 
@@ -166,7 +175,9 @@ def configuration(text: str) -> tuple[str, dict[str, list[Row]]]:
     head, _, rest = text.replace("\r\n", "\n").partition("\n")
     out: dict[str, list[Row]] = {}
     kind: str | None = None
-    for line in re.sub(r"\\\n\s*", " ", rest).split("\n"):
+    if head != head.strip() or head.endswith("\\"):
+        raise UnreadError(f"{head[:40]!r} is no head")
+    for line in re.sub(r"\\\n[ \t]*", " ", rest).split("\n"):
         plain = line.strip()
         if not plain:
             continue
@@ -174,7 +185,9 @@ def configuration(text: str) -> tuple[str, dict[str, list[Row]]]:
         if plain == "#":
             kind = None
         elif found is not None and kind is None:
-            kind = found.group(1).upper()
+            kind = found.group(1)
+            if kind != kind.upper():
+                raise UnreadError(f"{kind} is to be spelled {kind.upper()}")
             if kind in out:
                 raise UnreadError(f"{kind} stands there twice")
             out[kind] = []
@@ -182,7 +195,7 @@ def configuration(text: str) -> tuple[str, dict[str, list[Row]]]:
             out[kind].append(_row(plain))
         else:
             raise UnreadError(f"{plain[:40]!r} belongs to no type")
-    return head.strip(), out
+    return head, out
 
 
 def _row(line: str) -> Row:
@@ -192,7 +205,10 @@ def _row(line: str) -> Row:
         found = _ATTRIBUTE.match(line, place)
         if found is None:
             raise UnreadError(f"{line[place : place + 40]!r} is no attribute")
-        name, value = found.group(1).lower(), (found.group(2) or "").strip('"')
+        spelled, value = found.group(1), (found.group(2) or "").strip('"')
+        name = spelled.lower()
+        if _SPELLINGS.get(name, spelled) != spelled:
+            raise UnreadError(f"-{spelled} is to be spelled -{_SPELLINGS[name]}")
         if name in values:
             raise UnreadError(f"-{name} stands there twice in one row")
         values[name] = value

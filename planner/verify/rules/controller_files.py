@@ -8,7 +8,7 @@ at run time, and what readers see of it.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -58,12 +58,12 @@ def controller_files(context: Context) -> Outcome:
     of its use, fit the program, and none is left over."""
     controller = context.problem.cell.controller
     there: dict[str, dict[str, str]] = {}
+    issues = _one_file(context.programs)
     for path, text in context.programs.items():
         parts = PurePosixPath(path).parts
         if parts[0].lower() == CONTROLLER:
             folder = "/".join(parts[1:-1])
             there.setdefault(folder, {})[parts[-1]] = text
-    issues: list[Issue] = []
     count = 0
     joined = controller.sync == "handshake" and len(context.job.tasks) > 1
     for folder, tasks, signals in _powered(context, joined):
@@ -91,6 +91,23 @@ def controller_files(context: Context) -> Outcome:
         what = f"{CONTROLLER}/{folder} holds files of another job: no program here needs them"
         issues.append(Issue(CONTROLLER_FILES, what, file=f"{CONTROLLER}/{folder}", hint="take them away"))
     return Outcome(tuple(issues), where="" if count else "nothing is powered" if not joined else "wires only")
+
+
+def _one_file(paths: Iterable[str]) -> list[Issue]:
+    """Files that are one where case does not count, as on a controller: either may be loaded."""
+    seen: dict[str, str] = {}
+    issues = []
+    for path in paths:
+        other = seen.setdefault(path.lower(), path)
+        first = PurePosixPath(path).parts[0]
+        if other != path:
+            what = f"{path} and {other} are one file where case does not count"
+        elif first.lower() == CONTROLLER and first != CONTROLLER:
+            what = f"{path} is in a folder that is to be called {CONTROLLER}"
+        else:
+            continue
+        issues.append(Issue(CONTROLLER_FILES, what, file=path, hint="take it away, or " + _COPY_HINT))
+    return issues
 
 
 def _place(context: Context, task: TaskText) -> int:
@@ -152,10 +169,11 @@ def _abb(
         except UnreadError as wrong:
             faults.append(f"{name}.cfg cannot be read: {wrong}")
             continue
-        if not head.startswith(f"{name}:CFG_1.0:{controller.robotware}:"):
+        if not re.fullmatch(rf"{name}:CFG_1\.0:{controller.robotware}:[01]::", head):
             faults.append(f"{name}.cfg is not for RobotWare {controller.robotware}: {head[:40]!r}")
         if name == "EIO":
             faults += _crosses(controller, signals, partner, got.pop("EIO_CROSS", []))
+            faults += _shared_bits(got.get("EIO_SIGNAL", []))
         faults += [fault for kind in {**rows, **got} for fault in _rows(name, kind, rows, got)]
     due = power_at_stops.routines(controller, signals, lit, len(tasks) > 1)
     if signals and rapid_words(files[module]) != rapid_words(due):
@@ -176,6 +194,21 @@ def _rows(
     ]
     if not faults and len(have) != len(want):
         faults.append(f"{name}.cfg, {kind}: a row stands there twice")
+    return faults
+
+
+def _shared_bits(rows: Sequence[Row]) -> list[str]:
+    """Signals of one type on one bit of a device: one of them would switch what the other one powers."""
+    names: dict[tuple[str, ...], str] = {}
+    faults = []
+    for row in rows:
+        fields = dict(row)
+        if "device" in fields:
+            key = tuple(fields.get(name, "").lower() for name in ("signaltype", "device", "devicemap"))
+            name = fields.get("name", "")
+            other = names.setdefault(key, name)
+            if other != name:
+                faults.append(f"EIO.cfg, EIO_SIGNAL: {other} and {name} are bit {key[2]} of one device")
     return faults
 
 
@@ -256,6 +289,8 @@ def _crosses(
             to_be = called.get(dict(row).get("res", "").lower())
             wrong = f"is not {to_be}" if to_be else "drives what no cross connection is to drive"
             faults.append(f"EIO.cfg, EIO_CROSS: {_shown_row(row)} {wrong}")
+    if len(set(got)) != len(got):
+        faults.append("EIO.cfg, EIO_CROSS: an output is driven twice")
     names = [value for row in rows for key, value in row if key == "name"]
     if len(set(names)) != len(rows):
         faults.append("EIO.cfg, EIO_CROSS: cross connections need names that differ")

@@ -160,4 +160,4 @@ def krl_files(
     known = [flag for flag in ("TANDEM_CUT", "TANDEM_LIT") if flag in flags.values()]
     submit = [f"IF NOT({runs}) THEN", *back, "ENDIF"] if signals else []
     submit += [*(ended if "TANDEM_LIT" in known else []), *follow, *(held if "TANDEM_CUT" in known else [])]
-    return known, submit, back
+    return known, submit, [*back, *(f"$OUT[{out}]=FALSE" for out in real.values() if out is not None)]

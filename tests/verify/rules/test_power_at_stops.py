@@ -260,11 +260,33 @@ RAPID = {
     "set by hand in automatic": (EIO, r'-Name "TandemTorch" -Rapid', '-Name "TandemTorch" -Rapid -LocalAuto'),
     "set by all": (EIO, r'("doArc" -SignalType "DO" -Access) "TandemTorch"', r'\1 "All"'),
     "the output set by hand": (EIO, r'-Access "ReadOnly"', '-Access "TandemTorch"'),
+    "hooks of a type that is spelled otherwise": (SYS, "CAB_EXEC_HOOKS:", "cab_exec_hooks:"),
+    "an attribute that is spelled otherwise": (SYS, "-Shelf", "-SHELF"),
+    "half a quote": (EIO, r'-Access "TandemTorch"', '-Access TandemTorch"'),
+    "attributes in one word": (EIO, '"DO" -Access', '"DO"-Access'),
+    "a head with more": (SYS, r"(SYS:CFG_1\.0:6:0::)", r"\1evil"),
+    "a head that goes on": (SYS, r"(SYS:CFG_1\.0:6:0::)", r"\1\\"),
+    "a row that goes on behind an empty line": (
+        EIO,
+        r'("doArc" -SignalType "DO") -Access',
+        "\\1 \\\\\r\n\r\n   -Access",
+    ),
+    "an output that is driven twice": (
+        EIO,
+        r'(?m)^ +-Name "TandemPower1"(.*)$',
+        r'   -Name "TandemPower1"\1\n   -Name "TandemPower9"\1',
+    ),
+    "another signal on the torch's bit": (
+        EIO,
+        r'(?m)^( +-Name "doArc" .*)$',
+        r'\1\n   -Name "doOther" -SignalType "DO" -Device "Local_IO" -DeviceMap "5"',
+    ),
 }
 KRL = {
     "lit in the submit interpreter": (SUBMIT, r"(IF TANDEM_LIT THEN\r\n\$OUT\[17\])=FALSE", r"\1=TRUE"),
     "lit by hand": (SUBMIT, r"(IF TANDEM_LIT THEN\r\n)\$OUT\[17\]=FALSE\r\n", r"\1"),
     "left on at a stop": (STOPPED, r"\$OUT\[17\]=FALSE", ""),
+    "the real output left on at a stop": (STOPPED, r"\$OUT\[40\]=FALSE", ""),
     "lit at a stop": (STOPPED, r"(\$OUT\[17\])=FALSE", r"\1=TRUE"),
     "kept as other power is": (STOPPED, "TANDEM_LIT", "TANDEM_CUT"),
     "kept as other power is by the interpreter": (SUBMIT, r"TANDEM_LIT=TRUE", "TANDEM_CUT=TRUE"),
@@ -300,6 +322,18 @@ def test_a_fault_in_event_routines_is_found(name):
 @pytest.mark.parametrize("name", KRL)
 def test_a_fault_in_lines_of_the_submit_interpreter_is_found(name):
     assert told(kuka(), changed(kuka(), KRL[name]))
+
+
+def test_no_second_file_hides_where_case_does_not_count():
+    """A controller loads either of both, and the proof would look at one."""
+    good = abb()[1]
+    for path in ("Controller/T_ROB1/", "controller/t_rob1/", "controller/T_ROB1/"):
+        name = MODULE if path != HOME else MODULE.lower()
+        other = good[HOME + MODULE].replace("tandem_end;", "")
+        found = told(abb(), dict(sorted({**good, path + name: other}.items())))
+        assert any("where case does not count" in one for one in found), path
+    moved = {name.replace("controller/", "CONTROLLER/"): text for name, text in good.items()}
+    assert any("is to be called controller" in one for one in told(abb(), moved))
 
 
 def test_files_that_take_a_torch_for_other_power_are_refused():
