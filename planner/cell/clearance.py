@@ -347,9 +347,9 @@ def least(
         pairs[i] = pair
     # how deep solids are in one another is Drake's to say
     inside = looked[deep]
-    drake = witness(model, _by_arm(model, rows[inside]), 0.0, ignore)
+    drake = witness(model, _by_arm(model, rows[inside]), model.easing.by, ignore)
     for i, depth, pair in zip(inside, drake.distance, drake.pair, strict=True):
-        if depth < distance[i]:
+        if depth < distance[i] and any(pair):
             distance[i], pairs[i] = depth, pair
     return LeastClearance(distance, tuple(pairs))
 

@@ -22,6 +22,8 @@ from planner.targets import Targets
 
 REPORTED_DISTANCE_M: Final = 0.2
 """Distances [m] up to this are reported."""
+TOUCHING_M: Final = 1e-6
+"""Pairs are asked for so much [m] beyond what is wanted: with none wanted, those that overlap are at 0."""
 
 LEAST_MARGIN_DEG: Final = 0.5
 """Smaller margins [deg] to limits and singularities are not advised."""
@@ -157,6 +159,8 @@ def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
     if not len(looked):
         return _broken(targets, dead.index)
     blocks, (counted, nearest) = _blocking(scene, targets, dead, looked)
+    if not blocks:
+        return _broken(targets, dead.index)
     best, limit, setting = own_clearance.told(scene.settings, counted, nearest)
     name, count = targets.name(dead.index), len(looked)
     every = (
@@ -188,7 +192,7 @@ def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
         f"{limit / MM:.1f} mm at least ({choices} tried)",
         index=dead.index,
         target=name,
-        bodies=blocks[0].pair,
+        bodies=nearest if any(nearest) else blocks[0].pair,
         value=best / MM,
         limit=limit / MM,
         unit="mm",
@@ -224,9 +228,9 @@ def _blocking(
     found: dict[tuple[str, str], set[int]] = {}
     for ignore, rows in scene.by_kind(targets, index):
         part = scene.model.stack({arm: v[rows] for arm, v in q.items()})
-        every = clearance.gradients_at(scene.model, part, wanted, ignore)
+        every = clearance.gradients_at(scene.model, part, wanted + TOUCHING_M, ignore)
         for row, near in zip(rows.tolist(), every, strict=True):
-            for a, b in near.bodies[near.distance < wanted].tolist():
+            for a, b in near.bodies[near.distance <= wanted].tolist():
                 first, second = sorted((scene.model.body_name(a), scene.model.body_name(b)))
                 found.setdefault((first, second), set()).add(row)
     bodies = scene.least(targets, q, index, REPORTED_DISTANCE_M)

@@ -327,7 +327,7 @@ def clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
         levels=[Level(settings.clearance / MM, "asked for")],
         y_range=(0.0, min(top * 1.1, 150.0) + 1.0),
     )
-    return Figure("Clearance of everything to everything", body, _least_of(data))
+    return Figure("Clearance to everything else", body, _least_of(data))
 
 
 def own_clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:

@@ -79,11 +79,16 @@ def test_free_is_what_keeps_the_clearance_of_its_own_pair() -> None:
     assert min(kinds["own"], kinds["held"], kinds["wire"]) > 0, kinds
 
 
-def test_home_is_told_with_the_limit_of_its_pair() -> None:
+@pytest.mark.parametrize(
+    ("degrees", "apart", "said"),
+    [(107.0, 2.24, "2.2 mm apart"), (111.0, -2.5, "2.5 mm inside of one another")],
+)
+def test_home_is_told_with_the_limit_of_its_pair(degrees: float, apart: float, said: str) -> None:
+    """Of an arm that is in itself by less than the difference of both clearances, too."""
     problem = small_job.problem()
     arm = problem.cell.arms[0]
     home = np.array(arm.home)
-    home[4] = np.deg2rad(107.0)  # 2.2 mm off its own forearm
+    home[4] = np.deg2rad(degrees)
     arms = (dataclasses.replace(arm, home=home), *problem.cell.arms[1:])
     cell = dataclasses.replace(problem.cell, arms=arms)
     model = build(cell, problem.stock, small_job.STOCK)
@@ -95,9 +100,9 @@ def test_home_is_told_with_the_limit_of_its_pair() -> None:
     (issue,) = refused.value.issues
     assert issue.code == "motion.home"
     assert set(issue.bodies) == {"left/link_4", "left/tool"}
-    assert issue.value == pytest.approx(2.24, abs=0.05)
+    assert issue.value == pytest.approx(apart, abs=0.05)
     assert issue.limit == pytest.approx(5.0)
-    assert "2.2 mm apart, allowed is 5.0 mm apart at least" in issue.message
+    assert f"{said}, allowed is 5.0 mm apart at least" in issue.message
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def test_charts_tell_the_least_that_tiles_tell(report: str) -> None:
             r"Distance to the nearest singular posture least where tools move straight: ([\d.]+)°",
             r"([\d.]+) ° from a singular posture",
         ),
-        (r"Clearance of everything to everything least: ([\d.]+) mm", r"([\d.]+) mm least clearance"),
+        (r"Clearance to everything else least: ([\d.]+) mm", r"([\d.]+) mm least clearance"),
         (r"Clearance of each arm to itself least: ([\d.]+) mm", r"([\d.]+) mm of an arm to itself"),
     ):
         assert shown(chart, report) == shown(tile, report)

@@ -182,8 +182,8 @@ def _kept(
         message = (
             f"{pair[0]} and {pair[1]} come within {mm(everywhere[i]):.2f} mm; allowed: {mm(wanted):.2f} mm"
         )
-        arm = context.job.tasks[0].arm.name
         measure = (mm(everywhere[i]), mm(wanted), "mm")
+        arm = _arm_of(context, pair)
         issues.append(at_sample(code, message, context.motion, arm, int(rows[i]), measure, pair))
     if not len(rows):
         return Outcome(tuple(issues), where="nothing moves"), rows, least
@@ -430,9 +430,16 @@ def _clear(context: Context, model: CellModel, index: int, found: Intervals) -> 
                 f"allowed: {mm(wanted):.2f} mm"
             )
             measure = (mm(measured.distance[k]), mm(wanted), "mm")
-            arm = context.job.tasks[0].arm.name
+            arm = _arm_of(context, bodies)
             issues.append(at_sample(STEP_APART, what, context.motion, arm, int(rows[k]), measure, bodies))
     return issues, least
+
+
+def _arm_of(context: Context, pair: tuple[str, str]) -> str:
+    """The arm at whose program a pair of bodies is told: the first that one of them is of, else that of the
+    first task."""
+    arms = [task.arm.name for task in context.job.tasks]
+    return next((arm for body in pair if (arm := body.partition("/")[0]) in arms), arms[0])
 
 
 def _nearest(
