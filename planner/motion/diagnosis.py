@@ -185,14 +185,15 @@ def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
         elif dead.before is not None and dead.index + 1 < targets.count:
             what += "; nothing is free after it"
     tried = len(dead.tried)
+    beside = f" between {nearest[0]} and {nearest[1]}" if {*nearest} - {*blocks[0].pair, ""} else ""
     choices = f"all {tried} choices of branches" if tried > 1 else "the only choice of branches"
     return Issue(
         "motion.collision",
-        f"{what}; the best of them leaves {_close(best / MM, limit / MM)} mm, allowed is "
+        f"{what}; the best of them leaves {_close(best / MM, limit / MM)} mm{beside}, allowed is "
         f"{limit / MM:.1f} mm at least ({choices} tried)",
         index=dead.index,
         target=name,
-        bodies=nearest if any(nearest) else blocks[0].pair,
+        bodies=blocks[0].pair,
         value=best / MM,
         limit=limit / MM,
         unit="mm",
