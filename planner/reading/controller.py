@@ -492,12 +492,12 @@ def _places(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Iss
     for at, places in controller.interlock.places.items():
         known = [name.lower() for name in ends.get(at, [])]
         for signal, place in places.items():
-            given = signal.lower() in inputs.get(at, set())
-            other = taken.setdefault((at if alone else "", given, place.device.lower(), place.bit), signal)
+            is_input = signal.lower() in inputs.get(at, set())
+            other = taken.setdefault((at if alone else "", is_input, place.device.lower(), place.bit), signal)
             if other.lower() != signal.lower():
                 got = f"{other} and {signal} are both bit {place.bit} of {place.device}"
                 field = f"cell.controller.interlock.places.{at}"
-                hint = f"give each {'input' if given else 'output'} a bit of its own (device_map)"
+                hint = f"give each {'input' if is_input else 'output'} a bit of its own (device_map)"
                 issues.append(Issue("problem.field", got, field=field, hint=hint))
             if signal.lower() not in known:
                 got = f"arm {at} has no signal {signal} at an ABB controller that powers nothing"

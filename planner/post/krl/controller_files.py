@@ -55,8 +55,9 @@ def files(
         "sps_user.sub": _text(submit),
     }
     if taken:  # the real outputs too: a submit interpreter that stands takes none back
-        real = [controller.number(arm, controller.interlock.of(signal).signal) for signal in signals]
-        off = [f"$OUT[{number}]=FALSE" for number in real if number is not None]
+        locks = (controller.interlock.of(signal).signal for signal in signals)
+        outputs = (controller.number(arm, lock) for lock in locks)
+        off = [f"$OUT[{number}]=FALSE" for number in outputs if number is not None]
         out["ir_stopm_user.src"] = _text([*taken, *off])
     return out | {"README.txt": _readme(controller, arm, signals, wires, torches)}
 
