@@ -49,6 +49,8 @@ MOMENTS: Final = 10
 """So many moments are taken until all files of one are there."""
 ROWS: Final = 1000
 """Rows of a table that are held at once."""
+LOGS: Final = ("-wal", "-shm", "-journal")
+"""What SQLite adds to a database's name for its logs (https://www.sqlite.org/tempfiles.html)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,6 +98,7 @@ def restore(folder: Path, data: Path, database: str | None) -> Backup:
     with _told(folder), lock_data(data, database is None):
         if database is None and (data / DATABASE).exists():
             raise _refused(f"data folder {data}: a store is in it already; give --data a new folder")
+        _check_no_log(data / DATABASE)
         if database is not None:
             with _begun(database) as connection:
                 _check_empty(connection)
@@ -193,6 +196,8 @@ def _begun(url: str) -> Iterator[Connection]:
     try:
         engine = open_engine(url)
         try:
+            if engine.dialect.name == "sqlite":
+                _check_no_log(Path(engine.url.database or ""))
             with engine.begin() as connection:
                 if engine.dialect.name != "sqlite":
                     connection.execute(text("SELECT pg_advisory_xact_lock(7223)"))
@@ -201,6 +206,18 @@ def _begun(url: str) -> Iterator[Connection]:
             engine.dispose()
     except (SQLAlchemyError, ImportError) as error:
         raise TandemError(cannot_open(url, error)) from error
+
+
+def _check_no_log(path: Path) -> None:
+    """See that a database that is not there left no log: SQLite would write what that has over the one that
+    is made under its name, or remove it."""
+    if path.exists() and path.stat().st_size:
+        return  # they are its own
+    left = [f"{path.name}{end}" for end in LOGS if os.path.lexists(f"{path}{end}")]
+    if left:
+        what = f"got {', '.join(left)}, which belong to a {path.name} that is not there"
+        way = "give --data or --database a new place, or move them to where that database is now"
+        raise _refused(f"folder {path.parent}: {what}; {way}")
 
 
 def _check_empty(connection: Connection) -> None:

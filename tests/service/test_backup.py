@@ -3,6 +3,7 @@ where something would be lost or is not whole."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import shutil
@@ -185,6 +186,38 @@ def test_what_is_there_is_never_overwritten(made: tuple[Path, str, str], tmp_pat
         assert "secret" not in str(caught.value)
         assert list((tmp_path / "url").iterdir()) == []
     backup.back_up(store, None, tmp_path / "url")
+
+
+@pytest.mark.parametrize("end", ["-wal", "-shm", "-journal"])
+def test_logs_of_a_database_that_was_moved_away(
+    made: tuple[Path, str, str], tmp_path: Path, end: str
+) -> None:
+    """SQLite's own files: the next open would write the old store over the one that was restored."""
+    data = tmp_path / "data"
+    data.mkdir()
+    with contextlib.closing(sqlite3.connect(data / "tandem.db")) as db:
+        db.execute("PRAGMA journal_mode=WAL" if end != "-journal" else "PRAGMA journal_mode=PERSIST")
+        db.execute("CREATE TABLE mine (a)")
+        db.commit()
+        left = data / f"tandem.db{end}"
+        kept = left.read_bytes()
+    (data / "tandem.db").unlink()
+    left.write_bytes(kept)
+    for other in {"tandem.db-wal", "tandem.db-shm", "tandem.db-journal"} - {left.name}:
+        (data / other).unlink(missing_ok=True)
+    for database in (None, f"sqlite:///{data / 'tandem.db'}", f"sqlite:///{tmp_path / 'other.db'}"):
+        said = refused(made[0], data, database)
+        assert f"folder {data}: got tandem.db{end}, which belong to a tandem.db that is not there" in said
+        assert "move them to where that database is" in said
+    assert left.read_bytes() == kept
+    assert not (data / "tandem.db").exists()
+    assert not (tmp_path / "other.db").exists()
+    (tmp_path / f"other.db{end}").write_bytes(kept)
+    said = refused(made[0], tmp_path / "new", f"sqlite:///{tmp_path / 'other.db'}")
+    assert f"got other.db{end}" in said
+    assert (tmp_path / f"other.db{end}").read_bytes() == kept
+    left.unlink()
+    backup.restore(made[0], data, None)
 
 
 def test_nor_on_postgresql(made: tuple[Path, str, str], tmp_path: Path) -> None:
