@@ -74,7 +74,7 @@ def back_up(data: Path, database: str | None, folder: Path) -> Backup:
             raise _refused(f"folder {folder}: is not empty; name a new one, or remove what is in it")
         if not (data / FILES).is_dir():
             raise _refused(f"data folder {data}: there is no store in it; give --data as the service has it")
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        _make_private(folder)
         try:
             made = _backed_up(data, database or default_url(data), folder)
         except BaseException:  # nothing stands in the way of another try
@@ -104,6 +104,7 @@ def restore(folder: Path, data: Path, database: str | None) -> Backup:
                 _check_empty(connection)
         with tempfile.TemporaryDirectory(prefix=".restore-", dir=data) as room:
             copy = Path(room) / DATABASE
+            copy.touch(mode=0o600)  # and so are its logs, which SQLite makes like it
             shutil.copyfile(folder / DATABASE, copy)
             _read(copy)
             Database(_sqlite(copy)).close()  # brings it up to date
@@ -118,11 +119,22 @@ def restore(folder: Path, data: Path, database: str | None) -> Backup:
         return made
 
 
+def _make_private(folder: Path) -> None:
+    """Make a folder that only its owner may enter, or make one that is there such."""
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    folder.chmod(0o700)
+    mode = folder.stat().st_mode & 0o777
+    if mode & 0o077:  # some mounted disks take the call and keep the mode
+        what = f"got mode {mode:o}, so others may read the backup, and its disk does not let that be changed"
+        raise _refused(f"folder {folder}: {what}; name one on a disk that keeps permissions")
+
+
 def _backed_up(data: Path, url: str, folder: Path) -> Backup:
     """Copy the database of a moment and all files that it names."""
     source, target, copy = Files(data / FILES), Files(folder / FILES), folder / DATABASE
     for _ in range(MOMENTS):
         copy.unlink(missing_ok=True)
+        copy.touch(mode=0o600)
         _moment(url, copy)
         made, named = _read(copy)
         lost = _copied(named, source, target)

@@ -188,6 +188,27 @@ def test_what_is_there_is_never_overwritten(made: tuple[Path, str, str], tmp_pat
     backup.back_up(store, None, tmp_path / "url")
 
 
+def test_only_the_owner_may_read_it(
+    made: tuple[Path, str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also in a folder that was there and open to all, and what is restored into such a one."""
+    data, folder, share = tmp_path / "data", tmp_path / "backup", tmp_path / "share"
+    for one in (data, folder, share):
+        one.mkdir()
+        one.chmod(0o755)
+    backup.restore(made[0], data, None)
+    backup.back_up(data, None, folder)
+    assert folder.stat().st_mode & 0o777 == 0o700
+    held = [path for path in (data / "files").rglob("*") if path.is_file()]
+    assert held
+    for path in (*held, data / "tandem.db", folder / "tandem.db"):
+        assert path.stat().st_mode & 0o077 == 0, path
+    monkeypatch.setattr(Path, "chmod", lambda *asked: None)
+    with pytest.raises(TandemError, match="others may read the backup"):
+        backup.back_up(data, None, share)
+    assert list(share.iterdir()) == []
+
+
 @pytest.mark.parametrize("end", ["-wal", "-shm", "-journal"])
 def test_logs_of_a_database_that_was_moved_away(
     made: tuple[Path, str, str], tmp_path: Path, end: str
