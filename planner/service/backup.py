@@ -26,16 +26,16 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
-from sqlalchemy import Connection, Engine, insert, select, text
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy import Connection, Engine, insert, inspect, select, text
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 import planner
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
-from planner.service.models import METADATA, SCHEMA, Database, cannot_open, default_url, open_engine
-from planner.service.schema import VERSION, bring_up_to_date, version_of
+from planner.service.models import METADATA, SCHEMA, Database, cannot_open, default_url, open_engine, reason
+from planner.service.schema import VERSION, NoVersionError, bring_up_to_date, version_of
 from planner.service.service import lock_data
-from planner.service.storage import GRACE_S, Files
+from planner.service.storage import GRACE_S, Files, is_sha
 
 DATABASE: Final = "tandem.db"
 """The database in a backup."""
@@ -108,6 +108,7 @@ def restore(folder: Path, data: Path, database: str | None) -> Backup:
             shutil.copyfile(folder / DATABASE, copy)
             _read(copy)
             Database(_sqlite(copy)).close()  # brings it up to date
+            _check_tables(folder, copy)
             made, named = _read(copy)
             lost = _copied(named, Files(folder / FILES), Files(data / FILES))
             if lost is not None:
@@ -262,11 +263,33 @@ def _read(copy: Path) -> tuple[Backup, dict[str, int]]:
             raise _refused(f"database {copy}: {what}; update tandem-planner on this machine")
         jobs = int(connection.execute(text("SELECT count(*) FROM tandem_jobs")).scalar_one())
         rows = connection.execute(text("SELECT DISTINCT sha, size FROM tandem_files ORDER BY sha"))
-        named: dict[str, int] = dict(row.tuple() for row in rows)
+        named: dict[str, int] = {}
+        for sha, size in rows:
+            if not is_sha(sha) or not isinstance(size, int) or size < 0:
+                got = f"got the name {str(sha)[:80]!r} and the size {str(size)[:20]!r}"
+                way = "a SHA-256 of 64 hexadecimal digits and bytes are allowed; it is damaged, take another"
+                raise _refused(f"database {copy.name}: table tandem_files: {got}; {way} backup")
+            named[sha] = size
     engine.dispose()
     with contextlib.closing(_opened(copy)) as db:
         db.execute("PRAGMA journal_mode=DELETE")
     return Backup(version, jobs, len(named), sum(named.values())), named
+
+
+def _check_tables(folder: Path, copy: Path) -> None:
+    """See that a database of this version has all that this version's has."""
+    engine = open_engine(_sqlite(copy))
+    try:
+        seen = inspect(engine)
+        there = set(seen.get_table_names())
+        for table in METADATA.sorted_tables:
+            has = {one["name"] for one in seen.get_columns(table.name)} if table.name in there else set()
+            lost = [one.name for one in table.columns if one.name not in has]
+            if lost:
+                what = f"table {table.name} has no {', '.join(lost)}" if has else f"has no table {table.name}"
+                raise _refused(f"backup {folder}: {what}; it is damaged, take another one")
+    finally:
+        engine.dispose()
 
 
 def _copied(named: Mapping[str, int], source: Files, target: Files) -> str | None:
@@ -314,7 +337,14 @@ def _told(folder: Path) -> Iterator[None]:
         where = error.filename or folder
         raise _refused(f"{where}: {error.strerror or error}; see the disk and its permissions") from error
     except sqlite3.Error as error:
-        raise _refused(f"backup {folder}: its database cannot be read or written ({error})") from error
+        what = f"its database cannot be read or written ({str(error)[:200]})"
+        raise _refused(f"backup {folder}: {what}; it is damaged, take another one") from error
+    except NoVersionError as error:
+        raise _refused(f"backup {folder}: {error}") from error
+    except SQLAlchemyError as error:
+        said = reason(error) if isinstance(error, DBAPIError) else type(error).__name__
+        what = f"its database cannot be read or written ({said})"
+        raise _refused(f"backup {folder}: {what}; it is damaged, take another one") from error
 
 
 def _sqlite(path: Path) -> str:
