@@ -62,8 +62,10 @@ _REQUEST: Final[ContextVar[_Request | None]] = ContextVar("tandem_request", defa
 def about(*jobs: str) -> None:
     """Say which jobs the present request is about, if there is one; threads that it began may, too."""
     request = _REQUEST.get()
-    if request is not None and len(request.jobs) < MOST_JOBS:
-        request.jobs.update(dict.fromkeys(jobs))
+    for job in jobs if request is not None else ():
+        if len(request.jobs) >= MOST_JOBS:
+            return
+        request.jobs[job] = None
 
 
 def identifier(given: list[str]) -> str:

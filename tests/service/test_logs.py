@@ -73,6 +73,23 @@ def test_a_request_is_a_line_with_its_jobs(here: Told) -> None:
     assert line["jobs"] == [job]
 
 
+def test_a_line_names_so_many_jobs_at_most() -> None:
+    """However many the request is about at once, and each once."""
+    formatter = logs.JsonLines({})
+    record = logging.LogRecord("planner.service", logging.INFO, "", 1, "told", (), None)
+    before = logs._REQUEST.set(logs._Request("r"))
+    try:
+        logs.about("a", "b", "a")
+        assert json.loads(formatter.format(record))["jobs"] == ["a", "b"]
+        logs.about(*(f"j{number}" for number in range(10_000)))
+        logs.about("late")
+        told = json.loads(formatter.format(record))["jobs"]
+    finally:
+        logs._REQUEST.reset(before)
+    assert told == ["a", "b", *(f"j{number}" for number in range(98))]
+    logs.about("of no request")
+
+
 @pytest.mark.parametrize(
     "given", [[], [b""], [b"a" * 10_000], [b"<script>"], [b"a\tb"], ["ä".encode()], [b"a", b"b"], [b"-"]]
 )
