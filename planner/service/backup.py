@@ -32,7 +32,16 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 import planner
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
-from planner.service.models import METADATA, SCHEMA, Database, cannot_open, default_url, open_engine, reason
+from planner.service.models import (
+    METADATA,
+    SCHEMA,
+    Database,
+    cannot_open,
+    default_url,
+    open_engine,
+    reason,
+    shown,
+)
 from planner.service.schema import VERSION, NoVersionError, bring_up_to_date, version_of
 from planner.service.service import lock_data
 from planner.service.storage import GRACE_S, Files, is_sha
@@ -177,7 +186,7 @@ def _moment_of_postgresql(engine: Engine, url: str, copy: Path) -> None:
             way = (
                 f"this program makes backups of version {VERSION}; use pg_dump, or the program that wrote it"
             )
-            raise _refused(f"database {url.split('@')[-1]}: {what}; {way}")
+            raise _refused(f"database {shown(url)}: {what}; {way}")
         target = Database(_sqlite(copy))
         with target.write() as written:
             _copy_rows(source, written)

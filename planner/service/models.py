@@ -188,7 +188,7 @@ class Database:
                 bring_up_to_date(connection, METADATA)
         except (NewerError, NoVersionError) as error:
             self._engine.dispose()
-            issue = Issue("service.database", f"database {_shown(url)}: {error}", field="database")
+            issue = Issue("service.database", f"database {shown(url)}: {error}", field="database")
             raise TandemError(issue) from error
         except (DBAPIError, ArgumentError, NoSuchModuleError, ImportError) as error:
             raise TandemError(cannot_open(url, error)) from error
@@ -295,11 +295,11 @@ def cannot_open(url: str, error: Exception) -> Issue:
         what = f"cannot be opened ({reason(error)}); see that it runs and may be written"
     else:
         what = "is no such URL; give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME"
-    return Issue("service.database", f"database {_shown(url)}: {what}", field="database")
+    return Issue("service.database", f"database {shown(url)}: {what}", field="database")
 
 
-def _shown(url: str) -> str:
-    """An URL for a message, without the password."""
+def shown(url: str) -> str:
+    """An URL for a message, without user, password and options, which may have a password too."""
     return url.split("@")[-1].split("?")[0]
 
 

@@ -263,8 +263,9 @@ def test_nor_on_postgresql(made: tuple[Path, str, str], tmp_path: Path) -> None:
     with psycopg.connect(url) as connection:
         connection.execute("UPDATE tandem_schema SET version = 99")
     (tmp_path / "new" / "files").mkdir(exist_ok=True)
-    with pytest.raises(TandemError, match="version 99; this program makes backups of version"):
-        backup.back_up(tmp_path / "new", url, tmp_path / "backup")
+    with pytest.raises(TandemError, match="version 99; this program makes backups of version") as caught:
+        backup.back_up(tmp_path / "new", f"{url}?password=secret", tmp_path / "backup")
+    assert "secret" not in str(caught.value)
 
 
 def test_a_newer_an_unfinished_and_a_damaged_backup(made: tuple[Path, str, str], tmp_path: Path) -> None:

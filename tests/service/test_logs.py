@@ -91,6 +91,25 @@ def test_a_line_names_so_many_jobs_at_most() -> None:
 
 
 @pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (
+            "postgresql://db/x?password=s3cret&sslmode=require",
+            "postgresql://db/x?password=(password)&sslmode=require",
+        ),
+        ("postgresql://u:s3cret@db/x?sslpassword=s3cret", "postgresql://db/x?sslpassword=(password)"),
+        ("host=db PASSWORD=s3cret;s3cret, user=u", "host=db PASSWORD=(password) user=u"),
+        (r"password = 's3cret \' s3cret' dbname=x", "password = (password) dbname=x"),
+        ("password='s3cret s3cret", "password=(password)"),
+        ("the password is wrong", "the password is wrong"),
+    ],
+)
+def test_passwords_of_databases_are_not_told(said: str, told: str) -> None:
+    record = logging.LogRecord("planner.service", logging.ERROR, "", 1, "%s", (said,), None)
+    assert json.loads(logs.JsonLines({}).format(record))["message"] == told
+
+
+@pytest.mark.parametrize(
     "given", [[], [b""], [b"a" * 10_000], [b"<script>"], [b"a\tb"], ["ä".encode()], [b"a", b"b"], [b"-"]]
 )
 def test_an_identifier_that_is_none_is_replaced(here: Told, given: list[bytes]) -> None:
