@@ -63,6 +63,8 @@ RETRY_S: Final = 1.0
 """Pause [s] before a stream that broke off is opened again."""
 PAUSES_S: Final = (1.0, 3.0, 9.0)
 """Pauses [s] before a request that makes jobs is sent again after its connection broke off."""
+LONGEST_KEY: Final = 255
+"""Characters that a key of a request may have."""
 HEALTH_BYTES: Final = 100_000
 """A service's word on itself is shorter."""
 Progress = Callable[[str, float], None]
@@ -178,8 +180,11 @@ class Client:
 
         Keep the id: any client with the same token asks by it, whenever. The request goes with a ``key``, one
         of its own where none is given, so that it is sent again when the connection breaks off and makes one
-        job all the same; a script that may be started anew gives the same key for the same problem.
+        job all the same; a script that may be started anew gives the same key for the same problem. Raises
+        ``TandemError``: ``service.idempotency`` for a key that is not 1 to 255 printable ASCII characters
+        without spaces, before anything is sent.
         """
+        self._check_key(key)
         asked = {"timeout_s": timeout_s, "memory_mb": memory_mb}
         query = urllib.parse.urlencode({name: value for name, value in asked.items() if value is not None})
         body, kind = _multipart(*self._bundle(problem, files or {}))
@@ -276,6 +281,7 @@ class Client:
         An element is said as a problem is: a dict, the path of a file, or its text. ``key`` as of
         :meth:`submit`.
         """
+        self._check_key(key)
         self._want(DESK_API, "elements")
         body, kind = _multipart(*self._bundle(element, files or {}))
         return str(self._make("/v1/elements", body, kind, key)["id"])
@@ -290,6 +296,7 @@ class Client:
     ) -> list[str]:
         """Plan panels of an element, or all that are not planned yet; the ids of their jobs. ``key`` as of
         :meth:`submit`."""
+        self._check_key(key)
         self._want(DESK_API, "elements")
         body = json.dumps({} if panels is None else {"panels": list(panels)}).encode()
         made = self._make(_of(element, "/plan", "elements"), body, "application/json", key)
@@ -411,6 +418,15 @@ class Client:
         pauses = PAUSES_S if self._api >= KEYS_API else ()
         return self._read_json(self._request(path, body, headers, "POST", pauses=pauses))
 
+    def _check_key(self, key: str | None) -> None:
+        """See that the service takes a key: a header changes some others on their way, or ends at them."""
+        if key is None or (isinstance(key, str) and _KEY.fullmatch(key)):
+            return
+        got = f"{key[:40]!r} of {len(key)} characters" if isinstance(key, str) else f"a {type(key).__name__}"
+        allowed = f"1 to {LONGEST_KEY} printable ASCII characters without spaces"
+        what = f"key: got {got}; {allowed} are allowed: give such a text, str(uuid.uuid4()) say, or none"
+        raise self._refused({"code": "service.idempotency", "message": what, "field": "key"})
+
     def _json(self, path: str, method: str = "GET") -> dict[str, Any]:
         return self._read_json(self._request(path, method=method))
 
@@ -495,6 +511,8 @@ def _multipart(problem: bytes, files: Mapping[str, bytes]) -> tuple[bytes, str]:
     return bytes(body), f"multipart/form-data; boundary={boundary}"
 
 
+_KEY: Final = re.compile(rf"[\x21-\x7e]{{1,{LONGEST_KEY}}}")
+"""A key of a request, as the service takes it."""
 _UNPRINTABLE: Final = re.compile("[\x7f-\x9f\u2028\u2029\ufeff]")
 """Characters that JSON has as they are and YAML does not."""
 

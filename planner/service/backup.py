@@ -26,16 +26,25 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
-from sqlalchemy import Connection, Engine, insert, select, text
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy import Connection, Engine, insert, inspect, select, text
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 import planner
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
-from planner.service.models import METADATA, SCHEMA, Database, cannot_open, default_url, open_engine
-from planner.service.schema import VERSION, bring_up_to_date, version_of
+from planner.service.models import (
+    METADATA,
+    SCHEMA,
+    Database,
+    cannot_open,
+    default_url,
+    open_engine,
+    reason,
+    shown,
+)
+from planner.service.schema import VERSION, NoVersionError, bring_up_to_date, version_of
 from planner.service.service import lock_data
-from planner.service.storage import GRACE_S, Files
+from planner.service.storage import GRACE_S, Files, is_sha
 
 DATABASE: Final = "tandem.db"
 """The database in a backup."""
@@ -49,6 +58,8 @@ MOMENTS: Final = 10
 """So many moments are taken until all files of one are there."""
 ROWS: Final = 1000
 """Rows of a table that are held at once."""
+LOGS: Final = ("-wal", "-shm", "-journal")
+"""What SQLite adds to a database's name for its logs (https://www.sqlite.org/tempfiles.html)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +83,7 @@ def back_up(data: Path, database: str | None, folder: Path) -> Backup:
             raise _refused(f"folder {folder}: is not empty; name a new one, or remove what is in it")
         if not (data / FILES).is_dir():
             raise _refused(f"data folder {data}: there is no store in it; give --data as the service has it")
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        _make_private(folder)
         try:
             made = _backed_up(data, database or default_url(data), folder)
         except BaseException:  # nothing stands in the way of another try
@@ -96,14 +107,17 @@ def restore(folder: Path, data: Path, database: str | None) -> Backup:
     with _told(folder), lock_data(data, database is None):
         if database is None and (data / DATABASE).exists():
             raise _refused(f"data folder {data}: a store is in it already; give --data a new folder")
+        _check_no_log(data / DATABASE)
         if database is not None:
             with _begun(database) as connection:
                 _check_empty(connection)
         with tempfile.TemporaryDirectory(prefix=".restore-", dir=data) as room:
             copy = Path(room) / DATABASE
+            copy.touch(mode=0o600)  # and so are its logs, which SQLite makes like it
             shutil.copyfile(folder / DATABASE, copy)
             _read(copy)
             Database(_sqlite(copy)).close()  # brings it up to date
+            _check_tables(folder, copy)
             made, named = _read(copy)
             lost = _copied(named, Files(folder / FILES), Files(data / FILES))
             if lost is not None:
@@ -115,11 +129,22 @@ def restore(folder: Path, data: Path, database: str | None) -> Backup:
         return made
 
 
+def _make_private(folder: Path) -> None:
+    """Make a folder that only its owner may enter, or make one that is there such."""
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    folder.chmod(0o700)
+    mode = folder.stat().st_mode & 0o777
+    if mode & 0o077:  # some mounted disks take the call and keep the mode
+        what = f"got mode {mode:o}, so others may read the backup, and its disk does not let that be changed"
+        raise _refused(f"folder {folder}: {what}; name one on a disk that keeps permissions")
+
+
 def _backed_up(data: Path, url: str, folder: Path) -> Backup:
     """Copy the database of a moment and all files that it names."""
     source, target, copy = Files(data / FILES), Files(folder / FILES), folder / DATABASE
     for _ in range(MOMENTS):
         copy.unlink(missing_ok=True)
+        copy.touch(mode=0o600)
         _moment(url, copy)
         made, named = _read(copy)
         lost = _copied(named, source, target)
@@ -161,7 +186,7 @@ def _moment_of_postgresql(engine: Engine, url: str, copy: Path) -> None:
             way = (
                 f"this program makes backups of version {VERSION}; use pg_dump, or the program that wrote it"
             )
-            raise _refused(f"database {url.split('@')[-1]}: {what}; {way}")
+            raise _refused(f"database {shown(url)}: {what}; {way}")
         target = Database(_sqlite(copy))
         with target.write() as written:
             _copy_rows(source, written)
@@ -193,6 +218,8 @@ def _begun(url: str) -> Iterator[Connection]:
     try:
         engine = open_engine(url)
         try:
+            if engine.dialect.name == "sqlite":
+                _check_no_log(Path(engine.url.database or ""))
             with engine.begin() as connection:
                 if engine.dialect.name != "sqlite":
                     connection.execute(text("SELECT pg_advisory_xact_lock(7223)"))
@@ -201,6 +228,18 @@ def _begun(url: str) -> Iterator[Connection]:
             engine.dispose()
     except (SQLAlchemyError, ImportError) as error:
         raise TandemError(cannot_open(url, error)) from error
+
+
+def _check_no_log(path: Path) -> None:
+    """See that a database that is not there left no log: SQLite would write what that has over the one that
+    is made under its name, or remove it."""
+    if path.exists() and path.stat().st_size:
+        return  # they are its own
+    left = [f"{path.name}{end}" for end in LOGS if os.path.lexists(f"{path}{end}")]
+    if left:
+        what = f"got {', '.join(left)}, which belong to a {path.name} that is not there"
+        way = "give --data or --database a new place, or move them to where that database is now"
+        raise _refused(f"folder {path.parent}: {what}; {way}")
 
 
 def _check_empty(connection: Connection) -> None:
@@ -233,11 +272,33 @@ def _read(copy: Path) -> tuple[Backup, dict[str, int]]:
             raise _refused(f"database {copy}: {what}; update tandem-planner on this machine")
         jobs = int(connection.execute(text("SELECT count(*) FROM tandem_jobs")).scalar_one())
         rows = connection.execute(text("SELECT DISTINCT sha, size FROM tandem_files ORDER BY sha"))
-        named: dict[str, int] = dict(row.tuple() for row in rows)
+        named: dict[str, int] = {}
+        for sha, size in rows:
+            if not is_sha(sha) or not isinstance(size, int) or size < 0:
+                got = f"got the name {str(sha)[:80]!r} and the size {str(size)[:20]!r}"
+                way = "a SHA-256 of 64 hexadecimal digits and bytes are allowed; it is damaged, take another"
+                raise _refused(f"database {copy.name}: table tandem_files: {got}; {way} backup")
+            named[sha] = size
     engine.dispose()
     with contextlib.closing(_opened(copy)) as db:
         db.execute("PRAGMA journal_mode=DELETE")
     return Backup(version, jobs, len(named), sum(named.values())), named
+
+
+def _check_tables(folder: Path, copy: Path) -> None:
+    """See that a database of this version has all that this version's has."""
+    engine = open_engine(_sqlite(copy))
+    try:
+        seen = inspect(engine)
+        there = set(seen.get_table_names())
+        for table in METADATA.sorted_tables:
+            has = {one["name"] for one in seen.get_columns(table.name)} if table.name in there else set()
+            lost = [one.name for one in table.columns if one.name not in has]
+            if lost:
+                what = f"table {table.name} has no {', '.join(lost)}" if has else f"has no table {table.name}"
+                raise _refused(f"backup {folder}: {what}; it is damaged, take another one")
+    finally:
+        engine.dispose()
 
 
 def _copied(named: Mapping[str, int], source: Files, target: Files) -> str | None:
@@ -285,7 +346,14 @@ def _told(folder: Path) -> Iterator[None]:
         where = error.filename or folder
         raise _refused(f"{where}: {error.strerror or error}; see the disk and its permissions") from error
     except sqlite3.Error as error:
-        raise _refused(f"backup {folder}: its database cannot be read or written ({error})") from error
+        what = f"its database cannot be read or written ({str(error)[:200]})"
+        raise _refused(f"backup {folder}: {what}; it is damaged, take another one") from error
+    except NoVersionError as error:
+        raise _refused(f"backup {folder}: {error}") from error
+    except SQLAlchemyError as error:
+        said = reason(error) if isinstance(error, DBAPIError) else type(error).__name__
+        what = f"its database cannot be read or written ({said})"
+        raise _refused(f"backup {folder}: {what}; it is damaged, take another one") from error
 
 
 def _sqlite(path: Path) -> str:

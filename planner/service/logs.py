@@ -44,6 +44,8 @@ _TOKEN: Final = re.compile(r"tandem_[0-9a-f]{16}_[A-Za-z0-9_-]*")
 """A token, or the begin of one."""
 _PASSWORD: Final = re.compile(r"://[^\s/@]*@")
 """User and password in a URL."""
+_OPTION: Final = re.compile(r"(password\s*=\s*)(?:'(?:[^'\\]|\\.)*'?|[^\s&]+)", re.IGNORECASE)
+"""A password as an option of a URL, or of a connection of PostgreSQL (libpq, 34.1.1: quoted or not)."""
 _PLACE: Final = re.compile(r"(?<![\w:/.)])/(?:[^\s/'\"`,;()\[\]]+/)+[^\s/'\"`,;()\[\]]*")
 """A place on the disk: a path of two names at least from its root on."""
 
@@ -62,8 +64,12 @@ _REQUEST: Final[ContextVar[_Request | None]] = ContextVar("tandem_request", defa
 def about(*jobs: str) -> None:
     """Say which jobs the present request is about, if there is one; threads that it began may, too."""
     request = _REQUEST.get()
-    if request is not None and len(request.jobs) < MOST_JOBS:
-        request.jobs.update(dict.fromkeys(jobs))
+    if request is None:
+        return
+    for job in jobs:
+        if len(request.jobs) >= MOST_JOBS:
+            return
+        request.jobs[job] = None
 
 
 def identifier(given: list[str]) -> str:
@@ -131,7 +137,7 @@ class JsonLines(logging.Formatter):
         }
         request = _REQUEST.get()
         said = getattr(record, "request", None) or (request.id if request else None)
-        jobs = [*getattr(record, "jobs", ()), *(request.jobs if request else ())]
+        jobs = [*getattr(record, "jobs", ()), *(request.jobs if request else ())][:MOST_JOBS]
         line |= {"request": said} if said else {}
         line |= {"jobs": jobs} if jobs else {}
         line |= {k: self._without(v, places=False) if isinstance(v, str) else v for k, v in more.items()}
@@ -153,7 +159,7 @@ class JsonLines(logging.Formatter):
     def _without(self, text: str, places: bool) -> str:
         for what, instead in self._hidden.items():
             text = text.replace(what, instead)
-        text = _PASSWORD.sub("://", _TOKEN.sub("(token)", text))
+        text = _OPTION.sub(r"\1(password)", _PASSWORD.sub("://", _TOKEN.sub("(token)", text)))
         if places:
             text = _PLACE.sub("(path)", text)
         return text[:LONGEST]

@@ -40,11 +40,11 @@ from sqlalchemy import (
     text,
 )
 from sqlalchemy.engine import make_url
-from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, OperationalError
+from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.sql.elements import ColumnElement
 
 from planner.issues import Issue, TandemError
-from planner.service.schema import NewerError, bring_up_to_date
+from planner.service.schema import NewerError, NoVersionError, bring_up_to_date
 
 METADATA: Final = MetaData()
 """The tables of the service."""
@@ -186,11 +186,11 @@ class Database:
                 if not self.sqlite:
                     connection.execute(text("SELECT pg_advisory_xact_lock(7223)"))
                 bring_up_to_date(connection, METADATA)
-        except NewerError as error:
+        except (NewerError, NoVersionError) as error:
             self._engine.dispose()
-            issue = Issue("service.database", f"database {_shown(url)}: {error}", field="database")
+            issue = Issue("service.database", f"database {shown(url)}: {error}", field="database")
             raise TandemError(issue) from error
-        except (OperationalError, ArgumentError, NoSuchModuleError, ImportError) as error:
+        except (DBAPIError, ArgumentError, NoSuchModuleError, ImportError) as error:
             raise TandemError(cannot_open(url, error)) from error
         self._writer = self._engine.execution_options(write=True)
 
@@ -239,22 +239,29 @@ def default_url(data: Path) -> str:
 
 def open_engine(url: str) -> Engine:
     """Connections to a database as it is. Raises ``ArgumentError``, ``NoSuchModuleError`` or ``ImportError``
-    for what is no URL or has no driver."""
+    for what is no URL, is an SQLite database in memory, or has no driver."""
     if url.startswith(("postgres://", "postgresql://")):
         url = "postgresql+psycopg://" + url.split("://", 1)[1]
-    kind = make_url(url).get_backend_name()
-    if kind not in ("sqlite", "postgresql"):
-        raise ArgumentError(f"got {kind}")
-    waits = {"timeout": WAIT_S} if kind == "sqlite" else {"connect_timeout": CONNECT_S}
-    engine = create_engine(
-        url,
-        pool_size=POOL_SIZE,
-        max_overflow=POOL_SIZE,
-        pool_timeout=WAIT_S,
-        pool_pre_ping=kind != "sqlite",
-        connect_args=waits,
-        hide_parameters=True,  # errors go to the log, hashes of tokens and users' data do not
-    )
+    try:
+        parts = make_url(url)
+        kind = parts.get_backend_name()
+        if kind not in ("sqlite", "postgresql"):
+            raise ArgumentError(f"got {kind}")
+        name = parts.database or ""
+        if "\0" in url or (kind == "sqlite" and name in ("", ":memory:")):
+            raise ArgumentError("names no file")  # one in memory goes with its connection
+        waits = {"timeout": WAIT_S} if kind == "sqlite" else {"connect_timeout": CONNECT_S}
+        engine = create_engine(
+            url,
+            pool_size=POOL_SIZE,
+            max_overflow=POOL_SIZE,
+            pool_timeout=WAIT_S,
+            pool_pre_ping=kind != "sqlite",
+            connect_args=waits,
+            hide_parameters=True,  # errors go to the log, hashes of tokens and users' data do not
+        )
+    except (ValueError, TypeError) as error:  # of a port or an option that is no number
+        raise ArgumentError("has a part that cannot be read") from error
     if kind == "sqlite":
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
@@ -275,19 +282,24 @@ def _begin_sqlite(connection: Connection) -> None:
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
+def reason(error: DBAPIError) -> str:
+    """What a database said, in a line, without the statement and its values."""
+    return (str(error.orig).splitlines() or [type(error.orig).__name__])[0][:200]
+
+
 def cannot_open(url: str, error: Exception) -> Issue:
     """What to say of a database that cannot be opened."""
     if isinstance(error, ImportError):
         what = "PostgreSQL needs its driver; pip install 'tandem-planner[service,postgres]'"
     elif isinstance(error, DBAPIError):
-        what = f"cannot be opened ({str(error.orig).splitlines()[0]}); see that it runs and may be written"
+        what = f"cannot be opened ({reason(error)}); see that it runs and may be written"
     else:
         what = "is no such URL; give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME"
-    return Issue("service.database", f"database {_shown(url)}: {what}", field="database")
+    return Issue("service.database", f"database {shown(url)}: {what}", field="database")
 
 
-def _shown(url: str) -> str:
-    """An URL for a message, without the password."""
+def shown(url: str) -> str:
+    """An URL for a message, without user, password and options, which may have a password too."""
     return url.split("@")[-1].split("?")[0]
 
 

@@ -50,17 +50,29 @@ class NewerError(Exception):
         )
 
 
+class NoVersionError(Exception):
+    """A store that does not say its version: it is damaged, or no store."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "its table tandem_schema has no whole number as version; it is damaged: take a copy, or a backup"
+        )
+
+
 def version_of(connection: Connection) -> int | None:
-    """The version of a store; None where there is none yet."""
+    """The version of a store; None where there is none yet. Raises :class:`NoVersionError`."""
     there = set(inspect(connection).get_table_names())
     if "tandem_schema" in there:
-        return int(connection.execute(text("SELECT max(version) FROM tandem_schema")).scalar_one())
+        found = connection.execute(text("SELECT max(version) FROM tandem_schema")).scalar_one()
+        if not isinstance(found, int) or found < UNNUMBERED:
+            raise NoVersionError
+        return found
     return UNNUMBERED if "tandem_jobs" in there else None
 
 
 def bring_up_to_date(connection: Connection, tables: MetaData) -> None:
     """Make the tables of an empty store, or take the steps that one lacks, in the connection's transaction;
-    others wait meanwhile. Raises :class:`NewerError`."""
+    others wait meanwhile. Raises :class:`NewerError` and :class:`NoVersionError`."""
     found = version_of(connection)
     if found is not None and found > VERSION:
         raise NewerError(found)

@@ -104,7 +104,7 @@ class Files:
 
     def path(self, sha: str) -> Path:
         """Where the file with that hash lies; raises ``ValueError`` for what is no hash."""
-        if not _SHA.fullmatch(sha):
+        if not is_sha(sha):
             raise ValueError(f"{sha!r} is no SHA-256")
         return self.root / sha[:2] / sha
 
@@ -147,6 +147,11 @@ class Files:
     def _measured(self) -> int:
         folders = [folder for folder in self.root.iterdir() if folder != self._incoming and folder.is_dir()]
         return sum(_size(path) for folder in folders for path in folder.iterdir())
+
+
+def is_sha(value: object) -> bool:
+    """Whether it is a SHA-256 as a name of a stored file has it."""
+    return isinstance(value, str) and _SHA.fullmatch(value) is not None
 
 
 def blob_of(stream: BinaryIO) -> Blob:

@@ -3,6 +3,7 @@ where something would be lost or is not whole."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import shutil
@@ -176,15 +177,81 @@ def test_what_is_there_is_never_overwritten(made: tuple[Path, str, str], tmp_pat
     (store / "files").mkdir()
     for url in (
         "nonsense",
+        "sqlite://",
+        "sqlite:///:memory:",
+        "sqlite:////no/such.db?timeout=soon",
+        "sqlite:///no\0such.db",
+        "postgresql://u:secret@host:abc/d",
+        "postgresql://u:secret@127.0.0.1:1/d?password=secret&colour=red",
         "mysql://u:secret@h/d",
         "postgresql://u:secret@127.0.0.1:1/d",
         "sqlite:///no/such.db",
     ):
         with pytest.raises(TandemError) as caught:
             backup.back_up(store, url, tmp_path / "url")
-        assert "secret" not in str(caught.value)
+        (issue,) = caught.value.issues
+        assert issue.code in ("service.database", "service.backup")
+        assert "secret" not in str(issue)
+        with pytest.raises(TandemError) as caught:
+            backup.restore(made[0], tmp_path / "nowhere", url)
+        (issue,) = caught.value.issues
+        assert issue.code == "service.database"
+        assert "secret" not in str(issue)
         assert list((tmp_path / "url").iterdir()) == []
     backup.back_up(store, None, tmp_path / "url")
+
+
+def test_only_the_owner_may_read_it(
+    made: tuple[Path, str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also in a folder that was there and open to all, and what is restored into such a one."""
+    data, folder, share = tmp_path / "data", tmp_path / "backup", tmp_path / "share"
+    for one in (data, folder, share):
+        one.mkdir()
+        one.chmod(0o755)
+    backup.restore(made[0], data, None)
+    backup.back_up(data, None, folder)
+    assert folder.stat().st_mode & 0o777 == 0o700
+    held = [path for path in (data / "files").rglob("*") if path.is_file()]
+    assert held
+    for path in (*held, data / "tandem.db", folder / "tandem.db"):
+        assert path.stat().st_mode & 0o077 == 0, path
+    monkeypatch.setattr(Path, "chmod", lambda *asked: None)
+    with pytest.raises(TandemError, match="others may read the backup"):
+        backup.back_up(data, None, share)
+    assert list(share.iterdir()) == []
+
+
+@pytest.mark.parametrize("end", ["-wal", "-shm", "-journal"])
+def test_logs_of_a_database_that_was_moved_away(
+    made: tuple[Path, str, str], tmp_path: Path, end: str
+) -> None:
+    """SQLite's own files: the next open would write the old store over the one that was restored."""
+    data = tmp_path / "data"
+    data.mkdir()
+    with contextlib.closing(sqlite3.connect(data / "tandem.db")) as db:
+        db.execute("PRAGMA journal_mode=WAL" if end != "-journal" else "PRAGMA journal_mode=PERSIST")
+        db.execute("CREATE TABLE mine (a)")
+        db.commit()
+        left = data / f"tandem.db{end}"
+        kept = left.read_bytes()
+    (data / "tandem.db").unlink()
+    left.write_bytes(kept)
+    for other in {"tandem.db-wal", "tandem.db-shm", "tandem.db-journal"} - {left.name}:
+        (data / other).unlink(missing_ok=True)
+    for database in (None, f"sqlite:///{data / 'tandem.db'}", f"sqlite:///{tmp_path / 'other.db'}"):
+        said = refused(made[0], data, database)
+        assert f"folder {data}: got tandem.db{end}, which belong to a tandem.db that is not there" in said
+        assert "move them to where that database is" in said
+    assert left.read_bytes() == kept
+    assert not (data / "tandem.db").exists()
+    assert not (tmp_path / "other.db").exists()
+    (tmp_path / f"other.db{end}").write_bytes(kept)
+    said = refused(made[0], tmp_path / "new", f"sqlite:///{tmp_path / 'other.db'}")
+    assert f"got other.db{end}" in said
+    assert (tmp_path / f"other.db{end}").read_bytes() == kept
+    left.unlink()
+    backup.restore(made[0], data, None)
 
 
 def test_nor_on_postgresql(made: tuple[Path, str, str], tmp_path: Path) -> None:
@@ -196,8 +263,9 @@ def test_nor_on_postgresql(made: tuple[Path, str, str], tmp_path: Path) -> None:
     with psycopg.connect(url) as connection:
         connection.execute("UPDATE tandem_schema SET version = 99")
     (tmp_path / "new" / "files").mkdir(exist_ok=True)
-    with pytest.raises(TandemError, match="version 99; this program makes backups of version"):
-        backup.back_up(tmp_path / "new", url, tmp_path / "backup")
+    with pytest.raises(TandemError, match="version 99; this program makes backups of version") as caught:
+        backup.back_up(tmp_path / "new", f"{url}?password=secret", tmp_path / "backup")
+    assert "secret" not in str(caught.value)
 
 
 def test_a_newer_an_unfinished_and_a_damaged_backup(made: tuple[Path, str, str], tmp_path: Path) -> None:
@@ -226,6 +294,47 @@ def test_a_newer_an_unfinished_and_a_damaged_backup(made: tuple[Path, str, str],
     (torn / "tandem.db").write_bytes(content[: len(content) // 2])
     assert "database" in refused(torn, tmp_path / "b")
     backup.restore(made[0], tmp_path / "a", None)  # what was refused leaves nothing in the way
+
+
+SPOILT = {
+    "UPDATE tandem_files SET sha = '../../../etc/passwd'": "got the name '../../../etc/passwd'",
+    "UPDATE tandem_files SET sha = ''": "got the name ''",
+    "UPDATE tandem_files SET sha = upper(sha) || x'0a'": "a SHA-256 of 64 hexadecimal digits",
+    "UPDATE tandem_files SET sha = x'00ff'": "table tandem_files: got the name",
+    "UPDATE tandem_files SET size = 'many'": "the size 'many'",
+    "UPDATE tandem_files SET sha = CAST(x'ff' AS TEXT)": "cannot be read or written",
+    "DROP TABLE tandem_files": "cannot be read or written (no such table: tandem_files)",
+    "DROP TABLE tandem_jobs": "cannot be read or written (no such table: tandem_jobs)",
+    "DROP TABLE tandem_tokens": "has no table tandem_tokens",
+    "ALTER TABLE tandem_jobs DROP COLUMN stage": "table tandem_jobs has no stage",
+    "DELETE FROM tandem_schema": "table tandem_schema has no whole number as version",
+    "UPDATE tandem_schema SET version = -3": "table tandem_schema has no whole number as version",
+}
+"""What damage or malice may do to the database of a backup, and what is said."""
+
+
+@pytest.mark.parametrize("spoil", SPOILT)
+def test_a_database_that_is_none_of_a_backup(made: tuple[Path, str, str], tmp_path: Path, spoil: str) -> None:
+    folder = shutil.copytree(made[0], tmp_path / "spoilt")
+    with contextlib.closing(sqlite3.connect(folder / "tandem.db")) as db:
+        db.execute(spoil)
+        db.commit()
+    said = refused(folder, tmp_path / "new")
+    assert SPOILT[spoil] in said
+    assert "take " in said
+    assert "SELECT" not in said
+    assert not (tmp_path / "new" / "tandem.db").exists()
+    assert [path for path in (tmp_path / "new").rglob("*") if "passwd" in path.name] == []
+
+
+def test_a_store_that_says_no_version_is_not_opened(made: tuple[Path, str, str], tmp_path: Path) -> None:
+    data = shutil.copytree(made[0], tmp_path / "data")
+    with contextlib.closing(sqlite3.connect(data / "tandem.db")) as db:
+        db.execute("DELETE FROM tandem_schema")
+        db.commit()
+    with pytest.raises(TandemError, match="has no whole number as version") as caught:
+        Database(default_url(data))
+    assert [issue.code for issue in caught.value.issues] == ["service.database"]
 
 
 def test_a_damaged_store_is_told(made: tuple[Path, str, str], tmp_path: Path) -> None:

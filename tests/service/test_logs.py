@@ -73,6 +73,42 @@ def test_a_request_is_a_line_with_its_jobs(here: Told) -> None:
     assert line["jobs"] == [job]
 
 
+def test_a_line_names_so_many_jobs_at_most() -> None:
+    """However many the request is about at once, and each once."""
+    formatter = logs.JsonLines({})
+    record = logging.LogRecord("planner.service", logging.INFO, "", 1, "told", (), None)
+    before = logs._REQUEST.set(logs._Request("r"))
+    try:
+        logs.about("a", "b", "a")
+        assert json.loads(formatter.format(record))["jobs"] == ["a", "b"]
+        logs.about(*(f"j{number}" for number in range(10_000)))
+        logs.about("late")
+        told = json.loads(formatter.format(record))["jobs"]
+    finally:
+        logs._REQUEST.reset(before)
+    assert told == ["a", "b", *(f"j{number}" for number in range(98))]
+    logs.about("of no request")
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (
+            "postgresql://db/x?password=s3cret&sslmode=require",
+            "postgresql://db/x?password=(password)&sslmode=require",
+        ),
+        ("postgresql://u:s3cret@db/x?sslpassword=s3cret", "postgresql://db/x?sslpassword=(password)"),
+        ("host=db PASSWORD=s3cret;s3cret, user=u", "host=db PASSWORD=(password) user=u"),
+        (r"password = 's3cret \' s3cret' dbname=x", "password = (password) dbname=x"),
+        ("password='s3cret s3cret", "password=(password)"),
+        ("the password is wrong", "the password is wrong"),
+    ],
+)
+def test_passwords_of_databases_are_not_told(said: str, told: str) -> None:
+    record = logging.LogRecord("planner.service", logging.ERROR, "", 1, "%s", (said,), None)
+    assert json.loads(logs.JsonLines({}).format(record))["message"] == told
+
+
 @pytest.mark.parametrize(
     "given", [[], [b""], [b"a" * 10_000], [b"<script>"], [b"a\tb"], ["ä".encode()], [b"a", b"b"], [b"-"]]
 )

@@ -25,9 +25,9 @@ import yaml
 
 import planner
 from planner.issues import Issue
-from planner.service import tandem_client
+from planner.service import idempotency, tandem_client
 from planner.service.models import API, Database, default_url
-from planner.service.security import Auth
+from planner.service.security import Auth, RefusedError
 from tests import small_problem
 from tests.element.shells import cap
 from tests.service.support import ROOT, Process
@@ -283,6 +283,43 @@ def test_what_cannot_be_sent_is_told_before_it_is_sent(problem: Any, files: Any,
             kind("http://127.0.0.1:1").submit(problem, files=files)
         assert [issue.code for issue in caught.value.issues] == [code]
         assert caught.value.issues[0].field
+
+
+@pytest.mark.parametrize(
+    ("key", "got"),
+    [
+        ("a\nb", r"got 'a\nb' of 3 characters"),
+        ("a\n", r"got 'a\n' of 2 characters"),
+        ("", "got '' of 0 characters"),
+        ("wing 1", "got 'wing 1' of 6 characters"),
+        ("flügel", "got 'flügel' of 6 characters"),
+        ("k" * 256, f"got {'k' * 40!r} of 256 characters"),
+        (b"wing", "got a bytes"),
+    ],
+)
+def test_a_key_that_is_none_is_told_before_it_is_sent(key: Any, got: str) -> None:
+    """By those that the service refuses; no service is there to ask."""
+    if isinstance(key, str):
+        with pytest.raises(RefusedError):
+            idempotency.checked([key])
+    for kind, error in (
+        (tandem_client.Client, tandem_client.TandemError),
+        (planner.Client, planner.TandemError),
+    ):
+        client = kind("http://127.0.0.1:1")
+        for ask in (client.submit, client.divide, client.plan_panels):
+            with pytest.raises(error) as caught:
+                ask({} if ask != client.plan_panels else "e", key=key)
+            (issue,) = caught.value.issues
+            assert (issue.code, issue.field) == ("service.idempotency", "key")
+            assert issue.message.startswith(f"key: {got}; 1 to 255 printable ASCII characters without spaces")
+
+
+@pytest.mark.parametrize("key", ["!", "~" * 255, '"8e03978e-40d5-43dd-bc93-6894a57f9324"'])
+def test_a_key_that_the_service_takes_goes_on(key: str) -> None:
+    assert idempotency.checked([key]) == key
+    (issue,) = refusal(lambda: tandem_client.Client("http://127.0.0.1:1").submit({}, key=key))
+    assert issue.code == "service.answer"
 
 
 def test_a_problem_that_holds_itself_is_told() -> None:
