@@ -86,14 +86,17 @@ def test_other_ids_are_refused():
     assert "verify.move_ids" in refused(put(texts(), 1, rows, "Main"))
 
 
-def test_a_corner_that_is_moved_into_the_table_is_refused():
+@pytest.mark.parametrize(
+    ("degrees", "code"), [((70.0, -60.0), "verify.clearance"), ((70.0, 25.0), "verify.own_clearance")]
+)
+def test_a_corner_that_is_moved_into_the_block_or_the_arm_itself_is_refused(degrees, code):
     target = re.search(r"CONST jointtarget j_1_entry_1:=\[\[([^\]]*)\]", texts()[name("Data", 1)])
     assert target is not None
     joints = [float(v) for v in target[1].split(",")]
-    joints[1], joints[2] = joints[1] + 70.0, joints[2] + 25.0
+    joints[1], joints[2] = joints[1] + degrees[0], joints[2] + degrees[1]
     moved = ",".join(f"{v:.6f}" for v in joints)
     found = refused(edit(texts(), name("Data", 1), target[1], moved))
-    assert "verify.clearance" in found
+    assert code in found
 
 
 def test_a_zone_in_one_arm_s_way_is_refused():
