@@ -76,51 +76,44 @@ class Serve:
     """on a shared database: jobs of a host that has been silent for so long are planned by others"""
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Store:
+    """The store of a service that a command works on."""
+
+    data: Path = DATA_FOLDER
+    """data folder of the service"""
+    database: str | None = None
+    """database of the service, if it is not in the data folder"""
+
+
 @dataclasses.dataclass(frozen=True)
-class Add:
+class Add(_Store):
     """Make a token and print it, this once."""
 
     name: tyro.conf.Positional[str]
     """whose it is"""
-    data: Path = DATA_FOLDER
-    """data folder of the service"""
-    database: str | None = None
-    """database of the service, if it is not in the data folder"""
 
 
 @dataclasses.dataclass(frozen=True)
-class List:
+class List(_Store):
     """List the tokens, without their secrets."""
 
-    data: Path = DATA_FOLDER
-    """data folder of the service"""
-    database: str | None = None
-    """database of the service, if it is not in the data folder"""
-
 
 @dataclasses.dataclass(frozen=True)
-class Revoke:
+class Revoke(_Store):
     """End a token at once; its jobs stay."""
 
     name: tyro.conf.Positional[str]
     """whose it is"""
-    data: Path = DATA_FOLDER
-    """data folder of the service"""
-    database: str | None = None
-    """database of the service, if it is not in the data folder"""
 
 
 @dataclasses.dataclass(frozen=True)
-class BackUp:
+class BackUp(_Store):
     """Back the service's store up into a new folder: database and files as they are at one moment. The
     service may run meanwhile."""
 
     folder: tyro.conf.Positional[Path]
     """the new folder"""
-    data: Path = DATA_FOLDER
-    """data folder of the service"""
-    database: str | None = None
-    """database of the service, if it is not in the data folder"""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -350,6 +350,9 @@ class Prover:
     def _of_bodies(self, context: Context, begun: clearance.Begun | None = None) -> Iterator[Any]:
         """What rules on the cell's bodies find; ``begun``: what is measured at the looks, if it is begun."""
         models = functools.cache(functools.partial(self.model, context))
+        if begun is None:  # both rules on clearance have their looks of it
+            some = clearance.looks(context)
+            begun = some, clearance.measured(models, some, context.problem.settings)
         yield robot_motion.kinematics(context, models)
         yield clearance.bodies(context, models, begun)
         yield clearance.own_bodies(context, models, begun)
