@@ -318,37 +318,31 @@ def clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
         if wire.clearance is not None:
             away = np.where(np.asarray(wire.clearance) > 0.0, wire.clearance, np.nan) / MM
             lines.append(Line("wire", wire.time, away, 1))
+    return _distances("Clearance to everything else", lines, settings.clearance, data, motion)
+
+
+def own_clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
+    """Least distance of links and tool of one arm over time [mm], with the asked one."""
+    lines = [Line("links and tool", data.time, data.distance / MM, 2)]
+    return _distances("Clearance of each arm to itself", lines, settings.of_one_arm, data, motion)
+
+
+def _distances(title: str, lines: Sequence[Line], wanted: float, data: Clearance, motion: Motion) -> Figure:
+    """Distances over time [mm] with the ``wanted`` one [m]; the least of ``data``, when it is, and between
+    what."""
     top = max([float(np.nanmax(line.y)) for line in lines if np.isfinite(line.y).any()] or [100.0])
     body = chart(
         lines,
         x_label="s",
         y_label="mm",
         bands=motion.bands,
-        levels=[Level(settings.clearance / MM, "asked for")],
+        levels=[Level(wanted / MM, "asked for")],
         y_range=(0.0, min(top * 1.1, 150.0) + 1.0),
     )
-    return Figure("Clearance to everything else", body, _least_of(data))
-
-
-def own_clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
-    """Least distance of links and tool of one arm over time [mm], with the asked one."""
-    top = min(float(np.nanmax(data.distance)) / MM * 1.1, 150.0) + 1.0
-    body = chart(
-        [Line("links and tool", data.time, data.distance / MM, 2)],
-        x_label="s",
-        y_label="mm",
-        bands=motion.bands,
-        levels=[Level(settings.of_one_arm / MM, "asked for")],
-        y_range=(0.0, top),
-    )
-    return Figure("Clearance of each arm to itself", body, _least_of(data))
-
-
-def _least_of(data: Clearance) -> str:
-    """The least distance, when it is, and between what."""
     worst = int(np.nanargmin(data.distance))
     at = f"{markup.fixed(data.distance[worst] / MM, 1)} mm at {markup.fixed(data.time[worst], 1)} s"
-    return f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
+    note = f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
+    return Figure(title, body, note)
 
 
 def gap(data: Gap, motion: Motion) -> Figure:

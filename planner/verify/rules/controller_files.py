@@ -37,6 +37,7 @@ from planner.verify.rapid.reader import masked
 from planner.verify.rapid.syntax_tree import Instruction, Literal, ProcCall
 from planner.verify.replay import arm_model
 from planner.verify.rules import power_at_stops
+from planner.verify.rules.external_axes import OFF_HOME
 from planner.verify.rules.power_at_stops import POWER_MODULE, config_row
 from planner.verify.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR
 from planner.verify.urscript.flow import LOOK_KIND
@@ -340,8 +341,6 @@ _CHECK_HEAD = ["proc", "check_cell", "(", ")"]
 """Words that the procedure begins with."""
 _AXES_HEAD = ["proc", "check_axes", "(", ")"]
 """The same of that which looks where tracks and turntables are."""
-_OFF_HOME = {"mm": "1", "deg": "0.1"}
-"""How far one of those may be off home, in the unit of its values."""
 _DISTANCE, _TURN = 0.1, 0.02
 """How far the controller's frames may be off the plan's [mm], [degrees]."""
 
@@ -471,7 +470,7 @@ def _axes_wanted(axes: Sequence[OuterAxis]) -> list[str]:
         here, name = f"cfg_here.extax.eax_{'abcdef'[axis.column]}", vocabulary.axis_of(axis.unit)
         home = f"{axis.home / axis.scale:.4f}"
         home = home.removeprefix("-") if float(home) == 0.0 else home
-        text += f'check_axis "{name}",{here},{home},{_OFF_HOME[axis.sign]};'
+        text += f'check_axis "{name}",{here},{home},{OFF_HOME[axis.sign]:g};'
     return _statements(text)
 
 
