@@ -183,15 +183,15 @@ def test_what_is_not_installed_is_told_with_the_install_line(
 
 
 def test_tokens_are_made_listed_and_revoked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    service.token(service.Add("ann", tmp_path))
+    service.token(service.Add(name="ann", data=tmp_path))
     token = capsys.readouterr().out.strip()
     auth = Auth(Database(default_url(tmp_path)))
     assert auth.owner(token)
     for wrong in ("ann", "", "a b", "x" * 65):
         with pytest.raises(TandemError) as caught:
-            service.token(service.Add(wrong, tmp_path))
+            service.token(service.Add(name=wrong, data=tmp_path))
         assert caught.value.issues[0].code == "service.token"
-    service.token(service.Revoke("ann", tmp_path))
+    service.token(service.Revoke(name="ann", data=tmp_path))
     assert not auth.any()
-    service.token(service.List(tmp_path))
+    service.token(service.List(data=tmp_path))
     assert "ann" in capsys.readouterr().out
