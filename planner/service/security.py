@@ -38,7 +38,8 @@ class Limits:
     each content once, None for what the disk has; ``readings`` of uploads that wait or are under way, of one
     token; ``job_s`` and ``job_memory_mb`` of one job's planning,
     ``check_s`` and ``check_memory_mb`` of reading or checking a problem; ``streams`` of events at once, of
-    one token; ``keep_days`` until a finished job is deleted, None for never.
+    one token, and ``requests_per_s`` of it, None for any; ``keep_days`` until a finished
+    job is deleted, None for never.
     """
 
     upload_mb: float = 200.0
@@ -55,6 +56,7 @@ class Limits:
     check_s: float = 120.0
     check_memory_mb: float = 4096.0
     streams: int = 100
+    requests_per_s: float | None = 50.0
     keep_days: float | None = None
 
 
