@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
 
-API: Final = 6
+API: Final = 7
 """Number of the service's interface that this client was made for."""
 LINKS_API: Final = 2
 """The interface from which on there are links."""
@@ -53,6 +53,8 @@ RETRY_API: Final = 4
 """The interface from which on jobs are tried again."""
 KEYS_API: Final = 6
 """The interface from which on what is sent twice with the same key is done once."""
+TEAMS_API: Final = 7
+"""The interface from which on tokens have roles and teams."""
 PLANNED: Final = ("verified", "unproven")
 """States of jobs that have a plan."""
 OPEN: Final = ("queued", "running")
@@ -161,6 +163,12 @@ class Client:
             raise self._answer(self._url, "does not answer as Tandem does; see the address")
         return said
 
+    def who(self) -> dict[str, Any]:
+        """Who asks: ``name``, ``role`` (view, plan or release) and ``team`` of the token, and when it
+        ``expires``."""
+        self._want(TEAMS_API, "roles of tokens")
+        return self._json("/v1/session")
+
     def check(
         self, problem: Any, reach: bool = True, files: Mapping[str, Content] | None = None
     ) -> tuple[Any, ...]:
@@ -178,11 +186,11 @@ class Client:
     ) -> str:
         """Send a problem to be planned, within ``timeout_s`` and ``memory_mb``; the id of its job.
 
-        Keep the id: any client with the same token asks by it, whenever. The request goes with a ``key``, one
-        of its own where none is given, so that it is sent again when the connection breaks off and makes one
-        job all the same; a script that may be started anew gives the same key for the same problem. Raises
-        ``TandemError``: ``service.idempotency`` for a key that is not 1 to 255 printable ASCII characters
-        without spaces, before anything is sent.
+        Keep the id: any client with the same token, or one of its team, asks by it, whenever. The request
+        goes with a ``key``, one of its own where none is given, so that it is sent again when the connection
+        breaks off and makes one job all the same; a script that may be started anew gives the same key for
+        the same problem. Raises ``TandemError``: ``service.idempotency`` for a key that is not 1 to 255
+        printable ASCII characters without spaces, before anything is sent.
         """
         self._check_key(key)
         asked = {"timeout_s": timeout_s, "memory_mb": memory_mb}
@@ -195,7 +203,7 @@ class Client:
         return self._json(_of(job))
 
     def jobs(self) -> Iterator[dict[str, Any]]:
-        """All jobs of the token, the newest first."""
+        """All jobs of the token and of its team, the newest first; ``by`` says whose each is."""
         query = "?limit=200"
         while True:
             page = self._json(f"/v1/jobs{query}")

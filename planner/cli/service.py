@@ -92,6 +92,12 @@ class Add(_Store):
 
     name: tyro.conf.Positional[str]
     """whose it is"""
+    role: Literal["view", "plan", "release"] = "plan"
+    """what it may do: look, also make and change jobs, also release programs"""
+    team: str | None = None
+    """tokens of one team see one another's jobs; without a team a token sees its own alone"""
+    expires: str | None = None
+    """how long it is good for: 12h, 90d or 4w; unless stated until it is revoked"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,14 +190,16 @@ def token(asked: Add | List | Revoke) -> None:
     """Make, list or end tokens; raises ``TandemError``."""
     auth = _auth(asked)
     if isinstance(asked, Add):
-        sys.stdout.write(f"{auth.make(asked.name)}\n")
+        lasts_s = None if asked.expires is None else _lasts(asked.expires)
+        sys.stdout.write(f"{auth.make(asked.name, asked.role, asked.team, lasts_s)}\n")
     elif isinstance(asked, Revoke):
         auth.revoke(asked.name)
         out.print(f"{asked.name}: revoked", highlight=False)
     else:
-        table = Table("name", "made", "revoked")
+        table = Table("name", "role", "team", "made", "ends", "revoked")
         for known in auth.list():
-            table.add_row(known.name, _moment(known.created), _moment(known.revoked))
+            times = (_moment(one) for one in (known.created, known.expires, known.revoked))
+            table.add_row(known.name, known.role, known.team or "", *times)
         out.print(table)
 
 
@@ -237,6 +245,12 @@ def _auth(asked: Add | List | Revoke) -> Auth:
             message = f"data folder {asked.data}: cannot be written ({error.strerror}); give another one"
             raise TandemError(Issue("service.start", message, field="data")) from error
     return Auth(Database(asked.database or default_url(asked.data)))
+
+
+def _lasts(text: str) -> float:
+    from planner.service.security import lasts
+
+    return lasts(text)
 
 
 def _moment(seconds: float | None) -> str:

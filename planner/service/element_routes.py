@@ -30,12 +30,14 @@ from planner.service.routes import (
     KNOWN,
     PAGE_SIZE,
     UPLOADED,
+    Asker,
     Caller,
     Here,
     Key,
     refusals,
 )
-from planner.service.security import MB, RefusedError, too_large
+from planner.service.security import MB, RefusedError, Who, too_large
+from planner.service.service import Service
 from planner.service.storage import documented, take_upload
 
 router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=ASKED)
@@ -47,9 +49,15 @@ UPLOADS: Final = {"requestBody": documented(_FILE)}
 """How the description of the interface tells of a body that is an element."""
 
 
-def own_element(element: str, owner: Caller, here: Here) -> str:
-    """The id of an element, if it is the caller's; raises :class:`RefusedError`, 404."""
-    if not JOB_ID.fullmatch(element) or here.elements.owner(element) != owner:
+def own_element(element: str, owner: Caller, who: Asker, here: Here) -> str:
+    """The id of an element, if it is the caller's or his team's; raises :class:`RefusedError`, 404."""
+    del owner  # may do what is asked
+    return element_of(element, who, here)
+
+
+def element_of(element: str, who: Who, here: Service) -> str:
+    """The id of an element, if ``who`` sees it; raises :class:`RefusedError`, 404."""
+    if not JOB_ID.fullmatch(element) or not here.auth.sees(who, here.elements.owner(element)):
         what = f"element {element[:40]!r}: there is none; list the elements"
         raise RefusedError(404, Issue("service.unknown_job", what))
     about(element)
@@ -108,13 +116,15 @@ async def create(request: Request, owner: Caller, here: Here, key: Key) -> Eleme
 def page(
     request: Request,
     owner: Caller,
+    who: Asker,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: CURSOR = None,
 ) -> Response:
-    """The newest first, a page at a time; 304 for who asks again with ``If-None-Match`` and has it as it
-    is."""
-    found, following = here.elements.page(owner, cursor, limit)
+    """Yours and those of your team, the newest first, a page at a time; 304 for who asks again with
+    ``If-None-Match`` and has it as it is."""
+    del owner
+    found, following = here.elements.page(here.auth.owners(who), cursor, limit)
     return tagged(request, ElementList(elements=found, next=following))
 
 
@@ -141,6 +151,7 @@ async def divide(
     request: Request,
     element: str,
     owner: Caller,
+    who: Asker,
     here: Here,
     key: Key,
     instead: Annotated[
@@ -152,11 +163,11 @@ async def divide(
     once = idempotency.once(owner, key, f"elements/{element}/divide", change.fields, instead)
     made = await anyio.to_thread.run_sync(here.elements.made, once)
     if made is None:  # a request that was done has perhaps taken this element away
-        await anyio.to_thread.run_sync(own_element, element, owner, here)
+        await anyio.to_thread.run_sync(element_of, element, who, here)
         made = await here.in_turn(
             request, owner, lambda reading: here.elements.change(owner, element, change.fields, reading, once)
         )
-    if instead and here.elements.owner(element) == owner:
+    if instead and here.auth.sees(who, here.elements.owner(element)):
         await anyio.to_thread.run_sync(here.elements.give_up, element)
     return made
 

@@ -118,9 +118,11 @@ class Elements:
         made = self._jobs.create(self._service.new_job(owner, read.name, read, files, of=of), once)
         return self._head(made, json.dumps(read.summary), 0)
 
-    def page(self, owner: str, cursor: str | None, count: int) -> tuple[list[ElementOut], str | None]:
-        """Elements of the owner as :meth:`planner.service.jobs.Jobs.page` gives jobs."""
-        found, following = self._jobs.page(owner, (), cursor, count, "division")
+    def page(
+        self, owners: Sequence[str], cursor: str | None, count: int
+    ) -> tuple[list[ElementOut], str | None]:
+        """Elements of the owners as :meth:`planner.service.jobs.Jobs.page` gives jobs."""
+        found, following = self._jobs.page(owners, (), cursor, count, "division")
         own = [one.id for one in found]
         about = select(ELEMENT_JOBS.c.job, ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job.in_(own))
         planned = (

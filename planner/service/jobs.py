@@ -16,7 +16,7 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import anyio.to_thread
-from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, not_, or_, select, update
+from sqlalchemy import Connection, RowMapping, Select, and_, delete, func, insert, not_, or_, select, update
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
@@ -35,6 +35,7 @@ from planner.service.models import (
     MARKS,
     OPEN,
     SETTLED,
+    TOKENS,
     Database,
     JobOut,
     Role,
@@ -156,12 +157,25 @@ class Jobs:
             row = job_row(db, job)
             return row["owner"], job_out(row, self._ahead(db, job) if row["state"] == "queued" else None)
 
+    def owner(self, job: str) -> str | None:
+        """Whose job it is; None where there is none of that id, or it is being deleted."""
+        with self._database.read() as db:
+            found: str | None = db.execute(
+                select(JOBS.c.owner).where(JOBS.c.id == job, JOBS.c.cancel != DELETED)
+            ).scalar()
+        return found
+
     def page(
-        self, owner: str, states: Sequence[str], cursor: str | None, count: int, role: Role | None = None
+        self,
+        owners: Sequence[str],
+        states: Sequence[str],
+        cursor: str | None,
+        count: int,
+        role: Role | None = None,
     ) -> tuple[list[JobOut], str | None]:
-        """Up to ``count`` jobs of the owner, the newest first, and the cursor of what follows, if anything
+        """Up to ``count`` jobs of the owners, the newest first, and the cursor of what follows, if anything
         does: jobs of that ``role`` in an element, or such as plan a problem."""
-        query = select(JOBS).where(JOBS.c.owner == owner, JOBS.c.cancel != DELETED)
+        query = jobs_to_send().where(JOBS.c.owner.in_(owners), JOBS.c.cancel != DELETED)
         of = select(ELEMENT_JOBS.c.job)
         if role is None:
             query = query.where(JOBS.c.id.not_in(of.where(ELEMENT_JOBS.c.role != "panel")))
@@ -371,6 +385,7 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
         stage=row["stage"],
         fraction=min(max(row["fraction"], 0.0), 1.0),
         processes=json.loads(row["processes"]),
+        by=row["made_by"],
         digest=row["digest"],
         created=_utc(row["created"]),
         started=None if row["started"] is None else _utc(row["started"]),
@@ -390,9 +405,15 @@ def _utc(seconds: float) -> dt.datetime:
     return dt.datetime.fromtimestamp(seconds, dt.UTC)
 
 
+def jobs_to_send() -> Select[Any]:
+    """Jobs as the store has them, with what else :func:`job_out` tells."""
+    made_by = TOKENS.c.name.label("made_by")
+    return select(JOBS, made_by).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
+
+
 def job_row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:
     """A job as the store has it; raises :class:`RefusedError`, 404."""
-    row = db.execute(select(JOBS).where(JOBS.c.id == job)).mappings().first()
+    row = db.execute(jobs_to_send().where(JOBS.c.id == job)).mappings().first()
     if row is None or (row["cancel"] == DELETED and not deleted_too):
         raise unknown_job(job)
     return row

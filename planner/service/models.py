@@ -57,8 +57,11 @@ TOKENS: Final = Table(
     Column("hash", String(64), nullable=False, unique=True),
     Column("created", Float, nullable=False),
     Column("revoked", Float),
+    Column("role", String(16), nullable=False),
+    Column("team", String(64)),
+    Column("expires", Float),
 )
-"""Who may use the service. Only the SHA-256 of a token is kept."""
+"""Who may use the service, and for what. Only the SHA-256 of a token is kept."""
 
 SESSIONS: Final = Table(
     "tandem_sessions",
@@ -303,10 +306,10 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 6
+API: Final = 7
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
-6: keys of requests that are done once."""
+6: keys of requests that are done once. 7: roles and teams of tokens."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -330,6 +333,10 @@ SETTLED: Final = ("verified", "done", "infeasible", "unproven")
 MARKS: Final = "progress.csv"
 """The file of an element's job that says which panels are cut, glued or broken; no part of its result."""
 Role = Literal["division", "panel", "report"]
+TokenRole = Literal["view", "plan", "release"]
+TOKEN_ROLES: Final[tuple[TokenRole, ...]] = ("view", "plan", "release")
+"""Roles of tokens, each of which includes the former: to look at everything; to make, change and delete
+jobs, and to hand links out; to release programs."""
 Mark = Literal["cut", "glued", "broken"]
 
 
@@ -358,6 +365,7 @@ class JobOut(Sent):
     stage: str = Field("", description="what is being done")
     fraction: float = Field(0.0, ge=0, le=1, description="how much of the stage is done")
     processes: list[str] = []
+    by: str | None = Field(None, description="name of the token that made it")
     digest: str = Field(description="SHA-256 over the problem's values and files")
     created: dt.datetime
     started: dt.datetime | None = None
@@ -487,6 +495,16 @@ class CheckOut(Sent):
     summary: dict[str, Any]
     issues: list[Issue]
     looked_at: LookedAt | None = Field(default=None, description="where reach was tested")
+
+
+class SessionOut(Sent):
+    """Who asks. Without tokens there is one user of this name, who may do all."""
+
+    name: str = Field(description="of the token")
+    role: TokenRole
+    team: str | None = Field(None, description="those of its tokens see one another's jobs")
+    tokens: bool = Field(description="whether this service asks for tokens")
+    expires: dt.datetime | None = Field(None, description="end of the token")
 
 
 class Health(Sent):

@@ -46,15 +46,18 @@ from planner.service.models import (
     LookedAt,
     Ready,
     Refusal,
+    SessionOut,
     State,
     Storage,
 )
 from planner.service.security import (
+    ANYBODY,
     LINK_S,
     LOCAL,
     LONGEST_LINK_S,
-    SESSION_S,
+    SAFE_METHODS,
     RefusedError,
+    Who,
     bad_link,
     unauthorised,
     unknown_job,
@@ -72,8 +75,8 @@ JOB_ID: Final = re.compile(r"[0-9a-f]{32}")
 """A job's identifier."""
 
 REFUSALS: Final = {
-    401: {"model": Refusal, "description": "no token, or one that is unknown or revoked"},
-    403: {"model": Refusal, "description": "a request of another site"},
+    401: {"model": Refusal, "description": "no token, or one that is unknown, revoked or over"},
+    403: {"model": Refusal, "description": "a request of another site, or beyond the token's role"},
     404: {"model": Refusal, "description": "there is no such thing, or it is another token's"},
     409: {"model": Refusal, "description": "the job's state does not allow it"},
     413: {"model": Refusal, "description": "larger than this service takes"},
@@ -104,35 +107,51 @@ def service(request: Request) -> Service:
     return found
 
 
-def caller(
+def asker(
     request: Request,
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)] = None,
     cookie: Annotated[str | None, Security(_COOKIE)] = None,
-) -> str:
-    """The owner of what is asked; raises :class:`RefusedError`, 401."""
+) -> Who:
+    """Who asks, whatever he may; raises :class:`RefusedError`, 401."""
     here = service(request)
     if bearer is not None:
-        return here.auth.owner(bearer.credentials)
+        return here.auth.who(bearer.credentials)
     if "authorization" in request.headers:
         raise unauthorised("the Authorization header is no bearer token; send 'Bearer TOKEN'")
     if cookie is not None:
         return here.auth.session(cookie)
     if here.options.tokens_required:
         raise unauthorised("a token is needed; send the header 'Authorization: Bearer TOKEN'")
-    return LOCAL
+    return ANYBODY
 
 
-Caller = Annotated[str, Depends(caller)]
+Asker = Annotated[Who, Depends(asker)]
 Here = Annotated[Service, Depends(service)]
 
 
-def own_job(job: str, owner: Caller, here: Here) -> JobOut:
-    """The job, if it is the caller's; raises :class:`RefusedError`, 404 for another one's too, so that nobody
-    learns which there are."""
+def caller(request: Request, who: Asker) -> str:
+    """The owner of what is made, if he may do what the method does: look, or make and change something.
+    Raises :class:`RefusedError`, 401 or 403."""
+    who.need("view" if request.method in SAFE_METHODS else "plan")
+    return who.token
+
+
+Caller = Annotated[str, Depends(caller)]
+
+
+def own_job(job: str, owner: Caller, who: Asker, here: Here) -> JobOut:
+    """The job, if it is the caller's or his team's; raises :class:`RefusedError`, 404 for another one's too,
+    so that nobody learns which there are."""
+    del owner  # may do what is asked
+    return job_of(job, who, here)
+
+
+def job_of(job: str, who: Who, here: Service) -> JobOut:
+    """A job, if ``who`` sees it; raises :class:`RefusedError`, 404."""
     if not JOB_ID.fullmatch(job):
         raise unknown_job(job)
     belongs_to, found = here.jobs.get(job)
-    if belongs_to != owner:
+    if not here.auth.sees(who, belongs_to):
         raise unknown_job(job)
     about(job)
     return found
@@ -151,18 +170,21 @@ def job_to_read(
     expires: Annotated[int | None, Query(ge=0, lt=2**53, description="end of a link")] = None,
     signature: Annotated[str | None, Query(max_length=200, description="signature of a link")] = None,
 ) -> JobOut:
-    """The job, for who reads its file ``name``: the caller if it is his, anybody with a link to that file.
+    """The job, for who reads its file ``name``: the caller if he sees it, anybody with a link to that file.
 
     A link is judged as one, whoever sends it. Raises :class:`RefusedError`, 401, 403 or 404.
     """
     if signature is None:
-        return own_job(job, caller(request, bearer, cookie), here)
-    here.links.check(job, name, expires, signature)
-    owner, found = here.jobs.get(job)
-    open_to_all = owner == LOCAL and not here.options.tokens_required
-    if not open_to_all and not here.auth.in_force(owner):
-        raise bad_link("the token of its job is no longer in force; ask for a new one")
-    return found
+        return job_of(job, asker(request, bearer, cookie), here)
+    owner = here.jobs.owner(job) if JOB_ID.fullmatch(job) else None
+    mates = () if owner is None else here.auth.mates(owner)
+    maker = here.links.check(job, name, expires, signature, mates) or owner
+    if owner is None or maker is None:
+        raise unknown_job(job)
+    open_to_all = maker == LOCAL and not here.options.tokens_required
+    if not open_to_all and not here.auth.in_force(maker):
+        raise bad_link("the token that made it, or its job, is no longer in force; ask for a new one")
+    return here.jobs.get(job)[1]
 
 
 def idempotency_key(
@@ -299,15 +321,26 @@ def storage(owner: Caller, here: Here) -> Storage:
     return Storage(used_mb=here.storage.used(owner) / 1e6, limit_mb=here.limits.token_disk_mb)
 
 
+@about_router.get(
+    "/v1/session", responses=ASKED, response_model_exclude_none=True, summary="Who asks, and what he may do"
+)
+def session(who: Asker, here: Here) -> SessionOut:
+    """Name, role and team of the token, or of the cookie's."""
+    expires = None if who.expires is None else dt.datetime.fromtimestamp(who.expires, dt.UTC)
+    asked = here.options.tokens_required
+    return SessionOut(name=who.name, role=who.role, team=who.team, tokens=asked, expires=expires)
+
+
 @about_router.post("/v1/session", responses=ASKED, status_code=204, summary="Log a browser in")
-def log_in(request: Request, owner: Caller, here: Here) -> Response:
+def log_in(request: Request, who: Asker, here: Here) -> Response:
     """Sets a cookie in exchange for the token of the Authorization header; pages cannot read it."""
     response = Response(status_code=204)
-    if owner != LOCAL:
+    if who.token != LOCAL:
+        cookie, good_s = here.auth.open_session(who)
         response.set_cookie(
             COOKIE,
-            here.auth.open_session(owner),
-            max_age=int(SESSION_S),
+            cookie,
+            max_age=int(good_s),
             httponly=True,
             samesite="strict",
             secure=request.url.scheme == "https",
@@ -445,14 +478,16 @@ async def check(
 def page(
     request: Request,
     owner: Caller,
+    who: Asker,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: CURSOR = None,
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
 ) -> Response:
-    """The newest first, a page at a time; 304 for who asks again with ``If-None-Match`` and has it as it
-    is."""
-    found, following = here.jobs.page(owner, state or [], cursor, limit)
+    """Yours and those of your team, the newest first, a page at a time; 304 for who asks again with
+    ``If-None-Match`` and has it as it is."""
+    del owner
+    found, following = here.jobs.page(here.auth.owners(who), state or [], cursor, limit)
     return tagged(request, JobList(jobs=found, next=following))
 
 
@@ -555,15 +590,17 @@ def file(
 @job_router.post("/jobs/{job}/links", responses=refusals(404, 422), summary="Link to a file of a job")
 def link(
     found: OwnJob,
+    who: Asker,
     here: Here,
     name: Annotated[str, Query(max_length=255, description="a name of the list of files")],
     seconds: Annotated[int, Query(ge=1, le=LONGEST_LINK_S, description="how long it is good for")] = LINK_S,
 ) -> LinkOut:
-    """An address that reads this file without a token, for a browser, until it ends or the token is
-    revoked."""
+    """An address that reads this file without a token, for a browser, until it ends or the token that asks
+    for it is revoked or over."""
     known_file(here, found.id, name)
     expires = int(time.time()) + seconds
-    asked = urlencode({"expires": expires, "signature": here.links.sign(found.id, name, expires)})
+    by = None if here.jobs.owner(found.id) == who.token else who.token
+    asked = urlencode({"expires": expires, "signature": here.links.sign(found.id, name, expires, by)})
     path = f"/v1/jobs/{found.id}/files/{quote(name)}?{asked}"
     return LinkOut(path=path, expires=dt.datetime.fromtimestamp(expires, dt.UTC))
 

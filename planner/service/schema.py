@@ -13,7 +13,7 @@ from typing import Final
 
 from sqlalchemy import Connection, MetaData, inspect, text
 
-VERSION: Final = 3
+VERSION: Final = 4
 """Version of the tables that this program reads and writes."""
 UNNUMBERED: Final = 1
 """Version of a store that has jobs and does not say which it is."""
@@ -34,6 +34,12 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
         "number INTEGER NOT NULL, job VARCHAR(32) NOT NULL, content VARCHAR(64) NOT NULL, "
         "created FLOAT NOT NULL, PRIMARY KEY (owner, hash, number))",
         "CREATE INDEX ix_tandem_keys_job ON tandem_keys (job)",
+    ),
+    3: (
+        # tokens of before there were roles could do all, and go on so
+        "ALTER TABLE tandem_tokens ADD COLUMN role VARCHAR(16) NOT NULL DEFAULT 'release'",
+        "ALTER TABLE tandem_tokens ADD COLUMN team VARCHAR(64)",
+        "ALTER TABLE tandem_tokens ADD COLUMN expires FLOAT",
     ),
 }
 """What brings a store of each version to the next one."""

@@ -122,7 +122,7 @@ def provoked(
     out = {status(headers={"Authorization": "Bearer none"})}
     out.add(status(closed, headers={"Host": "other.example", "Authorization": ""}))
     with monkeypatch.context() as away:
-        away.setattr(here.service.auth, "owner", Away())
+        away.setattr(here.service.auth, "who", Away())
         away.setattr(here.service.auth, "close_session", Away())
         away.setattr(Runner, "healthy", False)
         out.add(status(headers={"Cookie": "tandem_session=x"} if one == "DELETE /v1/session" else {}))
