@@ -299,6 +299,10 @@ CODES: Final[dict[str, Code]] = {
     "upload.unproven": Code(
         "a result that is not verified, or whose files are not those of its proof", given=True
     ),
+    "upload.release": Code(
+        "a result's release was withdrawn, is of other programs, or is missing where asked for",
+        given=True,
+    ),
     "upload.address": Code("the address of a controller, or what to send there, is not stated", given=True),
     "upload.controller": Code("a controller cannot be reached, or answers otherwise than it should"),
     "upload.login": Code("a controller refuses the login, or its certificate is not trusted"),
@@ -746,6 +750,7 @@ CODES: Final[dict[str, Code]] = {
     "service.backup": Code("a store of the service cannot be backed up, or a backup not be restored"),
     "service.idempotency": Code("an idempotency key is none, or came with another request before"),
     "service.state": Code("a job is in a state in which what is asked of it cannot be done"),
+    "service.release": Code("programs cannot be released, or a release not be withdrawn"),
     "service.gave_up": Code("the service stopped several times while it worked on a job"),
     "service.answer": Code("an address does not answer as this service does"),
     "service.timeout": Code("the service did not answer, or a job did not end, in the time that was given"),

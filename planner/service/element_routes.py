@@ -3,11 +3,10 @@ state are those of ``/v1/jobs/ID``."""
 
 from __future__ import annotations
 
-from typing import Annotated, Final, TypeVar
+from typing import Annotated, Final
 
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Query, Request, Response
-from pydantic import BaseModel, ValidationError
 
 from planner.issues import Issue
 from planner.service import idempotency
@@ -36,14 +35,12 @@ from planner.service.routes import (
     Key,
     refusals,
 )
-from planner.service.security import MB, RefusedError, Who, too_large
+from planner.service.security import RefusedError, Who
 from planner.service.service import Service
 from planner.service.storage import documented, take_upload
+from planner.service.texts import body, described
 
 router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=ASKED)
-LONGEST: Final = MB
-"""Bytes of a body that says what to do with an element."""
-Body = TypeVar("Body", bound=BaseModel)
 _FILE: Final = {"type": "object", "description": "an element file as data; see docs/element.md"}
 UPLOADS: Final = {"requestBody": documented(_FILE)}
 """How the description of the interface tells of a body that is an element."""
@@ -65,29 +62,6 @@ def element_of(element: str, who: Who, here: Service) -> str:
 
 
 OwnElement = Annotated[str, Depends(own_element)]
-
-
-def _described(model: type[BaseModel]) -> dict[str, object]:
-    """How the description of the interface tells of a body that :func:`_body` reads."""
-    schema = model.model_json_schema()
-    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
-
-
-async def _body(request: Request, model: type[Body]) -> Body:
-    """The body of a request; raises :class:`RefusedError`, 413 or 422."""
-    text = bytearray()
-    async for chunk in request.stream():
-        text += chunk
-        if len(text) > LONGEST:
-            raise too_large("the body", LONGEST / MB, "body")
-    try:
-        return model.model_validate_json(bytes(text) or b"{}")
-    except ValidationError as error:
-        issues = []
-        for fault in error.errors():
-            field = ".".join(str(step) for step in fault["loc"]) or "body"
-            issues.append(Issue("service.request", f"{field}: {fault['msg']}; correct it", field=field))
-        raise RefusedError(422, issues) from error
 
 
 @router.post(
@@ -144,7 +118,7 @@ def get(found: OwnElement, here: Here) -> ElementPanels:
     status_code=201,
     response_model_exclude_none=True,
     responses=refusals(404) | UPLOADED,
-    openapi_extra=_described(Change),
+    openapi_extra=described(Change),
     summary="Divide an element anew, with fields changed",
 )
 async def divide(
@@ -159,7 +133,7 @@ async def divide(
     ] = False,
 ) -> ElementOut:
     """Another element, with the marks of this one: ``{"fields": {"panels.hexagons.count": 120}}``."""
-    change = await _body(request, Change)
+    change = await body(request, Change)
     once = idempotency.once(owner, key, f"elements/{element}/divide", change.fields, instead)
     made = await anyio.to_thread.run_sync(here.elements.made, once)
     if made is None:  # a request that was done has perhaps taken this element away
@@ -168,7 +142,7 @@ async def divide(
             request, owner, lambda reading: here.elements.change(owner, element, change.fields, reading, once)
         )
     if instead and here.auth.sees(who, here.elements.owner(element)):
-        await anyio.to_thread.run_sync(here.elements.give_up, element)
+        await anyio.to_thread.run_sync(here.elements.give_up, element, owner)
     return made
 
 
@@ -177,13 +151,13 @@ async def divide(
     status_code=201,
     response_model_exclude_none=True,
     responses=refusals(404) | UPLOADED,
-    openapi_extra=_described(Chosen),
+    openapi_extra=described(Chosen),
     summary="Plan panels of an element",
 )
 async def plan(request: Request, found: OwnElement, owner: Caller, here: Here, key: Key) -> JobList:
     """A job for each panel that is not planned yet, or for those of ``{"panels": ["A01", ...]}``; each is
     planned like one beside it."""
-    chosen = await _body(request, Chosen)
+    chosen = await body(request, Chosen)
     once = idempotency.once(owner, key, f"elements/{found}/plan", chosen.panels)
     jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
     if not jobs:
@@ -197,12 +171,12 @@ async def plan(request: Request, found: OwnElement, owner: Caller, here: Here, k
     "/elements/{element}/mark",
     response_model_exclude_none=True,
     responses=refusals(404, 413, 422, 507),
-    openapi_extra=_described(Marking),
+    openapi_extra=described(Marking),
     summary="Mark a panel as cut, glued or broken",
 )
 async def mark(request: Request, found: OwnElement, owner: Caller, here: Here) -> ElementPanels:
     """As ``tandem element mark`` does: ``{"panel": "A01", "state": "cut"}``. ``told`` says what is next."""
-    given = await _body(request, Marking)
+    given = await body(request, Marking)
     await anyio.to_thread.run_sync(here.elements.mark, owner, found, given.panel, given.state)
     return await anyio.to_thread.run_sync(here.elements.get, found)
 
@@ -226,14 +200,14 @@ def report(found: OwnElement, owner: Caller, here: Here, key: Key) -> JobOut:
     response_model_exclude_none=True,
     summary="Cancel an element",
 )
-def cancel(found: OwnElement, here: Here) -> ElementPanels:
+def cancel(found: OwnElement, owner: Caller, here: Here) -> ElementPanels:
     """What of it waits or runs is cancelled: its division, its panels, a report."""
-    here.elements.cancel(found)
+    here.elements.cancel(found, owner)
     return here.elements.get(found)
 
 
 @router.delete("/elements/{element}", responses=refusals(404), status_code=204, summary="Delete an element")
-def delete(found: OwnElement, here: Here) -> Response:
+def delete(found: OwnElement, owner: Caller, here: Here) -> Response:
     """What of it waits or runs is cancelled; panels that were planned stay as jobs."""
-    here.elements.delete(found)
+    here.elements.delete(found, owner)
     return Response(status_code=204)

@@ -21,7 +21,7 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from planner.issues import Issue
-from planner.service import idempotency, metrics
+from planner.service import audit, idempotency, metrics
 from planner.service.idempotency import Once
 from planner.service.logs import about
 from planner.service.models import (
@@ -34,11 +34,15 @@ from planner.service.models import (
     KEYS,
     MARKS,
     OPEN,
+    RELEASES,
     SETTLED,
     TOKENS,
+    Act,
     Database,
     JobOut,
+    Release,
     Role,
+    Withdrawal,
 )
 from planner.service.security import Limits, RefusedError, issue_json, unknown_job
 from planner.service.storage import Blob
@@ -105,6 +109,9 @@ class Jobs:
             created = [self._created(db, new) for new in jobs]
             if once is not None:
                 idempotency.keep(self._database, db, once, [job.id for job in created])
+            for job in created:
+                said = {"name": job.name, "digest": job.digest}
+                audit.note(self._database, db, jobs[0].owner, "submitted", job.id, said)
         about(*(job.id for job in created))
         for job in created:
             if job.from_store:
@@ -192,8 +199,9 @@ class Jobs:
         last = f"{rows[count - 1]['created']!r}-{rows[count - 1]['id']}" if len(rows) > count else None
         return [job_out(row) for row in rows[:count]], last
 
-    def cancel(self, job: str, also_delete: bool = False) -> JobOut:
-        """Cancel a job: at once if it waits, else its worker is told; no more happens to one that is done."""
+    def cancel(self, job: str, by: str, also_delete: bool = False) -> JobOut:
+        """Cancel a job, as the token ``by`` asks: at once if it waits, else its worker is told; no more
+        happens to one that is done."""
         with self._database.write() as db:
             self._database.one_at_a_time(db, job)
             row = job_row(db, job)
@@ -210,13 +218,16 @@ class Jobs:
             done = job_out(job_row(db, job, deleted_too=True))
             if also_delete and done.state not in OPEN:
                 remove(db, job)
+            if also_delete or (row["state"] in OPEN and not row["cancel"]):
+                act: Act = "deleted" if also_delete else "cancelled"
+                audit.note(self._database, db, by, act, job, {"name": done.name})
         if row["state"] == "queued" and done.state == "cancelled":
             metrics.ended("cancelled")
         return done
 
-    def retry(self, job: str) -> JobOut:
-        """Let a job wait again as if it had come now, its results gone. Raises :class:`RefusedError`, 404,
-        409 where its state is not one of `AGAIN`, 429 as :meth:`create`."""
+    def retry(self, job: str, by: str) -> JobOut:
+        """Let a job wait again as if it had come now, its results gone, as the token ``by`` asks. Raises
+        :class:`RefusedError`, 404, 409 where its state is not one of `AGAIN`, 429 as :meth:`create`."""
         with self._database.write() as db:
             owner = job_row(db, job)["owner"]
             self._database.one_at_a_time(db, owner)
@@ -239,6 +250,7 @@ class Jobs:
             record_event(db, job, "state", {"state": "queued"})
             answered = answer_from_store(db, job, row["key"])
             done = job_out(job_row(db, job), self._ahead(db, job))
+            audit.note(self._database, db, by, "retried", job, {"name": done.name})
         if answered:
             metrics.ended(done.state, STORE)
         return done
@@ -344,9 +356,9 @@ def remove(db: Connection, job: str) -> None:
     own = and_(ELEMENT_JOBS.c.element == job, ELEMENT_JOBS.c.role == "report")
     reports = db.execute(select(ELEMENT_JOBS.c.job).where(own)).scalars().all()
     for one in {job, *reports}:
-        for table in (EVENTS, FILES, KEYS):
+        db.execute(delete(JOBS).where(JOBS.c.id == one))  # first, for who releases it holds it
+        for table in (EVENTS, FILES, KEYS, RELEASES):
             db.execute(delete(table).where(table.c.job == one))
-        db.execute(delete(JOBS).where(JOBS.c.id == one))
     db.execute(delete(ELEMENT_JOBS).where(or_(ELEMENT_JOBS.c.job == job, ELEMENT_JOBS.c.element == job)))
 
 
@@ -398,17 +410,37 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
         memory_mb=row["memory_mb"],
         issues=[Issue.from_dict(issue) for issue in json.loads(row["issues"])],
         metrics=json.loads(row["metrics"]),
+        released=row["release_who"] is not None and row["release_withdrawn"] is None,
+        release=_release(row),
     )
+
+
+def _release(row: RowMapping) -> Release | None:
+    if row["release_who"] is None:
+        return None
+    withdrawn = None
+    if row["release_withdrawn"] is not None:
+        at = _utc(row["release_withdrawn"])
+        withdrawn = Withdrawal(by=row["release_withdrawn_who"], at=at, reason=row["release_reason"])
+    at, note = _utc(row["release_at"]), row["release_note"]
+    return Release(by=row["release_who"], at=at, note=note, withdrawn=withdrawn)
 
 
 def _utc(seconds: float) -> dt.datetime:
     return dt.datetime.fromtimestamp(seconds, dt.UTC)
 
 
+_LAST: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOBS.c.releases)
+"""The last release of a job."""
+_RELEASE: Final = ("who", "at", "note", "withdrawn", "withdrawn_who", "reason")
+"""What is told of it with its job."""
+
+
 def jobs_to_send() -> Select[Any]:
     """Jobs as the store has them, with what else :func:`job_out` tells."""
-    made_by = TOKENS.c.name.label("made_by")
-    return select(JOBS, made_by).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
+    more = [TOKENS.c.name.label("made_by"), *(RELEASES.c[name].label(f"release_{name}") for name in _RELEASE)]
+    with_names = select(JOBS, *more).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
+    return with_names.outerjoin(RELEASES, _LAST)
 
 
 def job_row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:

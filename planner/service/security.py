@@ -38,7 +38,8 @@ class Limits:
     each content once, None for what the disk has; ``readings`` of uploads that wait or are under way, of one
     token; ``job_s`` and ``job_memory_mb`` of one job's planning,
     ``check_s`` and ``check_memory_mb`` of reading or checking a problem; ``streams`` of events at once, of
-    one token; ``keep_days`` until a finished job is deleted, None for never.
+    one token; ``keep_days`` until a finished job is deleted, ``audit_days`` until an entry of the audit log
+    is, None for never.
     """
 
     upload_mb: float = 200.0
@@ -56,6 +57,7 @@ class Limits:
     check_memory_mb: float = 4096.0
     streams: int = 100
     keep_days: float | None = None
+    audit_days: float | None = 1095.0
 
 
 PROBLEM_JSON: Final = "application/problem+json"

@@ -28,6 +28,8 @@ GOOD: Final[Mapping[str, dict[str, Any]]] = {
     "POST /v1/jobs": {"files": [("problem", ("p.yaml", named("more"))), FILES[1]]},
     "POST /v1/check": {"files": [("problem", ("p.yaml", named("checked"))), FILES[1]]},
     "POST /v1/jobs/{job}/links": {"params": {"name": "report.html"}},
+    "POST /v1/jobs/{job}/release": {"json": {"note": "cut of Tuesday"}},
+    "POST /v1/jobs/{job}/withdraw": {"json": {"reason": "the clamp moved"}},
     "POST /v1/elements/{element}/divide": {"json": {"fields": {"panels.hexagons.count": 26}}},
     "POST /v1/elements/{element}/plan": {"json": {"panels": ["A02"]}},
     "POST /v1/elements/{element}/mark": {"json": {"panel": "A01", "state": "cut"}},
@@ -47,7 +49,7 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
     """A service with tokens, one of which is sent unless a request says otherwise."""
     data = tmp_path_factory.mktemp("service") / "data"
     data.mkdir()
-    token = Auth(Database(default_url(data))).make("ann")
+    token = Auth(Database(default_url(data))).make("ann", "release")
     limits = Limits(upload_mb=UPLOAD_MB)
     with Elements(data, limits, examiners=2, workers=4, require_token=True) as made:
         made.http.headers["Authorization"] = f"Bearer {token}"

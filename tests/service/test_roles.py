@@ -84,9 +84,9 @@ def operations(shop: Shop) -> dict[str, dict[str, Any]]:
 
 
 def store(here: InProcess) -> list[str]:
-    """All that the database holds."""
+    """All that the database holds, but the log of who did what."""
     with sqlite3.connect(here.service.options.data / "tandem.db") as db:
-        return list(db.iterdump())
+        return [row for row in db.iterdump() if not row.startswith('INSERT INTO "tandem_audit"')]
 
 
 def test_who_may_only_look_changes_nothing(shop: Shop, operations: Mapping[str, Any]) -> None:
