@@ -15,6 +15,7 @@ from rich.table import Table
 from planner.issues import Issue, TandemError
 
 if TYPE_CHECKING:
+    from planner.service.oidc import Oidc
     from planner.service.security import Auth
 
 DATA_FOLDER: Final = Path("tandem-data")
@@ -44,6 +45,20 @@ class Serve:
     """ask for tokens on loopback too, as behind a proxy"""
     trusted_proxy: tuple[str, ...] = ("127.0.0.1", "::1")
     """addresses of proxies whose X-Forwarded-Proto and X-Forwarded-For are believed"""
+    oidc_issuer: str | None = None
+    """let people log in by this OpenID Connect provider (extra oidc), https://..."""
+    oidc_client: str | None = None
+    """what this service is called there"""
+    oidc_secret: Path | None = None
+    """file with its secret there"""
+    oidc_role: tuple[str, ...] = ()
+    """VALUE=ROLE: whose claim has the value may view, plan or release; *=view for all accounts"""
+    oidc_claim: str = "groups"
+    """the claim that is meant"""
+    oidc_team: str | None = None
+    """team of all accounts, whose jobs they all see; else each sees its own alone"""
+    oidc_scope: str = "openid profile email"
+    """scopes that are asked for"""
     certificate: Path | None = None
     """certificate for TLS, PEM"""
     key: Path | None = None
@@ -196,12 +211,24 @@ def serve(asked: Serve) -> None:
             require_token=asked.require_token,
             trusted_proxies=asked.trusted_proxy,
             lease_s=asked.lease_s,
+            oidc=None if asked.oidc_issuer is None else _oidc(asked, asked.oidc_issuer),
             limits=limits,
         ),
         asked.certificate,
         asked.key,
         asked.log,
     )
+
+
+def _oidc(asked: Serve, issuer: str) -> Oidc:
+    try:
+        from planner.service import oidc
+    except ImportError as error:
+        hint = "install it: pip install 'tandem-planner[service,oidc]'"
+        what = f"logging in by a provider needs {error.name or error}, which is not installed"
+        raise TandemError(Issue("service.install", what, hint=hint)) from error
+    given = (asked.oidc_client, asked.oidc_secret, asked.oidc_role, asked.oidc_claim, asked.oidc_team)
+    return oidc.read(issuer, *given, asked.oidc_scope)
 
 
 def token(asked: Add | List | Revoke) -> None:

@@ -340,16 +340,15 @@ def log_in(request: Request, who: Asker, here: Here) -> Response:
     """Sets a cookie in exchange for the token of the Authorization header; pages cannot read it."""
     response = Response(status_code=204)
     if who.token != LOCAL:
-        cookie, good_s = here.auth.open_session(who)
-        response.set_cookie(
-            COOKIE,
-            cookie,
-            max_age=int(good_s),
-            httponly=True,
-            samesite="strict",
-            secure=request.url.scheme == "https",
-        )
+        remember(request, response, here, who)
     return response
+
+
+def remember(request: Request, response: Response, here: Service, who: Who) -> None:
+    """Give a browser the cookie of a new session."""
+    cookie, good_s = here.auth.open_session(who)
+    secure = request.url.scheme == "https"
+    response.set_cookie(COOKIE, cookie, max_age=int(good_s), httponly=True, samesite="strict", secure=secure)
 
 
 @about_router.delete(

@@ -189,6 +189,27 @@ class Auth:
             raise TandemError(_bad_name(name, "there is a token of that name; choose another")) from error
         return token
 
+    def account(self, key: str, name: str, role: TokenRole, team: str | None) -> Who:
+        """The account ``key`` of a provider, as a token that no secret opens; another one that is called so
+        already has the ``name`` for itself. Raises :class:`RefusedError`, 403, where it was revoked."""
+        number = hashlib.sha256(key.encode()).hexdigest()[:16]
+        plain = re.sub(r"[^A-Za-z0-9_.@-]", "_", name).lstrip("_.@-")[:64] or number
+        with self._database.write() as db:
+            self._database.one_at_a_time(db, "accounts")
+            row = db.execute(select(TOKENS).where(TOKENS.c.id == number)).mappings().first()
+            if row is not None and row["revoked"] is not None:
+                raise RefusedError(403, Issue("service.log_in", f"the account {row['name']} was revoked"))
+            taken = select(TOKENS.c.id).where(TOKENS.c.name == plain, TOKENS.c.id != number)
+            if db.execute(taken).first() is not None:
+                plain = f"{plain[:55]}-{number[:8]}"
+            known = {"name": plain, "role": role, "team": team}
+            if row is None:
+                made = {"id": number, "hash": f"account {number}", "created": self._database.clock()}
+                db.execute(insert(TOKENS).values(made | known))
+            else:
+                db.execute(update(TOKENS).where(TOKENS.c.id == number).values(known))
+        return Who(number, plain, role, team)
+
     def list(self) -> tuple[TokenInfo, ...]:
         """All tokens, the oldest first."""
         with self._database.read() as db:
@@ -300,7 +321,7 @@ class Links:
     so a link reads that file until then, or until its maker's token is over, and does nothing else."""
 
     def __init__(self, database: Database) -> None:
-        self._secret = bytes.fromhex(_shared_secret(database, "links"))
+        self._secret = bytes.fromhex(shared_secret(database, "links"))
 
     def sign(self, job: str, name: str, expires: int, by: str | None = None) -> str:
         """The signature for a file of a job until ``expires`` [s since 1970], of the token ``by``, or of its
@@ -329,7 +350,7 @@ def bad_link(why: str) -> RefusedError:
     return RefusedError(403, Issue("service.link", f"the link: {why}", field="signature"))
 
 
-def _shared_secret(database: Database, name: str) -> str:
+def shared_secret(database: Database, name: str) -> str:
     """The secret of that name, 256 random bits in hex, made by the host that asks first."""
     query = select(SECRETS.c.value).where(SECRETS.c.name == name)
     with database.write() as db:
