@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
 
-API: Final = 9
+API: Final = 10
 """Number of the service's interface that this client was made for."""
 LINKS_API: Final = 2
 """The interface from which on there are links."""
@@ -53,11 +53,11 @@ RETRY_API: Final = 4
 """The interface from which on jobs are tried again."""
 KEYS_API: Final = 6
 """The interface from which on what is sent twice with the same key is done once."""
-TEAMS_API: Final = 7
+TEAMS_API: Final = 8
 """The interface from which on tokens have roles and teams."""
-RELEASES_API: Final = 8
+RELEASES_API: Final = 9
 """The interface from which on programs are released."""
-AUDIT_API: Final = 9
+AUDIT_API: Final = 10
 """The interface from which on there is a log of who did what."""
 RELEASE: Final = "release.json"
 """What stands beside the programs, and says whether they are released."""
