@@ -38,7 +38,7 @@ from planner.service.routes import (
 from planner.service.security import RefusedError, Who
 from planner.service.service import Service
 from planner.service.storage import documented, take_upload
-from planner.service.texts import body, described
+from planner.service.texts import described, read_body
 
 router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=ASKED)
 _FILE: Final = {"type": "object", "description": "an element file as data; see docs/element.md"}
@@ -133,7 +133,7 @@ async def divide(
     ] = False,
 ) -> ElementOut:
     """Another element, with the marks of this one: ``{"fields": {"panels.hexagons.count": 120}}``."""
-    change = await body(request, Change)
+    change = await read_body(request, Change)
     once = idempotency.once(owner, key, f"elements/{element}/divide", change.fields, instead)
     made = await anyio.to_thread.run_sync(here.elements.made, once)
     if made is None:  # a request that was done has perhaps taken this element away
@@ -157,7 +157,7 @@ async def divide(
 async def plan(request: Request, found: OwnElement, owner: Caller, here: Here, key: Key) -> JobList:
     """A job for each panel that is not planned yet, or for those of ``{"panels": ["A01", ...]}``; each is
     planned like one beside it."""
-    chosen = await body(request, Chosen)
+    chosen = await read_body(request, Chosen)
     once = idempotency.once(owner, key, f"elements/{found}/plan", chosen.panels)
     jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
     if not jobs:
@@ -176,7 +176,7 @@ async def plan(request: Request, found: OwnElement, owner: Caller, here: Here, k
 )
 async def mark(request: Request, found: OwnElement, owner: Caller, here: Here) -> ElementPanels:
     """As ``tandem element mark`` does: ``{"panel": "A01", "state": "cut"}``. ``told`` says what is next."""
-    given = await body(request, Marking)
+    given = await read_body(request, Marking)
     await anyio.to_thread.run_sync(here.elements.mark, owner, found, given.panel, given.state)
     return await anyio.to_thread.run_sync(here.elements.get, found)
 

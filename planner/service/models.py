@@ -99,11 +99,17 @@ JOBS: Final = Table(
     Column("timeout_s", Float, nullable=False),
     Column("memory_mb", Float, nullable=False),
     Column("releases", Integer, nullable=False, default=0),
+    Column("title", String(200), nullable=False, default=""),
+    Column("tags", Text, nullable=False, default=""),
+    Column("notes", Text, nullable=False, default=""),
+    Column("label", String(200), nullable=False, default=""),
+    Column("sought", Text, nullable=False, default=""),
     Index("tandem_jobs_by_owner", "owner", "created", "id"),
 )
 """``key``: what the answer depends on, the problem's digest and the versions. ``host`` works on the job until
 ``lease``. ``seq`` is the number of the job's last event. ``cancel``: 1 cancelled, 2 deleted too. ``releases``
-is the number of the job's last release."""
+is the number of the job's last release. ``tags`` are framed by line ends. Without capitals, ``label`` is the
+title, or name, by which jobs are sorted, and ``sought`` all words by which they are found."""
 
 CANCELLED: Final = 1
 """In a job's column `cancel`: its owner wants it to end."""
@@ -164,6 +170,32 @@ KEYS: Final = Table(
 )
 """The jobs, by ``number``, that a request with an idempotency key made: SHA-256 of the key, and of the
 request's ``content``."""
+
+WEBHOOKS: Final = Table(
+    "tandem_webhooks",
+    METADATA,
+    Column("id", String(32), primary_key=True),
+    Column("owner", String(32), nullable=False, index=True),
+    Column("url", String(500), nullable=False),
+    Column("secret", String(128), nullable=False),
+    Column("created", Float, nullable=False),
+    Column("told", Float),
+    Column("outcome", String(200)),
+    Column("off", Float),
+)
+"""Addresses that are told when a job of the owner has ended: when the last one was ``told`` and its
+``outcome``; ``off`` since it answered that it is gone."""
+
+DELIVERIES: Final = Table(
+    "tandem_deliveries",
+    METADATA,
+    Column("id", String(64), primary_key=True),
+    Column("webhook", String(32), nullable=False, index=True),
+    Column("body", Text, nullable=False),
+    Column("due", Float, nullable=False, index=True),
+    Column("attempts", Integer, nullable=False),
+)
+"""What webhooks are still to be told, from when on, and how often that was tried."""
 
 RELEASES: Final = Table(
     "tandem_releases",
@@ -342,11 +374,11 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 9
+API: Final = 11
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
-6: keys of requests that are done once. 7: roles and teams of tokens.
-8: releases. 9: the audit log."""
+6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
+log. 11: titles, tags and notes, search, deleting many."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -374,6 +406,7 @@ TokenRole = Literal["view", "plan", "release"]
 TOKEN_ROLES: Final[tuple[TokenRole, ...]] = ("view", "plan", "release")
 """Roles of tokens, each of which includes the former: to look at everything; to make, change and delete
 jobs, and to hand links out; to release programs."""
+Sort = Literal["newest", "oldest", "title"]
 Mark = Literal["cut", "glued", "broken"]
 Act = Literal["submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked"]
 
@@ -449,10 +482,20 @@ class JobOut(Sent):
     memory_mb: float
     issues: list[Issue] = []
     metrics: dict[str, float] = {}
+    title: str = Field("", description="what people call it, in any language")
+    tags: list[str] = []
+    notes: str = ""
     released: bool = Field(
         False, description="whether a named person released the programs, and none withdrew"
     )
     release: Release | None = Field(None, description="the last release")
+
+
+class Deleted(Sent):
+    """Which of the jobs that were to be deleted were, and which there are not."""
+
+    deleted: list[str]
+    unknown: list[str]
 
 
 class JobList(Sent):
@@ -567,6 +610,37 @@ class LinkOut(Sent):
 
     path: str = Field(description="what follows the service's address")
     expires: dt.datetime
+
+
+class NewWebhook(Sent):
+    """An address to be told of jobs that end."""
+
+    model_config = ConfigDict(extra="forbid")
+    url: str = Field(max_length=500, description="https, at a host that the service's operator has named")
+
+
+class WebhookOut(Sent):
+    """An address that is told of jobs that end, and how that went last."""
+
+    id: str
+    url: str
+    created: dt.datetime
+    told: dt.datetime | None = Field(None, description="when it was tried last")
+    outcome: str | None = Field(None, description="the status that was answered then, or why there was none")
+    off: dt.datetime | None = Field(None, description="since it answered 410: it is told nothing more")
+    waiting: int = Field(0, description="what it is still to be told")
+
+
+class WebhookMade(WebhookOut):
+    """A new one, with what its requests are signed with."""
+
+    secret: str = Field(description="`whsec_` and base64, told this once")
+
+
+class WebhookList(Sent):
+    """Webhooks."""
+
+    webhooks: list[WebhookOut]
 
 
 class LookedAt(Sent):

@@ -12,7 +12,7 @@ from planner.service import audit
 from planner.service.models import Act, AuditList, JobOut, ReleaseList, ReleaseOut, Sent
 from planner.service.routes import ASKED, JOB_ID, PAGE_SIZE, Asker, Here, OwnJob, job_of, refusals
 from planner.service.security import Who
-from planner.service.texts import Line, Lines, body, described
+from planner.service.texts import Line, Lines, described, read_body
 
 router: Final = APIRouter(prefix="/v1", tags=["releases"], responses=ASKED)
 
@@ -62,7 +62,7 @@ async def release(request: Request, found: ToRelease, who: Releaser, here: Here)
     """By who asks, whose token has a name: ``{"note": "cut of Tuesday"}``. Written down are he, the moment,
     the digest of the problem and the SHA-256 of proof and programs. 409 for what is not verified, or is
     released already."""
-    given = await body(request, Releasing)
+    given = await read_body(request, Releasing)
     return await anyio.to_thread.run_sync(here.releases.release, found.id, who, given.name, given.note)
 
 
@@ -75,7 +75,7 @@ async def release(request: Request, found: ToRelease, who: Releaser, here: Here)
 )
 async def withdraw(request: Request, found: ToRelease, who: Releaser, here: Here) -> ReleaseOut:
     """With a ``reason``; the release stays written down. 409 where the job is not released."""
-    given = await body(request, Withdrawing)
+    given = await read_body(request, Withdrawing)
     return await anyio.to_thread.run_sync(here.releases.withdraw, found.id, who, given.name, given.reason)
 
 

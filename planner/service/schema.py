@@ -13,7 +13,7 @@ from typing import Final
 
 from sqlalchemy import Connection, MetaData, inspect, text
 
-VERSION: Final = 4
+VERSION: Final = 5
 """Version of the tables that this program reads and writes."""
 UNNUMBERED: Final = 1
 """Version of a store that has jobs and does not say which it is."""
@@ -36,6 +36,16 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
         "CREATE INDEX ix_tandem_keys_job ON tandem_keys (job)",
     ),
     3: (
+        "CREATE TABLE tandem_webhooks (id VARCHAR(32) NOT NULL, owner VARCHAR(32) NOT NULL, "
+        "url VARCHAR(500) NOT NULL, secret VARCHAR(128) NOT NULL, created FLOAT NOT NULL, told FLOAT, "
+        "outcome VARCHAR(200), off FLOAT, PRIMARY KEY (id))",
+        "CREATE INDEX ix_tandem_webhooks_owner ON tandem_webhooks (owner)",
+        "CREATE TABLE tandem_deliveries (id VARCHAR(64) NOT NULL, webhook VARCHAR(32) NOT NULL, "
+        "body TEXT NOT NULL, due FLOAT NOT NULL, attempts INTEGER NOT NULL, PRIMARY KEY (id))",
+        "CREATE INDEX ix_tandem_deliveries_webhook ON tandem_deliveries (webhook)",
+        "CREATE INDEX ix_tandem_deliveries_due ON tandem_deliveries (due)",
+    ),
+    4: (
         # tokens of before there were roles could do all, and go on so
         "ALTER TABLE tandem_tokens ADD COLUMN role VARCHAR(16) NOT NULL DEFAULT 'release'",
         "ALTER TABLE tandem_tokens ADD COLUMN team VARCHAR(64)",
@@ -52,6 +62,12 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
         "CREATE INDEX ix_tandem_audit_token ON tandem_audit (token)",
         "CREATE INDEX ix_tandem_audit_team ON tandem_audit (team)",
         "CREATE INDEX ix_tandem_audit_job ON tandem_audit (job)",
+        "ALTER TABLE tandem_jobs ADD COLUMN title VARCHAR(200) NOT NULL DEFAULT ''",
+        "ALTER TABLE tandem_jobs ADD COLUMN tags TEXT NOT NULL DEFAULT ''",
+        "ALTER TABLE tandem_jobs ADD COLUMN notes TEXT NOT NULL DEFAULT ''",
+        "ALTER TABLE tandem_jobs ADD COLUMN label VARCHAR(200) NOT NULL DEFAULT ''",
+        "ALTER TABLE tandem_jobs ADD COLUMN sought TEXT NOT NULL DEFAULT ''",
+        "UPDATE tandem_jobs SET label = lower(name), sought = lower(name)",  # names are plain letters
     ),
 }
 """What brings a store of each version to the next one."""

@@ -57,12 +57,12 @@ Lines = Annotated[str, Field(max_length=LINES), AfterValidator(lines)]
 
 
 def described(model: type[BaseModel]) -> dict[str, Any]:
-    """How the description of the interface tells of a body that :func:`body` reads."""
+    """How the description of the interface tells of a body that :func:`read_body` reads."""
     schema = model.model_json_schema()
     return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
 
 
-async def body(request: Request, model: type[Body]) -> Body:
+async def read_body(request: Request, model: type[Body]) -> Body:
     """The body of a request; raises :class:`RefusedError`, 413 or 422."""
     text = bytearray()
     async for chunk in request.stream():

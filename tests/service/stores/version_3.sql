@@ -51,16 +51,7 @@ CREATE TABLE tandem_jobs (
 	PRIMARY KEY (id)
 );
 INSERT INTO "tandem_jobs" VALUES('abababababababababababababababab','0123456789abcdef','panel','0000000000000000000000000000000000000000000000000000000000000000','1111111111111111111111111111111111111111111111111111111111111111','["targets"]','infeasible','motion',1.0,'[]','{}',1790000000.0,NULL,1790000010.0,10.0,1,NULL,NULL,1,0,0,3600.0,4096.0);
-CREATE TABLE tandem_keys (
-	owner VARCHAR(32) NOT NULL,
-	hash VARCHAR(64) NOT NULL,
-	number INTEGER NOT NULL,
-	job VARCHAR(32) NOT NULL,
-	content VARCHAR(64) NOT NULL,
-	created FLOAT NOT NULL,
-	PRIMARY KEY (owner, hash, number)
-);
-INSERT INTO "tandem_keys" VALUES('0123456789abcdef','2222222222222222222222222222222222222222222222222222222222222222',0,'abababababababababababababababab','3333333333333333333333333333333333333333333333333333333333333333',1790000000.0);
+CREATE TABLE tandem_keys (owner VARCHAR(32) NOT NULL, hash VARCHAR(64) NOT NULL, number INTEGER NOT NULL, job VARCHAR(32) NOT NULL, content VARCHAR(64) NOT NULL, created FLOAT NOT NULL, PRIMARY KEY (owner, hash, number));
 CREATE TABLE tandem_schema (
 	version INTEGER NOT NULL,
 	PRIMARY KEY (version)
@@ -91,7 +82,7 @@ INSERT INTO "tandem_tokens" VALUES('0123456789abcdef','ann','1c43f993b5b5c3be21a
 CREATE INDEX ix_tandem_jobs_state ON tandem_jobs (state);
 CREATE INDEX ix_tandem_jobs_key ON tandem_jobs ("key");
 CREATE INDEX tandem_jobs_by_owner ON tandem_jobs (owner, created, id);
-CREATE INDEX ix_tandem_keys_job ON tandem_keys (job);
 CREATE INDEX ix_tandem_files_sha ON tandem_files (sha);
 CREATE INDEX ix_tandem_element_jobs_element ON tandem_element_jobs (element);
+CREATE INDEX ix_tandem_keys_job ON tandem_keys (job);
 COMMIT;
