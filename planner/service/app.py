@@ -21,7 +21,7 @@ import uvicorn
 from fastapi import APIRouter, FastAPI, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
-from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
@@ -32,7 +32,16 @@ from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
-from planner.service import bundled, element_routes, logs, metrics, routes, webhook_routes
+from planner.service import (
+    bundled,
+    element_routes,
+    finding_routes,
+    logs,
+    metrics,
+    release_routes,
+    routes,
+    webhook_routes,
+)
 from planner.service.answers import Heads, Hurried, allowed
 from planner.service.routes import REFUSALS, Caller, Here
 from planner.service.runner import Team
@@ -76,6 +85,8 @@ TEMPLATES: Final = Environment(
     lstrip_blocks=True,
 )
 """Templates of the pages; all that is put in them is escaped."""
+LOG_IN_COOKIE: Final = "tandem_log_in"
+"""Name of the cookie of a browser that is at the provider."""
 PAGES: Final = {
     "new": "New job",
     "compare": "Compare two jobs",
@@ -166,6 +177,46 @@ async def preview(request: Request, owner: Caller, here: Here) -> JSONResponse:
     )
 
 
+@page_router.get("/ui/oidc/login")
+def log_in(request: Request, here: Here, after: Annotated[str, Query(max_length=500)] = "/") -> Response:
+    """To the provider, by which people log in."""
+    if here.log_in is None:
+        raise _unknown("/ui/oidc/login")
+    address, cookie = here.log_in.begin(_back(request), after)
+    answer = RedirectResponse(address, 303, {"Cache-Control": "no-store"})
+    answer.set_cookie(
+        LOG_IN_COOKIE,
+        cookie,
+        max_age=600,
+        path="/ui/oidc",
+        secure=request.url.scheme == "https",
+        httponly=True,
+        samesite="lax",  # the provider's page leads back
+    )
+    return answer
+
+
+@page_router.get("/ui/oidc/callback")
+def logged_in(request: Request, here: Here) -> Response:
+    """Back from the provider."""
+    if here.log_in is None:
+        raise _unknown("/ui/oidc/callback")
+    try:
+        who, after = here.log_in.end(str(request.url), _back(request), request.cookies.get(LOG_IN_COOKIE))
+    except RefusedError as refused:
+        answer: Response = _page("login", PAGES["login"], here, status=refused.status, fault=str(refused))
+    else:
+        answer = RedirectResponse(after, 303, {"Cache-Control": "no-store"})
+        routes.remember(request, answer, here, who)
+    answer.delete_cookie(LOG_IN_COOKIE, path="/ui/oidc")
+    return answer
+
+
+def _back(request: Request) -> str:
+    """Where the provider sends browsers: the address under which the browser knows the service."""
+    return str(request.url_for("logged_in"))
+
+
 @page_router.get("/ui/{name}")
 def page(name: str, here: Here) -> HTMLResponse:
     """The other pages."""
@@ -174,16 +225,18 @@ def page(name: str, here: Here) -> HTMLResponse:
     return _page(name, PAGES[name], here)
 
 
-def _page(name: str, title: str, here: Any, **more: str) -> HTMLResponse:
+def _page(name: str, title: str, here: Any, status: int = 200, fault: str = "", **more: str) -> HTMLResponse:
     text = TEMPLATES.get_template(f"{name}.html").render(
         title=title,
         page=name,
         version=planner.__version__,
         tokens=here.options.tokens_required,
+        accounts=here.log_in is not None,
+        fault=fault,
         **more,
     )
     headers = {"Content-Security-Policy": POLICY, "Cache-Control": "no-store"}
-    return HTMLResponse(text, headers=headers)
+    return HTMLResponse(text, status, headers)
 
 
 def _unknown(path: str) -> RefusedError:
@@ -192,6 +245,8 @@ def _unknown(path: str) -> RefusedError:
 
 ROUTERS: Final = (
     routes.job_router,
+    finding_routes.router,
+    release_routes.router,
     element_routes.router,
     webhook_routes.router,
     routes.about_router,

@@ -17,7 +17,7 @@ import threading
 from collections import Counter, OrderedDict
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, Final, TypeVar
+from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
 
 import anyio
 import anyio.to_thread
@@ -31,11 +31,15 @@ from planner.service.idempotency import Once
 from planner.service.jobs import Hub, Jobs, NewJob, OfElement
 from planner.service.models import Database, JobOut, default_url
 from planner.service.rates import FAILURES_PER_S, Rates
+from planner.service.releases import Releases
 from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, Links, RefusedError
 from planner.service.storage import Blob, Files, Storage, Upload
 from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
 from planner.service.webhooks import Sender, Webhooks
+
+if TYPE_CHECKING:
+    from planner.service.oidc import LogIn, Oidc
 
 PID_MARK: Final = ".pid-"
 """Stands before the process identifier in the name of a service's folder."""
@@ -60,13 +64,14 @@ class Options:
     require_token: bool = False
     trusted_proxies: tuple[str, ...] = ("127.0.0.1", "::1")
     lease_s: float = 30.0
+    oidc: Oidc | None = None
     webhook_hosts: tuple[str, ...] = ()
     limits: Limits = dataclasses.field(default_factory=Limits)
 
     @property
     def tokens_required(self) -> bool:
-        """Off loopback always."""
-        return self.require_token or self.host not in LOOPBACK
+        """Off loopback always, and where people log in."""
+        return self.require_token or self.oidc is not None or self.host not in LOOPBACK
 
     @property
     def url(self) -> str:
@@ -83,12 +88,13 @@ class Service:
         self._lock = lock_data(options.data, options.database is None)
         self.database = Database(options.url)
         self.auth = Auth(self.database)
-        if options.tokens_required and not self.auth.any():
+        if options.tokens_required and options.oidc is None and not self.auth.any():
             self.database.close()
             message = f"host {options.host}: whoever can reach it needs a token, and there is none yet"
             hint = f"make one: tandem token add NAME --data {options.data}"
             raise TandemError(Issue("service.start", message, field="host", hint=hint))
         self.links = Links(self.database)
+        self.log_in = None if options.oidc is None else _log_in(self.database, self.auth, options.oidc)
         self.rates, self.failures = Rates(options.limits.requests_per_s), Rates(FAILURES_PER_S)
         self.files = Files(options.data / "files")
         self.host = f"{socket.gethostname()}{PID_MARK}{os.getpid()}-{secrets.token_hex(4)}"
@@ -109,11 +115,13 @@ class Service:
             lease_s=options.lease_s,
             alone=options.database is None,
             keep_s=None if limits.keep_days is None else limits.keep_days * 86400.0,
+            audit_s=None if limits.audit_days is None else limits.audit_days * 86400.0,
             shas=self.jobs.shas,
         )
         self.elements = Elements(self)
         self.webhooks = Webhooks(self.database, options.webhook_hosts)
         self._sender = Sender(self.webhooks)
+        self.releases = Releases(self.database, self.files)
         self._turns: dict[str, anyio.Semaphore] = {}
         self._readers = anyio.CapacityLimiter(options.examiners)
         self._waiting: Counter[str] = Counter()
@@ -302,6 +310,13 @@ class Service:
             issues=read.issues,
             of=of,
         )
+
+
+def _log_in(database: Database, auth: Auth, oidc: Oidc) -> LogIn:
+    """What logs people in; of an extra."""
+    from planner.service.oidc import LogIn
+
+    return LogIn(database, auth, oidc)
 
 
 def _readable(read: Examined) -> Examined:

@@ -6,6 +6,9 @@ import { atFields } from "./issues.js";
 const next = new URLSearchParams(location.search).get("next") ?? "/";
 const inside = /^\/(?![/\\])/.test(next) ? next : "/";
 
+const account = document.getElementById("account");
+if (account) account.href = `/ui/oidc/login?after=${encodeURIComponent(inside)}`;
+
 $("login").addEventListener("submit", async (event) => {
   event.preventDefault();
   const token = $("token").value.trim();

@@ -1,0 +1,270 @@
+"""Logging in by an OpenID Connect provider: people use the accounts that they have.
+
+The code flow with PKCE (OpenID Connect Core 1.0, section 3.1; RFC 7636), by Authlib. An account of the
+provider becomes a token of the store that no secret opens: jobs, roles, teams and the audit log are as of any
+other. Role and name are those that the provider tells at each log-in.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import hmac
+import json
+import re
+import secrets
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import parse_qs, urlsplit
+
+import httpx
+from authlib.common.errors import AuthlibBaseError
+from authlib.integrations.httpx_client import OAuth2Client
+from joserfc import jwt
+from joserfc.errors import JoseError
+from joserfc.jwk import KeySet
+
+from planner.issues import Issue, TandemError
+from planner.service.models import TOKEN_ROLES, Database, TokenRole
+from planner.service.security import LOOPBACK, Auth, RefusedError, Who, shared_secret
+
+ALGORITHMS: Final = ("RS256", "PS256", "ES256")
+"""How ID tokens may be signed: with keys of the provider alone."""
+ASKED_S: Final = 600.0
+"""Time [s] in which somebody logs in at the provider."""
+SESSION_S: Final = 12 * 3600.0
+"""Time [s] after which it is asked again who somebody is."""
+KNOWN_S: Final = 3600.0
+"""So long [s] what the provider tells of itself is believed."""
+ANSWER_S: Final = 15.0
+"""Time [s] in which the provider has to answer."""
+LEEWAY_S: Final = 60
+"""What clocks of provider and service may differ by [s]."""
+ANY: Final = "*"
+"""Stands for every account of the provider."""
+NAMES: Final = ("email", "preferred_username", "sub")
+"""Claims by which an account may be called, the first one that is there; of addresses those that the provider
+has verified: others may be anybody's."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Oidc:
+    """How people log in. ``issuer``: the provider's address; ``client`` and its ``secret``, as registered
+    there. Whose ``claim`` has one of the values of ``roles``, or :data:`ANY`, has that role, the one that may
+    most; others are refused. ``team`` of all of them."""
+
+    issuer: str
+    client: str
+    secret: str
+    roles: Mapping[str, TokenRole]
+    claim: str = "groups"
+    team: str | None = None
+    scope: str = "openid profile email"
+
+
+def read(
+    issuer: str,
+    client: str | None,
+    secret: Path | None,
+    roles: Sequence[str],
+    claim: str,
+    team: str | None,
+    scope: str,
+) -> Oidc:
+    """As the command line has it: ``roles`` as ``VALUE=ROLE``, the ``secret`` in a file. Raises
+    ``TandemError``."""
+    parts = urlsplit(issuer)
+    if parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK):
+        raise _wrong("oidc-issuer", f"got {issuer[:80]!r}; give the provider's address, https://...")
+    if not client or secret is None:
+        raise _wrong("oidc-client", "a provider asks who asks; give --oidc-client and --oidc-secret")
+    try:
+        word = secret.read_text().strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise _wrong(
+            "oidc-secret", f"{secret} cannot be read ({error}); give a file with the secret"
+        ) from error
+    found: dict[str, TokenRole] = {}
+    for one in roles:
+        value, equals, role = one.rpartition("=")
+        if not value or not equals or role not in TOKEN_ROLES:
+            allowed = ", ".join(TOKEN_ROLES)
+            raise _wrong("oidc-role", f"got {one[:80]!r}; give VALUE=ROLE, roles are {allowed}")
+        found[value] = role
+    if not found:
+        raise _wrong(
+            "oidc-role", f"nobody could do anything; give --oidc-role VALUE=ROLE, {ANY}=view for all"
+        )
+    return Oidc(issuer.rstrip("/"), client, word, found, claim, team, scope)
+
+
+def _wrong(field: str, what: str) -> TandemError:
+    return TandemError(Issue("service.start", f"--{field}: {what}", field=field))
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """What a browser brings back from the provider: that it is the one that went, where it was to go."""
+
+    state: str
+    nonce: str
+    verifier: str
+    next: str
+    until: float
+
+
+class LogIn:
+    """Logs people in by one provider. Threads may share it."""
+
+    def __init__(self, database: Database, auth: Auth, oidc: Oidc) -> None:
+        self.oidc = oidc
+        self._auth = auth
+        self._secret = bytes.fromhex(shared_secret(database, "oidc"))
+        self._lock = threading.Lock()
+        self._about: tuple[float, dict[str, Any], KeySet] | None = None
+
+    def begin(self, redirect: str, after: str) -> tuple[str, str]:
+        """Where the browser goes, and the cookie that it has to bring back to ``redirect``; ``after`` is a
+        path of this service. Raises :class:`RefusedError`, 502."""
+        about, _ = self._provider()
+        state, nonce, verifier = (secrets.token_urlsafe(32) for _ in range(3))
+        asked = Asked(state, nonce, verifier, inside(after), time.time() + ASKED_S)
+        with self._client(redirect) as client:
+            address, _ = client.create_authorization_url(
+                about["authorization_endpoint"], state=state, nonce=nonce, code_verifier=verifier
+            )
+        return str(address), self._sealed(asked)
+
+    def end(self, address: str, redirect: str, cookie: str | None) -> tuple[Who, str]:
+        """Who came back to the ``address``, and where to. Raises :class:`RefusedError`: 403 for who may not,
+        502 where the provider does not answer as it should."""
+        asked = self._opened(cookie)
+        given = {name: values[-1] for name, values in parse_qs(urlsplit(address).query).items()}
+        if not hmac.compare_digest(given.get("state", "").encode(), asked.state.encode()):
+            raise refused("it was not begun in this browser; begin at the log-in page")
+        if "error" in given or "code" not in given:
+            raise refused(f"the provider said no ({given.get('error', 'no code')[:60]}); log in again")
+        about, keys = self._provider()
+        try:
+            with self._client(redirect) as client:
+                tokens = client.fetch_token(
+                    about["token_endpoint"], code=given["code"], code_verifier=asked.verifier
+                )
+        except AuthlibBaseError as error:
+            raise refused(f"the provider said no ({str(error.error)[:60]}); log in again") from error
+        except (httpx.HTTPError, ValueError) as error:
+            raise _away(error) from error
+        claims = self._claims(str(tokens.get("id_token", "")), keys, asked.nonce)
+        who = self._auth.account(
+            f"{self.oidc.issuer} {claims['sub']}", called(claims), self.role(claims), self.oidc.team
+        )
+        return dataclasses.replace(who, expires=time.time() + SESSION_S), asked.next
+
+    def role(self, claims: Mapping[str, Any]) -> TokenRole:
+        """The role that may most of those that claims give; raises :class:`RefusedError`, 403."""
+        given = claims.get(self.oidc.claim)
+        listed = [given] if isinstance(given, str) else given if isinstance(given, list) else []
+        values = set(map(str, listed))
+        found = [role for value, role in self.oidc.roles.items() if value == ANY or value in values]
+        if not found:
+            what = f"the account {called(claims)} has no role here; ask who runs the service"
+            raise RefusedError(403, Issue("service.role", what, field=self.oidc.claim))
+        return max(found, key=TOKEN_ROLES.index)
+
+    def _claims(self, token: str, keys: KeySet, nonce: str) -> dict[str, Any]:
+        """Those of an ID token that the provider has signed for this log-in (Core 1.0, section 3.1.3.7)."""
+        try:
+            found = dict(jwt.decode(token, keys, algorithms=list(ALGORITHMS)).claims)
+            jwt.JWTClaimsRegistry(
+                leeway=LEEWAY_S,
+                iss={"essential": True, "value": self.oidc.issuer},
+                aud={"essential": True, "value": self.oidc.client},
+                sub={"essential": True},
+                exp={"essential": True},
+                iat={"essential": True},
+                nonce={"essential": True, "value": nonce},
+            ).validate(found)
+        except (JoseError, ValueError, TypeError, KeyError) as error:
+            raise refused(
+                f"the provider's ID token is not good ({type(error).__name__}); log in again"
+            ) from error
+        if isinstance(found["aud"], list) and len(found["aud"]) > 1 and found.get("azp") != self.oidc.client:
+            raise refused("the provider's ID token is for another service; log in again")
+        return found
+
+    def _provider(self) -> tuple[dict[str, Any], KeySet]:
+        """What the provider tells of itself, and its keys (OpenID Connect Discovery 1.0)."""
+        with self._lock:
+            if self._about is not None and self._about[0] > time.monotonic():
+                return self._about[1:]
+            try:
+                with httpx.Client(timeout=ANSWER_S) as client:
+                    answer = client.get(f"{self.oidc.issuer}/.well-known/openid-configuration")
+                    about = answer.raise_for_status().json()
+                    if about["issuer"].rstrip("/") != self.oidc.issuer:
+                        raise ValueError("it calls itself otherwise")
+                    for name in ("authorization_endpoint", "token_endpoint", "jwks_uri"):
+                        _checked(about[name])
+                    keys = KeySet.import_key_set(client.get(about["jwks_uri"]).raise_for_status().json())
+            except (httpx.HTTPError, JoseError, ValueError, KeyError, TypeError, AttributeError) as error:
+                raise _away(error) from error
+            self._about = (time.monotonic() + KNOWN_S, about, keys)
+            return about, keys
+
+    def _client(self, redirect: str) -> OAuth2Client:
+        return OAuth2Client(
+            self.oidc.client,
+            self.oidc.secret,
+            scope=self.oidc.scope,
+            redirect_uri=redirect,
+            code_challenge_method="S256",
+            timeout=ANSWER_S,
+        )
+
+    def _sealed(self, asked: Asked) -> str:
+        body = base64.urlsafe_b64encode(json.dumps(dataclasses.asdict(asked)).encode()).decode()
+        return f"{body}.{self._seal(body)}"
+
+    def _seal(self, body: str) -> str:
+        return hmac.new(self._secret, f"tandem log-in {body}".encode(), hashlib.sha256).hexdigest()
+
+    def _opened(self, cookie: str | None) -> Asked:
+        body, _, seal = (cookie or "").partition(".")
+        if not hmac.compare_digest(seal.encode(), self._seal(body).encode()):
+            raise refused("it was not begun in this browser; begin at the log-in page")
+        asked = Asked(**json.loads(base64.urlsafe_b64decode(body)))
+        if asked.until < time.time():
+            raise refused(f"it took more than {ASKED_S / 60.0:g} minutes; log in again")
+        return asked
+
+
+def inside(path: str) -> str:
+    """The path, if it leads to a page of this service, else the first page."""
+    return path if re.match(r"/(?![/\\])[\x21-\x7e]*$", path) else "/"
+
+
+def called(claims: Mapping[str, Any]) -> str:
+    """What an account is called."""
+    names = NAMES if claims.get("email_verified") is True else NAMES[1:]
+    return next(str(claims[name])[:200] for name in names if claims.get(name))
+
+
+def refused(why: str) -> RefusedError:
+    """403."""
+    return RefusedError(403, Issue("service.log_in", f"log-in: {why}"))
+
+
+def _checked(address: str) -> None:
+    """Raises ``ValueError`` for what is told in clear over a network."""
+    parts = urlsplit(address)
+    if parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK):
+        raise ValueError("it gives an address without TLS")
+
+
+def _away(error: Exception) -> RefusedError:
+    what = f"log-in: the provider does not answer as it should ({type(error).__name__}); try it later"
+    return RefusedError(502, Issue("service.log_in", what))

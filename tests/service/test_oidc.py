@@ -1,0 +1,398 @@
+"""Logging in by a provider of accounts: against a real one (npm's oidc-provider, where there is one), and
+against one that forges what it can."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import json
+import os
+import re
+import shutil
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import httpx
+import pytest
+
+pytest.importorskip("authlib")
+
+from joserfc import jwt
+from joserfc.jwk import ECKey, KeySet, RSAKey
+
+from planner.issues import TandemError
+from planner.service import oidc
+from planner.service.models import Database, default_url
+from planner.service.oidc import ASKED_S, LogIn, Oidc, called, inside, read
+from planner.service.security import Auth, RefusedError
+from tests.service.support import InProcess, free_port
+
+SECRET = "s3cret-s3cret-s3cret"
+ROLES = {"release": "release", "shop": "plan"}
+REDIRECT = "http://127.0.0.1:9/ui/oidc/callback"
+KEY = RSAKey.generate_key(2048, {"kid": "one"})
+OTHER = RSAKey.generate_key(2048, {"kid": "one"})
+
+
+class Forger:
+    """A provider that answers a code with whatever ID token it is told to make."""
+
+    def __init__(self) -> None:
+        self.token: Callable[[dict[str, Any]], str] = lambda claims: signed(claims)
+        self.claims: dict[str, Any] = {}
+        self.about: dict[str, Any] = {}
+        self.asked: dict[str, list[str]] = {}
+        self.nonce = ""
+        forger = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                known = {"/jwks": KeySet([KEY]).as_dict(private=False)}
+                known["/.well-known/openid-configuration"] = {
+                    "issuer": forger.issuer,
+                    "authorization_endpoint": f"{forger.issuer}/auth",
+                    "token_endpoint": f"{forger.issuer}/token",
+                    "jwks_uri": f"{forger.issuer}/jwks",
+                    **forger.about,
+                }
+                self._send(known[self.path])
+
+            def do_POST(self) -> None:
+                forger.asked = parse_qs(self.rfile.read(int(self.headers["Content-Length"])).decode())
+                if forger.asked["code"] == ["spent"]:
+                    self._send({"error": "invalid_grant"}, 400)
+                else:
+                    self._send(
+                        {"access_token": "x", "token_type": "Bearer", "id_token": forger.token(forger.claims)}
+                    )
+
+            def _send(self, what: Any, status: int = 200) -> None:
+                body = json.dumps(what).encode()
+                self.send_response(status)
+                self.send_header("Content-Type", "application/json")
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, *args: Any) -> None:
+                pass
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.issuer = f"http://127.0.0.1:{self._server.server_port}"
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    def close(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def signed(claims: dict[str, Any], key: Any = KEY, alg: str = "RS256") -> str:
+    return jwt.encode({"alg": alg, "kid": "one"}, claims, key, algorithms=[alg])
+
+
+@pytest.fixture
+def forger() -> Iterator[Forger]:
+    made = Forger()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def log_in(forger: Forger, tmp_path: Path) -> Iterator[LogIn]:
+    database = Database(default_url(tmp_path))
+    yield LogIn(database, Auth(database), Oidc(forger.issuer, "tandem", SECRET, ROLES, team="shop"))  # type: ignore[arg-type]
+    database.close()
+
+
+def went(log_in: LogIn, forger: Forger, after: str = "/") -> tuple[str, str]:
+    """(the address to which the browser comes back, its cookie); the provider knows somebody of the shop."""
+    address, cookie = log_in.begin(REDIRECT, after)
+    asked = parse_qs(urlsplit(address).query)
+    now = int(time.time())
+    forger.claims = {
+        "iss": forger.issuer,
+        "aud": "tandem",
+        "sub": "7",
+        "iat": now,
+        "exp": now + 60,
+        "nonce": asked["nonce"][0],
+        "email": "ann@shop.example",
+        "email_verified": True,
+        "groups": ["shop"],
+    }
+    return f"{REDIRECT}?code=good&state={asked['state'][0]}", cookie
+
+
+def test_what_is_asked_is_the_code_flow_with_a_challenge(log_in: LogIn, forger: Forger) -> None:
+    address, cookie = log_in.begin(REDIRECT, "/ui/new")
+    asked = {name: values[0] for name, values in parse_qs(urlsplit(address).query).items()}
+    assert address.startswith(f"{forger.issuer}/auth?")
+    assert (asked["response_type"], asked["client_id"], asked["redirect_uri"]) == ("code", "tandem", REDIRECT)
+    assert asked["code_challenge_method"] == "S256" and "openid" in asked["scope"].split()
+    others = parse_qs(urlsplit(log_in.begin(REDIRECT, "/")[0]).query)
+    for name in ("state", "nonce", "code_challenge"):
+        assert others[name] != [asked[name]] and len(asked[name]) >= 43
+    assert SECRET not in address and SECRET not in cookie
+
+
+def test_who_comes_back_is_an_account_with_the_role_that_was_told(log_in: LogIn, forger: Forger) -> None:
+    address, cookie = went(log_in, forger, "/ui/new?from=x")
+    who, after = log_in.end(address, REDIRECT, cookie)
+    assert (who.name, who.role, who.team, after) == ("ann@shop.example", "plan", "shop", "/ui/new?from=x")
+    assert who.expires is not None and 11 * 3600 < who.expires - time.time() < 13 * 3600
+    assert forger.asked["code_verifier"][0]
+    address, cookie = went(log_in, forger)
+    forger.claims |= {"groups": ["shop", "release"], "email": "ann.b@shop.example"}  # promoted, and married
+    again, _ = log_in.end(address, REDIRECT, cookie)
+    assert (again.token, again.role, again.name) == (who.token, "release", "ann.b@shop.example")
+    address, cookie = went(log_in, forger)
+    forger.claims |= {"sub": "8", "email": "ann.b@shop.example"}  # another account that is called so
+    third, _ = log_in.end(address, REDIRECT, cookie)
+    assert third.token != who.token and third.name == f"ann.b@shop.example-{third.token[:8]}"
+
+
+WRONG: dict[str, dict[str, Any]] = {
+    "another issuer": {"iss": "https://evil.example"},
+    "another service": {"aud": "other"},
+    "another service beside": {"aud": ["tandem", "other"], "azp": "other"},
+    "no audience": {"aud": None},
+    "over": {"exp": 1_000_000_000},
+    "without an end": {"exp": None},
+    "of another log-in": {"nonce": "x" * 43},
+    "without a nonce": {"nonce": None},
+    "of nobody": {"sub": None},
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_an_id_token_that_is_not_for_this_is_refused(log_in: LogIn, forger: Forger, name: str) -> None:
+    address, cookie = went(log_in, forger)
+    forger.claims |= WRONG[name]
+    forger.claims = {key: value for key, value in forger.claims.items() if value is not None}
+    with pytest.raises(RefusedError) as error:
+        log_in.end(address, REDIRECT, cookie)
+    assert (error.value.status, error.value.issues[0].code) == (403, "service.log_in")
+
+
+def forged(claims: dict[str, Any], alg: str, secret: bytes = b"") -> str:
+    """By hand, for a library makes no such thing: unsigned, or with a word that anybody knows."""
+
+    def part(what: bytes) -> str:
+        return base64.urlsafe_b64encode(what).decode().rstrip("=")
+
+    body = ".".join(part(json.dumps(one).encode()) for one in ({"alg": alg, "kid": "one"}, claims))
+    seal = hmac.new(secret, body.encode(), hashlib.sha256).digest() if secret else b""
+    return f"{body}.{part(seal)}"
+
+
+FORGED: dict[str, Callable[[dict[str, Any]], str]] = {
+    "by another key": lambda claims: signed(claims, OTHER),
+    "by nobody": lambda claims: forged(claims, "none"),
+    "by the public key as a word": lambda claims: forged(claims, "HS256", KEY.as_pem(private=False)),
+    "by the secret": lambda claims: forged(claims, "HS256", SECRET.encode()),
+    "by a key of another kind": lambda claims: signed(claims, ECKey.generate_key("P-256"), "ES256"),
+    "with its last letter lost": lambda claims: signed(claims)[:-1],
+    "as anything": lambda claims: "a.b.c",
+    "not at all": lambda claims: "",
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_an_id_token_that_is_not_the_providers_is_refused(log_in: LogIn, forger: Forger, name: str) -> None:
+    address, cookie = went(log_in, forger)
+    forger.token = FORGED[name]
+    with pytest.raises(RefusedError) as error:
+        log_in.end(address, REDIRECT, cookie)
+    assert (error.value.status, error.value.issues[0].code) == (403, "service.log_in")
+
+
+def test_only_the_browser_that_went_comes_back(
+    log_in: LogIn, forger: Forger, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address, cookie = went(log_in, forger)
+    other, others_cookie = went(log_in, forger)
+    body, _, seal = cookie.partition(".")
+    for given in (
+        None,
+        "",
+        "x",
+        others_cookie,
+        f"{body}.{seal[:-1]}0",
+        f"{others_cookie.partition('.')[0]}.{seal}",
+    ):
+        with pytest.raises(RefusedError) as error:
+            log_in.end(address, REDIRECT, given)
+        assert error.value.status == 403
+    for wrong in (
+        address.replace("code=good", "code=spent"),
+        f"{REDIRECT}?error=access_denied",
+        REDIRECT,
+        other,
+    ):
+        with pytest.raises(RefusedError) as error:
+            log_in.end(wrong, REDIRECT, cookie)
+        assert error.value.status == 403, wrong
+    now = time.time()
+    monkeypatch.setattr(oidc.time, "time", lambda: now + ASKED_S + 1.0)
+    with pytest.raises(RefusedError, match="more than 10 minutes"):
+        log_in.end(address, REDIRECT, cookie)
+
+
+def test_who_has_no_role_or_was_revoked_is_told_so(log_in: LogIn, forger: Forger) -> None:
+    for groups in ([], None, "else", ["shopping"], {"shop": 1}, 7):
+        address, cookie = went(log_in, forger)
+        forger.claims["groups"] = groups
+        with pytest.raises(RefusedError, match=r"ann@shop\.example has no role here"):
+            log_in.end(address, REDIRECT, cookie)
+    address, cookie = went(log_in, forger)
+    who, _ = log_in.end(address, REDIRECT, cookie)
+    log_in._auth.revoke(who.name)
+    address, cookie = went(log_in, forger)
+    with pytest.raises(RefusedError, match="was revoked"):
+        log_in.end(address, REDIRECT, cookie)
+
+
+def test_an_account_is_called_by_what_its_provider_vouches_for() -> None:
+    claims = {"sub": "7", "email": "boss@shop.example", "preferred_username": "eve"}
+    assert called(claims) == "eve"
+    assert called(claims | {"email_verified": True}) == "boss@shop.example"
+    assert called({"sub": "7"}) == "7"
+
+
+@pytest.mark.parametrize(
+    "about",
+    [
+        {"issuer": "https://evil.example"},
+        {"token_endpoint": "http://evil.example/token"},
+        {"jwks_uri": None},
+    ],
+)
+def test_a_provider_that_is_another_one_is_not_asked(
+    log_in: LogIn, forger: Forger, about: dict[str, Any]
+) -> None:
+    forger.about = about
+    with pytest.raises(RefusedError) as error:
+        log_in.begin(REDIRECT, "/")
+    assert error.value.status == 502
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["https://evil.example", "//evil.example", "/\\evil.example", "", "x", "/a\nb", "/a b", "javascript:x"],
+)
+def test_the_way_back_stays_inside(path: str) -> None:
+    assert inside(path) == "/"
+    assert inside("/ui/jobs/1?x=%2F#y") == "/ui/jobs/1?x=%2F#y"
+
+
+def test_options_that_cannot_be_are_told(tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text(f"{SECRET}\n")
+    good = {
+        "issuer": "https://id.example/",
+        "client": "tandem",
+        "secret": secret,
+        "roles": ("*=view", "a=b=plan"),
+    }
+    more = {"claim": "groups", "team": None, "scope": "openid"}
+    made = read(**good, **more)  # type: ignore[arg-type]
+    assert (made.issuer, made.secret, made.roles) == (
+        "https://id.example",
+        SECRET,
+        {"*": "view", "a=b": "plan"},
+    )
+    for wrong, field in (
+        ({"issuer": "http://id.example"}, "oidc-issuer"),
+        ({"client": None}, "oidc-client"),
+        ({"secret": None}, "oidc-client"),
+        ({"secret": tmp_path / "none"}, "oidc-secret"),
+        ({"roles": ()}, "oidc-role"),
+        ({"roles": ("shop=boss",)}, "oidc-role"),
+        ({"roles": ("plan",)}, "oidc-role"),
+    ):
+        with pytest.raises(TandemError) as error:
+            read(**{**good, **more, **wrong})  # type: ignore[arg-type]
+        assert (error.value.issues[0].code, error.value.issues[0].field) == ("service.start", field)
+
+
+@pytest.fixture
+def real(tmp_path: Path) -> Iterator[InProcess]:
+    """A service whose people log in by npm's oidc-provider."""
+    folder = os.environ.get("TANDEM_OIDC_PROVIDER", "")
+    if not folder or shutil.which("node") is None:
+        pytest.skip("TANDEM_OIDC_PROVIDER names no folder of npm's oidc-provider, or there is no node")
+    port = free_port()
+    script = str(Path(__file__).with_name("oidc_provider.mjs"))
+    node = subprocess.Popen(
+        ["node", script, str(port), f"{HERE}/ui/oidc/callback", folder], stdout=subprocess.PIPE
+    )
+    assert node.stdout is not None
+    assert node.stdout.readline() == b"ready\n"
+    account = Oidc(f"http://127.0.0.1:{port}", "tandem", SECRET, ROLES)  # type: ignore[arg-type]
+    try:
+        with InProcess(tmp_path / "data", examiners=1, oidc=account) as made:
+            yield made
+    finally:
+        node.kill()
+        node.wait()
+
+
+HERE = "http://127.0.0.1"
+
+
+def logged_in(real: InProcess, account: str) -> httpx.Response:
+    """What the service says of somebody who logs in at the provider's own pages."""
+    page = real.http.get("/ui/oidc/login?after=/ui/new", follow_redirects=False)
+    assert page.status_code == 303
+    assert (
+        "httponly" in page.headers["set-cookie"].lower()
+        and "samesite=lax" in page.headers["set-cookie"].lower()
+    )
+    address = page.headers["location"]
+    with httpx.Client() as browser:
+        answer = browser.get(address, follow_redirects=True)
+        for form in ({"prompt": "login", "login": account, "password": "x"}, {"prompt": "consent"}):
+            action = re.search(r'action="([^"]+)"', answer.text)
+            assert action is not None, answer.text[:500]
+            answer = browser.post(action[1], data=form, follow_redirects=False)
+            while answer.is_redirect and not answer.headers["location"].startswith(f"{HERE}/ui"):
+                answer = browser.get(answer.url.join(answer.headers["location"]), follow_redirects=False)
+    back = urlsplit(answer.headers["location"])
+    return real.http.get(f"{back.path}?{back.query}", follow_redirects=False)
+
+
+def test_people_log_in_by_a_real_provider(real: InProcess) -> None:
+    assert real.http.get("/v1/jobs").status_code == 401
+    assert "Log in with your account" in real.http.get("/ui/login").text
+    answer = logged_in(real, "ann+shop")
+    assert (answer.status_code, answer.headers["location"]) == (303, "/ui/new")
+    cookie = answer.headers["set-cookie"].lower()
+    assert "tandem_session=" in cookie and "httponly" in cookie and "samesite=strict" in cookie
+    assert real.http.get("/v1/jobs").status_code == 200
+    (account,) = real.service.auth.list()
+    assert (account.name, account.role) == ("ann@shop.example", "plan")
+    real.http.cookies.clear()
+    refused = logged_in(real, "eve+nobody")
+    assert refused.status_code == 403
+    assert "eve@shop.example has no role here" in refused.text
+    assert real.http.get("/v1/jobs").status_code == 401
+
+
+def test_who_comes_without_having_gone_is_told_on_the_log_in_page(real: InProcess) -> None:
+    answer = real.http.get("/ui/oidc/callback?code=x&state=<script>alert(1)</script>")
+    assert answer.status_code == 403
+    assert "begun in this browser" in answer.text and "<script>alert" not in answer.text
+
+
+def test_a_service_without_a_provider_has_no_such_pages(tmp_path: Path) -> None:
+    with InProcess(tmp_path / "data", examiners=1) as here:
+        assert here.http.get("/ui/oidc/login").status_code == 404
+        assert here.http.get("/ui/oidc/callback").status_code == 404
+        assert "your account" not in here.http.get("/ui/login").text
