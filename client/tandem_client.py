@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
 
-API: Final = 6
+API: Final = 7
 """Number of the service's interface that this client was made for."""
 LINKS_API: Final = 2
 """The interface from which on there are links."""
@@ -51,7 +51,7 @@ DESK_API: Final = 3
 """The interface from which on there are motions as data, and elements."""
 RETRY_API: Final = 4
 """The interface from which on jobs are tried again."""
-KEYS_API: Final = 6
+KEYS_API: Final = 7
 """The interface from which on what is sent twice with the same key is done once."""
 PLANNED: Final = ("verified", "unproven")
 """States of jobs that have a plan."""

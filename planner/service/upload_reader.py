@@ -499,12 +499,14 @@ def examine(
     draw: bool = False,
     targets: int | None = None,
     kept: Path | None = None,
+    cell: Mapping[str, Any] | None = None,
 ) -> Examined:
     """Read the problem in the file ``problem``; ``uploads`` {name that the user gave: stored file}.
 
     ``folder`` is an empty one for this call alone. A mesh has at most ``facets``, three vertices for each.
     With ``reach`` the targets are made and reach is tested, at about so many ``targets`` where they are
-    given; those made are kept in the folder ``kept``. With ``draw`` there are ``shapes`` for the page.
+    given; those made are kept in the folder ``kept``. With ``draw`` there are ``shapes`` for the page, with
+    ``cell`` there is what :func:`planner.service.cell_view.view` draws for these arguments.
     """
     faults = [*_archives(uploads), *_large_meshes(uploads, facets)]
     if faults:
@@ -530,6 +532,13 @@ def examine(
         found += [issue for issue in looked.issues if issue not in found]
         if looked.of:
             looked_at = {"targets": looked.targets, "of": looked.of, "placed": looked.placed}
+    seen: dict[str, Any] | None = None
+    if cell is not None:
+        try:
+            seen, faults = _cell(read, kept, cell)
+            found += faults
+        except TandemError as error:
+            found += error.issues
     drawn: list[dict[str, Any]] = []
     if draw:
         drawn, faults = shapes(read)
@@ -544,7 +553,24 @@ def examine(
         summary=_summary(read),
         shapes=tuple(drawn),
         looked_at=looked_at,
+        cell=seen,
     )
+
+
+def _cell(
+    problem: Problem, kept: Path | None, asked: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[Issue]]:
+    count = len(problem.operations)
+    if asked["operation"] >= count:
+        what = f"operation: got {asked['operation']}, the problem has {count}; give 0 to {count - 1}"
+        raise TandemError(Issue("service.request", what, field="operation"))
+    from planner.service import cell_view  # loads Drake
+
+    make = None if kept is None else kept_targets.maker(kept, problem, alike=True)
+    seen, faults = cell_view.view(problem, make=make, **asked)
+    for target in seen.get("targets", ()):
+        target["faults"] = [issue.to_dict() for issue in target["faults"]]
+    return seen, faults
 
 
 def examine_element(

@@ -27,6 +27,7 @@ FILES: Final = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", ("targ
 GOOD: Final[Mapping[str, dict[str, Any]]] = {
     "POST /v1/jobs": {"files": [("problem", ("p.yaml", named("more"))), FILES[1]]},
     "POST /v1/check": {"files": [("problem", ("p.yaml", named("checked"))), FILES[1]]},
+    "POST /v1/cell": {"files": [("problem", ("p.yaml", named("drawn"))), FILES[1]]},
     "POST /v1/jobs/{job}/links": {"params": {"name": "report.html"}},
     "POST /v1/elements/{element}/divide": {"json": {"fields": {"panels.hexagons.count": 26}}},
     "POST /v1/elements/{element}/plan": {"json": {"panels": ["A02"]}},
