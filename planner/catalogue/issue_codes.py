@@ -744,6 +744,7 @@ CODES: Final[dict[str, Code]] = {
     "service.check_stopped": Code("reading or checking a problem took too much time or memory"),
     "service.backup": Code("a store of the service cannot be backed up, or a backup not be restored"),
     "service.idempotency": Code("an idempotency key is none, or came with another request before"),
+    "service.webhook": Code("an address cannot be told of jobs that end, or there is no such webhook"),
     "service.state": Code("a job is in a state in which what is asked of it cannot be done"),
     "service.gave_up": Code("the service stopped several times while it worked on a job"),
     "service.answer": Code("an address does not answer as this service does"),

@@ -44,6 +44,8 @@ class Serve:
     """ask for tokens on loopback too, as behind a proxy"""
     trusted_proxy: tuple[str, ...] = ("127.0.0.1", "::1")
     """addresses of proxies whose X-Forwarded-Proto and X-Forwarded-For are believed"""
+    webhook_host: tuple[str, ...] = ()
+    """hosts whose addresses users may have told of jobs that end; none: no address is told"""
     certificate: Path | None = None
     """certificate for TLS, PEM"""
     key: Path | None = None
@@ -58,6 +60,8 @@ class Serve:
     """jobs of one token that may wait or run"""
     kept_jobs: int = 5000
     """jobs of one token that are kept"""
+    requests_per_s: float = 50.0
+    """requests of one token on average, a second; ten seconds' worth may come at once"""
     readings: int = 100
     """uploads of one token that may be read or wait to be read"""
     token_disk_mb: float = 20_000.0
@@ -151,6 +155,7 @@ def serve(asked: Serve) -> None:
         open_jobs=asked.open_jobs,
         kept_jobs=asked.kept_jobs,
         readings=asked.readings,
+        requests_per_s=asked.requests_per_s,
         token_disk_mb=asked.token_disk_mb,
         disk_mb=asked.disk_mb,
         job_s=asked.job_timeout_s,
@@ -171,6 +176,7 @@ def serve(asked: Serve) -> None:
             cluster=asked.cluster,
             require_token=asked.require_token,
             trusted_proxies=asked.trusted_proxy,
+            webhook_hosts=asked.webhook_host,
             lease_s=asked.lease_s,
             limits=limits,
         ),

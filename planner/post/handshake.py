@@ -242,6 +242,30 @@ KRL_PARTNER_SEEN: Final = "TANDEM_SEEN"
 KRL_RUNS: Final = "$PRO_ACT AND $PERI_RDY"
 """That a program runs with the drives on."""
 
+BEGIN_ANEW: Final = "PP to main in all tasks (ABB), or a reset (KUKA)"
+"""How a program begins anew."""
+_BURNED_HERE: Final = """
+Where the torch burned at a stop the program of arm {other} begins anew as well: its controller knows
+nothing of the torch, and a program that goes on there would meet this one at the wrong place.
+"""
+_BURNED_THERE: Final = """
+{torches} of arm {other} lights a torch. Behind a stop while it burned the program of arm {other}
+begins anew, and so must this one: {anew}. Nothing
+here keeps it from going on: this controller knows nothing of the torch, and a program that goes on
+would meet that one at the wrong place.
+"""
+
+
+def burned_anew(lit: Mapping[str, Sequence[str]], arm: str) -> str:
+    """What the notes for the controller of an arm say of a stop at which a torch burned; ``lit``: the
+    signals that light one, by arm."""
+    other = next(name for name in lit if name != arm)
+    out = _BURNED_HERE.format(other=other) if lit[arm] else ""
+    if lit[other]:
+        out += _BURNED_THERE.format(torches=" and ".join(lit[other]), other=other, anew=BEGIN_ANEW)
+    return out
+
+
 ConfigurationRow = Mapping[str, str | None]
 """An instance of a type of ABB's configuration: values by attribute, None for one without a value."""
 

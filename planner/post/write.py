@@ -47,11 +47,15 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
     arms = [task.arm.name for task in job.tasks]
     wires = controller.handshake.wired_running(arms) if job.handshake is not None else ()
     out: dict[str, str] = {}
+    lit = {
+        task.arm.name: _torches(problem, sorted(powered & set(job.switched(task)), key=str.lower))
+        for task in job.tasks
+    }
     for task in job.tasks:
         signals = sorted((s for s in job.switched(task) if s in powered), key=str.lower)
         if not signals and not wires:
             continue
-        name, torches = task.arm.name, _torches(problem, signals)
+        name, torches = task.arm.name, lit[task.arm.name]
         if task.robot.family == "UR":
             continue  # its installation is set at the panel
         if task.robot.family == "KUKA":
@@ -67,6 +71,8 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
             folder = task.task
         else:
             continue  # files of the first task are for all of one controller
+        if wires and any(lit.values()):
+            made["README.txt"] += handshake.burned_anew(lit, name)
         out |= {
             f"{CONTROLLER_FOLDER}/{folder}/{name}": text.replace("\n", LINE_END)
             for name, text in made.items()

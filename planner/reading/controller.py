@@ -404,6 +404,9 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
         if len(name) > longest:
             got = f"{name} has {len(name)} characters; allowed: {longest}"
             issues.append(Issue("problem.field", got, field=field, hint="shorten the name"))
+        if name.lower().startswith("tandem") or name.lower() == "answer":
+            got = f"{name} is a name of the controller's files, which would hide the signal"
+            issues.append(Issue("problem.field", got, field=field, hint="give the signal another name"))
 
     lock, place = controller.interlock, "cell.controller.interlock"
     if controller.sync == "handshake":

@@ -315,12 +315,22 @@ def _powered(problem: Problem, plan: Plan, arm: str = "") -> list[str]:
     return list(out)
 
 
-def _torches(problem: Problem, signals: Sequence[str], anew: str) -> list[tuple[str, str]]:
-    """What follows a stop at which a torch burned; ``anew``: how a program begins again."""
+def _torches(
+    problem: Problem, plan: Plan, signals: Sequence[str], anew: str, arm: str = ""
+) -> list[tuple[str, str]]:
+    """What follows a stop at which a torch burned; ``anew``: how a program begins again; ``arm``: the one of
+    this controller where the other one has another."""
     own = {getattr(one, "signal", None) for one in problem.operations if one.process == "trim"}
+    there = (
+        {one.name: set(_powered(problem, plan, one.name)) & own for one in problem.cell.arms} if arm else {}
+    )
+    anew += ", at both controllers" if any(there.values()) else ""
     words = f"the program ends: torch out by hand, sheet looked at, {anew}; it cuts all slots, so on a sheet "
     words += "without them, else plan anew what is left"
-    return [(f"{signal} on at a stop: never set again by hand", words) for signal in signals if signal in own]
+    out = [(f"{signal} on at a stop: never set again by hand", words) for signal in signals if signal in own]
+    also = f"this program begins anew, too: {anew}; its controller knows nothing of the torch"
+    rows = [(name, signal) for name, lit in there.items() if name != arm for signal in sorted(map(str, lit))]
+    return out + [(f"{signal} of arm {name} on at a stop", also) for name, signal in rows]
 
 
 def _hot(problem: Problem) -> bool:
@@ -352,7 +362,7 @@ def _abb(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str
                 "enabling device, and run to the end in manual",
             )
         )
-    out += _torches(problem, signals, "PP to main in all tasks, Start")
+    out += _torches(problem, plan, signals, "PP to main in all tasks, Start", arm if joined else "")
     out.append(("SoftES in SYS.cfg (RUNCHN_BOOL)", "selected: arms keep to their path at an emergency stop"))
     for item in problem.cell.arms:
         if item.track is not None and arm in ("", item.name):
@@ -466,7 +476,7 @@ def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[st
     if signals and _hot(problem):
         words = "not in automatic: mount cold, or in T1 with the enabling switch held by somebody else"
         out.append(("mounting while the wire is hot and the gate open", words))
-    out += _torches(problem, [signal for signal, _ in signals], "reset, start")
+    out += _torches(problem, plan, [signal for signal, _ in signals], "reset, start", arm if joined else "")
     rider = problem.cell.arm(arm)
     if rider.track is not None:
         out += _kuka_track(rider, rider.track)

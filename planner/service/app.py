@@ -32,7 +32,7 @@ from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
-from planner.service import bundled, element_routes, logs, metrics, routes
+from planner.service import bundled, element_routes, logs, metrics, routes, webhook_routes
 from planner.service.answers import Heads, Hurried, allowed
 from planner.service.routes import REFUSALS, Caller, Here
 from planner.service.runner import Team
@@ -190,7 +190,13 @@ def _unknown(path: str) -> RefusedError:
     return RefusedError(404, Issue("service.not_found", f"{path[:200]}: there is no such page; begin at /"))
 
 
-ROUTERS: Final = (routes.job_router, element_routes.router, routes.about_router, page_router)
+ROUTERS: Final = (
+    routes.job_router,
+    element_routes.router,
+    webhook_routes.router,
+    routes.about_router,
+    page_router,
+)
 """All addresses."""
 LOG: Final = logging.getLogger("planner.service")
 """Log of the service."""

@@ -28,7 +28,7 @@ from planner.report import scene as scenes
 from planner.report.raster import part_meshes
 from planner.targets import Targets
 
-FINEST: Final = 20_000
+FINEST: Final = 10_000
 """Triangles of a wanted surface at most."""
 WIRE_POINTS: Final = 25
 """Points of a bent wire."""
@@ -180,10 +180,8 @@ def _bodies(problem: Problem, setup: Setup, model: CellModel, place: FloatArray)
     out = [_body(name, _kind(name, obstacles), color, own) for (name, color), own in parts.items()]
     from planner.service.upload_reader import thinned
 
-    for _, mesh in part_meshes(problem.part):
-        if len(mesh.faces):
-            out.append(_body("stock", "part", None, [thinned(mesh, FINEST)]))
-    return out
+    wanted = [thinned(mesh, FINEST) for _, mesh in part_meshes(problem.part) if len(mesh.faces)]
+    return [*out, _body("stock", "part", None, wanted)] if wanted else out
 
 
 def _kind(name: str, obstacles: Iterable[str]) -> str:

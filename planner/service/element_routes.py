@@ -59,13 +59,13 @@ def own_element(element: str, owner: Caller, here: Here) -> str:
 OwnElement = Annotated[str, Depends(own_element)]
 
 
-def _described(model: type[BaseModel]) -> dict[str, object]:
-    """How the description of the interface tells of a body that :func:`_body` reads."""
+def described(model: type[BaseModel]) -> dict[str, object]:
+    """How the description of the interface tells of a body that :func:`read_body` reads."""
     schema = model.model_json_schema()
     return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
 
 
-async def _body(request: Request, model: type[Body]) -> Body:
+async def read_body(request: Request, model: type[Body]) -> Body:
     """The body of a request; raises :class:`RefusedError`, 413 or 422."""
     text = bytearray()
     async for chunk in request.stream():
@@ -134,7 +134,7 @@ def get(found: OwnElement, here: Here) -> ElementPanels:
     status_code=201,
     response_model_exclude_none=True,
     responses=refusals(404) | UPLOADED,
-    openapi_extra=_described(Change),
+    openapi_extra=described(Change),
     summary="Divide an element anew, with fields changed",
 )
 async def divide(
@@ -148,7 +148,7 @@ async def divide(
     ] = False,
 ) -> ElementOut:
     """Another element, with the marks of this one: ``{"fields": {"panels.hexagons.count": 120}}``."""
-    change = await _body(request, Change)
+    change = await read_body(request, Change)
     once = idempotency.once(owner, key, f"elements/{element}/divide", change.fields, instead)
     made = await anyio.to_thread.run_sync(here.elements.made, once)
     if made is None:  # a request that was done has perhaps taken this element away
@@ -166,13 +166,13 @@ async def divide(
     status_code=201,
     response_model_exclude_none=True,
     responses=refusals(404) | UPLOADED,
-    openapi_extra=_described(Chosen),
+    openapi_extra=described(Chosen),
     summary="Plan panels of an element",
 )
 async def plan(request: Request, found: OwnElement, owner: Caller, here: Here, key: Key) -> JobList:
     """A job for each panel that is not planned yet, or for those of ``{"panels": ["A01", ...]}``; each is
     planned like one beside it."""
-    chosen = await _body(request, Chosen)
+    chosen = await read_body(request, Chosen)
     once = idempotency.once(owner, key, f"elements/{found}/plan", chosen.panels)
     jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
     if not jobs:
@@ -186,12 +186,12 @@ async def plan(request: Request, found: OwnElement, owner: Caller, here: Here, k
     "/elements/{element}/mark",
     response_model_exclude_none=True,
     responses=refusals(404, 413, 422, 507),
-    openapi_extra=_described(Marking),
+    openapi_extra=described(Marking),
     summary="Mark a panel as cut, glued or broken",
 )
 async def mark(request: Request, found: OwnElement, owner: Caller, here: Here) -> ElementPanels:
     """As ``tandem element mark`` does: ``{"panel": "A01", "state": "cut"}``. ``told`` says what is next."""
-    given = await _body(request, Marking)
+    given = await read_body(request, Marking)
     await anyio.to_thread.run_sync(here.elements.mark, owner, found, given.panel, given.state)
     return await anyio.to_thread.run_sync(here.elements.get, found)
 

@@ -21,7 +21,7 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from planner.issues import Issue
-from planner.service import idempotency, metrics
+from planner.service import idempotency, metrics, webhooks
 from planner.service.idempotency import Once
 from planner.service.logs import about
 from planner.service.models import (
@@ -308,6 +308,8 @@ def record_event(db: Connection, job: str, kind: str, data: Mapping[str, Any]) -
     number = db.execute(select(JOBS.c.seq).where(JOBS.c.id == job)).scalar_one()
     row = {"job": job, "seq": number, "kind": kind, "data": json.dumps(data), "at": time.time()}
     db.execute(insert(EVENTS).values(row))
+    if kind == "state" and data["state"] not in OPEN:
+        webhooks.record_end(db, job, data["state"])
 
 
 def put_files(db: Connection, job: str, files: Mapping[str, Blob]) -> None:

@@ -160,6 +160,32 @@ KEYS: Final = Table(
 """The jobs, by ``number``, that a request with an idempotency key made: SHA-256 of the key, and of the
 request's ``content``."""
 
+WEBHOOKS: Final = Table(
+    "tandem_webhooks",
+    METADATA,
+    Column("id", String(32), primary_key=True),
+    Column("owner", String(32), nullable=False, index=True),
+    Column("url", String(500), nullable=False),
+    Column("secret", String(128), nullable=False),
+    Column("created", Float, nullable=False),
+    Column("told", Float),
+    Column("outcome", String(200)),
+    Column("off", Float),
+)
+"""Addresses that are told when a job of the owner has ended: when the last one was ``told`` and its
+``outcome``; ``off`` since it answered that it is gone."""
+
+DELIVERIES: Final = Table(
+    "tandem_deliveries",
+    METADATA,
+    Column("id", String(64), primary_key=True),
+    Column("webhook", String(32), nullable=False, index=True),
+    Column("body", Text, nullable=False),
+    Column("due", Float, nullable=False, index=True),
+    Column("attempts", Integer, nullable=False),
+)
+"""What webhooks are still to be told, from when on, and how often that was tried."""
+
 SCHEMA: Final = Table(
     "tandem_schema", METADATA, Column("version", Integer, primary_key=True, autoincrement=False)
 )
@@ -303,10 +329,10 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 7
+API: Final = 8
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
-6: keys of requests that are done once. 7: what a cell looks like, maps of a freedom."""
+6: keys of requests that are done once. 7: webhooks. 8: what a cell looks like, maps of a freedom."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -464,6 +490,37 @@ class LinkOut(Sent):
 
     path: str = Field(description="what follows the service's address")
     expires: dt.datetime
+
+
+class NewWebhook(Sent):
+    """An address to be told of jobs that end."""
+
+    model_config = ConfigDict(extra="forbid")
+    url: str = Field(max_length=500, description="https, at a host that the service's operator has named")
+
+
+class WebhookOut(Sent):
+    """An address that is told of jobs that end, and how that went last."""
+
+    id: str
+    url: str
+    created: dt.datetime
+    told: dt.datetime | None = Field(None, description="when it was tried last")
+    outcome: str | None = Field(None, description="the status that was answered then, or why there was none")
+    off: dt.datetime | None = Field(None, description="since it answered 410: it is told nothing more")
+    waiting: int = Field(0, description="what it is still to be told")
+
+
+class WebhookMade(WebhookOut):
+    """A new one, with what its requests are signed with."""
+
+    secret: str = Field(description="`whsec_` and base64, told this once")
+
+
+class WebhookList(Sent):
+    """Webhooks."""
+
+    webhooks: list[WebhookOut]
 
 
 class LookedAt(Sent):

@@ -81,7 +81,7 @@ REFUSALS: Final = {
     422: {"model": Refusal, "description": "all that is wrong, by code and field"},
     503: {"model": Refusal, "description": "the service is stopping, or its database away; see Retry-After"},
     507: {"model": Refusal, "description": "no room for more files; see /v1/storage"},
-    429: {"model": Refusal, "description": "too many jobs or streams; see Retry-After"},
+    429: {"model": Refusal, "description": "too many requests, jobs or streams; see Retry-After"},
 }
 """Refusals by HTTP status."""
 
@@ -91,7 +91,7 @@ def refusals(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: REFUSALS[status] for status in statuses}
 
 
-ASKED: Final = refusals(401, 403, 503)
+ASKED: Final = refusals(401, 403, 429, 503)
 """Refusals of every address that asks who asks."""
 UPLOADED: Final = refusals(413, 422, 429, 507)
 """Refusals of what takes an upload."""
@@ -110,8 +110,22 @@ def caller(
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)] = None,
     cookie: Annotated[str | None, Security(_COOKIE)] = None,
 ) -> str:
-    """The owner of what is asked; raises :class:`RefusedError`, 401."""
+    """The owner of what is asked; raises :class:`RefusedError`, 401, or 429 for who asks too often."""
     here = service(request)
+    try:
+        owner = _owner(request, bearer, cookie, here)
+    except RefusedError:
+        address = request.client.host if request.client else ""
+        here.failures.take(address, f"address {address} sends without a good token")
+        raise
+    if owner != LOCAL:
+        here.rates.take(owner, "this token sends")
+    return owner
+
+
+def _owner(
+    request: Request, bearer: HTTPAuthorizationCredentials | None, cookie: str | None, here: Service
+) -> str:
     if bearer is not None:
         return here.auth.owner(bearer.credentials)
     if "authorization" in request.headers:

@@ -24,7 +24,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from planner.batch.job import LIKE, Done, Event, Finished, Found, Job, Progress
 from planner.issues import Issue, TandemError
-from planner.service import idempotency, metrics
+from planner.service import idempotency, metrics, webhooks
 from planner.service.jobs import (
     STORE,
     answer_from_store,
@@ -242,6 +242,7 @@ class Work:
         with self._database.write() as db:
             db.execute(delete(SESSIONS).where(SESSIONS.c.expires < now))
             idempotency.forget(self._database, db)
+            webhooks.forget(db)
             if older_s is not None:
                 old = and_(JOBS.c.state.not_in(OPEN), JOBS.c.finished < now - older_s)
                 for job in db.execute(select(JOBS.c.id).where(old)).scalars().all():

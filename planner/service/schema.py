@@ -13,7 +13,7 @@ from typing import Final
 
 from sqlalchemy import Connection, MetaData, inspect, text
 
-VERSION: Final = 3
+VERSION: Final = 4
 """Version of the tables that this program reads and writes."""
 UNNUMBERED: Final = 1
 """Version of a store that has jobs and does not say which it is."""
@@ -34,6 +34,16 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
         "number INTEGER NOT NULL, job VARCHAR(32) NOT NULL, content VARCHAR(64) NOT NULL, "
         "created FLOAT NOT NULL, PRIMARY KEY (owner, hash, number))",
         "CREATE INDEX ix_tandem_keys_job ON tandem_keys (job)",
+    ),
+    3: (
+        "CREATE TABLE tandem_webhooks (id VARCHAR(32) NOT NULL, owner VARCHAR(32) NOT NULL, "
+        "url VARCHAR(500) NOT NULL, secret VARCHAR(128) NOT NULL, created FLOAT NOT NULL, told FLOAT, "
+        "outcome VARCHAR(200), off FLOAT, PRIMARY KEY (id))",
+        "CREATE INDEX ix_tandem_webhooks_owner ON tandem_webhooks (owner)",
+        "CREATE TABLE tandem_deliveries (id VARCHAR(64) NOT NULL, webhook VARCHAR(32) NOT NULL, "
+        "body TEXT NOT NULL, due FLOAT NOT NULL, attempts INTEGER NOT NULL, PRIMARY KEY (id))",
+        "CREATE INDEX ix_tandem_deliveries_webhook ON tandem_deliveries (webhook)",
+        "CREATE INDEX ix_tandem_deliveries_due ON tandem_deliveries (due)",
     ),
 }
 """What brings a store of each version to the next one."""

@@ -21,6 +21,7 @@ from http import HTTPStatus
 from typing import Any, Final
 from urllib.parse import urlsplit
 
+import anyio
 from sqlalchemy import delete, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 from starlette.datastructures import Headers, MutableHeaders
@@ -38,7 +39,8 @@ class Limits:
     each content once, None for what the disk has; ``readings`` of uploads that wait or are under way, of one
     token; ``job_s`` and ``job_memory_mb`` of one job's planning,
     ``check_s`` and ``check_memory_mb`` of reading or checking a problem; ``streams`` of events at once, of
-    one token; ``keep_days`` until a finished job is deleted, None for never.
+    one token, and ``requests_per_s`` of it, None for any; ``keep_days`` until a finished
+    job is deleted, None for never.
     """
 
     upload_mb: float = 200.0
@@ -55,6 +57,7 @@ class Limits:
     check_s: float = 120.0
     check_memory_mb: float = 4096.0
     streams: int = 100
+    requests_per_s: float | None = 50.0
     keep_days: float | None = None
 
 
@@ -294,6 +297,33 @@ HTTPS_ALONE: Final = "max-age=31536000"
 """What browsers that came by TLS are told (RFC 6797): for a year they come by it alone."""
 
 
+DRAIN_S: Final = 20.0
+"""Time [s] for which the rest of a request that was refused is read."""
+
+
+class _Body:
+    """A request's body as it is received.
+
+    A connection that is closed on a client that still sends is reset, and the client never sees why it was
+    refused. So the answer goes out first, and the rest is read and dropped (RFC 9112, section 9.6)."""
+
+    def __init__(self, receive: Receive) -> None:
+        self._receive = receive
+        self.ended = False
+
+    async def __call__(self) -> Message:
+        """ASGI."""
+        message = await self._receive()
+        self.ended = not message.get("more_body", False)
+        return message
+
+    async def drain(self) -> None:
+        """Read on until the client has sent all, or went away, or it takes too long."""
+        with anyio.move_on_after(DRAIN_S):
+            while not self.ended:
+                await self()
+
+
 class Guard:
     """Wraps the application. ``open_hosts``: the names by which an instance without tokens may be addressed;
     None where tokens are required."""
@@ -307,21 +337,30 @@ class Guard:
             await self._app(scope, receive, send)
             return
 
+        body = _Body(receive)
+        refused = False
+
         async def hardened(message: Message) -> None:
+            nonlocal refused
             if message["type"] == "http.response.start":
+                refused = message["status"] >= 400
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)
                 if scope["scheme"] == "https":
                     headers.setdefault("Strict-Transport-Security", HTTPS_ALONE)
+            elif refused and not message.get("more_body") and not body.ended:
+                await send({**message, "more_body": True})
+                await body.drain()
+                message = {"type": "http.response.body", "body": b""}
             await send(message)
 
         try:
             headers = Headers(scope=scope)
             self._check_origin(scope, headers)
-            await self._app(scope, self._counted(headers, receive), hardened)
-        except RefusedError as refused:
-            await _answer(refused, hardened)
+            await self._app(scope, self._counted(headers, body), hardened)
+        except RefusedError as error:
+            await _answer(error, hardened)
 
     def _check_origin(self, scope: Scope, headers: Headers) -> None:
         host = headers.get("host", "")
@@ -379,6 +418,6 @@ async def _answer(refused: RefusedError, send: Send) -> None:
     body = json.dumps(refused.body).encode()
     headers = [(b"content-type", PROBLEM_JSON.encode()), (b"content-length", str(len(body)).encode())]
     headers += [(name.lower().encode(), value.encode()) for name, value in refused.headers.items()]
-    headers.append((b"connection", b"close"))  # the rest of the body is not read
+    headers.append((b"connection", b"close"))
     await send({"type": "http.response.start", "status": refused.status, "headers": headers})
     await send({"type": "http.response.body", "body": body})

@@ -30,10 +30,12 @@ from planner.service.elements import Elements
 from planner.service.idempotency import Once
 from planner.service.jobs import Hub, Jobs, NewJob, OfElement
 from planner.service.models import Database, JobOut, default_url
+from planner.service.rates import FAILURES_PER_S, Rates
 from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, Links, RefusedError
 from planner.service.storage import Blob, Files, Storage, Upload
 from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
+from planner.service.webhooks import Sender, Webhooks
 
 PID_MARK: Final = ".pid-"
 """Stands before the process identifier in the name of a service's folder."""
@@ -45,7 +47,8 @@ REMEMBERED: Final = 256
 @dataclasses.dataclass(frozen=True)
 class Options:
     """How a service is started. ``data``: folder of the files, and of the database where no URL is given.
-    ``trusted_proxies``: addresses, or networks, whose word is taken on how a request came to them."""
+    ``trusted_proxies``: addresses, or networks, whose word is taken on how a request came to them.
+    ``webhook_hosts``: hosts that may be told of jobs that end."""
 
     data: Path
     host: str = "127.0.0.1"
@@ -57,6 +60,7 @@ class Options:
     require_token: bool = False
     trusted_proxies: tuple[str, ...] = ("127.0.0.1", "::1")
     lease_s: float = 30.0
+    webhook_hosts: tuple[str, ...] = ()
     limits: Limits = dataclasses.field(default_factory=Limits)
 
     @property
@@ -85,6 +89,7 @@ class Service:
             hint = f"make one: tandem token add NAME --data {options.data}"
             raise TandemError(Issue("service.start", message, field="host", hint=hint))
         self.links = Links(self.database)
+        self.rates, self.failures = Rates(options.limits.requests_per_s), Rates(FAILURES_PER_S)
         self.files = Files(options.data / "files")
         self.host = f"{socket.gethostname()}{PID_MARK}{os.getpid()}-{secrets.token_hex(4)}"
         self.scratch = _work_folder(options.data / "work", options.database is None, self.host)
@@ -107,6 +112,8 @@ class Service:
             shas=self.jobs.shas,
         )
         self.elements = Elements(self)
+        self.webhooks = Webhooks(self.database, options.webhook_hosts)
+        self._sender = Sender(self.webhooks)
         self._turns: dict[str, anyio.Semaphore] = {}
         self._readers = anyio.CapacityLimiter(options.examiners)
         self._waiting: Counter[str] = Counter()
@@ -162,6 +169,7 @@ class Service:
     def start(self) -> None:
         """Begin to plan."""
         self.runner.start()
+        self._sender.start()
 
     def unready(self) -> list[Issue]:
         """Why jobs are not taken in or not planned now; nothing where they are."""
@@ -186,6 +194,7 @@ class Service:
         """Stop: jobs that run wait for the next start."""
         self.hub.close()
         self.runner.stop()
+        self._sender.stop()
         self._examiners.close()
         self.database.close()
         shutil.rmtree(self.scratch, ignore_errors=True)

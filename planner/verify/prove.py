@@ -20,7 +20,7 @@ from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
 from planner.geometry.memory import give_back
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
-from planner.problem import Problem
+from planner.problem import Problem, Settings
 from planner.verify import result
 from planner.verify.context import Begin, Context, Outcome, Rule, at_once
 from planner.verify.forming import swept
@@ -364,10 +364,12 @@ class Prover:
         places: Sequence[FloatArray | None],
         based: Sequence[Mapping[str, FloatArray]],
         looks: Sequence[clearance.Looks],
+        settings: Settings,
     ) -> Iterator[Measured | None]:
-        """What is measured at looks at clearance, with blocks and bases there."""
+        """What is measured at looks at clearance, with blocks and bases there; ``settings``: those of the
+        context, which may ask for more than the problem's."""
         models = functools.cache(functools.partial(self._model, places, based))
-        yield from clearance.measured(models, looks, self.problem.settings)
+        yield from clearance.measured(models, looks, settings)
 
     def _of_wires(self, context: Context, wires: tuple[Wire, ...]) -> Iterator[Any]:
         """What rules on wires find that ask the most time."""
@@ -381,7 +383,9 @@ class Prover:
             begin, of_bodies = self.begin, self.begin(self._of_bodies, context)
         else:
             begin, looks = at_once, clearance.looks(context)
-            found = self.begin(self._measured, context.places, context.bases_by_setup, looks)
+            found = self.begin(
+                self._measured, context.places, context.bases_by_setup, looks, context.problem.settings
+            )
             of_bodies = self._of_bodies(context, (looks, found))
         forming = run.forming = Forming(context, self.begin, left)
         passes = [swept.Swept.of(one) for one in forming.formed]

@@ -14,9 +14,11 @@ from typing import Any, Final
 import pytest
 from sqlalchemy.exc import OperationalError
 
+from planner.issues import Issue
 from planner.service.models import Database, default_url
+from planner.service.rates import Rates
 from planner.service.runner import Runner
-from planner.service.security import Auth, Limits
+from planner.service.security import Auth, Limits, RefusedError
 from tests import small_problem
 from tests.service.support import TABLE, InProcess, named
 from tests.service.test_elements import Elements
@@ -31,9 +33,17 @@ GOOD: Final[Mapping[str, dict[str, Any]]] = {
     "POST /v1/jobs/{job}/links": {"params": {"name": "report.html"}},
     "POST /v1/elements/{element}/divide": {"json": {"fields": {"panels.hexagons.count": 26}}},
     "POST /v1/elements/{element}/plan": {"json": {"panels": ["A02"]}},
+    "POST /v1/webhooks": {"json": {"url": "http://127.0.0.1:9/told"}},
     "POST /v1/elements/{element}/mark": {"json": {"panel": "A01", "state": "cut"}},
 }
 """What a request needs to be a good one."""
+
+
+class TooOften:
+    """Buckets of requests that are empty."""
+
+    def take(self, *asked: Any) -> None:
+        raise RefusedError(429, Issue("service.too_many", "too often"))
 
 
 class Away:
@@ -50,7 +60,9 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
     data.mkdir()
     token = Auth(Database(default_url(data))).make("ann")
     limits = Limits(upload_mb=UPLOAD_MB)
-    with Elements(data, limits, examiners=2, workers=4, require_token=True) as made:
+    hosts = ("127.0.0.1",)
+    with Elements(data, limits, examiners=2, workers=4, require_token=True, webhook_hosts=hosts) as made:
+        made.service.failures = Rates(None)
         made.http.headers["Authorization"] = f"Bearer {token}"
         yield made
 
@@ -64,7 +76,8 @@ def ids(here: Elements, tmp_path_factory: pytest.TempPathFactory) -> dict[str, s
     here.divided(element)
     for one in here.http.post(f"/v1/elements/{element}/plan", json={"panels": ["A01"]}).json()["jobs"]:
         here.ended(one["id"])  # there is something to report on
-    return {"job": job, "element": element, "name": "targets", "kind": "robots"}
+    hook = here.http.post("/v1/webhooks", **GOOD["POST /v1/webhooks"]).json()["id"]
+    return {"job": job, "element": element, "name": "targets", "kind": "robots", "webhook": hook}
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +140,9 @@ def provoked(
         away.setattr(here.service.auth, "close_session", Away())
         away.setattr(Runner, "healthy", False)
         out.add(status(headers={"Cookie": "tandem_session=x"} if one == "DELETE /v1/session" else {}))
+    with monkeypatch.context() as often:
+        often.setattr(here.service, "rates", TooOften())
+        out.add(status())
     for name in re.findall(r"{(\w+)}", path):
         nobody = {**ids, name: NOBODY}
         url = re.sub(r"{(\w+)}", lambda found, own=nobody: own[found[1]], path)  # type: ignore[misc]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gzip
+import http.client
 import io
+import json
 import struct
 import tarfile
 import zipfile
@@ -12,9 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from planner.service.security import Limits
+from planner.service import tandem_client
+from planner.service.models import Database, default_url
+from planner.service.security import Auth, Limits
 from tests import small_problem
-from tests.service.support import InProcess, codes, named
+from tests.service.support import InProcess, Process, codes, named
 
 PLY = "ply\nformat binary_little_endian 1.0\nelement vertex {n}\nproperty float x\nproperty float y\n"
 PLY += "property float z\nelement face {m}\nproperty list uchar int vertex_indices\nend_header\n"
@@ -50,6 +54,40 @@ def test_too_much_is_413_said_or_not(here: InProcess) -> None:
     mesh = [("problem", ("p.yaml", "a: 1")), ("files", ("wall.STL", b"x" * 600_000))]
     assert codes(here.http.post("/v1/jobs", files=mesh)) == [("service.too_large", "files.0")]
     assert not list((here.service.options.data / "files" / "incoming").iterdir())
+
+
+def test_who_still_sends_sees_why_it_was_refused(tmp_path: Path) -> None:
+    """Of a body of 30 MB a connection holds a few; one that is closed on the rest is reset."""
+    data = tmp_path / "data"
+    data.mkdir()
+    token = Auth(Database(default_url(data))).make("ann")
+    process = Process(data, "--upload-mb", "20", "--require-token").wait()
+    good = {"Content-Type": "application/yaml", "Authorization": f"Bearer {token}"}
+    large = (413, "service.too_large")
+    cases = [
+        (False, 30, {}, large),
+        (True, 30, {}, large),  # its length is not said
+        (False, 18, {"Authorization": "Bearer none"}, (401, "service.token")),
+        (False, 18, {"Origin": "https://evil.example"}, (403, "service.foreign")),
+    ]
+    try:
+        for chunked, mb, more, wanted in cases * 3:
+            body = b"x" * (mb * 1_000_000)
+            chunks = (body[at : at + 65536] for at in range(0, len(body), 65536))
+            link = http.client.HTTPConnection("127.0.0.1", process.port, timeout=60)
+            sent = chunks if chunked else body
+            link.request("POST", "/v1/jobs", sent, {**good, **more}, encode_chunked=chunked)
+            answer = link.getresponse()
+            assert (answer.status, json.loads(answer.read())["issues"][0]["code"]) == wanted, (mb, more)
+            link.close()
+        before = process.log.read_text().count('"POST /v1/jobs')
+        client = tandem_client.Client(process.url, token)
+        with pytest.raises(tandem_client.TandemError) as error:
+            client.submit({"tandem": 1, "name": "big"}, files={"big.obj": b"x" * 30_000_000})
+        assert error.value.issues[0].code == "service.too_large"
+        assert process.log.read_text().count('"POST /v1/jobs') == before + 1  # the client sent it once
+    finally:
+        process.stop()
 
 
 def archives() -> Iterator[tuple[str, bytes]]:

@@ -405,7 +405,7 @@ def tightened(context: Context, most: Allowance) -> Context:
     less = {
         name: tuple(_less(claim, most) for claim in group) for name, group in context.by_operation.items()
     }
-    out = Context(problem, less, context.programs, context.unread)
+    out = Context(problem, less, context.programs, context.unread, context.untold)
     for known in ("job", "motion"):  # they follow from the text alone
         out.__dict__[known] = getattr(context, known)
     return out

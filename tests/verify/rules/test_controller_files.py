@@ -282,3 +282,6 @@ def test_places_are_of_signals_that_are_there_and_of_one_each():
     assert any("both bit 5 of Local_IO" in issue.message for issue in issues)
     clash = dataclasses.replace(one, ok_signal="doArcOut")
     assert any("one use" in issue.message for issue in faults(problem.cell, [one, clash]))
+    for name in ("answer", "tandem_lit_1", "TandemPower"):
+        told = [issue.message for issue in faults(problem.cell, [dataclasses.replace(one, ok_signal=name)])]
+        assert any(name in message and "would hide the signal" in message for message in told), told

@@ -14,6 +14,7 @@ from planner.post import write
 from planner.post.krl import spline_blocks
 from planner.reading.controller import ControllerFile, controllers
 from planner.verify import prove
+from planner.verify.rules import clearance
 from tests import small_problem
 from tests.verify import spline_job, straight_job
 from tests.verify.spline_job import MAIN, MOVES, broken
@@ -40,6 +41,22 @@ def test_the_job_is_proven_with_that_much_less_room():
     rules = {rule.code: rule for rule in proof.rules}
     assert rules["verify.spline"].worst < 0.02 and "not seen" in rules["verify.spline"].where
     assert rules["verify.singularity"].limit > 5.0
+
+
+def test_a_long_job_is_measured_with_that_much_less_room_too(monkeypatch):
+    """What is looked at in another process is asked for with the clearance that the curves leave."""
+    wanted = []
+    measured = clearance.measured
+
+    def seen(models, looks, settings):
+        wanted.append(settings.clearance)
+        return measured(models, looks, settings)
+
+    monkeypatch.setattr(prove, "MOST_SENT_SAMPLES", 0)
+    monkeypatch.setattr(clearance, "measured", seen)
+    problem, _, texts, prover = spline_job.job()
+    assert prover.prove(texts).ok
+    assert wanted and min(wanted) > problem.settings.clearance
 
 
 def test_straight_moves_are_what_is_written_without_asking(tmp_path):

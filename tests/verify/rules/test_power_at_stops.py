@@ -105,6 +105,25 @@ def test_the_setup_sheet_says_the_same(made, anew):
     assert f"sheet looked at, {anew}" in shown and "plan anew what is left" in shown
 
 
+@pytest.mark.parametrize("robots", [("irb140", "irb140"), ("kr10_r1100", "irb140")])
+def test_of_two_controllers_both_are_told_to_begin_anew(robots):
+    """The other one's program would go on, and meet one that has begun anew at the wrong place."""
+    lines = {"doPartner": 1, "diPartner": 1, "doRunning": 2, "diPartnerRunning": 2, "doMoveEnable": 3}
+    io = {"left": {"doArc": 17, "diArcOk": 17, "doSpindle": 18, **lines}} if robots[0][0] == "k" else {}
+    plan, problem = post_job.two(robots, actions=ARC, io=io)
+    files = write.programs(plan, lit(problem))
+    here, there = (" ".join(files[f"controller/{arm}/README.txt"].split()) for arm in ("left", "right"))
+    assert "doArc lights a torch" in here
+    assert "Where the torch burned at a stop the program of arm right begins anew as well" in here
+    assert "doArc of arm left lights a torch" in there
+    assert "so must this one: PP to main" in there and "Nothing here keeps it from going on" in there
+    shown = repr(setup_sheet.controller_checks(lit(problem), plan))
+    assert shown.count("at both controllers") == 2
+    assert "doArc of arm left on at a stop" in shown
+    for_a_wire = write.programs(*post_job.two(robots, actions=post_job.ACTIONS, io=io))
+    assert not any("begins anew" in text for name, text in for_a_wire.items() if "README" in name)
+
+
 def test_two_tasks_of_a_controller_end_both():
     problem = abb()[0]
     controller, tasks, signals = problem.cell.controller, ["T_ROB1", "T_ROB2"], ["doArc", "doWirePower"]

@@ -74,7 +74,8 @@ export class AxisMap {
         for (const [v, value] of values.entries()) {
           const [x, y, w, t] = this.box(k, value, top, this.own(k));
           pen.fillStyle = this.paint(arm, k, v, colours);
-          pen.fillRect(x, y, w + 0.6, t + 0.6);
+          const [from, to] = [Math.round(y), Math.round(y + t)]; // whole pixels leave no lines between
+          pen.fillRect(Math.round(x), from, Math.round(x + w) - Math.round(x), to - from);
         }
       pen.fillStyle = colours["--soft"];
       const unit = data.unit === "deg" ? "°" : data.unit ? ` ${data.unit}` : "";

@@ -77,10 +77,15 @@ export class CellPanel {
 
   async ask(more, signal) {
     const operation = $("cell-operation").value || 0;
+    if (more) {
+      this.asking?.abort(); // of two looks at the same problem the later one is wanted
+      this.asking = new AbortController();
+      signal = AbortSignal.any([signal, this.asking.signal]);
+    }
     try {
       const found = await (await post(`/v1/cell?operation=${operation}${more}`, { body: upload(this.state.problem, this.files()), signal })).json();
       if (signal.aborted || (!more && this.full === signal)) return; // what tells more came first
-      if (more) this.full = signal;
+      if (more) this.full = this.signal;
       this.take(found);
     } catch (error) {
       if (error.name !== "AbortError" && !signal.aborted) this.note(`Not drawn: ${error.message}`);

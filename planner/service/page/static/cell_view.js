@@ -14,12 +14,23 @@ export function matrixOf({ xyz_mm, rpy_deg }) {
   return new THREE.Matrix4().makeRotationFromEuler(turn).setPosition(...xyz_mm);
 }
 
+// Light from the sky and from one side, worked out at the corners: without a graphics card each pixel counts.
+const SHADED = {
+  vertexShader: `varying float lit;
+    void main() {
+      vec3 n = normalize(mat3(modelMatrix) * normal);
+      lit = 0.72 + 0.16 * n.z + 0.2 * dot(n, vec3(0.31, -0.55, 0.78));
+      gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+    }`,
+  fragmentShader: `uniform vec3 paint; uniform float opacity; varying float lit;
+    void main() { gl_FragColor = vec4(paint * lit, opacity); }`,
+};
 const fromRows = (rows) => new THREE.Matrix4().set(...rows, 0, 0, 0, 1);
 
 export class CellView extends Orbit {
   // meant(target number or null): the pointer is at it; moved(move, pose): the hand is at a body; dropped(): it lets go.
   constructor(canvas, labels, { meant, picked, moved, dropped }) {
-    super(canvas, 1.45);
+    super(canvas, 1.25);
     Object.assign(this, { labels, meant, picked, moved, dropped, bodies: [], moves: [], chosen: null, posture: 0, shown: 0 });
     if (!this.works) return;
     this.three = new THREE.WebGLRenderer({ canvas, context: this.gl, antialias: true });
@@ -27,11 +38,6 @@ export class CellView extends Orbit {
     this.three.outputColorSpace = THREE.LinearSRGBColorSpace; // colours as the style sheet has them
     this.lens = new THREE.Camera();
     this.stage = new THREE.Scene();
-    const key = new THREE.DirectionalLight(0xffffff, 1.1);
-    key.position.set(0.4, -0.7, 1);
-    const sky = new THREE.HemisphereLight(0xffffff, 0xa8b1bd, 2.5);
-    sky.position.set(0, 0, 1);
-    this.stage.add(sky, key);
     this.round = disc();
     this.cell = this.stage.add(new THREE.Group()).children.at(-1);
     this.marks = this.stage.add(new THREE.Group()).children.at(-1);
@@ -57,7 +63,7 @@ export class CellView extends Orbit {
     this.stand(Math.min(posture, (data.joints_deg?.[this.arms[0]]?.length ?? 1) - 1));
     this.whole = this.extent();
     this.floor();
-    this.near = this.canvas.clientWidth > 1.2 * this.canvas.clientHeight ? 1.45 : 1.2;
+    this.near = this.canvas.clientWidth > 1.2 * this.canvas.clientHeight ? 1.25 : 1.15;
     if (keep) this.draw();
     else this.home();
   }
@@ -76,7 +82,8 @@ export class CellView extends Orbit {
     shape.setIndex(one.faces);
     shape.computeVertexNormals();
     const clear = one.kind === "stock";
-    const mesh = new THREE.Mesh(shape, new THREE.MeshLambertMaterial({ transparent: clear, opacity: clear ? 0.34 : 1, depthWrite: !clear, side: one.kind === "part" ? THREE.DoubleSide : THREE.FrontSide }));
+    const uniforms = { paint: { value: new THREE.Color() }, opacity: { value: clear ? 0.34 : 1 } };
+    const mesh = new THREE.Mesh(shape, new THREE.ShaderMaterial({ ...SHADED, uniforms, transparent: clear, depthWrite: !clear, side: one.kind === "part" ? THREE.DoubleSide : THREE.FrontSide }));
     Object.assign(mesh, { matrixAutoUpdate: false, renderOrder: clear ? 2 : 0, userData: { body: one.body, kind: one.kind, paint: one.color } });
     this.cell.add(mesh);
     return mesh;
@@ -183,9 +190,10 @@ export class CellView extends Orbit {
     const own = { part: "--view-part", stock: "--view-stock", edge: "--view-hot", obstacle: "--view-body", support: "--view-body" };
     for (const mesh of this.bodies) {
       const { kind, paint } = mesh.userData;
-      mesh.material.color.copy(own[kind] ? style(own[kind]) : new THREE.Color(...(paint ?? [0.7, 0.7, 0.7])));
+      const { value } = mesh.material.uniforms.paint;
+      value.copy(own[kind] ? style(own[kind]) : new THREE.Color(...(paint ?? [0.7, 0.7, 0.7])));
       const glows = this.chosen && this.moves.find((one) => one.name === this.chosen)?.bodies.includes(mesh.userData.body);
-      mesh.material.emissive.copy(style("--accent")).multiplyScalar(glows ? 0.45 : 0);
+      if (glows) value.lerp(style("--accent"), 0.6);
     }
     for (const one of [...this.cell.children, ...this.marks.children]) if (one.userData.style) one.material.color.copy(style(one.userData.style));
     this.draw();

@@ -1,0 +1,340 @@
+"""Webhooks: who is told that a job has ended, how that is signed, and what happens when nobody answers."""
+
+from __future__ import annotations
+
+import http.server
+import json
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import update
+
+from planner.service import webhooks
+from planner.service.jobs import record_event
+from planner.service.models import DELIVERIES, JOBS, TOKENS, WEBHOOKS, Database, default_url
+from planner.service.security import Auth, Limits, RefusedError
+from planner.service.service import Options, Service
+from planner.service.webhooks import Due, Sender, Webhooks, checked, post, signature
+from tests.service import postgres
+from tests.service.support import InProcess, codes, named
+
+HOSTS = ("127.0.0.1",)
+
+
+class Receiver:
+    """An address on this machine that answers as told, and keeps what it got."""
+
+    def __init__(self) -> None:
+        self.got: list[tuple[dict[str, str], str]] = []
+        self.answers: list[int] = []
+        self.go_on = threading.Event()
+        self.go_on.set()
+        receiver = self
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                body = self.rfile.read(int(self.headers["Content-Length"])).decode()
+                receiver.got.append(({k.lower(): v for k, v in self.headers.items()}, body))
+                receiver.go_on.wait(10.0)
+                status = receiver.answers.pop(0) if receiver.answers else 204
+                self.send_response(status)
+                if status == 302:
+                    self.send_header("Location", f"{receiver.url}/elsewhere")
+                self.send_header("Content-Length", "0")
+                self.end_headers()
+
+            def log_message(self, *args: Any) -> None:
+                pass
+
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.url = f"http://127.0.0.1:{self._server.server_port}/hook"
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    def wait(self, count: int) -> None:
+        until = time.monotonic() + 20.0
+        while len(self.got) < count and time.monotonic() < until:
+            time.sleep(0.02)
+        assert len(self.got) >= count, self.got
+
+    def close(self) -> None:
+        self.go_on.set()
+        self._server.shutdown()
+        self._server.server_close()
+
+
+@pytest.fixture
+def receiver() -> Iterator[Receiver]:
+    made = Receiver()
+    yield made
+    made.close()
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(webhooks, "LOOK_S", 0.02)
+    monkeypatch.setattr(webhooks, "AGAIN_S", (0.05, 0.05))
+
+
+@pytest.fixture
+def here(tmp_path: Path) -> Iterator[InProcess]:
+    with InProcess(tmp_path / "data", examiners=1, webhook_hosts=HOSTS) as made:
+        yield made
+
+
+def added(here: InProcess, url: str, **more: Any) -> dict[str, Any]:
+    answer = here.http.post("/v1/webhooks", json={"url": url}, **more)
+    assert answer.status_code == 201, answer.text
+    made: dict[str, Any] = answer.json()
+    return made
+
+
+def the_only(here: InProcess) -> dict[str, Any]:
+    (one,) = here.http.get("/v1/webhooks").json()["webhooks"]
+    known: dict[str, Any] = one
+    return known
+
+
+def settled(here: InProcess) -> dict[str, Any]:
+    """The only webhook, once it is to be told nothing more."""
+    until = time.monotonic() + 20.0
+    while the_only(here)["waiting"] and time.monotonic() < until:
+        time.sleep(0.02)
+    return the_only(here)
+
+
+def test_the_signature_is_that_of_the_published_example() -> None:
+    """Svix's documentation of manual verification, whose scheme Standard Webhooks 1.0 took over."""
+    secret = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"
+    told = signature(secret, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1614265330, '{"test": 2432232314}')
+    assert told == "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="
+
+
+def test_an_address_is_told_of_a_job_that_has_ended(here: InProcess, receiver: Receiver) -> None:
+    made = added(here, receiver.url)
+    job = here.post(named("panel")).json()
+    here.ended(job["id"])
+    receiver.wait(1)
+    headers, body = receiver.got[0]
+    data = json.loads(body)
+    assert data["type"] == "job.ended"
+    assert data["data"] == {"id": job["id"], "name": "panel", "digest": job["digest"], "state": "verified"}
+    seconds = int(headers["webhook-timestamp"])
+    assert abs(seconds - time.time()) < 60
+    assert headers["webhook-signature"] == signature(made["secret"], headers["webhook-id"], seconds, body)
+    assert headers["content-type"] == "application/json"
+    known = settled(here)
+    assert (known["outcome"], known["waiting"]) == ("204", 0)
+    assert "secret" not in known
+    assert len(receiver.got) == 1
+
+
+def test_one_that_fails_is_told_the_same_again(here: InProcess, receiver: Receiver) -> None:
+    added(here, receiver.url)
+    receiver.answers = [500, 302]
+    here.ended(here.post(named("panel")).json()["id"])
+    receiver.wait(3)
+    assert settled(here)["outcome"] == "204"
+    assert len({headers["webhook-id"] for headers, _ in receiver.got}) == 1
+    assert len({body for _, body in receiver.got}) == 1  # nothing was sent elsewhere, either
+
+
+def test_attempts_come_to_an_end(here: InProcess, receiver: Receiver) -> None:
+    added(here, receiver.url)
+    receiver.answers = [500] * 10
+    here.ended(here.post(named("panel")).json()["id"])
+    receiver.wait(3)
+    assert settled(here)["outcome"] == "500"
+    time.sleep(0.2)
+    assert len(receiver.got) == 3
+
+
+def test_one_that_is_gone_is_off_until_it_is_tried(here: InProcess, receiver: Receiver) -> None:
+    number = added(here, receiver.url)["id"]
+    receiver.answers = [410]
+    here.ended(here.post(named("one")).json()["id"])
+    receiver.wait(1)
+    settled(here)
+    here.ended(here.post(named("two")).json()["id"])
+    time.sleep(0.2)
+    assert len(receiver.got) == 1
+    assert the_only(here)["off"]
+    assert here.http.post(f"/v1/webhooks/{number}/ping").status_code == 202
+    receiver.wait(2)
+    assert json.loads(receiver.got[1][1])["type"] == "ping"
+    assert "off" not in settled(here)
+
+
+def test_nobody_answers(here: InProcess, receiver: Receiver) -> None:
+    added(here, receiver.url)
+    receiver.close()
+    here.ended(here.post(named("panel")).json()["id"])
+    until = time.monotonic() + 20.0
+    while not the_only(here).get("outcome") and time.monotonic() < until:
+        time.sleep(0.02)
+    assert the_only(here)["outcome"] == "no answer: ConnectionRefusedError"
+
+
+@pytest.mark.parametrize(
+    ("url", "what"),
+    [
+        ("https://intranet/x", "host 'intranet' is none that this service tells; allowed: 127.0.0.1"),
+        ("https://169.254.169.254/latest", "host '169.254.169.254' is none"),
+        ("http://hooks.example.org/x", "http is not taken"),
+        ("ftp://127.0.0.1/x", "ftp is not taken"),
+        ("127.0.0.1/x", "no scheme is not taken"),
+        ("https://127.0.0.1@evil.example/x", "has a user"),
+        ("https://evil.example#127.0.0.1", "a fragment"),
+        ("https://127.0.0.1.evil.example/", "is none that this service tells"),
+        ("https://127.0.0.1:99999/", "is no address"),
+        ("https://[::1/", "is no address"),
+        ("https://127.0.0.1/\r\nX: y", "printable ASCII"),
+        ("https://127.0.0.1/a b", "printable ASCII"),
+        ("https://127.0.0.1/é", "printable ASCII"),
+        ("https://127.0.0.1/" + "a" * 480, None),
+        ("https://127.0.0.1/" + "a" * 500, "500 characters at most"),
+        ("", "no scheme"),
+    ],
+)
+def test_other_addresses_are_refused(url: str, what: str | None) -> None:
+    if what is None:
+        checked(url, HOSTS)
+        return
+    with pytest.raises(RefusedError) as error:
+        checked(url, HOSTS)
+    assert error.value.status == 422
+    assert error.value.issues[0].code == "service.webhook"
+    assert what in str(error.value)
+
+
+def test_refusals_of_the_routes(here: InProcess, receiver: Receiver) -> None:
+    assert here.http.post("/v1/webhooks", json={"url": "https://evil.example/"}).status_code == 422
+    assert here.http.post("/v1/webhooks", json={"url": receiver.url, "more": 1}).status_code == 422
+    assert here.http.post("/v1/webhooks", json={}).status_code == 422
+    for way, path in (("POST", "/ping"), ("DELETE", "")):
+        assert here.http.request(way, f"/v1/webhooks/{'0' * 32}{path}").status_code == 404
+    for _ in range(webhooks.MOST):
+        number = added(here, receiver.url)["id"]
+    full = here.http.post("/v1/webhooks", json={"url": receiver.url})
+    assert (full.status_code, codes(full)) == (429, [("service.too_many", None)])
+    assert here.http.delete(f"/v1/webhooks/{number}").status_code == 204
+    added(here, receiver.url)
+
+
+def test_a_service_that_names_no_host_tells_nobody(tmp_path: Path, receiver: Receiver) -> None:
+    with InProcess(tmp_path / "data", examiners=1) as here:
+        answer = here.http.post("/v1/webhooks", json={"url": receiver.url})
+        assert answer.status_code == 422
+        assert "--webhook-host" in answer.text
+
+
+def test_a_webhook_is_its_owners_alone(tmp_path: Path, receiver: Receiver) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    auth = Auth(Database(default_url(data)))
+    ann, ben = ({"Authorization": f"Bearer {auth.make(name)}"} for name in ("ann", "ben"))
+    with InProcess(data, examiners=1, webhook_hosts=HOSTS, require_token=True) as here:
+        number = added(here, receiver.url, headers=ann)["id"]
+        assert here.http.get("/v1/webhooks", headers=ben).json() == {"webhooks": []}
+        assert here.http.delete(f"/v1/webhooks/{number}", headers=ben).status_code == 404
+        assert here.http.post(f"/v1/webhooks/{number}/ping", headers=ben).status_code == 404
+        job = here.post(named("bens"), headers=ben).json()["id"]
+        here.ended(job, headers=ben)
+        time.sleep(0.2)
+        assert receiver.got == []
+        auth.revoke("ann")  # what was about to be told no longer is
+        with here.service.database.write() as db:
+            db.execute(update(JOBS).values(owner=webhook_owner(here)))
+            record_event(db, job, "state", {"state": "verified"})
+        time.sleep(0.2)
+        assert receiver.got == []
+
+
+def webhook_owner(here: InProcess) -> str:
+    with here.service.database.read() as db:
+        return str(db.execute(WEBHOOKS.select()).mappings().one()["owner"])
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgres"])
+def test_what_ended_before_a_crash_is_told_by_another_host_once(kind: str, tmp_path: Path) -> None:
+    """The end of a job and what is to be told of it are one transaction; of two hosts one tells it."""
+    database = Database(default_url(tmp_path) if kind == "sqlite" else postgres.fresh(tmp_path))
+    hooks = Webhooks(database, HOSTS)
+    hooks.add("local", "http://127.0.0.1:9/x")
+    with pytest.raises(ZeroDivisionError), database.write() as db:
+        job_row(db, "1" * 32)
+        record_event(db, "1" * 32, "state", {"state": "verified"})
+        raise ZeroDivisionError
+    assert hooks.claim(()) is None
+    with database.write() as db:
+        job_row(db, "2" * 32)
+        record_event(db, "2" * 32, "state", {"state": "running"})
+        record_event(db, "2" * 32, "state", {"state": "infeasible"})
+    due = hooks.claim(())
+    assert due is not None and json.loads(due.body)["data"]["state"] == "infeasible"
+    assert hooks.claim(()) is None  # another host holds it
+    with database.write() as db:  # which never tells how it went
+        db.execute(update(DELIVERIES).values(due=0.0))
+    again = hooks.claim(())
+    assert again is not None and (again.id, again.attempt) == (due.id, 2)
+    hooks.sent(due, 500, "")  # the first one is late, and moves nothing
+    hooks.sent(again, 204, "")
+    assert hooks.list("local")[0]["waiting"] == 0
+    database.close()
+
+
+def job_row(db: Any, number: str) -> None:
+    row = {"id": number, "owner": "local", "name": "panel", "digest": "d", "key": "k", "processes": "[]"}
+    more = {"state": "running", "created": time.time(), "timeout_s": 1.0, "memory_mb": 1.0}
+    db.execute(JOBS.insert().values({**row, **more}))
+
+
+def test_one_owner_who_is_slow_keeps_no_other_waiting(tmp_path: Path) -> None:
+    database = Database(default_url(tmp_path))
+    hooks = Webhooks(database, HOSTS)
+    with database.write() as db:
+        for owner in ("slow", "quick"):
+            row = {"id": owner, "name": owner, "hash": owner, "created": time.time()}
+            db.execute(TOKENS.insert().values(row))
+    for _ in range(6):
+        hooks.ping("slow", hooks.add("slow", "http://127.0.0.1:9/slow")["id"])
+    hooks.ping("quick", hooks.add("quick", "http://127.0.0.1:9/quick")["id"])
+    held, told = threading.Event(), list[str]()
+
+    def send(due: Due, hosts: object) -> tuple[int | None, str]:
+        if due.owner == "slow":
+            held.wait(20.0)
+        told.append(due.owner)
+        return 204, ""
+
+    sender = Sender(hooks, send)
+    sender.start()
+    until = time.monotonic() + 10.0
+    while not told and time.monotonic() < until:
+        time.sleep(0.02)
+    assert told == ["quick"]
+    held.set()
+    sender.stop()
+    database.close()
+
+
+def test_what_nobody_tells_is_forgotten(tmp_path: Path) -> None:
+    service = Service(Options(tmp_path / "data", limits=Limits(), webhook_hosts=HOSTS), lambda: None)  # type: ignore[arg-type,return-value]
+    service.webhooks.ping("local", service.webhooks.add("local", "http://127.0.0.1:9/x")["id"])
+    with service.database.write() as db:
+        webhooks.forget(db)
+    assert service.webhooks.list("local")[0]["waiting"] == 1
+    with service.database.write() as db:
+        db.execute(update(DELIVERIES).values(due=time.time() - webhooks.FORGOTTEN_S - 1.0))
+        webhooks.forget(db)
+    assert service.webhooks.list("local")[0]["waiting"] == 0
+    service.close()
+
+
+def test_an_address_whose_host_is_no_longer_named_is_told_nothing() -> None:
+    due = Due("msg_1", "w", "local", "http://127.0.0.1:9/x", "whsec_" + "A" * 44, "{}", 1)
+    status, why = post(due, ())
+    assert status is None and "--webhook-host" in why
