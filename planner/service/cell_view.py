@@ -23,6 +23,7 @@ from planner.motion.first_look import FirstLook
 from planner.motion.planning_scene import Scene
 from planner.motion.search.subsampling import subset
 from planner.pipeline import Make
+from planner.plans import Plan
 from planner.problem import Problem, Setup
 from planner.report import scene as scenes
 from planner.report.raster import part_meshes
@@ -40,10 +41,11 @@ def view(
     make: Make | None = None,
     most: int | None = None,
     freedom: str | None = None,
+    plan: Plan | None = None,
 ) -> tuple[dict[str, Any], list[Issue]]:
     """The cell as an operation finds it, and what is in the way of drawing more of it. Of about ``most``
     targets it says where they are and what posture the arms have there, or why none; with ``freedom`` there
-    is the map of that one over them.
+    is the map of that one over them, and where a ``plan`` goes through it.
 
     Raises :class:`TandemError` where the cell cannot be built.
     """
@@ -80,7 +82,8 @@ def view(
         known = axis_map.freedoms(looked.targets, placed and setup.stock.held_by is None)
         out["freedoms"] = [{"name": name, "unit": UNITS[unit]} for name, unit in known.items()]
         if freedom in known:
-            out["map"] = _map(axis_map.axis_map(looked.scene, subset(looked.targets, looked.rows), freedom))
+            made = axis_map.axis_map(looked.scene, subset(looked.targets, looked.rows), freedom)
+            out["map"] = _map(made) | _path(looked, operation, made, plan)
     seen = scenes.extract(model)
     poses = scenes.stand(seen, setup, place, q)
     out["poses"] = {body: _rows(poses[body]) for body in {one["body"] for one in out["bodies"]}}
@@ -262,6 +265,33 @@ def _map(found: axis_map.AxisMap) -> dict[str, Any]:
         "clearance_mm": _some(found.clearance / MM),
         "pairs": [[" and ".join(pair) if all(pair) else "" for pair in row] for row in places.pair],
     }
+
+
+def _path(looked: _Looked, operation: int, made: axis_map.AxisMap, plan: Plan | None) -> dict[str, Any]:
+    """Values of a plan at the targets of a map, None at targets that it left out; nothing where it is a plan
+    of other targets, or of none that are here."""
+    if plan is None or operation >= len(plan.operations):
+        return {}
+    its = plan.operations[operation]
+    rows = {its.targets.name(row): row for row in range(its.targets.count)}
+    found = [rows.get(looked.targets.name(row)) for row in looked.rows.tolist()]
+    names = [one.name for one in its.targets.freedoms]
+    out: list[float | None] = []
+    for row, there in zip(looked.rows.tolist(), found, strict=True):
+        if there is None:
+            out.append(None)
+            continue
+        for arm, pose in looked.targets.pose.items():
+            if arm not in its.targets.pose or not np.allclose(pose[row], its.targets.pose[arm][there]):
+                return {}
+        if made.freedom in names:
+            out.append(float(its.values[there, names.index(made.freedom)]))
+        elif made.freedom.startswith(axis_map.PLACE):
+            axis = axis_map.PLACE_AXES.index(made.freedom.removeprefix(axis_map.PLACE))
+            out.append(float((plan.places[looked.setup.number - 1] - looked.place)[axis, 3]))
+    scale = SCALES[UNITS[made.unit]]
+    path = [None if value is None else round(value / scale, 3) for value in out]
+    return {"path": path} if any(value is not None for value in path) else {}
 
 
 def _some(values: FloatArray) -> list[list[float | None]]:

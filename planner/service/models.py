@@ -622,6 +622,9 @@ class FreedomMap(Sent):
     singular_deg: dict[str, Rows]
     clearance_mm: Rows
     pairs: list[list[str]]
+    path: list[float | None] | None = Field(
+        default=None, description="values of a plan of the same targets, nothing at those that it left out"
+    )
 
 
 class CellOut(Sent):

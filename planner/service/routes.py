@@ -343,6 +343,8 @@ def log_out(here: Here, tandem_session: Annotated[str | None, Cookie()] = None) 
 
 
 job_router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=ASKED)
+PLAN: Final = ("plan.json", "plan.npz")
+"""Files of a result that are its plan."""
 UPLOADS: Final = {"requestBody": documented({"$ref": "#/components/schemas/ProblemFile"})}
 """How the description of the interface tells of a body that is a problem."""
 TYPES: Final = {
@@ -459,7 +461,7 @@ async def check(
 @job_router.post(
     "/cell",
     response_model=CellOut,
-    responses=UPLOADED,
+    responses=UPLOADED | refusals(404),
     openapi_extra=UPLOADS,
     summary="Draw a cell without planning",
 )
@@ -475,12 +477,19 @@ async def cell(
         str | None,
         Query(max_length=64, description="map of this one of `freedoms` over these targets, if it has it"),
     ] = None,
+    job: Annotated[
+        str | None,
+        Query(pattern="^[0-9a-f]{32}$", description="with the path of this job's plan through the map"),
+    ] = None,
 ) -> Response:
     """Bodies with their triangles, and where they are with all arms at home. With ``targets``, where some of
     them are, evenly spread, the posture that the arms have there, or why there is none. Who hangs up ends
     it."""
     upload = await take_upload(request, here.storage, owner, here.limits)
-    asked = {"operation": operation, "most": targets, "freedom": freedom}
+    asked: dict[str, Any] = {"operation": operation, "most": targets, "freedom": freedom}
+    if job is not None:
+        known = await anyio.to_thread.run_sync(lambda: here.jobs.files(own_job(job, owner, here).id))
+        asked["plan"] = [[name, str(here.files.path(known[name].sha))] for name in PLAN if name in known]
     read = await here.in_turn(
         request, owner, lambda reading: here.examine(upload, cell=asked, reading=reading)
     )

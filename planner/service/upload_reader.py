@@ -16,6 +16,7 @@ upload may be hostile; it loads all processes, so nothing else imports it.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -30,7 +31,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from planner import processes
+from planner import plans, processes
 from planner.batch.job import ELEMENT, PROBLEM
 from planner.element import element_file
 from planner.element.element_file import ElementFile
@@ -535,7 +536,7 @@ def examine(
     seen: dict[str, Any] | None = None
     if cell is not None:
         try:
-            seen, faults = _cell(read, kept, cell)
+            seen, faults = _cell(read, folder, kept, cell)
             found += faults
         except TandemError as error:
             found += error.issues
@@ -558,7 +559,7 @@ def examine(
 
 
 def _cell(
-    problem: Problem, kept: Path | None, asked: Mapping[str, Any]
+    problem: Problem, folder: Path, kept: Path | None, asked: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[Issue]]:
     count = len(problem.operations)
     if asked["operation"] >= count:
@@ -567,7 +568,13 @@ def _cell(
     from planner.service import cell_view  # loads Drake
 
     make = None if kept is None else kept_targets.maker(kept, problem, alike=True)
-    seen, faults = cell_view.view(problem, make=make, **asked)
+    plan = None
+    if files := asked.get("plan"):
+        for name, path in files:
+            _link_or_copy(Path(path), folder / name)
+        with contextlib.suppress(TandemError):  # made by another version
+            plan = plans.load(folder)
+    seen, faults = cell_view.view(problem, make=make, **{**asked, "plan": plan})
     for target in seen.get("targets", ()):
         target["faults"] = [issue.to_dict() for issue in target["faults"]]
     return seen, faults

@@ -6,12 +6,18 @@ import gzip
 import itertools
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
 
+from planner import pipeline
+from planner.cell import plant
+from planner.issues import has_errors
+from planner.report import scene as scenes
+from planner.service import cell_view
 from tests import small_problem
 from tests.service.support import ROOT, InProcess, codes, named
 
@@ -204,3 +210,45 @@ def test_it_is_compressed_for_who_takes_that(here: InProcess) -> None:
 
 def _table() -> bytes:
     return "\n".join([small_problem.COLUMNS, *small_problem.ROWS]).encode()
+
+
+FREE_SPIN = small_problem.PROBLEM.replace(
+    "frame: world}",
+    "frame: world,\n     free: [{name: spin, arms: [left], axis: z, turn_deg: [-170, 170]}]}",
+)
+
+
+@pytest.mark.parametrize("other", [False, True])
+def test_the_way_of_a_plan_goes_through_its_map_alone(tmp_path: Path, other: bool) -> None:
+    """At each target the posture of the plan has the tool turned by the value that is drawn: by Drake's plant
+    of the URDF. Of a problem with other targets nothing is drawn."""
+    made = pipeline.plan(pipeline.load(small_problem.write(tmp_path, FREE_SPIN))).plan
+    rows = [row.replace(",500,", ",505,") if other else row for row in small_problem.ROWS]
+    table = "\n".join([small_problem.COLUMNS, *rows]) + "\n"
+    problem = pipeline.load(small_problem.write(tmp_path, FREE_SPIN, table))
+    found, issues = cell_view.view(problem, 0, most=6, freedom="spin", plan=made)
+    assert not has_errors(issues)
+    if other:
+        assert "path" not in found["map"]
+        return
+    path = found["map"]["path"]
+    (operation,) = made.operations
+    assert len(path) == 6 == operation.targets.count
+    model = plant.build(problem.cell, problem.stock, np.asarray(problem.stock.place))
+    tools = scenes.extract(model).poses({"left": operation.q["left"]})["left/tool"]
+    for value, tool, nominal in zip(path, tools, operation.targets.pose["left"], strict=True):
+        turn = np.linalg.inv(nominal) @ tool @ problem.cell.arm("left").tool.tcp
+        assert value == pytest.approx(np.rad2deg(np.arctan2(turn[1, 0], turn[0, 0])), abs=0.01)
+    along, _ = cell_view.view(problem, 0, most=6, freedom="place x", plan=made)
+    assert along["map"]["path"] == [0.0] * 6  # the block stands where it was planned
+    bare, _ = cell_view.view(problem, 0, most=6, freedom="spin")
+    assert "path" not in bare["map"]
+
+
+def test_a_plan_of_somebody_else_or_of_no_job_is_404(here: InProcess) -> None:
+    answer = here.post(path=f"/v1/cell?targets=6&freedom=place x&job={'0' * 32}")
+    assert (answer.status_code, codes(answer)) == (404, [("service.unknown_job", None)])
+    job = here.post(named("unplanned")).json()["id"]
+    here.ended(job)
+    found = here.post(path=f"/v1/cell?targets=6&freedom=place x&job={job}").json()
+    assert "path" not in found["map"]  # its plan cannot be read

@@ -12,8 +12,11 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Locator, Page, Route, expect
 
+import planner
 from tests import small_problem
 from tests.service.page.test_browser import open_problem
+from tests.service.support import until
+from tests.service.test_cell_view import FREE_SPIN
 
 SHIFTED = small_problem.PROBLEM.replace("robot: irb140", "robot: irb140\n      base: {xyz_mm: [-435, 0, 0]}")
 IN_STOCK = small_problem.PROBLEM.replace("frame: world", "frame: stock")
@@ -233,3 +236,25 @@ def test_it_has_the_colours_of_the_page(page: Page, server: str, tmp_path: Path,
     looked(page, server, tmp_path, IN_STOCK, ROWS)
     corner = pixels(page.locator("#cell-canvas"))[4, 4]
     assert (corner > 200).all() if scheme == "light" else (corner < 60).all()
+
+
+def test_the_way_of_an_earlier_plan_is_drawn_through_the_map(page: Page, server: str, tmp_path: Path) -> None:
+    client = planner.Client(server)
+    job = client.submit(planner.load(small_problem.write(tmp_path, FREE_SPIN)))
+    until(lambda: client.job(job)["state"] not in ("queued", "running"))
+    page.goto(f"{server}/ui/new?job={job}")
+    with page.expect_response(re.compile(f"freedom=spin.*job={job}"), timeout=120_000) as caught:
+        page.get_by_role("tab", name="Axis map").click()
+    made = caught.value.json()["map"]
+    expect(page.locator(".map-legend")).to_contain_text("the plan's way")
+    page.wait_for_timeout(300)
+    image = pixels(page.locator("#map-canvas"))
+    wide = (image.shape[1] - 52 - 4) / 6
+    low, high = made["values"][0][0], made["values"][0][-1]
+    step = (high - low) / (len(made["values"][0]) - 1)
+    ink = [int(c) for c in re.findall(r"\d+", page.evaluate(COLOUR, "--ink"))[:3]]
+    for k in (1, 4):
+        share_up = (made["path"][k] - low + step / 2) / (high - low + step)
+        x, y = round(52 + (k + 0.5) * wide), round(20 + 118 * (1 - share_up))
+        near = image[max(y - 2, 0) : y + 3, x]
+        assert np.abs(near - ink).max(axis=-1).min() < 30, (k, made["path"])

@@ -60,7 +60,7 @@ export class AxisMap {
     pen.scale(scale, scale);
     const style = getComputedStyle(canvas);
     const colour = (name) => this.resolve(name);
-    const colours = Object.fromEntries(["--ink", "--soft", "--accent", ...Object.values(STYLES), "--map-low", "--map-high"].map((name) => [name, colour(name)]));
+    const colours = Object.fromEntries(["--ink", "--soft", "--card", "--accent", ...Object.values(STYLES), "--map-low", "--map-high"].map((name) => [name, colour(name)]));
     pen.font = `12px ${style.fontFamily}`;
     const all = data.values.flat();
     const [low, high] = [Math.min(...all), Math.max(...all)];
@@ -77,6 +77,7 @@ export class AxisMap {
           const [from, to] = [Math.round(y), Math.round(y + t)]; // whole pixels leave no lines between
           pen.fillRect(Math.round(x), from, Math.round(x + w) - Math.round(x), to - from);
         }
+      this.path(pen, top, step, colours);
       pen.fillStyle = colours["--soft"];
       const unit = data.unit === "deg" ? "°" : data.unit ? ` ${data.unit}` : "";
       pen.textAlign = "right";
@@ -100,6 +101,26 @@ export class AxisMap {
     pen.textAlign = "right";
     pen.fillText(this.targets.at(-1)?.name ?? "", width - 4, height - 8);
     legend.append(...this.legend());
+  }
+
+  // The way of the plan, in pieces where it leaves targets out or passes from one end of a full turn to the other.
+  path(pen, top, step, colours) {
+    const { path, unit } = this.data;
+    if (!path) return;
+    for (const [kind, width] of [["--card", 4.5], ["--ink", 2]]) {
+      pen.beginPath();
+      for (const [k, value] of path.entries()) {
+        if (value === null) continue;
+        const [x, y, w, t] = this.box(k, value, top, step);
+        const jumps = !k || path[k - 1] === null || (unit === "deg" && Math.abs(value - path[k - 1]) > 180);
+        if (y < top - HEIGHT || y > top + 2 * HEIGHT) continue;
+        if (jumps) pen.moveTo(x + w / 2, y + t / 2);
+        else pen.lineTo(x + w / 2, y + t / 2);
+      }
+      pen.strokeStyle = colours[kind];
+      pen.lineWidth = width;
+      pen.stroke();
+    }
   }
 
   // How far the values of a column are apart, which may be nearer than those of others.
@@ -132,12 +153,13 @@ export class AxisMap {
 
   legend() {
     const { data, name } = this;
+    const way = data.path ? [h("span", {}, h("i", { class: "swatch map-path" }), "the plan's way ")] : [];
     if (name !== "states") {
       const [title, most, unit] = LAYERS[name];
-      return [h("i", { class: "swatch map-scale" }), `${title}, from 0 to ${most}${unit} and more; `, h("i", { class: "swatch map-none" }), "none"];
+      return [...way, h("i", { class: "swatch map-scale" }), `${title}, from 0 to ${most}${unit} and more; `, h("i", { class: "swatch map-none" }), "none"];
     }
     const some = new Set(this.arms.flatMap((arm) => data.states[arm].flat()));
-    return [...some].sort().map((state) => h("span", {}, h("i", { class: `swatch ${STYLES[data.codes[state]].slice(2)}` }), WORDS[data.codes[state]], " "));
+    return [...way, ...[...some].sort().map((state) => h("span", {}, h("i", { class: `swatch ${STYLES[data.codes[state]].slice(2)}` }), WORDS[data.codes[state]], " "))];
   }
 
   // [column, value's number, picture] under the pointer, or null.

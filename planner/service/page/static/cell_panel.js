@@ -66,7 +66,7 @@ export class CellPanel {
     if (!this.open || this.looked === (freedom || this.looked || "none")) return;
     this.looked = freedom || "none";
     this.note("Looking at the targets …");
-    await this.ask(`&targets=${TARGETS}${freedom ? `&freedom=${encodeURIComponent(freedom)}` : ""}`, signal);
+    await this.ask(`&targets=${TARGETS}${freedom ? `&freedom=${encodeURIComponent(freedom)}` : ""}${freedom && this.state.job ? `&job=${this.state.job}` : ""}`, signal);
   }
 
   again() {

@@ -50,7 +50,7 @@ async function begin() {
   form.drawn = () => afterwards();
   if (!viewer.works) $("view-empty").textContent = "This browser draws no 3D (WebGL 2); sizes are shown all the same.";
   drawProcesses("", chooseProcess);
-  if (asked.has("job")) take(await fromJob(asked.get("job")));
+  if (asked.has("job")) take({ ...(await fromJob(asked.get("job"))), job: asked.get("job") });
   else if (asked.has("example")) await begun(asked.get("example"));
   else if (asked.has("process")) await chooseProcess(asked.get("process"));
 }
@@ -104,8 +104,8 @@ async function begun(name) {
   }
 }
 
-function take({ problem, files, source }) {
-  Object.assign(state, { problem, origin: structuredClone(problem), files, given: new Map(files), cell: structuredClone(problem.cell), shown: "" });
+function take({ problem, files, source, job = "" }) {
+  Object.assign(state, { problem, job, origin: structuredClone(problem), files, given: new Map(files), cell: structuredClone(problem.cell), shown: "" });
   const process = problem.operations?.[0]?.process ?? state.process;
   if (process !== state.process && !examples[state.example]?.processes.includes(state.process)) state.process = process;
   drawProcesses(state.process, chooseProcess);
@@ -248,7 +248,7 @@ function drawTabs() {
     }
     show($("cell-walk"), name !== "part");
     show($("size"), name === "part");
-    $("view-title").textContent = name === "part" ? partTitle : name === "cell" ? "Cell" : "Axis map";
+    $("view-title").textContent = name === "part" ? partTitle : name === "cell" ? "Cell in 3D" : "Axis map";
     if (name !== "part" && !cell) {
       const { CellPanel } = await import("./cell_panel.js");
       cell ??= new CellPanel(state, () => wanted(state), (path) => form.reshape(path, at(state.problem, path)));
