@@ -182,7 +182,7 @@ def _changed(document: Document, far: bool) -> list[Issue]:
     from planner.motion import solve
 
     problem = problem_file.build(document, processes.readers())
-    targets = _targets(problem, processes.jobs(problem))
+    targets = targets_of(problem, processes.jobs(problem))
     found = [*_stands(problem), *(issue for item in targets for issue in item.issues)]
     return [*found, *(solve.check(problem, targets, advise=False) if far else [])]
 
@@ -238,7 +238,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
     from planner.verify import prove
 
     jobs = processes.jobs(problem)
-    targets = _targets(problem, jobs)
+    targets = targets_of(problem, jobs)
     claims = processes.claims(problem, jobs)
     refused = [*write.refusals(problem, targets), *prove.unproven(claims)]
     if refused:
@@ -316,7 +316,7 @@ def _checked(problem: Problem | spec.Problem, advise: bool, most: int | None, ma
     notes = _notes(problem)
     looked, of = 0, 0
     try:
-        targets = _targets(problem, processes.jobs(problem), make)
+        targets = targets_of(problem, processes.jobs(problem), make)
         of = sum(item.count for item in targets)
         first = None if most is None else FirstLook(tuple(item.count for item in targets), most)
         found = [*notes, *_stands(problem), *(issue for item in targets for issue in item.issues)]
@@ -328,7 +328,7 @@ def _checked(problem: Problem | spec.Problem, advise: bool, most: int | None, ma
         return Looked((*notes, *error.issues), looked, of)
 
 
-def _targets(problem: Problem, jobs: Sequence[Job[Any]], make: Make | None = None) -> list[Targets]:
+def targets_of(problem: Problem, jobs: Sequence[Job[Any]], make: Make | None = None) -> list[Targets]:
     """The targets of all jobs, with what the problem accepts of their issues; ``make`` makes them where it is
     given. Raises ``TandemError`` with the errors of all of them."""
     out: list[Targets] = []

@@ -55,28 +55,41 @@ class FirstLook:
 
     def passes(self, scene: Scene, targets: Targets, operation: int) -> bool:
         """Whether all of these targets have a posture."""
-        return all(_passed(scene, subset(targets, np.array([row]))) for row in self.rows(operation).tolist())
+        rows = self.rows(operation).tolist()
+        return all(_passed(scene, subset(targets, np.array([row]))) is not None for row in rows)
 
 
 def _fault(scene: Scene, targets: Targets, row: int) -> list[Issue]:
+    found = posture(scene, targets, row)
+    return found if isinstance(found, list) else []
+
+
+def posture(
+    scene: Scene, targets: Targets, row: int, thorough: bool = True
+) -> dict[str, FloatArray] | list[Issue]:
+    """Joints {arm: (6,)} [rad] at target ``row`` that keep margins and clearance, or why there are none; if
+    not ``thorough``, nothing where coarse samples have none."""
     one = subset(targets, np.array([row]))
-    if _passed(scene, one):
+    coarse = _passed(scene, one)
+    if coarse is not None:
+        return coarse
+    if not thorough:
         return []
     grid, found = find_path(scene, one)
     if not isinstance(found, Blocked):
-        return []
+        return {arm: q[0] for arm, q in found.q.items()}
     if found.few is None:
         found = dataclasses.replace(found, few=(one, np.array([row])))
     return diagnosis.no_path(scene, targets, grid, found)
 
 
-def _passed(scene: Scene, one: Targets) -> bool:
-    """Whether coarse samples of a single target have a posture with all margins that is free."""
+def _passed(scene: Scene, one: Targets) -> dict[str, FloatArray] | None:
+    """A posture {arm: (6,)} with all margins that is free, among coarse samples of a single target."""
     values = few_samples(one)
     grid = Grid(values, np.zeros((0, values.shape[1]), dtype=np.intp))
     table = reach(scene, one, grid)
     if not all(found.branches for found in table.values()):
-        return False
+        return None
     cost, branches = _costs(table)
     order = np.argsort(cost, axis=None, kind="stable")
     order = order[np.isfinite(cost.reshape(-1)[order])]
@@ -87,10 +100,11 @@ def _passed(scene: Scene, one: Targets) -> bool:
         for arm, of_arm in zip(table, branches.T, strict=True):
             rungs = table[arm].branches
             q[arm] = np.stack([rungs[b].q[0, s] for b, s in zip(of_arm[choice].tolist(), at, strict=True)])
-        if scene.free(one, q, np.zeros(len(at), dtype=np.intp)).any():
-            return True
+        free = scene.free(one, q, np.zeros(len(at), dtype=np.intp))
+        if free.any():
+            return {arm: own[np.argmax(free)] for arm, own in q.items()}
         first, many = first + many, 2 * many
-    return False
+    return None
 
 
 def _costs(table: dict[str, Reach]) -> tuple[FloatArray, IndexArray]:

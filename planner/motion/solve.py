@@ -494,11 +494,9 @@ def _look(
     except TandemError as error:
         return None, list(error.issues)
     if first is not None:
-        for place in _search(problem, stand).soon(stand.each(models)):
-            if not _no_path(problem, stand, models, place, at, first):
-                return place, []
-        first.placed = False
-        return None, []
+        soon = first_place(problem, stand, models, at, first)
+        first.placed = first.placed and soon is not None
+        return soon, []
     places, trace = _search(problem, stand).run(stand.each(models))
     tried, reasons, paths = _tried(problem, stand, models, places, trace, at)
     if paths is not None:
@@ -509,6 +507,17 @@ def _look(
             return place, []
         reasons = reasons or found
     return None, [_unplaced(trace, stand, tried, reasons), *reasons]
+
+
+def first_place(
+    problem: Problem, stand: Stand, models: Sequence[CellModel], at: list[int], first: FirstLook
+) -> Place | None:
+    """One of the first places of a block at which the targets of a ``first`` look have postures; None where
+    none of them will do. ``at`` is set to the operation that was looked at."""
+    for place in _search(problem, stand).soon(stand.each(models)):
+        if not _no_path(problem, stand, models, place, at, first):
+            return place
+    return None
 
 
 def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list[Issue]:

@@ -374,11 +374,11 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 11
+API: Final = 12
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
-log. 11: titles, tags and notes, search, deleting many."""
+log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks like, maps of a freedom."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -674,6 +674,113 @@ class SessionOut(Sent):
     team: str | None = Field(None, description="those of its tokens see one another's jobs")
     tokens: bool = Field(description="whether this service asks for tokens")
     expires: dt.datetime | None = Field(None, description="end of the token")
+
+
+Rows = list[list[float | None]]
+"""Figures by target and value, nothing where there are none."""
+
+
+class CellField(Sent):
+    """A field of the problem that says where something stands, with the pose that it states or has got."""
+
+    field: str
+    xyz_mm: list[float]
+    rpy_deg: list[float]
+
+
+class CellMove(Sent):
+    """What stands where ``fields`` say, and the bodies that go along with it."""
+
+    name: str
+    kind: Literal["stock", "arm", "obstacle"]
+    bodies: list[str]
+    fields: list[CellField]
+
+
+class CellBody(Sent):
+    """Triangles in the frame of a body: ``vertices`` [mm], three numbers each, and ``faces``, three indices
+    each. ``color``: red, green, blue, opacity in 0..1."""
+
+    body: str
+    kind: Literal["link", "tool", "edge", "stock", "support", "obstacle", "part"]
+    color: list[float] | None = None
+    vertices: list[float]
+    faces: list[int]
+
+
+class CellArm(Sent):
+    """An arm and its joints; ``works``: whether it takes part in the operation."""
+
+    name: str
+    robot: str
+    works: bool
+    home_deg: list[float]
+    lower_deg: list[float]
+    upper_deg: list[float]
+
+
+class CellTarget(Sent):
+    """A target that was looked at: where its tool points are in the world, the number of its ``posture``, and
+    the ``faults`` where there is none."""
+
+    index: int
+    name: str
+    points_mm: dict[str, list[float]]
+    posture: int | None = None
+    faults: list[Issue]
+
+
+class FreedomOut(Sent):
+    """What there is a map of: a freedom of the targets, or a way of the block's place (``place x``)."""
+
+    name: str
+    unit: Literal["deg", "mm", ""]
+
+
+class FreedomMap(Sent):
+    """A map of one freedom over the targets that were looked at: ``values`` by target. ``states`` by arm are
+    numbers of ``codes``, 0 where nothing fails; distances to joint limits and to singular postures are those
+    of the best state, ``clearance_mm`` is between bodies where nothing fails, at most 100. ``pairs``: bodies
+    that are too near each other."""
+
+    freedom: str
+    unit: Literal["deg", "mm", ""]
+    values: list[list[float]]
+    states: dict[str, list[list[int]]]
+    codes: list[str]
+    limit_deg: dict[str, Rows]
+    singular_deg: dict[str, Rows]
+    clearance_mm: Rows
+    pairs: list[list[str]]
+    path: list[float | None] | None = Field(
+        default=None, description="values of a plan of the same targets, nothing at those that it left out"
+    )
+
+
+class CellOut(Sent):
+    """What a cell looks like to an operation. ``poses``: of each body at home, then in every posture, twelve
+    numbers each: the upper rows of its matrix in the world, places in mm. ``joints_deg``: the joints of these
+    postures. ``placed``: whether the block's place is stated or found. ``of``: targets that there are."""
+
+    name: str
+    digest: str
+    issues: list[Issue]
+    operation: int
+    operations: list[str]
+    setup: int
+    placed: bool
+    arms: list[CellArm]
+    moves: list[CellMove]
+    bodies: list[CellBody]
+    poses: dict[str, list[list[float]]]
+    of: int | None = None
+    targets: list[CellTarget] | None = None
+    joints_deg: dict[str, list[list[float]]] | None = None
+    wires_mm: list[list[list[float]]] | None = Field(
+        default=None, description="the bent wire between the arms in each posture but home"
+    )
+    freedoms: list[FreedomOut] | None = None
+    map: FreedomMap | None = None
 
 
 class Health(Sent):

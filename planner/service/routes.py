@@ -29,7 +29,7 @@ from planner.catalogue.issue_codes import CODES
 from planner.files import RELEASE
 from planner.issues import Issue, has_errors
 from planner.service import audit, idempotency, metrics, releases
-from planner.service.answers import HEAD, MadeFile, is_known, stored_file, tagged
+from planner.service.answers import HEAD, MadeFile, is_known, packed, stored_file, tagged
 from planner.service.finding import Wanted
 from planner.service.jobs import Stream
 from planner.service.logs import about
@@ -38,6 +38,7 @@ from planner.service.models import (
     OLDEST_API,
     OPEN,
     Catalogue,
+    CellOut,
     CheckOut,
     FileList,
     FileOut,
@@ -386,6 +387,8 @@ Tag = Annotated[str, Field(min_length=1, max_length=40), AfterValidator(line)]
 """A word that jobs are found by."""
 
 
+PLAN: Final = ("plan.json", "plan.npz")
+"""Files of a result that are its plan."""
 UPLOADS: Final = {"requestBody": documented({"$ref": "#/components/schemas/ProblemFile"})}
 """How the description of the interface tells of a body that is a problem."""
 TYPES: Final = {
@@ -498,6 +501,48 @@ async def check(
         issues=list(read.issues),
         looked_at=None if read.looked_at is None else LookedAt(**read.looked_at),
     )
+
+
+@job_router.post(
+    "/cell",
+    response_model=CellOut,
+    responses=UPLOADED | refusals(404),
+    openapi_extra=UPLOADS,
+    summary="Draw a cell without planning",
+)
+async def cell(
+    request: Request,
+    owner: Caller,
+    here: Here,
+    operation: Annotated[int, Query(ge=0, le=999, description="as which operation finds it, from 0")] = 0,
+    targets: Annotated[
+        int | None, Query(ge=2, le=200, description="look at about so many of its targets")
+    ] = None,
+    freedom: Annotated[
+        str | None,
+        Query(max_length=64, description="map of this one of `freedoms` over these targets, if it has it"),
+    ] = None,
+    job: Annotated[
+        str | None,
+        Query(pattern="^[0-9a-f]{32}$", description="with the path of this job's plan through the map"),
+    ] = None,
+) -> Response:
+    """Bodies with their triangles, and where they are with all arms at home. With ``targets``, where some of
+    them are, evenly spread, the posture that the arms have there, or why there is none. Who hangs up ends
+    it."""
+    upload = await take_upload(request, here.storage, owner, here.limits)
+    asked: dict[str, Any] = {"operation": operation, "most": targets, "freedom": freedom}
+    if job is not None:
+        known = await anyio.to_thread.run_sync(lambda: here.jobs.files(own_job(job, owner, here).id))
+        asked["plan"] = [[name, str(here.files.path(known[name].sha))] for name in PLAN if name in known]
+    read = await here.in_turn(
+        request, owner, lambda reading: here.examine(upload, cell=asked, reading=reading)
+    )
+    if read.cell is None:
+        raise RefusedError(422, [issue for issue in read.issues if has_errors([issue])])
+    seen = {"name": read.name, "digest": read.digest, "issues": read.issues, **read.cell}
+    # it is large: other requests go on meanwhile
+    return await anyio.to_thread.run_sync(lambda: packed(request, CellOut.model_validate(seen)))
 
 
 @job_router.get("/jobs", response_model=JobList, responses=KNOWN | refusals(422), summary="List your jobs")

@@ -215,6 +215,7 @@ class Service:
         draw: bool = False,
         reading: Reading | None = None,
         targets: int | None = None,
+        cell: Mapping[str, Any] | None = None,
     ) -> Examined:
         """Read an upload; one that was read is known again. Raises :class:`RefusedError`, 413, 422, or 499
         where ``reading`` is broken off."""
@@ -223,6 +224,7 @@ class Service:
             reach,
             draw,
             targets,
+            sorted((cell or {}).items()),
             sorted((name, blob.sha) for name, blob in upload.files.items()),
         ]
         key = hashlib.sha256(json.dumps(rows).encode()).hexdigest()
@@ -231,8 +233,8 @@ class Service:
         if known is None:
             uploads = {name: self.files.path(blob.sha) for name, blob in upload.files.items()}
             problem = self.files.path(upload.problem.sha)
-            known = _readable(self._examiners.examine(problem, uploads, reach, draw, reading, targets))
-            if draw:  # pictures are large, and asked for once
+            known = _readable(self._examiners.examine(problem, uploads, reach, draw, reading, targets, cell))
+            if draw or cell:  # pictures are large, and asked for once
                 return known
             with self._read_lock:
                 self._read[key] = known

@@ -48,6 +48,7 @@ class Examined:
     summary: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     shapes: tuple[Mapping[str, Any], ...] = ()
     looked_at: Mapping[str, Any] | None = None
+    cell: Mapping[str, Any] | None = None
 
     @property
     def readable(self) -> bool:
@@ -175,11 +176,12 @@ class Examiners:
         draw: bool = False,
         reading: Reading | None = None,
         targets: int | None = None,
+        cell: Mapping[str, Any] | None = None,
     ) -> Examined:
         """As :func:`planner.service.upload_reader.examine`, in a process of its own; raises
         :class:`RefusedError`, 503, where the service stops meanwhile, 499 where ``reading`` is broken off."""
         more = {"problem": str(problem), "reach": reach, "draw": draw, "facets": self._facets}
-        more |= {"targets": targets, "kept": str(self._kept)}
+        more |= {"targets": targets, "kept": str(self._kept), "cell": cell}
         return self._asked("examine", uploads, more, reading)[0]
 
     def examine_element(
@@ -373,7 +375,7 @@ def _read_on(answers: TextIO) -> None:
     models = plant.keep_models()
     for line in sys.stdin:
         asked = json.loads(line)
-        if asked.get("reach") and "planner.motion.solve" not in sys.modules:
+        if (asked.get("reach") or asked.get("cell")) and "planner.motion.solve" not in sys.modules:
             os.kill(os.getppid(), signal.SIGUSR1)
         folder, files = Path(asked["folder"]), {name: Path(path) for name, path in asked["files"].items()}
         models.next_job()
@@ -386,7 +388,7 @@ def _read_on(answers: TextIO) -> None:
             else:
                 given = (folder, Path(asked["problem"]), files, asked["facets"])
                 more = (asked["reach"], asked["draw"], asked["targets"], Path(asked["kept"]))
-                found = [examine(*given, *more)]
+                found = [examine(*given, *more, cell=asked["cell"])]
             answer = json.dumps([_to_json(one) for one in found])
         except MemoryError:
             os._exit(1)  # who asked says what it means

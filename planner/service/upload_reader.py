@@ -16,6 +16,7 @@ upload may be hostile; it loads all processes, so nothing else imports it.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -30,7 +31,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from planner import processes
+from planner import plans, processes
 from planner.batch.job import ELEMENT, PROBLEM
 from planner.element import element_file
 from planner.element.element_file import ElementFile
@@ -499,12 +500,14 @@ def examine(
     draw: bool = False,
     targets: int | None = None,
     kept: Path | None = None,
+    cell: Mapping[str, Any] | None = None,
 ) -> Examined:
     """Read the problem in the file ``problem``; ``uploads`` {name that the user gave: stored file}.
 
     ``folder`` is an empty one for this call alone. A mesh has at most ``facets``, three vertices for each.
     With ``reach`` the targets are made and reach is tested, at about so many ``targets`` where they are
-    given; those made are kept in the folder ``kept``. With ``draw`` there are ``shapes`` for the page.
+    given; those made are kept in the folder ``kept``. With ``draw`` there are ``shapes`` for the page, with
+    ``cell`` there is what :func:`planner.service.cell_view.view` draws for these arguments.
     """
     faults = [*_archives(uploads), *_large_meshes(uploads, facets)]
     if faults:
@@ -530,6 +533,13 @@ def examine(
         found += [issue for issue in looked.issues if issue not in found]
         if looked.of:
             looked_at = {"targets": looked.targets, "of": looked.of, "placed": looked.placed}
+    seen: dict[str, Any] | None = None
+    if cell is not None:
+        try:
+            seen, faults = _cell(read, folder, kept, cell)
+            found += faults
+        except TandemError as error:
+            found += error.issues
     drawn: list[dict[str, Any]] = []
     if draw:
         drawn, faults = shapes(read)
@@ -544,7 +554,30 @@ def examine(
         summary=_summary(read),
         shapes=tuple(drawn),
         looked_at=looked_at,
+        cell=seen,
     )
+
+
+def _cell(
+    problem: Problem, folder: Path, kept: Path | None, asked: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[Issue]]:
+    count = len(problem.operations)
+    if asked["operation"] >= count:
+        what = f"operation: got {asked['operation']}, the problem has {count}; give 0 to {count - 1}"
+        raise TandemError(Issue("service.request", what, field="operation"))
+    from planner.service import cell_view  # loads Drake
+
+    make = None if kept is None else kept_targets.maker(kept, problem, alike=True)
+    plan = None
+    if files := asked.get("plan"):
+        for name, path in files:
+            _link_or_copy(Path(path), folder / name)
+        with contextlib.suppress(TandemError):  # made by another version
+            plan = plans.load(folder)
+    seen, faults = cell_view.view(problem, make=make, **{**asked, "plan": plan})
+    for target in seen.get("targets", ()):
+        target["faults"] = [issue.to_dict() for issue in target["faults"]]
+    return seen, faults
 
 
 def examine_element(

@@ -81,7 +81,7 @@ def lay(folder: Path, data: Any) -> list[Issue]:
 
     def work() -> Iterable[Issue]:
         problem = pipeline.load(write(folder, data))
-        targets = pipeline._targets(problem, processes.jobs(problem))
+        targets = pipeline.targets_of(problem, processes.jobs(problem))
         told = [
             *pipeline._notes(problem),
             *pipeline._stands(problem),

@@ -45,7 +45,7 @@ def solved(folder: Path, data: Any) -> list[Issue]:
 
     def work() -> list[Issue]:
         job = pipeline.load(write(folder, data))
-        plan = solve(job, pipeline._targets(job, processes.jobs(job)))
+        plan = solve(job, pipeline.targets_of(job, processes.jobs(job)))
         return [issue for one in plan.operations for issue in one.issues]
 
     return found(work)

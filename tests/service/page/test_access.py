@@ -91,6 +91,8 @@ def served(
         "new: form": f"{server}/ui/new?example=wing",
         "new: sheet": f"{server}/ui/new?example=cone_spif",
         "new: faults": f"{server}/ui/new?example=wing",
+        "new: cell": f"{server}/ui/new?job={jobs[0]}",
+        "new: map": f"{server}/ui/new?job={jobs[0]}",
         "job": f"{server}/ui/jobs/{jobs[1]}",
         "job: replay": f"{server}/ui/jobs/{jobs[0]}#replay",
         "job: files": f"{server}/ui/jobs/{jobs[0]}#files",
@@ -112,6 +114,12 @@ def shown(page: Page, name: str, address: str) -> None:
     if kind == "new" and state:
         expect(page.locator("#verdict")).not_to_be_empty()
         expect(page.locator("#operations-form input").first).to_be_attached()
+    if state in ("cell", "map"):
+        page.get_by_role("tab", name="Cell").click()
+        page.select_option("#cell-move", "stock")
+        page.get_by_role("tab", name="Axis map" if state == "map" else "Cell").click()
+        if state == "map":
+            expect(page.locator("#map-canvas")).to_be_visible(timeout=120_000)
     if state == "faults":
         page.locator("#f-name").fill("9 lives")
         expect(page.locator("#check-issues li.error").first).to_be_visible()
@@ -139,6 +147,8 @@ PAGES: Final = (
     "new: form",
     "new: sheet",
     "new: faults",
+    "new: cell",
+    "new: map",
     "job",
     "job: replay",
     "job: files",

@@ -88,9 +88,17 @@ def test_scripts_make_no_markup_of_text_and_fetch_nothing_from_elsewhere() -> No
 
 
 def test_vendored_scripts_have_their_licence_beside_them() -> None:
-    for path in (STATIC / "vendor").glob("*.mjs"):
-        licence = path.with_name(f"{path.stem}.LICENSE.txt")
+    for path in (STATIC / "vendor").glob("*.*js"):
+        licence = path.with_name(f"{path.name.partition('.')[0]}.LICENSE.txt")
         assert "Permission is hereby granted" in licence.read_text("utf-8")
+
+
+def test_what_draws_cells_imports_nothing_but_its_own_files() -> None:
+    for path in (STATIC / "vendor").glob("three.*.js"):
+        text = path.read_text("utf-8")
+        for name in re.findall(r"""(?:\bfrom|\bimport)\s*\(?["']([\w./:@-]+)["']""", text):
+            assert (path.parent / name).is_file(), f"{path.name}: {name}"
+        assert "eval(" not in text and "new Function" not in text and "sourceMappingURL" not in text
 
 
 @pytest.mark.parametrize(

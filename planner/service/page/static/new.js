@@ -22,7 +22,10 @@ let form = null;
 let examples = {};
 let cells = {};
 let checking = null;
+let cell = null;
 let choices = 0;
+let partTitle = "Part";
+const seen = { signal: null, looked: false }; // what is known of the problem as it stands, for who draws the cell later
 
 async function begin() {
   const [schema, robots, materials, found, bundled] = await Promise.all([
@@ -47,7 +50,7 @@ async function begin() {
   form.drawn = () => afterwards();
   if (!viewer.works) $("view-empty").textContent = "This browser draws no 3D (WebGL 2); sizes are shown all the same.";
   drawProcesses("", chooseProcess);
-  if (asked.has("job")) take(await fromJob(asked.get("job")));
+  if (asked.has("job")) take({ ...(await fromJob(asked.get("job"))), job: asked.get("job") });
   else if (asked.has("example")) await begun(asked.get("example"));
   else if (asked.has("process")) await chooseProcess(asked.get("process"));
 }
@@ -101,8 +104,8 @@ async function begun(name) {
   }
 }
 
-function take({ problem, files, source }) {
-  Object.assign(state, { problem, origin: structuredClone(problem), files, given: new Map(files), cell: structuredClone(problem.cell), shown: "" });
+function take({ problem, files, source, job = "" }) {
+  Object.assign(state, { problem, job, origin: structuredClone(problem), files, given: new Map(files), cell: structuredClone(problem.cell), shown: "" });
   const process = problem.operations?.[0]?.process ?? state.process;
   if (process !== state.process && !examples[state.example]?.processes.includes(state.process)) state.process = process;
   drawProcesses(state.process, chooseProcess);
@@ -151,6 +154,7 @@ async function chooseCell(name) {
 
 function changed() {
   drawChanges();
+  cell?.follow();
   $("go").disabled = true;
   soon();
 }
@@ -188,7 +192,8 @@ function present(bodies, box, note, stock = null) {
   const part = bodies.filter((body) => body.kind === "part");
   const size = box ? (note === "unit not chosen" ? `${sizeText(box).replace(" mm", "")}, unit?` : sizeText(box)) : "";
   $("size").textContent = size;
-  $("view-title").textContent = part.length ? "Part" : "Stock";
+  partTitle = part.length ? "Part" : "Stock";
+  if (!$("part-view").hidden) $("view-title").textContent = partTitle;
   $("canvas").setAttribute("aria-label", `3D view of the ${part.length ? "part" : "stock"}, ${size}${stock ? `; stock ${sizeText(stock)}` : ""}`);
   const ways = bodies.some((body) => body.kind === "path");
   $("legend").replaceChildren(...(ways ? [h("i", { class: "swatch path" }), "way of the tool "] : []), ...(stock ? [h("i", { class: "swatch stock" }), `stock ${sizeText(stock)}`] : []));
@@ -204,12 +209,16 @@ async function check() {
     const found = await (await post("/ui/preview", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
     const box = found.summary.part_mm ?? null;
     present(found.shapes, box ?? found.summary.stock_mm, "", found.summary.stock_mm);
+    Object.assign(seen, { signal: own.signal, looked: false });
+    cell?.draw(own.signal);
     banner("");
     if (errors(found.issues).length) return tellIssues(found.issues, true);
     say("busy", "Nothing is wrong with the file. Looking at the reach and the clearance of some targets …");
     const some = await (await post(`/v1/check?targets=${FIRST_TARGETS}`, { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
     if (errors(some.issues).length) tellIssues(some.issues, true, some.looked_at);
     if (!some.looked_at) return; // there are no targets
+    seen.looked = true;
+    cell?.look(own.signal);
     if (!errors(some.issues).length) say("busy", `${some.looked_at.placed ? `Looked at ${share(some.looked_at)} targets: no fault so far` : "None of the first places of the block will do: more are tried"}. Testing the part, the tools and the reach of every target …`);
     const whole = await (await post("/v1/check?reach=true", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
     tellIssues(whole.issues, true);
@@ -223,6 +232,38 @@ async function check() {
     if (!drawn) present([], null, "");
     if (viewer.works) $("view-empty").textContent = "Nothing can be drawn before what is named below is corrected.";
     tellIssues(error.issues, false);
+  }
+}
+
+// The part, the cell or the map of a freedom; what draws cells is loaded when it is wanted.
+function drawTabs() {
+  const names = ["part", "cell", "map"];
+  const open = async (name, focus) => {
+    for (const one of names) {
+      const tab = $(`tab-${one}`);
+      tab.setAttribute("aria-selected", String(one === name));
+      tab.tabIndex = one === name ? 0 : -1;
+      show($(`${one}-view`), one === name);
+      if (one === name && focus) tab.focus();
+    }
+    show($("cell-walk"), name !== "part");
+    show($("size"), name === "part");
+    $("view-title").textContent = name === "part" ? partTitle : name === "cell" ? "Cell in 3D" : "Axis map";
+    if (name !== "part" && !cell) {
+      const { CellPanel } = await import("./cell_panel.js");
+      cell ??= new CellPanel(state, () => wanted(state), (path) => form.reshape(path, at(state.problem, path)));
+      cell.begin(seen.signal, seen.looked);
+    }
+    cell?.turn(name);
+  };
+  for (const [i, name] of names.entries()) {
+    $(`tab-${name}`).addEventListener("click", () => open(name).catch(tell));
+    $(`tab-${name}`).addEventListener("keydown", (event) => {
+      const way = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+      if (!way) return;
+      event.preventDefault();
+      open(names[(i + way + names.length) % names.length], true).catch(tell);
+    });
   }
 }
 
@@ -325,5 +366,6 @@ for (const name of ["dragover", "drop"])
 addEventListener("beforeunload", (event) => !state.sent && unsent() && event.preventDefault());
 addEventListener("dragleave", () => $("drop").classList.remove("over"));
 
+drawTabs();
 await begin().catch(tell);
 if (location.hash) goTo(decodeURIComponent(location.hash.slice(1)));

@@ -1,0 +1,254 @@
+"""What the service tells of a cell: links where the URDF, read by hand, has them; targets as in the table."""
+
+from __future__ import annotations
+
+import gzip
+import itertools
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from planner import pipeline
+from planner.cell import plant
+from planner.issues import has_errors
+from planner.report import scene as scenes
+from planner.service import cell_view
+from tests import small_problem
+from tests.service.support import ROOT, InProcess, codes, named
+
+TURNED = small_problem.PROBLEM.replace("robot: irb140", "robot: irb140\n      base: {xyz_mm: [0, 40, 0]}")
+POST = """
+  obstacles:
+    - {name: post, shapes: [{kind: box, size_mm: [30, 30, 100], pose: {xyz_mm: [0, 900, 50]}}]}
+"""
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
+    with InProcess(tmp_path_factory.mktemp("cell") / "data", examiners=1) as made:
+        yield made
+
+
+def matrices(rows: list[list[float]]) -> np.ndarray[Any, Any]:
+    """Poses (B, 4, 4) [mm] of rows of twelve numbers."""
+    out = np.tile(np.eye(4), (len(rows), 1, 1))
+    out[:, :3] = np.array(rows).reshape(-1, 3, 4)
+    return out
+
+
+def turned(axis: np.ndarray[Any, Any], angle: float) -> np.ndarray[Any, Any]:
+    """Rodrigues' formula."""
+    x, y, z = axis
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    out = np.eye(4)
+    out[:3, :3] += np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+    return out
+
+
+def by_hand(robot: str, base_mm: list[float], q_deg: list[float]) -> dict[str, np.ndarray[Any, Any]]:
+    """Poses (4, 4) [mm] of the links of a serial arm, from the XML of its URDF."""
+    tree = ET.parse(ROOT / "urdf" / f"{robot}.urdf").getroot()
+    pose = np.eye(4)
+    pose[:3, 3] = base_mm
+    out = {"base_link": pose}
+    joints = [one for one in tree.iter("joint") if one.get("type") == "revolute"]
+    for joint, angle in zip(joints, np.deg2rad(q_deg), strict=True):
+        origin = joint.find("origin")
+        given = {} if origin is None else origin.attrib
+        move = np.eye(4)
+        r, p, y = (float(v) for v in given.get("rpy", "0 0 0").split())
+        for axis, value in zip(np.eye(3)[::-1], (y, p, r), strict=True):
+            move = move @ turned(axis, value)
+        move[:3, 3] = [1000.0 * float(v) for v in given.get("xyz", "0 0 0").split()]
+        axis_of, child = joint.find("axis"), joint.find("child")
+        assert axis_of is not None and child is not None
+        way = np.array([float(v) for v in axis_of.attrib["xyz"].split()])
+        pose = pose @ move @ turned(way, float(angle))
+        out[child.attrib["link"]] = pose
+    return out
+
+
+def test_links_are_where_the_urdf_has_them_at_home_and_at_every_target(here: InProcess) -> None:
+    found = here.post(TURNED, path="/v1/cell?targets=4").json()
+    assert [arm["name"] for arm in found["arms"]] == ["left"]
+    joints = found["joints_deg"]["left"]
+    assert joints[0] == [0, 0, 0, 0, 45, 0] == found["arms"][0]["home_deg"]
+    assert len(joints) == 1 + len(found["targets"]) == 5
+    for number, q in enumerate(joints):
+        for link, pose in by_hand("irb140", [0.0, 40.0, 0.0], q).items():
+            told = matrices(found["poses"][f"left/{link}"])[number]
+            assert told == pytest.approx(pose, abs=0.02), (link, q)  # joints are told to 0.001 degree
+
+
+def test_targets_are_told_with_where_they_are_and_what_posture_they_have(here: InProcess) -> None:
+    found = here.post(path="/v1/cell?targets=3").json()
+    assert (found["of"], len(found["targets"])) == (len(small_problem.ROWS), 3)
+    places = [[float(v) for v in row.split(",")[:3]] for row in small_problem.ROWS]
+    for target, number in zip(found["targets"], itertools.count(1)):
+        assert target["points_mm"]["left"] == pytest.approx(places[target["index"]], abs=0.01)
+        assert target["posture"] == number and target["faults"] == []
+    assert found["targets"][-1]["index"] == len(small_problem.ROWS) - 1
+    assert found["placed"] is True and found["operations"] == ["poses"]
+
+
+def test_a_target_that_fails_has_no_posture_and_says_why(here: InProcess) -> None:
+    far = small_problem.PROBLEM.replace("robot: irb140", "robot: irb140\n      base: {xyz_mm: [-435, 0, 0]}")
+    found = here.post(far, path="/v1/cell?targets=6").json()
+    bad = [target for target in found["targets"] if "posture" not in target]
+    assert bad and len(found["joints_deg"]["left"]) == 1 + len(found["targets"]) - len(bad)
+    for target in bad:
+        (fault,) = target["faults"]
+        assert (fault["code"], fault["arm"], fault["index"]) == ("motion.no_reach", "left", target["index"])
+        assert "cannot reach" in fault["message"]
+
+
+def test_bodies_are_whole_and_in_millimetres(here: InProcess) -> None:
+    found = here.post(named("bodies").replace("\nstock:", POST + "stock:"), path="/v1/cell").json()
+    assert "targets" not in found and "map" not in found
+    kinds = {body["kind"] for body in found["bodies"]}
+    assert kinds >= {"link", "tool", "stock", "obstacle"}
+    for body in found["bodies"]:
+        vertices = np.array(body["vertices"]).reshape(-1, 3)
+        faces = np.array(body["faces"]).reshape(-1, 3)
+        assert faces.min() >= 0 and faces.max() < len(vertices)
+        assert body["body"] in found["poses"] and len(found["poses"][body["body"]]) == 1
+        if body["kind"] == "obstacle":
+            assert [vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()] == [
+                [-15, 885, 0],
+                [15, 915, 100],
+            ]
+        if body["kind"] == "stock":
+            assert np.ptp(vertices, axis=0).tolist() == [100, 100, 100]
+    moves = {move["name"]: [one["field"] for one in move["fields"]] for move in found["moves"]}
+    assert moves == {
+        "stock": ["stock.place"],
+        "left": ["cell.arms.0.base"],
+        "post": ["cell.obstacles.0.shapes.0.pose"],
+    }
+    (stock,) = (move["fields"][0] for move in found["moves"] if move["kind"] == "stock")
+    assert (stock["xyz_mm"], stock["rpy_deg"]) == ([450, 0, 0], [0, 0, 0])
+
+
+def test_a_map_has_the_targets_and_the_values_of_its_freedom(here: InProcess) -> None:
+    text = named("mapped").replace("frame: world", "frame: stock")
+    rows = [row.replace("450,", "0,", 1) for row in small_problem.ROWS]
+    table = "\n".join([small_problem.COLUMNS, *rows]).encode()
+    files = [("problem", ("p.yaml", text)), ("files", ("targets.csv", table))]
+    found = here.http.post("/v1/cell?targets=6&freedom=place x", files=files).json()
+    assert [one["name"] for one in found["freedoms"]] == ["place x", "place y", "place z"]
+    made = found["map"]
+    assert (made["freedom"], made["unit"]) == ("place x", "mm")
+    shape = np.array(made["values"]).shape
+    assert shape == (6, 25) and made["values"][0][0] == -300 and made["values"][0][-1] == 300
+    for table_of in (made["states"]["left"], made["limit_deg"]["left"], made["clearance_mm"], made["pairs"]):
+        assert (len(table_of), len(table_of[0])) == shape
+    states = np.array(made["states"]["left"])
+    assert 0 < (states == 0).sum() < states.size
+    assert (np.array(made["clearance_mm"], dtype=float)[states == 0] >= 0).all()
+    assert all(code == "" or code.startswith("motion.") for code in made["codes"])
+    other = here.http.post("/v1/cell?targets=6&freedom=none", files=files).json()
+    assert "map" not in other and other["freedoms"] == found["freedoms"]
+
+
+def test_a_block_whose_place_is_searched_is_where_a_first_look_has_it_or_nowhere(here: InProcess) -> None:
+    text = named("searched").replace("place: {xyz_mm: [450, 0, 0]}", "place: auto")
+    text = text.replace("frame: world", "frame: stock") + "accept: [stock.hangs]\n"
+    rows = [f"50,{y},150,0.5,-0.5,0.5,0.5,20" for y in range(-50, 51, 20)]
+
+    def asked(rows: list[str], more: str = "") -> dict[str, Any]:
+        table = "\n".join([small_problem.COLUMNS, *rows]).encode()
+        files = [("problem", ("p.yaml", text)), ("files", ("targets.csv", table))]
+        found: dict[str, Any] = here.http.post(f"/v1/cell{more}", files=files).json()
+        return found
+
+    assert asked(rows)["placed"] is False
+    found = asked(rows, "?targets=6")
+    assert found["placed"] is True and all("posture" in target for target in found["targets"])
+    stock = matrices(found["poses"]["stock"])[0]
+    point = found["targets"][0]["points_mm"]["left"]
+    assert stock @ [50, -50, 150, 1] == pytest.approx([*point, 1], abs=0.05)
+    apart = ["-2000,0,150,0.5,-0.5,0.5,0.5,20", *rows, "2000,0,150,0.5,-0.5,0.5,0.5,20"]
+    assert asked(apart, "?targets=6")["placed"] is False
+
+
+def test_what_cannot_be_drawn_is_refused_by_field(here: InProcess) -> None:
+    answer = here.post(path="/v1/cell?operation=1")
+    assert (answer.status_code, codes(answer)) == (422, [("service.request", "operation")])
+    assert "the problem has 1; give 0 to 0" in answer.json()["issues"][0]["message"]
+    answer = here.post(named("own").replace("irb140", "irb0"), path="/v1/cell")
+    assert answer.status_code == 422 and codes(answer)[0][1] == "cell.arms.0.robot"
+    for more, field in (("targets=1", "targets"), ("targets=201", "targets"), ("operation=-1", "operation")):
+        assert codes(here.post(path=f"/v1/cell?{more}")) == [("service.request", field)]
+
+
+def test_targets_that_cannot_be_made_leave_the_cell_drawn(here: InProcess) -> None:
+    files = [
+        ("problem", ("p.yaml", named("bad"))),
+        ("files", ("targets.csv", small_problem.COLUMNS.encode())),
+    ]
+    answer = here.http.post("/v1/cell?targets=6", files=files)
+    assert answer.status_code == 200
+    found = answer.json()
+    assert found["bodies"] and "targets" not in found
+    assert [issue for issue in found["issues"] if issue.get("severity", "error") == "error"]
+
+
+def test_it_is_compressed_for_who_takes_that(here: InProcess) -> None:
+    files = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", ("targets.csv", _table()))]
+    with here.http.stream("POST", "/v1/cell", files=files, headers={"Accept-Encoding": "gzip"}) as answer:
+        packed = b"".join(answer.iter_raw())
+        assert answer.headers["content-encoding"] == "gzip"
+    plain: httpx.Response = here.http.post("/v1/cell", files=files, headers={"Accept-Encoding": "identity"})
+    assert "content-encoding" not in plain.headers
+    assert gzip.decompress(packed) == plain.content and len(packed) < len(plain.content) / 2
+
+
+def _table() -> bytes:
+    return "\n".join([small_problem.COLUMNS, *small_problem.ROWS]).encode()
+
+
+FREE_SPIN = small_problem.PROBLEM.replace(
+    "frame: world}",
+    "frame: world,\n     free: [{name: spin, arms: [left], axis: z, turn_deg: [-170, 170]}]}",
+)
+
+
+@pytest.mark.parametrize("other", [False, True])
+def test_the_way_of_a_plan_goes_through_its_map_alone(tmp_path: Path, other: bool) -> None:
+    """At each target the posture of the plan has the tool turned by the value that is drawn: by Drake's plant
+    of the URDF. Of a problem with other targets nothing is drawn."""
+    made = pipeline.plan(pipeline.load(small_problem.write(tmp_path, FREE_SPIN))).plan
+    rows = [row.replace(",500,", ",505,") if other else row for row in small_problem.ROWS]
+    table = "\n".join([small_problem.COLUMNS, *rows]) + "\n"
+    problem = pipeline.load(small_problem.write(tmp_path, FREE_SPIN, table))
+    found, issues = cell_view.view(problem, 0, most=6, freedom="spin", plan=made)
+    assert not has_errors(issues)
+    if other:
+        assert "path" not in found["map"]
+        return
+    path = found["map"]["path"]
+    (operation,) = made.operations
+    assert len(path) == 6 == operation.targets.count
+    model = plant.build(problem.cell, problem.stock, np.asarray(problem.stock.place))
+    tools = scenes.extract(model).poses({"left": operation.q["left"]})["left/tool"]
+    for value, tool, nominal in zip(path, tools, operation.targets.pose["left"], strict=True):
+        turn = np.linalg.inv(nominal) @ tool @ problem.cell.arm("left").tool.tcp
+        assert value == pytest.approx(np.rad2deg(np.arctan2(turn[1, 0], turn[0, 0])), abs=0.01)
+    along, _ = cell_view.view(problem, 0, most=6, freedom="place x", plan=made)
+    assert along["map"]["path"] == [0.0] * 6  # the block stands where it was planned
+    bare, _ = cell_view.view(problem, 0, most=6, freedom="spin")
+    assert "path" not in bare["map"]
+
+
+def test_a_plan_of_somebody_else_or_of_no_job_is_404(here: InProcess) -> None:
+    answer = here.post(path=f"/v1/cell?targets=6&freedom=place x&job={'0' * 32}")
+    assert (answer.status_code, codes(answer)) == (404, [("service.unknown_job", None)])
+    job = here.post(named("unplanned")).json()["id"]
+    here.ended(job)
+    found = here.post(path=f"/v1/cell?targets=6&freedom=place x&job={job}").json()
+    assert "path" not in found["map"]  # its plan cannot be read
