@@ -17,7 +17,7 @@ from planner.motion import diagnosis, remedies
 from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.ladder import LARGEST_STEP
 from planner.motion.search.ladder_search import Blocked, Found, search
-from planner.motion.search.reach import Grid, Rungs, reach, sample
+from planner.motion.search.reach import Checker, Grid, Parts, Rungs, reach, sample
 from planner.motion.solve import solve
 from planner.problem import Obstacle, Problem, Settings
 from planner.targets import Targets
@@ -117,6 +117,10 @@ def test_the_verdict_is_that_of_brute_force(seed: int) -> None:
     found = search(scene, targets, grid)
     path, end, counts = brute(scene, targets, grid)
     assert isinstance(found, Found) == path
+    untold = search(scene, targets, grid, told=False)
+    assert isinstance(untold, Found) == path
+    if isinstance(found, Found) and isinstance(untold, Found):
+        np.testing.assert_array_equal(untold.path.sample, found.path.sample)
     if not isinstance(found, Blocked):
         return
     if end < 0:
@@ -129,6 +133,30 @@ def test_the_verdict_is_that_of_brute_force(seed: int) -> None:
     if not found.dead.free.any():
         named = frozenset(name.partition("/")[0] for name in issue.bodies)
         assert any(count[named] == max(count.values()) for count in counts)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_branches_have_in_common_collides_as_each_of_them_does_alone(seed: int) -> None:
+    """All samples of all choices of branches, in an order at random, with and without what others found."""
+    scene, targets = cell(seed)
+    grid = sample(targets, STEP)
+    table = reach(scene, targets, grid)
+    choices = list(itertools.product(*(r.branches for r in table.values())))
+    order = np.random.default_rng(seed).permutation(len(choices))
+    parts, seen = Parts(scene, grid, tuple(table)), 0
+    for k in order.tolist():
+        rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), choices[k], strict=True)}
+        check = Checker(scene, targets, grid, rungs, parts=parts)
+        check.coarse()
+        check.whole(np.arange(targets.count))
+        at, which = np.nonzero(check.possible)
+        alone = scene.free(targets, {arm: r.q[at, which] for arm, r in rungs.items()}, at)
+        np.testing.assert_array_equal(
+            ~check.collided[at, which], alone, f"seed {seed}, branches {choices[k]}"
+        )
+        seen += int((~alone).sum())
+    assert len(choices) > 1
+    assert seen > 20
 
 
 def followed(job: Problem, change: Remedy) -> Problem:
