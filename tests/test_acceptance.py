@@ -29,6 +29,11 @@ def problem(folder: Path, **more: Any) -> Path:
     return small_forming.write(folder, {**data, **more})
 
 
+def looked(path: Path) -> tuple[Issue, ...]:
+    """What a first look finds: all that is found before motion, and reach at four targets."""
+    return pipeline.looked_over(pipeline.load(path), 4).issues
+
+
 def test_only_codes_of_the_table_can_be_accepted() -> None:
     rooms = {code.split(".")[0] for code, row in CODES.items() if row.accepts}
     assert not rooms & {"motion", "verify", "wire", "kerf", "post", "internal", "milling"}
@@ -54,7 +59,7 @@ def test_what_cannot_be_accepted_is_refused_by_field(tmp_path: Path, given: obje
 
 def test_an_error_says_how_it_is_accepted_and_following_that_works(tmp_path: Path) -> None:
     path = problem(tmp_path)
-    refused = {i.code: i for i in pipeline.check(pipeline.load(path)) if i.severity is Severity.ERROR}
+    refused = {i.code: i for i in looked(path) if i.severity is Severity.ERROR}
     assert list(refused) == [FORCE]
     assert refused[FORCE].value is not None and refused[FORCE].limit is not None
     assert refused[FORCE].value > 2.0 * refused[FORCE].limit
@@ -73,19 +78,19 @@ def test_an_error_says_how_it_is_accepted_and_following_that_works(tmp_path: Pat
 
 
 def test_a_force_a_little_beyond_the_payload_stays_a_warning(tmp_path: Path) -> None:
-    free = next(i for i in pipeline.check(pipeline.load(problem(tmp_path))) if i.code == FORCE).limit
+    free = next(i for i in looked(problem(tmp_path)) if i.code == FORCE).limit
     assert free is not None
     for factor, severity in ((1.9, Severity.WARNING), (2.1, Severity.ERROR)):
         data = yaml.safe_load(problem(tmp_path).read_text())
         data["operations"][0]["force_n"] = factor * free
         (tmp_path / "problem.yaml").write_text(yaml.safe_dump(data))
-        found = [i for i in pipeline.check(pipeline.load(tmp_path / "problem.yaml")) if i.code == FORCE]
+        found = [i for i in looked(tmp_path / "problem.yaml") if i.code == FORCE]
         assert [i.severity for i in found] == [severity]
 
 
 def test_what_does_not_occur_is_a_note(tmp_path: Path) -> None:
     path = problem(tmp_path, accept=[FORCE, "straight.drop"])
-    notes = [i for i in pipeline.check(pipeline.load(path)) if i.code == "problem.accepted"]
+    notes = [i for i in looked(path) if i.code == "problem.accepted"]
     assert [(n.severity, n.field) for n in notes] == [(Severity.NOTE, "accept.1")]
     assert "straight.drop" in notes[0].message
 
@@ -121,6 +126,6 @@ def test_bundled_problems_accept_what_they_must_and_no_more() -> None:
     }
     assert taking == {"cone_spif", "dome_tpif"}
     path = data_dir("problems") / "cone_spif" / "problem.yaml"
-    found = pipeline.check(pipeline.load(path))
+    found = looked(path)
     assert accepted(found) == (FORCE,)
     assert not [i for i in found if i.code == "problem.accepted" or i.severity is Severity.ERROR]

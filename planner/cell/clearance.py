@@ -371,6 +371,8 @@ def least(
         pairs[i] = pair
     # how deep solids are in one another is Drake's to say
     inside = looked[deep]
+    if not len(inside):  # to leave pairs out of Drake's checker and put them back takes longer than all else
+        return LeastClearance(distance, tuple(pairs))
     drake = witness(model, _by_arm(model, rows[inside]), model.easing.by, ignore)
     for i, depth, pair in zip(inside, drake.distance, drake.pair, strict=True):
         if depth < distance[i] and any(pair):

@@ -313,7 +313,7 @@ STRAIGHT: Final = (
     Fault("straight_no_heating", "ruled", {"hotwire.straight.route:actions": result(_short_waits)}),
     Fault("straight_power_late", "ruled", {"hotwire.straight.route:actions": result(_late)}),
     Fault("straight_signal_other", "ruled", {"hotwire.straight.route:actions": result(_renamed)}),
-    Fault("held_grip_off", "held", {"hotwire.straight.job:_targets": _poses(0, _shift(x=0.001))}),
+    Fault("held_grip_off", "held_side", {"hotwire.straight.job:_targets": _poses(0, _shift(x=0.001))}),
     Fault("held_grip_upside_down", "held", {"hotwire.straight.job:_targets": _poses(0, _turn(2, 0.02))}),
     Fault("held_mass_lost", "held", {"post.steps:_load": fields(mass=_scaled(0.3))}),
     Fault("held_load_forgotten", "held", {"post.steps:carries": always({})}),
@@ -401,7 +401,7 @@ FORMING: Final = (
     ),
     Fault(
         "adsif_shifted",
-        "adsif",
+        "adsif_small",
         {"forming.paths.adsif_path:adsif_tool_path": fields(former=_off(x=0.003), support=_off(x=0.003))},
     ),
     Fault(

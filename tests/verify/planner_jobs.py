@@ -337,15 +337,21 @@ def wing(folder: Path) -> Path:
     return _write(folder, data)
 
 
-def held(folder: Path) -> Path:
+SIDES: Final[dict[str, Any]] = {
+    "name": "sides",
+    "closed": True,
+    "start": {"polyline_mm": [[84, 70, 0], [-76, 84, 0], [-84, -72, 0], [78, -80, 0]]},
+    "end": {"polyline_mm": [[80, 78, 100], [-84, 76, 100], [-78, -82, 100], [86, -76, 100]]},
+}
+SIDE: Final[dict[str, Any]] = {
+    "name": "side",
+    **{end: {"polyline_mm": SIDES[end]["polyline_mm"][:2]} for end in ("start", "end")},
+}
+
+
+def held(folder: Path, surface: Mapping[str, Any] = SIDES) -> Path:
     """One arm holds the block and moves it, the other one cuts its sides with a bow."""
-    spec = {
-        "name": "sides",
-        "closed": True,
-        "start": {"polyline_mm": [[84, 70, 0], [-76, 84, 0], [-84, -72, 0], [78, -80, 0]]},
-        "end": {"polyline_mm": [[80, 78, 100], [-84, 76, 100], [-78, -82, 100], [86, -76, 100]]},
-    }
-    data = _straight({"ruled": [spec], "in_stock": {}}, arms=["left", "right"])
+    data = _straight({"ruled": [surface], "in_stock": {}}, arms=["left", "right"])
     data["cell"] = _cell("two_irb140_bow_gripper")
     data["cell"]["arms"][1]["tool"] |= {"width_mm": 60, "depth_mm": 60}
     data["stock"] = {"size_mm": [210, 210, 100], "foam": "eps_a120", "held_by": "right"}
@@ -540,12 +546,14 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "plate": plate,
     "wing": wing,
     "held": held,
+    "held_side": lambda folder: held(folder, SIDE),
     "spif": forming,
     "oval": oval,
     "dsif": lambda folder: forming(folder, "dsif"),
     "dpif_l": lambda folder: forming(folder, "dpif_l"),
     "dpif_p": lambda folder: forming(folder, "dpif_p"),
     "adsif": lambda folder: forming(folder, "adsif", cone(25.0, 0.0025, 0.012, 96)),
+    "adsif_small": lambda folder: forming(folder, "adsif", cone(25.0, 0.0015, 0.010, 72)),
     "heat": lambda folder: forming(folder, "heat"),
     "tpif": tpif,
     "two_features": two_features,

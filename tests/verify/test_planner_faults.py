@@ -18,7 +18,7 @@ from tests.verify import (
     faults_of_programs,
     faults_of_sag,
 )
-from tests.verify.planner_faults import CHECKS, Fault, clean, instructions, run, thing
+from tests.verify.planner_faults import CHECKS, SOONER, Fault, clean, instructions, run, thing
 from tests.verify.planner_jobs import JOBS
 
 MODULES: Final = (faults_of_parts, faults_of_processes, faults_of_motion, faults_of_programs, faults_of_sag)
@@ -57,7 +57,7 @@ def test_there_are_many_faults_and_each_has_a_name_of_its_own() -> None:
 
 
 def test_every_fault_and_check_names_something_of_the_planner() -> None:
-    for target in [*CHECKS, *(target for fault in FAULTS.values() for target in fault.changes)]:
+    for target in [*CHECKS, *SOONER, *(target for fault in FAULTS.values() for target in fault.changes)]:
         assert callable(thing(target)) or isinstance(thing(target), property | float), target
 
 

@@ -22,7 +22,15 @@ from typing import Any, Final
 import numpy as np
 
 from planner.geometry import corner_rounding
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, interpolate, lengths, log_rotation
+from planner.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IndexArray,
+    lengths,
+    log_rotation,
+    skew,
+    to_quaternion,
+)
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion.planning_scene import Scene
@@ -414,7 +422,9 @@ class _Line:
     """Poses of all arms at all targets, and whether targets lie on the straight move between two others."""
 
     def __init__(self, targets: Targets, values: FloatArray) -> None:
-        self.poses = targets.poses(values)
+        poses = targets.poses(values).values()
+        self.places = [pose[:, :3, 3].copy() for pose in poses]
+        self.turns = [to_quaternion(pose[:, :3, :3]) for pose in poses]
         self.along = np.cumsum(_ways(targets, values))
         off = targets.rounding.deviations(targets.segment)
         self.allowed = np.minimum(off, corner_rounding.CORNER_DEVIATION_MM * MM)
@@ -427,21 +437,20 @@ class _Line:
     def straight(self, first: int, last: int) -> bool:
         """Whether all targets between two are passed within what is allowed [m], at the share of the way at
         which they stand."""
-        inner = np.arange(first + 1, last)
         whole = self.way(first, last)
         if whole <= 0.0:
             return True
-        share = (self.along[inner] - self.along[first]) / whole
+        share = (self.along[first + 1 : last] - self.along[first]) / whole
         allowed = float(self.allowed[first + 1 : last + 1].min())
         off = []
-        for pose in self.poses.values():
-            start, end = pose[first], pose[last]
-            off.append(start[:3, 3] + share[:, None] * (end[:3, 3] - start[:3, 3]) - pose[inner, :3, 3])
-            if np.any(lengths(off[-1]) > allowed):
+        for place, turns in zip(self.places, self.turns, strict=True):
+            start, end = place[first], place[last]
+            off.append(start + share[:, None] * (end - start) - place[first + 1 : last])
+            away = lengths(off[-1])
+            if (away > allowed).any():
                 return False
-            there = interpolate(start, end, share)
-            turn = log_rotation(np.swapaxes(there[:, :3, :3], -1, -2) @ pose[inner, :3, :3])
-            if np.any(lengths(off[-1]) + MM * corner_rounding.TURNING_LEVER_MM * lengths(turn) > allowed):
+            turned = _off_turn(turns[first : last + 1], share)
+            if (away + MM * corner_rounding.TURNING_LEVER_MM * turned > allowed).any():
                 return False
         if len(off) < 2:
             return True
@@ -451,9 +460,32 @@ class _Line:
         """Whether two TCPs keep their distance within ``ahead`` with either of them a move ahead."""
         if np.isinf(self.ahead):
             return True
-        one, two = (pose[[first, last], :3, 3] for pose in self.poses.values())
+        one, two = (place[[first, last]] for place in self.places)
         apart = lengths(one[:, None] - two)
         return bool(np.abs(apart[[0, 1], [1, 0]][:, None] - apart[[0, 1], [0, 1]]).max() <= self.ahead)
+
+
+def _off_turn(turns: FloatArray, share: FloatArray) -> FloatArray:
+    """Angles (K,) [rad] by which the rotations between the ends of ``turns`` (K + 2, 4), quaternions w, x, y,
+    z, are off one that turns evenly from end to end, at the ``share`` (K,) of its way. With quaternions, as
+    this is asked thousands of times of a few rotations each."""
+    w, v = turns[0, 0], turns[0, 1:]
+    back = np.empty((4, 4))  # a product with it is one from the left with the first, inverted
+    back[0, 0], back[0, 1:], back[1:, 0] = w, v, -v
+    back[1:, 1:] = w * np.eye(3) - skew(v)
+    since = turns[1:] @ back.T
+    whole, since = since[-1] if since[-1, 0] >= 0.0 else -since[-1], since[:-1]
+    sine = float(np.sqrt(whole[1:] @ whole[1:]))
+    axis = whole[1:] / (sine or 1.0)
+    half = float(np.arctan2(sine, whole[0])) * share
+    c, s = np.cos(half), np.sin(half)
+    along = since[:, 1:] @ axis
+    left = (
+        c[:, None] * since[:, 1:]
+        - (s * since[:, 0])[:, None] * axis
+        - s[:, None] * (since[:, 1:] @ skew(axis).T)
+    )
+    return np.asarray(2.0 * np.arctan2(lengths(left), np.abs(c * since[:, 0] + s * along)))
 
 
 def _ways(targets: Targets, values: FloatArray) -> FloatArray:

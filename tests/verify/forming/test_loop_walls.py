@@ -160,7 +160,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_planner_that_makes_walls_too_steep_is_caught_by_this_alone(path: Path) -> None:
-    with planner_faults.changed(planner_faults.CHECKS):
+    with planner_faults.changed({**planner_faults.CHECKS, **planner_faults.SOONER}):
         outcome = planner.plan(planner.load(path))
     wrong = [rule.code for rule in outcome.proof.rules if rule.ran and not rule.passed]
     assert wrong == ["verify.springback"]
