@@ -65,7 +65,7 @@ class AxesLook:
 @dataclasses.dataclass(frozen=True)
 class Meet:
     """All tasks wait here for each other; ``number`` from 1. ``reached``: what is then so. ``seconds``: what
-    one of them does alone before takes so long by the plan, as far as the plan says."""
+    another one does alone before takes so long by the plan, as far as the plan says."""
 
     number: int
     reached: str

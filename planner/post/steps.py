@@ -195,14 +195,14 @@ class _Builder:
         arms = {arm.name: arm for arm in setup.cell.arms}
         stop = _stops(targets, keep)
         meets = np.zeros(len(keep), dtype=np.int64)
-        if self.handshake is not None and len(targets.arms) > 1:
-            numbered = [arm for arm in targets.arms if arms[arm].data.family == "KUKA"]
-            stop = stop | _pauses([written[arm] for arm in numbered], keep)
-            stop = meeting_rows(stop, self.handshake.every)
-            meets = stop.astype(np.int64)
         turned = [written[arm][0] for arm in targets.arms if arms[arm].data.family == "UR"]
         longer = _turns(turned, targets, keep) & ~stop
         stop = stop | longer
+        if self.handshake is not None and len(targets.arms) > 1:
+            numbered = [arm for arm in targets.arms if arms[arm].data.family in ("KUKA", "UR")]
+            stop = stop | _pauses([written[arm] for arm in numbered], keep)
+            stop = meeting_rows(stop, self.handshake.every)
+            meets = stop.astype(np.int64)
         duration = _durations(plan, keep)
         if meets.any() or longer.any():
             duration = _stretched(duration, stop, plan, keep, written, arms, self.settings)
@@ -289,16 +289,17 @@ class _Builder:
             reached or f"setup {setup.number} is done",
         )
 
-    def _meet(self, reached: str, seconds: float = 0.0) -> None:
+    def _meet(self, reached: str, seconds: float = 0.0, by: str = "") -> None:
+        """All arms meet; all but ``by`` wait for what that one does alone for ``seconds``."""
         if len(self.arms) > 1:
             self.meets += 1
             for arm in self.arms:
-                self.steps[arm].append(Meet(self.meets, reached, seconds))
+                self.steps[arm].append(Meet(self.meets, reached, 0.0 if arm == by else seconds))
 
     def _alone(self, arm: str, steps: Sequence[Step], reached: str) -> None:
         if steps:
             self.steps[arm] += steps
-            self._meet(reached, sum(step.action.seconds for step in steps if isinstance(step, Do)))
+            self._meet(reached, sum(step.action.seconds for step in steps if isinstance(step, Do)), arm)
 
     def _at_once(self, ways: Mapping[str, Sequence[FloatArray]], place: str, last: str | None = None) -> None:
         """All arms through their stations, move by move, in a synchronised block, from the first one on; what
@@ -350,7 +351,8 @@ class _Builder:
             meets[marked] = self.meets + 1 + np.arange(len(marked))
             self.meets += len(marked)
             if not together:
-                self._meet(f"{targets.arms[0]} has run its moves", float(duration[first:last].sum()))
+                one = targets.arms[0]
+                self._meet(f"{one} has run its moves", float(duration[first:last].sum()), one)
             self._actions(targets, last - 1, keep)
 
 

@@ -269,6 +269,10 @@ def test_an_arm_that_works_alone_is_waited_for():
     )
     files = programs(plan, job)
     assert "\\MaxTime:=200;" in files["right/TandemMain_2.mod"]  # 200 moves of 0.5 s
+    assert set(re.findall(r"MaxTime:=(\d+)", files["left/TandemMain_1.mod"])) == {
+        "30",
+        "100",
+    }  # it waits for none
     assert not explore(run(files, "left"), run(files, "right"))[1]
     calls = [line for line in reading.flat(files, "right") if line.startswith("SetDO")]
     assert calls[-1].endswith(",0;")

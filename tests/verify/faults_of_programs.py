@@ -104,9 +104,9 @@ def _every_other_call(old: Any) -> Any:
 def _first_alone(old: Any) -> Any:
     """Nobody waits for the other arm to stand at home, nor at its first target."""
 
-    def meet(self: Any, reached: str, seconds: float = 0.0) -> None:
+    def meet(self: Any, reached: str, *more: Any) -> None:
         if "first target" not in reached and "at home" not in reached:
-            old(self, reached, seconds)
+            old(self, reached, *more)
 
     return meet
 
