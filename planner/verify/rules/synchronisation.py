@@ -28,6 +28,7 @@ from planner.verify.programs.steps import (
     SignalStep,
     StatusTarget,
     Step,
+    single,
 )
 from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import select_by_status
@@ -359,8 +360,10 @@ def move_time(context: Context) -> Outcome:
         if a_task.krl is not None or b_task.krl is not None:
             issues += pair_times(a_task, a, b_task, b)
         elif a.time is not None and b.time is not None:
-            worst = max(worst, abs(a.time - b.time))
-            if abs(a.time - b.time) > _TIME_TOLERANCE:
+            # a time of RAPID is held in single precision, in whatever language the other one is
+            apart = abs(single(a.time) - single(b.time))
+            worst = max(worst, apart)
+            if apart > _TIME_TOLERANCE:
                 message = f"\\T:={b.time:g} runs with \\T:={a.time:g} of {a_task.name}"
                 issues.append(at_step("verify.move_time", message, b_task, b))
     return Outcome(tuple(issues), worst, _TIME_TOLERANCE, "s")
