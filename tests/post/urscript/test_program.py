@@ -71,7 +71,7 @@ def test_two_arms_are_refused_and_numbers_are_asked_for():
         dataclasses.replace(operation.targets, arms=("left", "right")) for operation in plan.operations
     ]
     (issue,) = write.controller_refusals(both, targets)
-    assert issue.code == "post.controller" and "meet no others yet" in issue.message
+    assert issue.code == "post.controller" and "arms of KUKA and UR have one each" in issue.message
     controller = dataclasses.replace(problem.cell.controller, io={})
     found = refused(with_cell(problem, controller=controller))
     assert [code for code, _ in found] == ["post.signal"] and "URScript knows by number" in found[0][1]
