@@ -4,11 +4,13 @@ which they meet, watch each other and ask somebody are caught."""
 from __future__ import annotations
 
 import collections
+import dataclasses
 import re
 
 import numpy as np
 import pytest
 
+from planner.post import write
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import handshake as rules_handshake
@@ -182,3 +184,72 @@ def test_every_fault_is_caught(kind, every):
     passed, tried = missed(problem, list(every_fault(good)))
     assert passed == []
     assert tried.total() > 300 and len(tried) > 30
+
+
+def test_a_ur_arm_and_an_abb_arm_are_proven_by_every_rule():
+    """The ABB controller stops at each question of the UR arm, which then waits until it runs again."""
+    problem = ur_pair.problem("toggle", 3, right="irb140")
+    programs = ur_pair.programs("toggle", 3, switched=False, right="irb140")
+    proof = Prover(problem, ur_pair.claims()).prove(programs)
+    assert [str(issue) for issue in proof.issues] == []
+    rows = programs["left/small.script"].split("\n")
+    asked = [i for i, row in enumerate(rows) if ur_pair.QUESTION in row or ur_pair.AGAIN in row]
+    assert [rows[i + 1 : i + 4] for i in asked] == [
+        [
+            "set_standard_digital_out(1,True) # doRunning",
+            "await_running(True,3600.0)",
+            "watching = run watch_partner()",
+        ]
+    ] * 2
+
+
+def test_programs_on_other_wires_than_the_cells_are_caught():
+    """Inputs swapped, lines crossed, one number for two things, and numbers that both arms share."""
+    good, io = ur_pair.programs(), ur_pair.io()
+    assert faults(ur_pair.problem(numbers=io), good) == []
+    changed = {
+        "inputs swapped": {"left": {"diPartner": 1, "diPartnerRunning": 0}},
+        "inputs of the other one": {"right": {"diPartner": 0, "diPartnerRunning": 1}},
+        "outputs swapped": {"right": {"doPartner": 3, "doRunning": 2}},
+        "power on the line of the meetings": {"left": {ur_pair.SIGNAL: 0}},
+        "power on the running wire": {"left": {ur_pair.SIGNAL: 1}},
+        "one output says that either runs": {"right": {"doRunning": 1, "doPartner": 3}},
+    }
+    for what, more in changed.items():
+        numbers = {arm: {**own, **more.get(arm, {})} for arm, own in io.items()}
+        assert faults(ur_pair.problem(numbers=numbers), good), what
+    alike = {arm: {**own, **dict(zip(ur_pair.LINES, (0, 0, 1, 1), strict=True))} for arm, own in io.items()}
+    texts = write.programs(ur_pair.plan(), ur_pair.problem(numbers=io))
+    same = {path: text.replace("out(2,", "out(0,").replace("out(3", "out(1") for path, text in texts.items()}
+    same = {path: text.replace("in(2)", "in(0)").replace("in(3)", "in(1)") for path, text in same.items()}
+    found = faults(ur_pair.problem(numbers=alike), same)
+    assert len(found) == 2 and all("would run there" in text for text in found)
+
+
+def test_programs_of_each_others_arm_are_caught():
+    left, right = (ur_pair.programs()[FILES[arm]] for arm in ur_pair.ARMS)
+    problem = ur_pair.problem()
+    assert not Prover(problem, ur_pair.claims()).prove({FILES["left"]: right, FILES["right"]: left}).ok
+    assert faults(problem, {FILES["left"]: left})  # there is no other program to answer
+
+
+def test_an_arm_that_stands_while_the_other_one_moves_is_no_movel():
+    plan = ur_pair.plan(switched=False)
+    (operation,) = plan.operations
+    pose, q = ({**own} for own in (operation.targets.pose, operation.q))
+    for own in (pose, q):
+        own["right"] = own["right"].copy()
+        own["right"][4:] = own["right"][3]
+    exits = {**operation.exit, "right": np.stack([q["right"][-1], operation.exit["right"][-1]])}
+    targets = dataclasses.replace(operation.targets, pose=pose)
+    stands = dataclasses.replace(operation, targets=targets, q=q, exit=exits)
+    problem = ur_pair.problem()
+    texts = write.programs(dataclasses.replace(plan, operations=(stands,)), problem)
+    proof = Prover(problem, ur_pair.claims()).prove(texts)
+    assert [str(issue) for issue in proof.issues] == []
+    text = texts[FILES["right"]]
+    assert text.count("\nmovel(") == 3 and text.count("\nstand(") > 10
+    last = next(row for row in reversed(text.split("\r\n")) if row.startswith("movel("))
+    moves = re.sub(r"\nstand\(([\d.]+)\)", rf"\n{last.split(',t=')[0]},t=\1,r=0.0)", text)
+    proof = Prover(problem, ur_pair.claims()).prove({**texts, FILES["right"]: moves})
+    assert {issue.code for issue in proof.issues} == {"verify.zero_length"}
