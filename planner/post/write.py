@@ -147,10 +147,10 @@ def speaks_urscript(arm: Arm) -> bool:
 
 
 def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
-    """Why the controllers of this cell cannot do this job, however it is planned: KUKA arms on a controller
-    for both, arms of UR beside others (``post.controller``) or that are none (``post.ur_arm``), signals
-    without a number where programs need it (``post.signal``), families without a language
-    (``post.language``)."""
+    """Why the controllers of this cell cannot do this job, however it is planned: arms of KUKA or UR on a
+    controller for both (``post.controller``), arms of UR that are none (``post.ur_arm``) or hold the block
+    (``post.load``), signals without a number where programs need it (``post.signal``), families without a
+    language (``post.language``)."""
     arms = used(problem, made)
     if unspoken := _unspoken(arms):
         return tuple(unspoken)
@@ -179,6 +179,8 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
                 Issue("post.signal", got, field=f"controller.io.{arm.name}", arm=arm.name, hint=hint)
             )
     issues += _exchanged(problem, arms)
+    holders = dict.fromkeys(setup.stock.held_by for setup in problem.setups)
+    issues += [ur_program.no_load(arm.name) for arm in filter(speaks_urscript, arms) if arm.name in holders]
     for arm in filter(speaks_urscript, arms):
         try:
             ur_program.controller_base(arm)

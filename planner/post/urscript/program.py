@@ -267,8 +267,7 @@ class _Main:
             case Run():
                 return self._run(step, operation)
             case Carry(load) if load is not None:
-                message = f"arm {self.task.arm.name} holds the block; URScript is written for tools alone"
-                raise TandemError(Issue("post.load", message, hint="let the block stand in the cell"))
+                raise TandemError(no_load(self.task.arm.name))
         return []
 
     def _movej(self, step: Joints, index: int, operation: OperationProgram) -> list[str]:
@@ -378,6 +377,12 @@ class _Main:
             hint = "let both arms move from the first target on"
             raise TandemError(Issue("post.blend", message, arm=self.task.arm.name, hint=hint))
         return out
+
+
+def no_load(arm: str) -> Issue:
+    """Why an arm of UR holds no block."""
+    message = f"arm {arm} holds the block; URScript is written for tools alone"
+    return Issue("post.load", message, arm=arm, hint="let the block stand in the cell")
 
 
 def _payload(tool: Tool) -> str:

@@ -77,6 +77,15 @@ def test_two_arms_are_refused_and_numbers_are_asked_for():
     assert [code for code, _ in found] == ["post.signal"] and "URScript knows by number" in found[0][1]
 
 
+def test_an_arm_that_would_hold_the_block_is_refused_before_anything_is_planned():
+    problem = ur_job.problem()
+    targets = [operation.targets for operation in straight_job.plan(12, model="ur10e").operations]
+    held = dataclasses.replace(problem, stock=dataclasses.replace(problem.stock, held_by="left"))
+    found = write.refusals(held, targets)
+    assert [(issue.code, issue.arm) for issue in found] == [("post.load", "left")]
+    assert "URScript is written for tools alone" in found[0].message
+
+
 @pytest.mark.parametrize(("number", "fits"), [(0, True), (15, True), (16, False)])
 def test_numbers_are_those_of_digital_outputs(number, fits):
     problem = ur_job.problem()
