@@ -92,7 +92,7 @@ def test_red_targets_say_why(page: Page, server: str, tmp_path: Path) -> None:
     expect(note).to_contain_text(re.compile(r"[1-6] without a posture \(red\)"))
     told = page.locator("#cell-told")
     page.get_by_role("button", name="Next red one").click()
-    expect(told).to_contain_text("arm left cannot reach target")
+    expect(told).to_contain_text("Arm left cannot reach target")
     expect(told).to_have_class(re.compile("wrong"))
     page.get_by_role("slider", name="Target").fill("0")
     expect(told).to_be_empty()
@@ -184,7 +184,7 @@ def test_a_map_shows_what_fails_and_a_click_moves_the_block(page: Page, server: 
     states = np.array(made["states"]["left"])
     names = ("--map-free", "--map-reach", "--map-limit", "--map-singular", "--map-near")
     style = [page.evaluate(COLOUR, name) for name in names]
-    left, top, high = 52, 20, 118
+    left, top, high = 64, 20, 118
     wide = (image.shape[1] - left - 4) / len(states)
     for k in (0, len(states) - 1):
         for v in (0, 12, 24):
@@ -249,12 +249,12 @@ def test_the_way_of_an_earlier_plan_is_drawn_through_the_map(page: Page, server:
     expect(page.locator(".map-legend")).to_contain_text("the plan's way")
     page.wait_for_timeout(300)
     image = pixels(page.locator("#map-canvas"))
-    wide = (image.shape[1] - 52 - 4) / 6
+    wide = (image.shape[1] - 64 - 4) / 6
     low, high = made["values"][0][0], made["values"][0][-1]
     step = (high - low) / (len(made["values"][0]) - 1)
     ink = [int(c) for c in re.findall(r"\d+", page.evaluate(COLOUR, "--ink"))[:3]]
     for k in (1, 4):
         share_up = (made["path"][k] - low + step / 2) / (high - low + step)
-        x, y = round(52 + (k + 0.5) * wide), round(20 + 118 * (1 - share_up))
+        x, y = round(64 + (k + 0.5) * wide), round(20 + 118 * (1 - share_up))
         near = image[max(y - 2, 0) : y + 3, x]
         assert np.abs(near - ink).max(axis=-1).min() < 30, (k, made["path"])

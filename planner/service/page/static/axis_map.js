@@ -5,7 +5,7 @@ import { number } from "./words.js";
 const WORDS = { "": "nothing fails", "motion.no_reach": "out of reach", "motion.joint_limit": "joint limit", "motion.singular": "singular posture", "motion.collision": "too near" };
 const STYLES = { "": "--map-free", "motion.no_reach": "--map-reach", "motion.joint_limit": "--map-limit", "motion.singular": "--map-singular", "motion.collision": "--map-near" };
 const LAYERS = { limit_deg: ["room to joint limits", 45, "°"], singular_deg: ["distance to singular postures", 45, "°"], clearance_mm: ["clearance", 100, " mm"] };
-const [LEFT, TOP, HEIGHT, GAP, BELOW] = [52, 20, 118, 26, 20]; // pixels
+const [LEFT, TOP, HEIGHT, GAP, BELOW] = [64, 20, 118, 26, 20]; // pixels
 
 export class AxisMap {
   // chosen(column): a target is; moves(value): whether a field was set to a value; told: where it says what is there.

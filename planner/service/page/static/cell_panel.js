@@ -168,7 +168,8 @@ export class CellPanel {
     const faults = target?.faults ?? [];
     place.classList.toggle("wrong", faults.length > 0);
     const joints = target?.posture === undefined ? [] : this.data.arms.filter((arm) => arm.works).map((arm) => `${arm.name} ${this.data.joints_deg[arm.name][target.posture].map((v) => `${v.toFixed(0)}°`).join(" ")}`);
-    const text = target ? `${target.name}: ${faults.length ? faults.map((one) => `${one.message}${one.hint ? `. What to do: ${one.hint}` : ""}`).join(". ") : joints.join(" · ")}` : "";
+    const told = faults.map((one) => `${one.message}${one.hint ? `. What to do: ${one.hint}` : ""}`).join(". "); // which names the target
+    const text = !target ? "" : faults.length ? told.charAt(0).toUpperCase() + told.slice(1) : `${target.name}: ${joints.join(" · ")}`;
     if (place.textContent !== text) place.textContent = text;
   }
 
