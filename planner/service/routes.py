@@ -513,6 +513,7 @@ async def check(
 async def cell(
     request: Request,
     owner: Caller,
+    who: Asker,
     here: Here,
     operation: Annotated[int, Query(ge=0, le=999, description="as which operation finds it, from 0")] = 0,
     targets: Annotated[
@@ -533,7 +534,7 @@ async def cell(
     upload = await take_upload(request, here.storage, owner, here.limits)
     asked: dict[str, Any] = {"operation": operation, "most": targets, "freedom": freedom}
     if job is not None:
-        known = await anyio.to_thread.run_sync(lambda: here.jobs.files(own_job(job, owner, here).id))
+        known = await anyio.to_thread.run_sync(lambda: here.jobs.files(job_of(job, who, here).id))
         asked["plan"] = [[name, str(here.files.path(known[name].sha))] for name in PLAN if name in known]
     read = await here.in_turn(
         request, owner, lambda reading: here.examine(upload, cell=asked, reading=reading)

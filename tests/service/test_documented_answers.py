@@ -154,6 +154,8 @@ def provoked(
     for parameter in about.get("parameters", []):
         if parameter["in"] == "query":
             out.add(status(params={**GOOD.get(one, {}).get("params", {}), parameter["name"]: "~" * 300}))
+        if parameter["in"] == "query" and parameter["name"] == "job":
+            out.add(status(params={"job": NOBODY}))
         if parameter["in"] == "header" and "maxLength" in str(parameter["schema"]):
             out.add(status(headers={parameter["name"]: "~" * 300}))
     if "requestBody" in about:
