@@ -252,3 +252,21 @@ def test_a_plan_of_somebody_else_or_of_no_job_is_404(here: InProcess) -> None:
     here.ended(job)
     found = here.post(path=f"/v1/cell?targets=6&freedom=place x&job={job}").json()
     assert "path" not in found["map"]  # its plan cannot be read
+
+
+def test_a_robot_of_a_users_file_is_drawn_where_it_says(here: InProcess) -> None:
+    """The URDF of the catalogue's robot as a file of one's own: its bodies are drawn, and stand where the
+    catalogue's do."""
+    own = "{urdf: mine.urdf, name: mine, family: abb, payload_kg: 6, full_speed_after_s: 0.25}"
+    files = [
+        ("problem", ("p.yaml", named("own_robot").replace("robot: irb140", f"robot: {own}"))),
+        ("files", ("targets.csv", _table())),
+        ("files", ("mine.urdf", (ROOT / "urdf" / "irb140.urdf").read_bytes())),
+    ]
+    found = here.http.post("/v1/cell?targets=3", files=files).json()
+    usual = here.post(named("usual"), path="/v1/cell?targets=3").json()
+    links = {body["body"] for body in found["bodies"] if body["kind"] == "link"}
+    assert len(links) >= 6
+    for link in links:
+        one, other = matrices(found["poses"][link]), matrices(usual["poses"][link])
+        assert one == pytest.approx(other, abs=0.02)
