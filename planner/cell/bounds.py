@@ -30,6 +30,8 @@ from planner.geometry.arrays import (
 
 AXIS_SAMPLES: Final = 5
 """Points on a capsule's axis whose distances to a box bound that of the whole axis."""
+ROUNDING_M: Final = 1e-9
+"""Balls around bodies are larger by this [m], above errors of rounding."""
 ROWS_AT_ONCE: Final = 32
 """Rows that are held against a box at once at first."""
 NEAR_DISTANCE: Final = 0.012
@@ -183,7 +185,7 @@ class Bounds:
         boxes = self._near_boxes(placed, limit)
         if both:
             np.minimum.at(upper, boxes.row, self._at_most(boxes) + self._box_ease(boxes))
-        row, a, b = self._near(placed.centre, limit, np.ones(placed.rows, dtype=np.bool_))
+        row, a, b = self._near(placed, limit, np.ones(placed.rows, dtype=np.bool_))
         ease = self.ease[a, b]
         if both:
             np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1] + ease)
@@ -310,7 +312,7 @@ class Bounds:
         self, placed: _Placed, boxes: _NearBox, limit: float, rows: BoolArray
     ) -> tuple[IndexArray, IndexArray, IndexArray, FloatArray]:
         """The pairs of :meth:`_near_pairs` in the ``rows`` (B,) named."""
-        row, first, second = self._near(placed.centre, limit, rows)
+        row, first, second = self._near(placed, limit, rows)
         boxes = boxes if rows.all() else boxes.some(np.flatnonzero(rows[boxes.row]))
         from_boxes = self._along_axis(boxes)[0]
         touch = np.flatnonzero(from_boxes < limit)
@@ -336,14 +338,35 @@ class Bounds:
 
     def _placed(self, poses: Mapping[str, FloatArray]) -> _Placed:
         rows = max(len(pose) for pose in poses.values())
-        turns = np.empty((rows, len(self.bodies), 3, 3))
-        places = np.empty((rows, len(self.bodies), 3))
+        both = np.empty((rows, 3, len(self.bodies), 4))
         for k, body in enumerate(self.bodies):
-            turns[:, k], places[:, k] = poses[body][:, :3, :3], poses[body][:, :3, 3]
-        each = turns[:, self.part]
-        centre = (each @ self.centre[..., None])[..., 0] + places[:, self.part]
+            both[:, :, k] = poses[body][:, :3]
+        found = (both.reshape(3 * rows, -1) @ self._columns).reshape(rows, 3, -1)
+        if not np.isfinite(found).all():  # of a pose that is not finite only what is in its own body is lost
+            lost: BoolArray = np.asarray(~np.isfinite(both).all(axis=(1, 3)))
+            known = np.where(lost[:, None, :, None], 0.0, both)
+            found = (known.reshape(3 * rows, -1) @ self._columns).reshape(rows, 3, -1)
+            own = np.concatenate([self.part, self.part, np.arange(len(self.bodies))])
+            np.copyto(found, np.nan, where=lost[:, None, own])
+        ends = [len(self.solids), 2 * len(self.solids)]
+        parts = np.split(np.swapaxes(found, 1, 2), ends, axis=1)
+        centre, axis, ball = map(np.ascontiguousarray, parts)
         fixed = np.array([poses[box.body][0] for box in self.boxes]).reshape(-1, 4, 4)
-        return _Placed(turns, places, centre, (each @ self.axis[..., None])[..., 0], fixed)
+        turns, places = np.moveaxis(both[..., :3], 1, 2), np.moveaxis(both[..., 3], 1, 2)
+        return _Placed(turns, places, centre, axis, ball, fixed)
+
+    @functools.cached_property
+    def _columns(self) -> FloatArray:
+        """(4 P, 2 S + P) by which rows of the poses of all bodies, side by side, are multiplied for
+        centres and axes of capsules and for the centres of the bodies' balls."""
+        solids, bodies = len(self.solids), len(self.bodies)
+        out = np.zeros((bodies, 4, 2 * solids + bodies))
+        at = np.arange(solids)
+        out[self.part, :3, at], out[self.part, 3, at] = self.centre, 1.0
+        out[self.part, :3, solids + at] = self.axis
+        at = np.arange(bodies)
+        out[at, :3, 2 * solids + at], out[at, 3, 2 * solids + at] = self._balls[0], 1.0
+        return out.reshape(4 * bodies, -1)
 
     def _solid_poses(self, placed: _Placed, row: IndexArray, which: IndexArray) -> FloatArray:
         """World poses (M, 4, 4) of solids of ``given`` in rows (M,)."""
@@ -385,21 +408,51 @@ class Bounds:
         return gap
 
     def _near(
-        self, centre: FloatArray, limit: float, rows: BoolArray
+        self, placed: _Placed, limit: float, rows: BoolArray
     ) -> tuple[IndexArray, IndexArray, IndexArray]:
         """Row and both capsules of the pairs whose bounding spheres come within ``limit``, in the rows
-        named."""
-        reach = self.outer[0] + self.outer[1]
-        count = len(reach)
-        near = np.full((count, count), -np.inf)
-        first, second = self.pairs[:, 0], self.pairs[:, 1]
-        near[first, second] = (reach[first] + reach[second] + limit) ** 2
+        named: of bodies whose own spheres do, which lie around those of their capsules."""
         which = np.flatnonzero(rows)
-        some = centre[which]
-        square = dots(some, some)
-        apart = square[:, :, None] + square[:, None, :] - 2.0 * (some @ np.swapaxes(some, 1, 2))
-        row, code = np.divmod(np.flatnonzero(apart < near), count * count)
-        return which[row], code // count, code % count
+        near = self._body_pairs
+        ball, centre = placed.ball[which], placed.centre[which]
+        apart = ball[:, near.one] - ball[:, near.other]
+        row, both = np.nonzero(dots(apart, apart) < (near.reach + limit) ** 2)
+        count = near.count[both]
+        row = np.repeat(row, count)
+        pair = np.arange(len(row)) + np.repeat(near.start[both] - np.cumsum(count) + count, count)
+        pair = near.pair[pair]
+        reach = self.outer[0] + self.outer[1]
+        first, second = self.pairs[pair, 0], self.pairs[pair, 1]
+        apart = centre[row, first] - centre[row, second]
+        some = np.flatnonzero(dots(apart, apart) < (reach[first] + reach[second] + limit) ** 2)
+        some = some[np.argsort(row[some] * len(self.pairs) + pair[some])]
+        return which[row[some]], first[some], second[some]
+
+    @functools.cached_property
+    def _balls(self) -> tuple[FloatArray, FloatArray]:
+        """Spheres around those of the capsules of each of ``bodies``: centres (P, 3) in it and radii (P,)."""
+        middle, radius = np.zeros((len(self.bodies), 3)), np.zeros(len(self.bodies))
+        for k in range(len(self.bodies)):
+            own = np.flatnonzero(self.part == k)
+            reach = (self.outer[0] + self.outer[1])[own]
+            low, high = (
+                (self.centre[own] - reach[:, None]).min(axis=0),
+                (self.centre[own] + reach[:, None]).max(axis=0),
+            )
+            middle[k] = 0.5 * (low + high)
+            radius[k] = (lengths(self.centre[own] - middle[k]) + reach).max()
+        return middle, radius
+
+    @functools.cached_property
+    def _body_pairs(self) -> _BodyPairs:
+        """The pairs of capsules by their bodies."""
+        body = self.part[self.pairs]
+        code = body[:, 0] * len(self.bodies) + body[:, 1]
+        order = np.argsort(code, kind="stable")
+        codes, start, count = np.unique(code[order], return_index=True, return_counts=True)
+        one, other = np.divmod(codes, max(len(self.bodies), 1))
+        radius = self._balls[1] + ROUNDING_M
+        return _BodyPairs(one, other, radius[one] + radius[other], start, count, order)
 
     def _near_boxes(self, placed: _Placed, limit: float) -> _NearBox:
         """Pairs of capsules and boxes that come within ``limit`` by the capsules' spheres: first of rows that
@@ -501,12 +554,14 @@ class Bounds:
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Placed:
     """Solids in B rows: rotations (B, P, 3, 3) and places (B, P, 3) of moving bodies, centres and axes
-    (B, S, 3) of their capsules, poses (K, 4, 4) of the bodies of fixed boxes."""
+    (B, S, 3) of their capsules, centres (B, P, 3) of the balls around bodies, poses (K, 4, 4) of the bodies
+    of fixed boxes."""
 
     turns: FloatArray
     places: FloatArray
     centre: FloatArray
     axis: FloatArray
+    ball: FloatArray
     fixed: FloatArray
 
     @property
@@ -516,7 +571,24 @@ class _Placed:
 
     def some(self, rows: IndexArray) -> _Placed:
         """Some of the rows."""
-        return _Placed(self.turns[rows], self.places[rows], self.centre[rows], self.axis[rows], self.fixed)
+        turns, places, centre, axis, ball = (
+            array[rows] for array in (self.turns, self.places, self.centre, self.axis, self.ball)
+        )
+        return _Placed(turns, places, centre, axis, ball, self.fixed)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _BodyPairs:
+    """Pairs of moving bodies: ``one`` and ``other`` (N,), the sum of their balls' radii ``reach`` (N,), and
+    where the places (M,) in ``Bounds.pairs`` of their capsules ``start`` in ``pair``, and how many there are
+    (N,)."""
+
+    one: IndexArray
+    other: IndexArray
+    reach: FloatArray
+    start: IndexArray
+    count: IndexArray
+    pair: IndexArray
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

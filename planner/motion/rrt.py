@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -31,6 +31,11 @@ MOST_ROUNDS = 3000
 """Samples that are drawn at most."""
 MOST_ORDERED_COORDINATES = 6
 """With more coordinates than this there are too many orders in which they may go."""
+
+MOST_AHEAD = 32
+"""Lines toward so many samples are asked about at once at most."""
+SAME_PLACE = 1e-12
+"""Points whose coordinates differ by less are the same."""
 
 SHORTCUT_TRIES = 40
 """Pairs of points of a way between which a straight one is tried."""
@@ -60,21 +65,21 @@ def connect(
     corner = _around_corner(start, goal, free, step)
     if corner is not None:
         return corner
-    rng = np.random.default_rng(seed)
+    samples = np.random.default_rng(seed).uniform(lower, upper, (rounds, len(start)))
     trees = (_Tree(start), _Tree(goal))
+    growth = _Growth(trees, samples, free, step)
     for count in range(rounds):
         a, b = trees if count % 2 == 0 else trees[::-1]
-        sample = rng.uniform(lower, upper)
-        new = a.grow(sample, free, step)
-        if new is None:
-            continue
-        while True:
-            other = b.grow(a.points[new], free, step)
+        new = growth.first(count)
+        while new is not None:
+            other = growth.second(count, a.points[new])
             if other is None:
                 break
             if np.array_equal(b.points[other], a.points[new]):
                 ends = (a.way(new), b.way(other)) if count % 2 == 0 else (b.way(other), a.way(new))
                 way = np.concatenate([ends[0][::-1], ends[1][1:]])
+                rng = np.random.default_rng(seed)
+                rng.uniform(lower, upper, (count + 1, len(start)))  # goes on behind the samples so far
                 return _shorten(way, free, step, rng)
     return None
 
@@ -166,29 +171,40 @@ MOST_BLOCKED: Final = 200
 
 class _Tree:
     def __init__(self, root: FloatArray) -> None:
-        self.points = [root]
+        self._points = root[None].copy()
         self.parent = [-1]
 
-    def grow(self, toward: FloatArray, free: Free, step: float) -> int | None:
-        """Adds a point on the free part of the line toward a point; its index, or None if there is no free
-        part."""
-        away = np.abs(np.array(self.points) - toward).max(axis=1)
+    @property
+    def points(self) -> FloatArray:
+        """The points (P, D) so far."""
+        return self._points[: len(self.parent)]
+
+    def nearest(self, toward: FloatArray) -> tuple[int, float]:
+        """The point that is nearest to a point by the largest coordinate, and how far off it is."""
+        away = np.abs(self.points - toward).max(axis=1)
         near = int(np.argmin(away))
-        if away[near] < 1e-12:
-            return near
+        return near, float(away[near])
+
+    def line(self, near: int, away: float, toward: FloatArray, step: float) -> FloatArray:
+        """Points (K, D) on the line from one of its points, ``away`` from it, toward a point."""
         base = self.points[near]
-        share = min(1.0, MOST_GROWTH_STEPS * step / float(away[near]))
-        count = max(1, int(np.ceil(share * away[near] / step)))
+        share = min(1.0, MOST_GROWTH_STEPS * step / away)
+        count = max(1, int(np.ceil(share * away / step)))
         line = base + share * (np.arange(1, count + 1) / count)[:, None] * (toward - base)
         if share == 1.0:
             line[-1] = toward
-        ok = free(line)
-        good = count if ok.all() else int(np.argmin(ok))
+        return np.asarray(line)
+
+    def add(self, near: int, line: FloatArray, ok: BoolArray) -> int | None:
+        """Adds the end of the free part of a line from a point; its index, or None if there is none."""
+        good = len(ok) if ok.all() else int(np.argmin(ok))
         if good == 0:
             return None
-        self.points.append(line[good - 1])
+        if len(self.parent) == len(self._points):
+            self._points = np.concatenate([self._points, np.empty_like(self._points)])
+        self._points[len(self.parent)] = line[good - 1]
         self.parent.append(near)
-        return len(self.points) - 1
+        return len(self.parent) - 1
 
     def way(self, index: int) -> FloatArray:
         """Points from ``index`` to the root."""
@@ -197,6 +213,67 @@ class _Tree:
             out.append(self.points[index])
             index = self.parent[index]
         return np.array(out)
+
+
+_Line = tuple[int, FloatArray, BoolArray]
+"""A line of a tree: the point that it begins at, its points (K, D), and which of these are free (K,)."""
+
+
+class _Growth:
+    """Two trees, of which in each round one grows toward a sample (R, D) and the other toward what it got to.
+
+    Lines of rounds to come are asked about at once, from the trees as they are, which takes little longer
+    than one line. Where a tree has changed meanwhile so that another of its points is nearest, a line is not
+    used and asked about anew: trees grow as they do line by line.
+    """
+
+    def __init__(self, trees: tuple[_Tree, _Tree], samples: FloatArray, free: Free, step: float) -> None:
+        self._trees, self._samples, self._free, self._step = trees, samples, free, step
+        self._first: dict[int, _Line] = {}
+        self._second: dict[int, _Line] = {}
+        self._asked, self._missed, self._ahead = 0, 0, 1
+
+    def first(self, count: int) -> int | None:
+        """A round's first tree grows toward its sample: its new point, or None."""
+        if count == self._asked:
+            self._ahead = max(1, self._ahead // 2) if 4 * self._missed > self._ahead else 2 * self._ahead
+            self._ahead, self._missed = min(self._ahead, MOST_AHEAD), 0
+            self._ask(range(count, min(count + self._ahead, len(self._samples))))
+        return self._grown(self._trees[count % 2], self._samples[count], self._first.pop(count, None))
+
+    def second(self, count: int, toward: FloatArray) -> int | None:
+        """The other tree grows toward a point; as :meth:`first`."""
+        return self._grown(self._trees[1 - count % 2], toward, self._second.pop(count, None))
+
+    def _grown(self, tree: _Tree, toward: FloatArray, known: _Line | None) -> int | None:
+        near, away = tree.nearest(toward)
+        if away < SAME_PLACE:
+            return near
+        line = tree.line(near, away, toward, self._step)
+        if known is not None and known[0] == near and np.array_equal(known[1], line):
+            return tree.add(*known)
+        self._missed += known is not None
+        return tree.add(near, line, self._free(line))
+
+    def _ask(self, rounds: range) -> None:
+        self._first = self._lines({n: (self._trees[n % 2], self._samples[n]) for n in rounds})
+        ends = {n: line[np.argmin(ok) - 1] for n, (_, line, ok) in self._first.items() if ok[0]}
+        ends |= {n: line[-1] for n, (_, line, ok) in self._first.items() if ok.all()}
+        self._second = self._lines({n: (self._trees[1 - n % 2], end) for n, end in ends.items()})
+        self._asked = rounds.stop
+
+    def _lines(self, wanted: Mapping[int, tuple[_Tree, FloatArray]]) -> dict[int, _Line]:
+        """Lines of trees toward points, by the rounds that want them."""
+        found = {}
+        for number, (tree, toward) in wanted.items():
+            near, away = tree.nearest(toward)
+            if away >= SAME_PLACE:
+                found[number] = near, tree.line(near, away, toward, self._step)
+        if not found:
+            return {}
+        lines = [line for _, line in found.values()]
+        ok = np.split(self._free(np.concatenate(lines)), np.cumsum([len(line) for line in lines])[:-1])
+        return {n: (near, line, own) for (n, (near, line)), own in zip(found.items(), ok, strict=True)}
 
 
 def _line_free(a: FloatArray, b: FloatArray, free: Free, step: float) -> bool:

@@ -9,9 +9,10 @@ import pytest
 
 from planner.catalogue import robots
 from planner.cell import clearance, plant
+from planner.cell.distance import distances
 from planner.geometry.arrays import Shape, from_rpy, inverse
 from planner.tooling import ball_tool, plain
-from tests.cell.cells import BLOCK, UP, alone
+from tests.cell.cells import BLOCK, UP, alone, facing
 
 PLACE = from_rpy((1.5, 0.1, 1.0), UP)
 
@@ -80,3 +81,42 @@ def test_bounds_are_never_above_distances(name: str) -> None:
         assert np.all(lower[apart] <= exact[apart])
         assert np.all(lower[~apart] <= 0.0)
         assert np.array_equal(clearance.free(model, {"arm": q}, 0.005), exact > 0.005)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_no_near_pair_of_solids_is_passed_over(seed: int) -> None:
+    """Every pair of solids that is held apart, measured one by one, in random postures of two arms: what
+    spheres around solids and bodies leave out is nowhere nearer than what is asked for. Of postures that are
+    not known for one arm the other's pairs are found still."""
+    model, rng = plant.build(facing(), BLOCK, PLACE), np.random.default_rng(seed)
+    limits = [robots.robot(arm.robot) for arm in model.cell.arms]
+    q = {
+        arm.name: rng.uniform(one.lower, one.upper, (60, 6))
+        for arm, one in zip(model.cell.arms, limits, strict=True)
+    }
+    bounds, limit = model.bounds, float(rng.uniform(0.005, 0.2))
+    poses = model.poses(q)
+    count = len(bounds.solids)
+    pairs = np.concatenate([bounds.pairs, bounds.box_pairs + np.array([0, count])])
+    solid = np.stack(
+        [np.broadcast_to(poses[s.body], (60, 4, 4)) @ s.shape.pose for s in bounds.given], axis=1
+    )
+    row = np.repeat(np.arange(60), len(pairs))
+    first, second = np.tile(pairs.T, 60)
+    gap, _, _ = distances(bounds.cores, first, second, solid[row, first], solid[row, second])
+    near = gap < limit
+    wanted = set(zip(row[near].tolist(), first[near].tolist(), second[near].tolist(), strict=True))
+    at, found, _, _, _ = bounds.every(poses, limit)
+    assert {(r, *sorted(p)) for r, p in zip(at.tolist(), found.tolist(), strict=True)} == {
+        (r, *sorted((a, b))) for r, a, b in wanted
+    }, f"seed {seed}, limit {limit}"
+    assert len(wanted) > 100
+
+    arm = model.cell.arms[0].name
+    poses = {body: np.where(body.startswith(arm), np.nan, pose) for body, pose in poses.items()}
+    lower, _ = bounds.least(poses, limit, both=False)
+    bodies = [s.body for s in bounds.given]
+    rest = [not bodies[a].startswith(arm) and not bodies[b].startswith(arm) for _, a, b in sorted(wanted)]
+    near_rows = {r for (r, _, _), kept in zip(sorted(wanted), rest, strict=True) if kept}
+    assert near_rows
+    assert np.all(np.isfinite(lower[sorted(near_rows)])), f"seed {seed}, limit {limit}"
