@@ -13,7 +13,7 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -22,7 +22,7 @@ from planner.cell.bodies import LeastClearance, Solid, corners, extent, signed_d
 from planner.cell.bounds import Bounds
 from planner.cell.kinematics import joint_axes, link_frames
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, lengths, transform
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, lengths, transform
 
 Against = Literal["all", "no_stock"]
 
@@ -88,25 +88,21 @@ def edge_free(
 ) -> BoolArray:
     """Whether (B,) what :func:`edge` measures is ``padding`` [m] or more.
 
-    Solids whose bounding sphere keeps off that of the whole chain are passed over, and pieces that cannot
-    come so near, or whose chain is too near already, are not measured.
+    Solids are passed over whose bounding sphere no point of the chain comes near, and pieces that cannot come
+    so near, or whose chain is too near already, are not measured.
     """
     poses, chains = model.poses(q), _chains(tuple(q), points, skip_ends)
     limit = padding + radius + BOUND_ERROR
-    middle = points.mean(axis=1)
-    room = lengths(points - middle[:, None]).max(axis=1, initial=0.0) + limit
+    solids = [s for s in model.solids if s.body != "stock" or against == "all"]
+    near = _near_spheres(solids, poses, chains, limit)
     best = np.full(len(points), np.inf)
     rough = []
-    for solid in model.solids:
-        if solid.body == "stock" and against == "no_stock":
+    for k, solid in enumerate(solids):
+        rows = np.flatnonzero(near[k] & (best - radius >= padding))
+        if not len(rows):
             continue
         chain = _chain_at(chains, solid)
         frame = np.broadcast_to(poses[solid.body] @ solid.shape.pose, (len(points), 4, 4))
-        reach = 0.5 * float(np.linalg.norm(extent(solid)))
-        near = lengths(middle - frame[:, :3, 3]) <= room + reach
-        rows = np.flatnonzero(near & (best - radius >= padding))
-        if not len(rows):
-            continue
         some = _Chain(chain.points[rows], chain.skip[rows])
         local = (some.points - frame[rows, None, :3, 3]) @ frame[rows, :3, :3]
         value = _at_points(solid, local, some, np.full(len(rows), limit))
@@ -124,6 +120,34 @@ def edge_free(
             close = np.flatnonzero(low.min(axis=1) < limit)
             np.minimum.at(best, rows[row[close]], _least_on(solid, start[close], end[close]))
     return np.asarray(best - radius >= padding)
+
+
+def _near_spheres(
+    solids: Sequence[Solid], poses: Mapping[str, FloatArray], chains: Mapping[str, _Chain], limit: float
+) -> BoolArray:
+    """Whether (S, B) any point of the chain that each solid is held against comes within ``limit`` [m], and
+    the chain's longest step, of the sphere around the solid: what :func:`_at_points` measures."""
+    rows = len(chains[""].points)
+    out = np.zeros((len(solids), rows), dtype=np.bool_)
+    for chain in {id(chain): chain for chain in chains.values()}.values():
+        own = [k for k, solid in enumerate(solids) if _chain_at(chains, solid) is chain]
+        if not own:
+            continue
+        centre = np.empty((rows, 3, len(own)))
+        for j, k in enumerate(own):
+            pose = poses[solids[k].body]
+            centre[..., j] = pose[:, :3, :3] @ solids[k].shape.pose[:3, 3] + pose[:, :3, 3]
+        reach = np.array([0.5 * float(np.linalg.norm(extent(solids[k]))) for k in own]) + limit
+        room = (reach + chain.steps.max(axis=1, initial=0.0)[:, None] + BOUND_ERROR) ** 2
+        for start in range(0, rows, CONFIGURATIONS_AT_ONCE):
+            part = slice(start, start + CONFIGURATIONS_AT_ONCE)
+            some, there = chain.points[part], centre[part]
+            square = dots(some, some)
+            square[chain.skip[part]] = np.inf
+            apart = square[..., None] - 2.0 * (some @ there)
+            least = apart.min(axis=1) + np.einsum("bcs,bcs->bs", there, there)
+            out[own, part] = (least < room[part]).T
+    return out
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -362,8 +386,9 @@ def witness(
     rows = model.stack(q)
     distance = np.where(np.isfinite(rows).all(axis=1), reach, np.nan)
     pairs = [("", "")] * len(rows)
-    with _ignored(model, ignore):
-        for i in np.flatnonzero(np.isfinite(distance)):
+    asked = np.flatnonzero(np.isfinite(distance))
+    with _ignored(model, ignore) if len(asked) else nullcontext():
+        for i in asked:
             found = _steady(functools.partial(_clearance, model, reach), rows[i])
             each = zip(found.distances(), found.robot_indices(), found.other_indices(), strict=True)
             near = [(float(d), _names(model, int(a), int(b))) for d, a, b in each]
@@ -541,16 +566,15 @@ def _names(model: CellModel, a: int, b: int) -> tuple[str, str]:
 def _ignored(model: CellModel, ignore: Pairs) -> Iterator[None]:
     """Pairs that the checker leaves out within this block; pairs of fixed bodies are left out anyway."""
     checker = model.checker
-    changed = []
-    for pair in sorted(sorted(p) for p in ignore):
-        a, b = (model.body(name).index() for name in (pair[0], pair[-1]))
-        if (checker.IsPartOfRobot(a) or checker.IsPartOfRobot(b)) and not checker.IsCollisionFilteredBetween(
-            a, b
-        ):
-            checker.SetCollisionFilteredBetween(a, b, True)
-            changed.append((a, b))
+    before = np.array(checker.GetFilteredCollisionMatrix())
+    changed = before.copy()
+    for pair in ignore:
+        one, other = (model.body(name).index() for name in (min(pair), max(pair)))
+        a, b = int(one), int(other)
+        if not changed[a, b] and (checker.IsPartOfRobot(one) or checker.IsPartOfRobot(other)):
+            changed[a, b] = changed[b, a] = 1
+    checker.SetCollisionFilterMatrix(changed)  # one by one takes half a millisecond each
     try:
         yield
     finally:
-        for a, b in changed:
-            checker.SetCollisionFilteredBetween(a, b, False)
+        checker.SetCollisionFilterMatrix(before)

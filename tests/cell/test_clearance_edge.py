@@ -9,7 +9,7 @@ from planner.cell import clearance, plant
 from planner.cell.bodies import Solid, signed_distance
 from planner.geometry.arrays import Shape, from_rpy
 from planner.problem import Obstacle
-from tests.cell.cells import BLOCK, UP, alone
+from tests.cell.cells import BLOCK, UP, alone, random_joints
 
 
 def _home(model: plant.CellModel, rows: int = 1) -> dict[str, np.ndarray]:
@@ -152,3 +152,23 @@ def test_whether_a_wire_keeps_a_distance_is_what_its_least_distance_says(
         assert np.array_equal(free, found >= padding)
     some = clearance.edge_free(pair, q, wires, 0.001, skip, 0.05, against)
     assert 0 < some.sum() < count
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_whether_a_wire_is_free_is_what_its_least_distance_says(pair: plant.CellModel, seed: int) -> None:
+    """Bent chains of random points, of few and many pieces, in random postures: no solid is passed over
+    that is nearer than asked for."""
+    rng = np.random.default_rng(seed)
+    q, rows = random_joints(seed, 60), 60
+    count = int(rng.integers(2, 40))
+    tcp = pair.tcp(q)
+    start, end = (tcp[arm][:, None, :3, 3] for arm in ("left", "right"))
+    share = np.linspace(0.0, 1.0, count)[:, None]
+    bend = rng.normal(scale=0.15, size=(rows, 1, 3)) * np.sin(np.pi * share)
+    points = start + share * (end - start) + bend + rng.normal(scale=0.01, size=(rows, count, 3))
+    for against in ("all", "no_stock"):
+        least = clearance.edge(pair, q, points, 0.001, 0.05, against).distance
+        for padding in (0.0, 0.01, 0.05, float(np.median(least))):
+            free = clearance.edge_free(pair, q, points, 0.001, 0.05, padding, against)
+            sure = np.abs(least - padding) > 1e-7
+            assert np.array_equal(free[sure], least[sure] >= padding), f"seed {seed}, {against}, {padding}"
