@@ -189,7 +189,7 @@ class Bounds:
         ease = self.ease[a, b]
         if both:
             np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1] + ease)
-        np.minimum.at(lower, row, self._apart(placed, limit, row, a, b) + ease)
+        self._below_apart(lower, placed, limit, row, a, b)
         self._below(lower, placed, boxes, limit)
         return lower, upper
 
@@ -399,13 +399,51 @@ class Bounds:
         nearer than ``limit``, of all or of each (M,), of their shadows."""
         way, gap = self._between(placed, row, a, b, self.outer)
         touch = np.flatnonzero(gap < limit)
-        at, first, second = row[touch], a[touch], b[touch]
+        gap[touch] = self._shadowed(placed, gap, way, row, a, b, touch)
+        return gap
+
+    def _shadowed(
+        self,
+        placed: _Placed,
+        gap: FloatArray,
+        way: FloatArray,
+        row: IndexArray,
+        a: IndexArray,
+        b: IndexArray,
+        some: IndexArray,
+    ) -> FloatArray:
+        """Lower bounds of ``some`` (K,) of the pairs, by their capsules' distances (M,) and their shadows."""
+        at, first, second = row[some], a[some], b[some]
         one, two = (
             (placed.turns[at, self.part[k]] @ self.frame[k], self.support[k]) for k in (first, second)
         )
         w = placed.centre[at, first] - placed.centre[at, second]
-        gap[touch] = np.maximum(gap[touch], _separation(w, way[touch], one, two))
-        return gap
+        return np.maximum(gap[some], _separation(w, way[some], one, two))
+
+    def _below_apart(
+        self,
+        lower: FloatArray,
+        placed: _Placed,
+        limit: float,
+        row: IndexArray,
+        a: IndexArray,
+        b: IndexArray,
+    ) -> None:
+        """Takes the lower bounds of :meth:`_apart`, as they count, into ``lower`` (B,). Shadows only raise
+        bounds: those of a row's least bound first, then of what is still below what that leaves."""
+        way, gap = self._between(placed, row, a, b, self.outer)
+        ease = self.ease[a, b]
+        value, open_ = gap + ease, gap < limit
+        order = np.lexsort((value, row))
+        leading = order[np.diff(row[order], prepend=-1) != 0]
+        for look in (leading, None):
+            some = leading if look is not None else np.flatnonzero(open_ & (value < lower[row]))
+            some = some[open_[some]]
+            if len(some):
+                value[some] = self._shadowed(placed, gap, way, row, a, b, some) + ease[some]
+            open_[some] = False
+            settled = leading if look is not None else np.arange(len(row))
+            np.minimum.at(lower, row[settled], value[settled])
 
     def _near(
         self, placed: _Placed, limit: float, rows: BoolArray
