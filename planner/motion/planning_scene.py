@@ -305,9 +305,10 @@ class Scene:
         index: IndexArray,
         move: IndexArray | None = None,
         ignored: Pairs = frozenset(),
+        edge: bool = True,
     ) -> BoolArray:
-        """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, edges
-        included.
+        """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, that of the
+        flexible ``edge`` included.
 
         ``move`` (B,) are the targets that the moves lead to on which the joints lie, where that is not
         ``index``. Pairs of bodies in ``ignored`` are not looked at.
@@ -318,6 +319,8 @@ class Scene:
         for ignore, part in self.by_kind(targets, index if move is None else move):
             some = {arm: v[part] for arm, v in q.items()}
             ok[part] = clearance.free(self.model, some, self.settings.clearance, ignore | ignored)
+        if not edge:
+            return ok
         rows = np.flatnonzero(ok)
         ok[rows] = self._edge_free(targets, {arm: v[rows] for arm, v in q.items()}, index[rows])
         return ok

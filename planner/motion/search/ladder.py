@@ -56,13 +56,15 @@ def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
     shape = (len(before), max(len(rungs.q) - 1, 0), grid.samples)
     slowest, total = np.zeros(shape), np.zeros(shape)
     bad = np.broadcast_to((grid.before < 0)[:, None, :], shape).copy()
-    whole = np.zeros((*shape, 6))
+    whole = np.zeros((*shape, 6)) if rungs.turns_matter else None
     for j in range(6):
         angle = rungs.q[..., j]
         change = angle[None, 1:] - np.moveaxis(angle[:-1][:, before], 1, 0)
         if chain.many_turns[j]:
-            whole[..., j] = np.round(change / FULL_TURN)
-            change -= FULL_TURN * whole[..., j]
+            turned = np.round(change / FULL_TURN)
+            change -= FULL_TURN * turned
+            if whole is not None:
+                whole[..., j] = turned
         np.abs(change, out=change)
         with np.errstate(invalid="ignore"):
             bad |= ~(change <= LARGEST_STEP)
@@ -70,10 +72,10 @@ def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
         np.maximum(slowest, change, out=slowest)
         total += change
     time = slowest + TIE_SHARE * total
-    if rungs.turns_matter:
+    if whole is not None:
         turn = _previous_turn(rungs.turns, whole)
     else:
-        turn = np.zeros((*whole.shape[:-1], 1), dtype=np.intp)
+        turn = np.broadcast_to(np.zeros(1, dtype=np.intp), (*shape, 1))
     return Steps(np.where(bad, np.inf, time), turn)
 
 
@@ -113,6 +115,14 @@ class Ladder:
             np.zeros((rows, samples, width)) if extra is None else np.repeat(extra[..., None], width, axis=2)
         )
         time = np.full((len(grid.before), max(rows - 1, 0), samples), -np.inf)
+        before = np.maximum(grid.before, 0)[:, None, :, None]
+        if not any(r.turns_matter for r in rungs):
+            for r, m in zip(rungs, moves, strict=True):
+                node += r.penalty
+                time = np.maximum(time, m.time)
+            self._node, self._time = node, time
+            self._origin = np.broadcast_to(before, (*time.shape, 1))
+            return
         origin = np.zeros((*time.shape, width), dtype=np.intp)
         known = np.ones(origin.shape, dtype=bool)
         strides = np.cumprod((1, *self._turns[::-1]))[-2::-1]
@@ -123,7 +133,7 @@ class Ladder:
             turn = m.turn[..., place]
             known &= turn >= 0
             origin += stride * turn
-        origin += np.maximum(grid.before, 0)[:, None, :, None] * width
+        origin += before * width
         self._node, self._time = node, time
         self._origin = np.where(known, origin, samples * width)
 
@@ -181,7 +191,7 @@ class Ladder:
         node = self._node if blocked is None else self._node + blocked[..., None]
         node = node.reshape(rows, samples * width)
         origin = self._origin.reshape(len(self._grid.before), -1, samples * width)
-        time = np.repeat(self._time, width, axis=-1)
+        time = self._time if width == 1 else np.repeat(self._time, width, axis=-1)
         costs = np.empty((rows, samples * width))
         choice = np.zeros((max(rows - 1, 0), samples * width), dtype=np.int8)
         costs[0] = node[0]

@@ -14,7 +14,7 @@ import numpy as np
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.motion.planning_scene import FULL_TURN, TRANSIT_KIND, Scene
 from planner.motion.search.ladder import Ladder, Path, Steps, joint_path, steps
-from planner.motion.search.reach import Checker, Grid, Others, Reach, Rungs, full_turn, reach
+from planner.motion.search.reach import Checker, Grid, Others, Parts, Reach, Rungs, full_turn, reach
 from planner.motion.trajectory.joint_path import Dense, clear, dense
 from planner.targets import Targets
 
@@ -129,6 +129,7 @@ def search(
     best: Found | None = None
     loose: Found | None = None
     checks: dict[int, Checker] = {}
+    parts = Parts(scene, grid, tuple(table)) if len(table) > 1 and len(choices) > 1 else None
     ends: list[tuple[int, int]] = []
     closed: list[int] = []
     tried, offered = 0, 0
@@ -141,7 +142,7 @@ def search(
         ):
             break
         if not exact:  # what has no free path without turns needs no search with them, which takes longer
-            checks[k] = Checker(scene, targets, grid, choices[k].rungs, others)
+            checks[k] = Checker(scene, targets, grid, choices[k].rungs, others, parts)
             checks[k].whole(np.array(closed, dtype=np.intp))
             _, end = _free_path(choices[k].modulo.farthest, checks[k])
             if end == targets.count:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -241,6 +241,9 @@ def _hinge(margin: FloatArray, hard: float, soft: float) -> FloatArray:
     return np.square(np.clip((hard + soft - margin) / soft, 0.0, 1.0))
 
 
+BENT_LINKS: Final = ("link_1", "link_2", "link_3", "link_4", "link_5")
+"""Links that stand elsewhere on another branch, wherever the tool is; the last one is the flange."""
+
 COARSE_STRIDE: Final = 12
 """Once a path has collided, all samples of every 12th target are checked before the next path is chosen."""
 
@@ -265,8 +268,37 @@ class Others:
         return frozenset(frozenset((a, b)) for a in gone for b in bodies if a != b)
 
 
+class Parts:
+    """What choices of branches have in common: pairs of bodies of which the links of one arm are one body and
+    links of no other arm the second stand as they do in all choices with the same branch of that arm, for
+    tools and blocks that arms hold stand where the targets and samples say.
+
+    ``pairs`` {arm: pairs}; by arm and branch what is known of samples, and which collide there (N, S).
+    """
+
+    def __init__(self, scene: Scene, grid: Grid, arms: Sequence[str]) -> None:
+        bodies = [] if scene.model is None else sorted({solid.body for solid in scene.model.solids})
+        owner = {body: arm for body in bodies for arm in arms if body in {f"{arm}/{k}" for k in BENT_LINKS}}
+        every = [frozenset(pair) for pair in itertools.combinations(bodies, 2)]
+        owners = {pair: {owner[body] for body in pair if body in owner} for pair in every}
+        self.pairs: dict[str, Pairs] = {
+            arm: frozenset(pair for pair, own in owners.items() if own == {arm}) for arm in arms
+        }
+        self.others: dict[str, Pairs] = {arm: frozenset(every) - own for arm, own in self.pairs.items()}
+        self._shape = grid.values.shape[:2]
+        self._seen: dict[tuple[str, int], tuple[BoolArray, BoolArray]] = {}
+
+    def seen(self, arm: str, branch: int) -> tuple[BoolArray, BoolArray]:
+        """What is known of an arm's own pairs on a branch and where they collide (N, S), to be written to."""
+        if (arm, branch) not in self._seen:
+            nothing = np.zeros(self._shape, dtype=np.bool_)
+            self._seen[arm, branch] = nothing, nothing.copy()
+        return self._seen[arm, branch]
+
+
 class Checker:
-    """What is known of the samples of one choice of branches: ``known``, ``collided`` (N, S)."""
+    """What is known of the samples of one choice of branches: ``known``, ``collided`` (N, S). ``parts``: what
+    it has in common with others, of which it begins with what is known to collide."""
 
     def __init__(
         self,
@@ -275,7 +307,9 @@ class Checker:
         grid: Grid,
         rungs: Mapping[str, Rungs],
         others: Others | None = None,
+        parts: Parts | None = None,
     ) -> None:
+        self._parts = parts if others is None else None
         self._standing = others.standing if others else {}
         self._ignored: Pairs = others.ignored(scene) if others else frozenset()
         self._scene, self._targets, self._rungs = scene, targets, rungs
@@ -285,8 +319,13 @@ class Checker:
         self.known = np.zeros(shape, dtype=bool)
         self.checks = self.rounds = 0
         self.suspect: FloatArray | None = None
+        self._looking = False
         able = np.stack([np.asarray(r.ok.any(axis=-1)) for r in rungs.values()])
         self.possible = np.asarray(np.logical_and.reduce(able, axis=0))
+        if self._parts is not None:
+            for arm, one in rungs.items():
+                self.collided |= self._parts.seen(arm, one.branch)[1] & self.possible
+        self.known |= self.collided
 
     def whole(self, rows: IndexArray) -> None:
         """Checks all samples of targets ``rows`` (K,) that every arm can take."""
@@ -306,9 +345,36 @@ class Checker:
             return
         q = {arm: r.q[index, sample] for arm, r in self._rungs.items()}
         q |= {arm: angles[index] for arm, angles in self._standing.items()}
-        self.collided[index, sample] = ~self._scene.free(self._targets, q, index, ignored=self._ignored)
+        apart = self._ignored
+        if self._parts is not None and self._looking:  # other choices may have use for what is found
+            for arm, one in self._rungs.items():
+                self._look_at(self._parts, arm, one.branch, q, index, sample)
+                apart |= self._parts.pairs[arm]
+        left = np.flatnonzero(~self.collided[index, sample])
+        free = self._scene.free(self._targets, {a: v[left] for a, v in q.items()}, index[left], ignored=apart)
+        self.collided[index[left], sample[left]] = ~free
         self.known[index, sample] = True
         self.checks += len(index)
+
+    def _look_at(
+        self,
+        parts: Parts,
+        arm: str,
+        branch: int,
+        q: Mapping[str, FloatArray],
+        index: IndexArray,
+        sample: IndexArray,
+    ) -> None:
+        """Looks at an arm's own pairs at states (B,), (B,) with joints {arm: (B, 6)}, where it is not known
+        yet and nothing else collides."""
+        known, hit = parts.seen(arm, branch)
+        some = np.flatnonzero(~known[index, sample] & ~self.collided[index, sample])
+        if len(some):
+            at = index[some], sample[some]
+            there = {a: v[some] for a, v in q.items()}
+            hit[at] = ~self._scene.free(self._targets, there, at[0], ignored=parts.others[arm], edge=False)
+            known[at] = True
+        self.collided[index, sample] |= hit[index, sample]
 
     def cost(self) -> FloatArray | None:
         """What samples (N, S) cost for what is known of collisions [s], inf where they collide; None as long
@@ -318,6 +384,7 @@ class Checker:
     def coarse(self) -> None:
         """Checks all samples of every 12th target; samples between that are suspect cost something."""
         rows, samples = self._rungs_shape
+        self._looking = True
         at = np.unique(np.append(np.arange(0, rows, COARSE_STRIDE), rows - 1))
         self.whole(at)
         suspect = np.zeros((rows, samples))
