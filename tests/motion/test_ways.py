@@ -162,3 +162,44 @@ def test_a_first_target_inside_a_box_has_no_entry() -> None:
     assert issue.code == "motion.entry"
     assert issue.arm == "left"
     assert "crate" in issue.bodies
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_tree_grows_as_it_does_line_by_line(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Among discs at random, with a wall that has one narrow gap: however many lines are asked about at once,
+    the way is the same, and it is free. The last one has no way."""
+    rng = np.random.default_rng(seed)
+    discs, radius = rng.uniform(-1.0, 1.0, (25, 2)), rng.uniform(0.05, 0.2, 25)
+    gap = rng.uniform(-0.6, 0.6)
+
+    def free(points: np.ndarray) -> np.ndarray:
+        open_ = (np.linalg.norm(points[:, None] - discs, axis=-1) > radius).all(axis=1)
+        wall = (np.abs(points[:, 0]) < 0.05) & (np.abs(points[:, 1] - gap) > 0.08)
+        return np.asarray(open_ & ~wall)
+
+    ends = rng.uniform(-1.0, 1.0, (4000, 2))
+    ends = ends[free(ends) & (np.abs(ends[:, 0]) > 0.6)]
+    start, goal = ends[ends[:, 0] < 0.0][0], ends[ends[:, 0] > 0.0][0]
+    bound = np.ones(2)
+    ways, calls = [], []
+    for ahead in (1, 2, 32):
+        monkeypatch.setattr(rrt, "MOST_AHEAD", ahead)
+        asked: list[int] = []
+
+        def counted(points: np.ndarray, asked: list[int] = asked) -> np.ndarray:
+            asked.append(len(points))
+            return free(points)
+
+        ways.append(rrt.connect(start, goal, counted, -bound, bound, 0.02, seed, 800))
+        calls.append(len(asked))
+    assert calls[2] < calls[0]
+    first = ways[0]
+    assert (first is None) == (seed == 4)
+    if first is None:
+        assert ways == [None] * 3
+        return
+    for way in ways[1:]:
+        np.testing.assert_array_equal(way, first, f"seed {seed}")
+    lines = [np.linspace(a, b, 200) for a, b in itertools.pairwise(first)]
+    looked = np.concatenate(lines)
+    assert free(looked).mean() > 0.99  # lines are looked at every 0.02

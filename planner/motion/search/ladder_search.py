@@ -115,7 +115,6 @@ def search(
     others: Others | None = None,
     moves: bool = False,
     only: frozenset[tuple[int, ...]] | None = None,
-    told: bool = True,
 ) -> Found | Blocked:
     """The path of least cost over branches, samples and turns that keeps clearance at every target, and with
     ``moves`` on the straight moves between them, if there is one.
@@ -123,9 +122,7 @@ def search(
     Branches stay the same over the whole run. Choices of branches are tried in the order of their cost
     without collisions, which bounds their cost with collisions from below; the rest are left out
     once none promises much. Without a path all of them are tried. ``others`` are arms that do not take part;
-    ``only`` names the branches of all arms, in their order, that are looked at. Unless it is to be ``told``
-    where paths end, choices of branches are left where what is known of others rules out a path: what is
-    :class:`Blocked` then has no ``dead`` target. The path, if there is one, is the same.
+    ``only`` names the branches of all arms, in their order, that are looked at.
     """
     table = reach(scene, targets, grid)
     choices, common = _choices(scene, targets, grid, table, only)
@@ -146,8 +143,6 @@ def search(
             break
         if not exact:  # what has no free path without turns needs no search with them, which takes longer
             checks[k] = Checker(scene, targets, grid, choices[k].rungs, others, parts)
-            if not told and not choices[k].possible(checks[k].collided):
-                continue
             checks[k].whole(np.array(closed, dtype=np.intp))
             _, end = _free_path(choices[k].modulo.farthest, checks[k])
             if end == targets.count:
@@ -174,8 +169,6 @@ def search(
     chosen = best if best is not None else loose
     if chosen is not None:
         return dataclasses.replace(chosen, choices=offered)
-    if not told:
-        return Blocked(table, targets.count)
     dead = _dead(grid, [(end, choices[k], checks[k]) for end, k in ends])
     if dead is not None:
         return Blocked(table, targets.count, dead)
@@ -230,10 +223,6 @@ class Choice:
             return None
         rows = np.arange(len(exact.sample))
         return Found(exact, self._grid.values[rows, exact.sample], joint_path(exact, self.rungs), 1)
-
-    def possible(self, collided: BoolArray) -> bool:
-        """Whether any path passes all targets, turns forgotten, that keeps off samples (N, S)."""
-        return not collided.any() or self.modulo.shortest(np.where(collided, np.inf, 0.0)) is not None
 
     def free_path(self, check: Checker) -> tuple[Found | None, int]:
         """The shortest path whose targets are all free, turns included, and N; or None, and the first target
