@@ -71,7 +71,7 @@ def run(command: list[str], site: Path, folder: Path) -> subprocess.CompletedPro
 DEAR = ("check problems/wave_wall", "springback cone_spif", "plan wing")
 """Commands of the README that make test leaves to make test-long: each takes half a minute and more."""
 FIRST = "tandem plan column_capital -o out"
-"""The first command of the README, half a minute of two setups, of which make test plans the dearer one in
+"""The first command of the README: two setups, of which make test plans the second one, its faces, in
 `tests/test_whole_job.py`."""
 
 
