@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
 
-API: Final = 7
+API: Final = 10
 """Number of the service's interface that this client was made for."""
 LINKS_API: Final = 2
 """The interface from which on there are links."""
@@ -53,6 +53,14 @@ RETRY_API: Final = 4
 """The interface from which on jobs are tried again."""
 KEYS_API: Final = 6
 """The interface from which on what is sent twice with the same key is done once."""
+TEAMS_API: Final = 8
+"""The interface from which on tokens have roles and teams."""
+RELEASES_API: Final = 9
+"""The interface from which on programs are released."""
+AUDIT_API: Final = 10
+"""The interface from which on there is a log of who did what."""
+RELEASE: Final = "release.json"
+"""What stands beside the programs, and says whether they are released."""
 PLANNED: Final = ("verified", "unproven")
 """States of jobs that have a plan."""
 OPEN: Final = ("queued", "running")
@@ -161,6 +169,12 @@ class Client:
             raise self._answer(self._url, "does not answer as Tandem does; see the address")
         return said
 
+    def who(self) -> dict[str, Any]:
+        """Who asks: ``name``, ``role`` (view, plan or release) and ``team`` of the token, and when it
+        ``expires``."""
+        self._want(TEAMS_API, "roles of tokens")
+        return self._json("/v1/session")
+
     def check(
         self, problem: Any, reach: bool = True, files: Mapping[str, Content] | None = None
     ) -> tuple[Any, ...]:
@@ -178,11 +192,11 @@ class Client:
     ) -> str:
         """Send a problem to be planned, within ``timeout_s`` and ``memory_mb``; the id of its job.
 
-        Keep the id: any client with the same token asks by it, whenever. The request goes with a ``key``, one
-        of its own where none is given, so that it is sent again when the connection breaks off and makes one
-        job all the same; a script that may be started anew gives the same key for the same problem. Raises
-        ``TandemError``: ``service.idempotency`` for a key that is not 1 to 255 printable ASCII characters
-        without spaces, before anything is sent.
+        Keep the id: any client with the same token, or one of its team, asks by it, whenever. The request
+        goes with a ``key``, one of its own where none is given, so that it is sent again when the connection
+        breaks off and makes one job all the same; a script that may be started anew gives the same key for
+        the same problem. Raises ``TandemError``: ``service.idempotency`` for a key that is not 1 to 255
+        printable ASCII characters without spaces, before anything is sent.
         """
         self._check_key(key)
         asked = {"timeout_s": timeout_s, "memory_mb": memory_mb}
@@ -195,7 +209,7 @@ class Client:
         return self._json(_of(job))
 
     def jobs(self) -> Iterator[dict[str, Any]]:
-        """All jobs of the token, the newest first."""
+        """All jobs of the token and of its team, the newest first; ``by`` says whose each is."""
         query = "?limit=200"
         while True:
             page = self._json(f"/v1/jobs{query}")
@@ -260,7 +274,35 @@ class Client:
         import zipfile  # costs a tenth of what all the rest does
 
         with zipfile.ZipFile(io.BytesIO(self._request(_of(job, "/programs.zip")))) as archive:
-            return {name: archive.read(name).decode("utf-8") for name in archive.namelist()}
+            names = [name for name in archive.namelist() if name != RELEASE]
+            return {name: archive.read(name).decode("utf-8") for name in names}
+
+    def release(self, job: str, note: str = "", name: str | None = None) -> dict[str, Any]:
+        """Release the programs of a job, in the name of the token, or in that ``name`` where the service asks
+        for none: ``by`` whom, ``at``, the ``digest`` of the problem, SHA-256 of ``proof`` and ``programs``.
+        Raises ``TandemError``: ``service.release`` for what is not verified or is released already."""
+        return self._decide(job, "release", {"note": note, "name": name})
+
+    def withdraw(self, job: str, reason: str, name: str | None = None) -> dict[str, Any]:
+        """Withdraw the release of a job; it stays written down with the ``reason``."""
+        return self._decide(job, "withdraw", {"reason": reason, "name": name})
+
+    def releases(self, job: str) -> list[dict[str, Any]]:
+        """The releases of a job, the newest first; one that was ``withdrawn`` holds no longer."""
+        self._want(RELEASES_API, "releases")
+        return list(self._json(_of(job, "/releases"))["releases"])
+
+    def audit(self, job: str | None = None) -> Iterator[dict[str, Any]]:
+        """Who did what, the newest first: ``at``, ``by``, ``act``, ``job`` and ``about``; of one job, or of
+        all of the token's team. It needs a token with the role release."""
+        self._want(AUDIT_API, "the audit log")
+        asked = {"limit": "200", **({} if job is None else {"job": job})}
+        while True:
+            page = self._json(f"/v1/audit?{urllib.parse.urlencode(asked)}")
+            yield from page["acts"]
+            if page.get("next") is None:
+                return
+            asked["cursor"] = str(page["next"])
 
     def motion(self, job: str) -> dict[str, Any]:
         """The motion of a planned job as data: planes at the TCPs [mm], joints by name [deg], times [s]."""
@@ -426,6 +468,12 @@ class Client:
         allowed = f"1 to {LONGEST_KEY} printable ASCII characters without spaces"
         what = f"key: got {got}; {allowed} are allowed: give such a text, str(uuid.uuid4()) say, or none"
         raise self._refused({"code": "service.idempotency", "message": what, "field": "key"})
+
+    def _decide(self, job: str, what: str, said: Mapping[str, Any]) -> dict[str, Any]:
+        self._want(RELEASES_API, "releases")
+        given = {name: value for name, value in said.items() if value is not None}
+        body, headers = json.dumps(given).encode(), {"Content-Type": "application/json"}
+        return self._read_json(self._request(_of(job, f"/{what}"), body, headers, "POST"))
 
     def _json(self, path: str, method: str = "GET") -> dict[str, Any]:
         return self._read_json(self._request(path, method=method))

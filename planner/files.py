@@ -28,6 +28,8 @@ STAGING = ".tandem-"
 """How the names of unfinished folders begin."""
 STATEMENT, SIGNATURE = "statement.json", "statement.json.sig"
 """What is signed of a result, and its signature."""
+RELEASE = "release.json"
+"""What a service says of who released the programs of a result, in its folder or beside the programs."""
 RESULT = (
     "programs",
     "problem",
@@ -38,6 +40,7 @@ RESULT = (
     "report.html",
     "replay.html",
     "simulated_part.obj",
+    RELEASE,
     STATEMENT,
     SIGNATURE,
 )

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner import processes, spec
 from planner.batch import worker
-from planner.files import RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
+from planner.files import RELEASE, RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
 from planner.geometry.memory import give_back
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.problem import Problem
@@ -410,7 +410,7 @@ def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
     texts = {
         p.relative_to(root).as_posix(): _text(p)
         for p in sorted(root.rglob("*"))
-        if p.is_file() and (not alone or p.suffix.lower() in _PROGRAM_SUFFIXES)
+        if p.is_file() and p != root / RELEASE and (not alone or p.suffix.lower() in _PROGRAM_SUFFIXES)
     }
     if not texts:
         raise TandemError(

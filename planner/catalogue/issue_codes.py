@@ -299,6 +299,10 @@ CODES: Final[dict[str, Code]] = {
     "upload.unproven": Code(
         "a result that is not verified, or whose files are not those of its proof", given=True
     ),
+    "upload.release": Code(
+        "a result's release was withdrawn, is of other programs, or is missing where asked for",
+        given=True,
+    ),
     "upload.address": Code("the address of a controller, or what to send there, is not stated", given=True),
     "upload.controller": Code("a controller cannot be reached, or answers otherwise than it should"),
     "upload.login": Code("a controller refuses the login, or its certificate is not trusted"),
@@ -729,7 +733,8 @@ CODES: Final[dict[str, Code]] = {
     "service.start": Code("the service cannot be started as asked"),
     "service.request": Code("a request to the service has a field that is missing, unknown or out of range"),
     "service.not_found": Code("the service has nothing at that address, or not by that method"),
-    "service.token": Code("a request to the service has no token, or one that is unknown or revoked"),
+    "service.token": Code("a request to the service has no token, or one that is unknown, revoked or over"),
+    "service.role": Code("a request to the service is beyond what the role of its token allows"),
     "service.foreign": Code("a request comes from another site"),
     "service.link": Code("a link to a file of a job is over, or is not one that the service signed"),
     "service.unknown_job": Code("a job that the service does not have"),
@@ -746,6 +751,7 @@ CODES: Final[dict[str, Code]] = {
     "service.idempotency": Code("an idempotency key is none, or came with another request before"),
     "service.webhook": Code("an address cannot be told of jobs that end, or there is no such webhook"),
     "service.state": Code("a job is in a state in which what is asked of it cannot be done"),
+    "service.release": Code("programs cannot be released, or a release not be withdrawn"),
     "service.gave_up": Code("the service stopped several times while it worked on a job"),
     "service.answer": Code("an address does not answer as this service does"),
     "service.timeout": Code("the service did not answer, or a job did not end, in the time that was given"),

@@ -531,6 +531,16 @@ def token(action: service_commands.Token) -> int:
 
 
 @app.command
+def audit(request: tyro.conf.OmitArgPrefixes[service_commands.Audit]) -> int:
+    """List who did what with the jobs of a service."""
+    try:
+        service_commands.audit(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
 def backup(request: tyro.conf.OmitArgPrefixes[service_commands.BackUp]) -> int:
     """Back up the store of a service, which may run meanwhile."""
     try:

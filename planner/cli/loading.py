@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 import tyro
 
-from planner.files import write_whole
+from planner.files import RELEASE, write_whole
 from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ class Upload(Access):
     """a result folder of ``tandem plan``"""
     controller: str
     """http://HOST, https://HOST (ABB), ftp://HOST/FOLDER, ftps://..., or a folder that is mounted"""
+    released: bool = False
+    """send only what somebody has released at the service that the result came from"""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -108,6 +110,7 @@ def run_upload(request: Upload) -> Sent:
     from planner.loading.rws import Rws
 
     result = proven.read(request.folder, pipeline.load_result(request.folder))
+    said = proven.released(request.folder, result, request.released)
     with closing(connect(request.controller, request)) as link:
         if isinstance(link, Rws):
             sent = upload.to_controller(link, result, request.arm)
@@ -118,6 +121,8 @@ def run_upload(request: Upload) -> Sent:
         out.print(what, highlight=False, markup=False, soft_wrap=True)
 
     tell(f"{len(sent.files)} files in {sent.folder}, read back byte by byte")
+    if said is not None:
+        tell(f"These programs are {said}, as {RELEASE} says.")
     if sent.agreed:
         tell(f"agreed: {', '.join(sent.agreed)}")
     if sent.ready:

@@ -74,6 +74,8 @@ class Serve:
     """most memory of planning, a job"""
     keep_days: float | None = None
     """delete finished jobs after so many days"""
+    audit_days: float | None = 1095.0
+    """forget who did what after so many days; None for never"""
     log: Literal["text", "json"] = "text"
     """how the log is written: for people, or as lines of JSON on standard output"""
     lease_s: float = 30.0
@@ -96,6 +98,12 @@ class Add(_Store):
 
     name: tyro.conf.Positional[str]
     """whose it is"""
+    role: Literal["view", "plan", "release"] = "plan"
+    """what it may do: look, also make and change jobs, also release programs"""
+    team: str | None = None
+    """tokens of one team see one another's jobs; without a team a token sees its own alone"""
+    expires: str | None = None
+    """how long it is good for: 12h, 90d or 4w; unless stated until it is revoked"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,6 +117,21 @@ class Revoke(_Store):
 
     name: tyro.conf.Positional[str]
     """whose it is"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Audit(_Store):
+    """List who submitted, cancelled, deleted, released, withdrew, downloaded programs and made links, the
+    newest first."""
+
+    job: str | None = None
+    """of this job alone, by its id"""
+    act: tuple[str, ...] = ()
+    """these acts alone: submitted, cancelled, retried, deleted, released, withdrew, downloaded, linked"""
+    most: int = 100
+    """so many entries"""
+    json: bool = False
+    """as a JSON object a line, with all that is known"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,6 +184,7 @@ def serve(asked: Serve) -> None:
         job_s=asked.job_timeout_s,
         job_memory_mb=asked.job_memory_mb,
         keep_days=asked.keep_days,
+        audit_days=asked.audit_days,
     )
     more = {"workers": asked.workers, "lease_s": asked.lease_s}
     for name, value in (dataclasses.asdict(limits) | more).items():
@@ -190,15 +214,40 @@ def token(asked: Add | List | Revoke) -> None:
     """Make, list or end tokens; raises ``TandemError``."""
     auth = _auth(asked)
     if isinstance(asked, Add):
-        sys.stdout.write(f"{auth.make(asked.name)}\n")
+        lasts_s = None if asked.expires is None else _lasts(asked.expires)
+        sys.stdout.write(f"{auth.make(asked.name, asked.role, asked.team, lasts_s)}\n")
     elif isinstance(asked, Revoke):
         auth.revoke(asked.name)
         out.print(f"{asked.name}: revoked", highlight=False)
     else:
-        table = Table("name", "made", "revoked")
+        table = Table("name", "role", "team", "made", "ends", "revoked")
         for known in auth.list():
-            table.add_row(known.name, _moment(known.created), _moment(known.revoked))
+            times = (_moment(one) for one in (known.created, known.expires, known.revoked))
+            table.add_row(known.name, known.role, known.team or "", *times)
         out.print(table)
+
+
+def audit(asked: Audit) -> None:
+    """List what was done in a store; raises ``TandemError``."""
+    try:
+        from planner.service import audit as log
+        from planner.service.models import Database, default_url
+    except ImportError as error:
+        raise TandemError(not_installed(error)) from error
+    if asked.database is None and not (asked.data / "tandem.db").is_file():
+        what = f"data folder {asked.data}: there is no store in it; give --data as the service has it"
+        raise TandemError(Issue("service.start", what, field="data"))
+    found = log.everything(
+        Database(asked.database or default_url(asked.data)), asked.job, asked.act, max(asked.most, 1)
+    )
+    for one in found:
+        if asked.json:
+            sys.stdout.write(f"{one.model_dump_json(exclude_none=True)}\n")
+        else:
+            told = [one.about.get(key) for key in ("name", "file", "release", "reason", "note")]
+            said = ", ".join(" ".join(str(text).split()) for text in told if text)
+            at = one.at.strftime("%Y-%m-%d %H:%M:%S UTC")
+            _tell(f"{at}  {one.by}{f' ({one.team})' if one.team else ''}  {one.act}  {one.job}  {said}")
 
 
 def back_up(asked: BackUp) -> None:
@@ -243,6 +292,12 @@ def _auth(asked: Add | List | Revoke) -> Auth:
             message = f"data folder {asked.data}: cannot be written ({error.strerror}); give another one"
             raise TandemError(Issue("service.start", message, field="data")) from error
     return Auth(Database(asked.database or default_url(asked.data)))
+
+
+def _lasts(text: str) -> float:
+    from planner.service.security import lasts
+
+    return lasts(text)
 
 
 def _moment(seconds: float | None) -> str:

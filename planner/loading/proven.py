@@ -10,11 +10,12 @@ import dataclasses
 import hashlib
 import json
 import re
+import unicodedata
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from planner.files import STATEMENT, write_whole
+from planner.files import RELEASE, STATEMENT, write_whole
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Problem
 from planner.verify.job import CONTROLLER
@@ -57,6 +58,7 @@ def read(folder: Path, problem: Problem) -> Proven:
         raise _refused(path, "the proof names no digests of programs: an older Tandem wrote it", AGAIN)
     root = folder / "programs"
     found = {p.relative_to(root).as_posix(): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
+    found.pop(RELEASE, None)  # as it lies beside the programs in an archive of a service
     faults = []
     for name in sorted({*found, *named}):
         if name not in named:
@@ -68,6 +70,38 @@ def read(folder: Path, problem: Problem) -> Proven:
     if faults:
         raise _refused(root, "; ".join(faults), "plan again; or prove what is there: tandem verify OUT")
     return Proven(problem, found)
+
+
+def released(folder: Path, proven: Proven, asked: bool = False) -> str | None:
+    """Who released these programs, as the service says in ``release.json`` that their result came from; None
+    where nothing says so.
+
+    It is as good as the folder: nobody has signed it. Raises ``TandemError`` (``upload.release``) where the
+    release was withdrawn or is of other programs, and where there is none that was ``asked`` for.
+    """
+    paths = (folder / RELEASE, folder / "programs" / RELEASE)
+    path = next((one for one in paths if one.is_file()), paths[0])
+    way = "release the job at the service, and download it again"
+    if not path.is_file():
+        if asked:
+            raise _not_released(path, "there is none, so nobody is known to have released this", way)
+        return None
+    try:
+        data: dict[str, Any] = json.loads(path.read_bytes())
+        told, is_released, last = str(data["says"]), data["released"], data["release"]
+        says = "".join(one for one in told if unicodedata.category(one) != "Cc")  # it goes to a terminal
+        stated, named = data["digest"], dict(data["programs"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        what = f"cannot be read as a release ({type(error).__name__}: {error})"
+        raise _not_released(path, what, way) from error
+    own = {name: hashlib.sha256(content).hexdigest() for name, content in proven.files.items()}
+    if stated != proven.problem.digest or named != own:
+        raise _not_released(path, f"it says {says!r} of other programs than those here", way)
+    if is_released is True:
+        return says
+    if last is not None or asked:
+        raise _not_released(path, f"it says: {says}", way)
+    return None
 
 
 def record(folder: Path, programs: Mapping[str, str], proof: Proof, again: bool = False) -> bool:
@@ -130,6 +164,10 @@ def folder_name(problem: Problem) -> str:
     """The name of the folder for a problem's programs on a controller; the digest tells problems apart."""
     plain = re.sub(r"[^A-Za-z0-9]+", "_", problem.name).strip("_")[:24]
     return f"tandem_{plain}_{(problem.digest or '')[:8]}"
+
+
+def _not_released(path: Path, what: str, hint: str) -> TandemError:
+    return TandemError(Issue("upload.release", what, file=str(path), hint=hint))
 
 
 def _refused(path: Path, what: str, hint: str) -> TandemError:

@@ -23,6 +23,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEAD_S: Final = 10.0
 """Time [s] in which the head of a request has to be there, from its first byte or from the connection on."""
+HEAD: Final = "tandem.head"
+"""Of a scope: whether its answer is sent without a body."""
 COMPRESSED: Final = ("text/", "application/json", "application/yaml", "model/obj")
 """How content types begin that become smaller."""
 LEAST_COMPRESSED: Final = 1024
@@ -45,7 +47,7 @@ class Heads:
             await self._app(scope, receive, send)
             return
 
-        asked = {**scope, "method": "GET"}
+        asked = {**scope, "method": "GET", HEAD: True}
 
         async def headless(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -120,7 +122,7 @@ class MadeFile(FileResponse):
     """An answer that was made for one request, whole or in parts: its file goes when it is sent."""
 
     def __init__(
-        self, content: bytes, folder: Path, media_type: str, filename: str, headers: Mapping[str, str]
+        self, content: bytes, folder: Path, media_type: str, filename: str | None, headers: Mapping[str, str]
     ) -> None:
         handle, name = tempfile.mkstemp(dir=folder)
         try:

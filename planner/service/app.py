@@ -32,7 +32,7 @@ from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
-from planner.service import bundled, element_routes, logs, metrics, routes, webhook_routes
+from planner.service import bundled, element_routes, logs, metrics, release_routes, routes, webhook_routes
 from planner.service.answers import Heads, Hurried, allowed
 from planner.service.routes import REFUSALS, Caller, Here
 from planner.service.runner import Team
@@ -192,6 +192,7 @@ def _unknown(path: str) -> RefusedError:
 
 ROUTERS: Final = (
     routes.job_router,
+    release_routes.router,
     element_routes.router,
     webhook_routes.router,
     routes.about_router,

@@ -3,11 +3,10 @@ state are those of ``/v1/jobs/ID``."""
 
 from __future__ import annotations
 
-from typing import Annotated, Final, TypeVar
+from typing import Annotated, Final
 
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Query, Request, Response
-from pydantic import BaseModel, ValidationError
 
 from planner.issues import Issue
 from planner.service import idempotency
@@ -30,26 +29,32 @@ from planner.service.routes import (
     KNOWN,
     PAGE_SIZE,
     UPLOADED,
+    Asker,
     Caller,
     Here,
     Key,
     refusals,
 )
-from planner.service.security import MB, RefusedError, too_large
+from planner.service.security import RefusedError, Who
+from planner.service.service import Service
 from planner.service.storage import documented, take_upload
+from planner.service.texts import described, read_body
 
 router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=ASKED)
-LONGEST: Final = MB
-"""Bytes of a body that says what to do with an element."""
-Body = TypeVar("Body", bound=BaseModel)
 _FILE: Final = {"type": "object", "description": "an element file as data; see docs/element.md"}
 UPLOADS: Final = {"requestBody": documented(_FILE)}
 """How the description of the interface tells of a body that is an element."""
 
 
-def own_element(element: str, owner: Caller, here: Here) -> str:
-    """The id of an element, if it is the caller's; raises :class:`RefusedError`, 404."""
-    if not JOB_ID.fullmatch(element) or here.elements.owner(element) != owner:
+def own_element(element: str, owner: Caller, who: Asker, here: Here) -> str:
+    """The id of an element, if it is the caller's or his team's; raises :class:`RefusedError`, 404."""
+    del owner  # may do what is asked
+    return element_of(element, who, here)
+
+
+def element_of(element: str, who: Who, here: Service) -> str:
+    """The id of an element, if ``who`` sees it; raises :class:`RefusedError`, 404."""
+    if not JOB_ID.fullmatch(element) or not here.auth.sees(who, here.elements.owner(element)):
         what = f"element {element[:40]!r}: there is none; list the elements"
         raise RefusedError(404, Issue("service.unknown_job", what))
     about(element)
@@ -57,29 +62,6 @@ def own_element(element: str, owner: Caller, here: Here) -> str:
 
 
 OwnElement = Annotated[str, Depends(own_element)]
-
-
-def described(model: type[BaseModel]) -> dict[str, object]:
-    """How the description of the interface tells of a body that :func:`read_body` reads."""
-    schema = model.model_json_schema()
-    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
-
-
-async def read_body(request: Request, model: type[Body]) -> Body:
-    """The body of a request; raises :class:`RefusedError`, 413 or 422."""
-    text = bytearray()
-    async for chunk in request.stream():
-        text += chunk
-        if len(text) > LONGEST:
-            raise too_large("the body", LONGEST / MB, "body")
-    try:
-        return model.model_validate_json(bytes(text) or b"{}")
-    except ValidationError as error:
-        issues = []
-        for fault in error.errors():
-            field = ".".join(str(step) for step in fault["loc"]) or "body"
-            issues.append(Issue("service.request", f"{field}: {fault['msg']}; correct it", field=field))
-        raise RefusedError(422, issues) from error
 
 
 @router.post(
@@ -108,13 +90,15 @@ async def create(request: Request, owner: Caller, here: Here, key: Key) -> Eleme
 def page(
     request: Request,
     owner: Caller,
+    who: Asker,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: CURSOR = None,
 ) -> Response:
-    """The newest first, a page at a time; 304 for who asks again with ``If-None-Match`` and has it as it
-    is."""
-    found, following = here.elements.page(owner, cursor, limit)
+    """Yours and those of your team, the newest first, a page at a time; 304 for who asks again with
+    ``If-None-Match`` and has it as it is."""
+    del owner
+    found, following = here.elements.page(here.auth.owners(who), cursor, limit)
     return tagged(request, ElementList(elements=found, next=following))
 
 
@@ -141,6 +125,7 @@ async def divide(
     request: Request,
     element: str,
     owner: Caller,
+    who: Asker,
     here: Here,
     key: Key,
     instead: Annotated[
@@ -152,12 +137,12 @@ async def divide(
     once = idempotency.once(owner, key, f"elements/{element}/divide", change.fields, instead)
     made = await anyio.to_thread.run_sync(here.elements.made, once)
     if made is None:  # a request that was done has perhaps taken this element away
-        await anyio.to_thread.run_sync(own_element, element, owner, here)
+        await anyio.to_thread.run_sync(element_of, element, who, here)
         made = await here.in_turn(
             request, owner, lambda reading: here.elements.change(owner, element, change.fields, reading, once)
         )
-    if instead and here.elements.owner(element) == owner:
-        await anyio.to_thread.run_sync(here.elements.give_up, element)
+    if instead and here.auth.sees(who, here.elements.owner(element)):
+        await anyio.to_thread.run_sync(here.elements.give_up, element, owner)
     return made
 
 
@@ -215,14 +200,14 @@ def report(found: OwnElement, owner: Caller, here: Here, key: Key) -> JobOut:
     response_model_exclude_none=True,
     summary="Cancel an element",
 )
-def cancel(found: OwnElement, here: Here) -> ElementPanels:
+def cancel(found: OwnElement, owner: Caller, here: Here) -> ElementPanels:
     """What of it waits or runs is cancelled: its division, its panels, a report."""
-    here.elements.cancel(found)
+    here.elements.cancel(found, owner)
     return here.elements.get(found)
 
 
 @router.delete("/elements/{element}", responses=refusals(404), status_code=204, summary="Delete an element")
-def delete(found: OwnElement, here: Here) -> Response:
+def delete(found: OwnElement, owner: Caller, here: Here) -> Response:
     """What of it waits or runs is cancelled; panels that were planned stay as jobs."""
-    here.elements.delete(found)
+    here.elements.delete(found, owner)
     return Response(status_code=204)

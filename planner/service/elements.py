@@ -118,9 +118,11 @@ class Elements:
         made = self._jobs.create(self._service.new_job(owner, read.name, read, files, of=of), once)
         return self._head(made, json.dumps(read.summary), 0)
 
-    def page(self, owner: str, cursor: str | None, count: int) -> tuple[list[ElementOut], str | None]:
-        """Elements of the owner as :meth:`planner.service.jobs.Jobs.page` gives jobs."""
-        found, following = self._jobs.page(owner, (), cursor, count, "division")
+    def page(
+        self, owners: Sequence[str], cursor: str | None, count: int
+    ) -> tuple[list[ElementOut], str | None]:
+        """Elements of the owners as :meth:`planner.service.jobs.Jobs.page` gives jobs."""
+        found, following = self._jobs.page(owners, (), cursor, count, "division")
         own = [one.id for one in found]
         about = select(ELEMENT_JOBS.c.job, ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job.in_(own))
         planned = (
@@ -210,21 +212,22 @@ class Elements:
             )
         return self._jobs.create_all(list(made.values()), once)
 
-    def cancel(self, element: str) -> None:
-        """Cancel what of an element waits or runs: its division, panels, and a report."""
+    def cancel(self, element: str, by: str) -> None:
+        """Cancel what of an element waits or runs, as the token ``by`` asks: its division, panels, and a
+        report."""
         own = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.element == element)
         asked = select(JOBS.c.id).where(JOBS.c.id.in_(own), JOBS.c.state.in_(OPEN))
         with self._database.read() as db:
             found = list(db.execute(asked.order_by(JOBS.c.created.desc())).scalars())
         for job in found:
-            self._jobs.cancel(job)
+            self._jobs.cancel(job, by)
 
-    def delete(self, element: str) -> None:
+    def delete(self, element: str, by: str) -> None:
         """Cancel and delete an element; what was planned of it stays."""
-        self.cancel(element)
-        self._jobs.cancel(element, also_delete=True)
+        self.cancel(element, by)
+        self._jobs.cancel(element, by, also_delete=True)
 
-    def give_up(self, element: str) -> None:
+    def give_up(self, element: str, by: str) -> None:
         """Delete an element of which nothing was made: no panel was planned or marked. One that was deleted
         meanwhile is gone as well."""
         with self._database.read() as db:
@@ -232,7 +235,7 @@ class Elements:
         if used:
             return
         try:
-            self.delete(element)
+            self.delete(element, by)
         except RefusedError as error:
             if error.status != 404:
                 raise

@@ -16,12 +16,12 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import anyio.to_thread
-from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, not_, or_, select, update
+from sqlalchemy import Connection, RowMapping, Select, and_, delete, func, insert, not_, or_, select, update
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from planner.issues import Issue
-from planner.service import idempotency, metrics, webhooks
+from planner.service import audit, idempotency, metrics, webhooks
 from planner.service.idempotency import Once
 from planner.service.logs import about
 from planner.service.models import (
@@ -34,10 +34,15 @@ from planner.service.models import (
     KEYS,
     MARKS,
     OPEN,
+    RELEASES,
     SETTLED,
+    TOKENS,
+    Act,
     Database,
     JobOut,
+    Release,
     Role,
+    Withdrawal,
 )
 from planner.service.security import Limits, RefusedError, issue_json, unknown_job
 from planner.service.storage import Blob
@@ -104,6 +109,9 @@ class Jobs:
             created = [self._created(db, new) for new in jobs]
             if once is not None:
                 idempotency.keep(self._database, db, once, [job.id for job in created])
+            for job in created:
+                said = {"name": job.name, "digest": job.digest}
+                audit.note(self._database, db, jobs[0].owner, "submitted", job.id, said)
         about(*(job.id for job in created))
         for job in created:
             if job.from_store:
@@ -156,12 +164,25 @@ class Jobs:
             row = job_row(db, job)
             return row["owner"], job_out(row, self._ahead(db, job) if row["state"] == "queued" else None)
 
+    def owner(self, job: str) -> str | None:
+        """Whose job it is; None where there is none of that id, or it is being deleted."""
+        with self._database.read() as db:
+            found: str | None = db.execute(
+                select(JOBS.c.owner).where(JOBS.c.id == job, JOBS.c.cancel != DELETED)
+            ).scalar()
+        return found
+
     def page(
-        self, owner: str, states: Sequence[str], cursor: str | None, count: int, role: Role | None = None
+        self,
+        owners: Sequence[str],
+        states: Sequence[str],
+        cursor: str | None,
+        count: int,
+        role: Role | None = None,
     ) -> tuple[list[JobOut], str | None]:
-        """Up to ``count`` jobs of the owner, the newest first, and the cursor of what follows, if anything
+        """Up to ``count`` jobs of the owners, the newest first, and the cursor of what follows, if anything
         does: jobs of that ``role`` in an element, or such as plan a problem."""
-        query = select(JOBS).where(JOBS.c.owner == owner, JOBS.c.cancel != DELETED)
+        query = jobs_to_send().where(JOBS.c.owner.in_(owners), JOBS.c.cancel != DELETED)
         of = select(ELEMENT_JOBS.c.job)
         if role is None:
             query = query.where(JOBS.c.id.not_in(of.where(ELEMENT_JOBS.c.role != "panel")))
@@ -178,8 +199,9 @@ class Jobs:
         last = f"{rows[count - 1]['created']!r}-{rows[count - 1]['id']}" if len(rows) > count else None
         return [job_out(row) for row in rows[:count]], last
 
-    def cancel(self, job: str, also_delete: bool = False) -> JobOut:
-        """Cancel a job: at once if it waits, else its worker is told; no more happens to one that is done."""
+    def cancel(self, job: str, by: str, also_delete: bool = False) -> JobOut:
+        """Cancel a job, as the token ``by`` asks: at once if it waits, else its worker is told; no more
+        happens to one that is done."""
         with self._database.write() as db:
             self._database.one_at_a_time(db, job)
             row = job_row(db, job)
@@ -196,13 +218,16 @@ class Jobs:
             done = job_out(job_row(db, job, deleted_too=True))
             if also_delete and done.state not in OPEN:
                 remove(db, job)
+            if also_delete or (row["state"] in OPEN and not row["cancel"]):
+                act: Act = "deleted" if also_delete else "cancelled"
+                audit.note(self._database, db, by, act, job, {"name": done.name})
         if row["state"] == "queued" and done.state == "cancelled":
             metrics.ended("cancelled")
         return done
 
-    def retry(self, job: str) -> JobOut:
-        """Let a job wait again as if it had come now, its results gone. Raises :class:`RefusedError`, 404,
-        409 where its state is not one of `AGAIN`, 429 as :meth:`create`."""
+    def retry(self, job: str, by: str) -> JobOut:
+        """Let a job wait again as if it had come now, its results gone, as the token ``by`` asks. Raises
+        :class:`RefusedError`, 404, 409 where its state is not one of `AGAIN`, 429 as :meth:`create`."""
         with self._database.write() as db:
             owner = job_row(db, job)["owner"]
             self._database.one_at_a_time(db, owner)
@@ -225,6 +250,7 @@ class Jobs:
             record_event(db, job, "state", {"state": "queued"})
             answered = answer_from_store(db, job, row["key"])
             done = job_out(job_row(db, job), self._ahead(db, job))
+            audit.note(self._database, db, by, "retried", job, {"name": done.name})
         if answered:
             metrics.ended(done.state, STORE)
         return done
@@ -332,9 +358,9 @@ def remove(db: Connection, job: str) -> None:
     own = and_(ELEMENT_JOBS.c.element == job, ELEMENT_JOBS.c.role == "report")
     reports = db.execute(select(ELEMENT_JOBS.c.job).where(own)).scalars().all()
     for one in {job, *reports}:
-        for table in (EVENTS, FILES, KEYS):
+        db.execute(delete(JOBS).where(JOBS.c.id == one))  # first, for who releases it holds it
+        for table in (EVENTS, FILES, KEYS, RELEASES):
             db.execute(delete(table).where(table.c.job == one))
-        db.execute(delete(JOBS).where(JOBS.c.id == one))
     db.execute(delete(ELEMENT_JOBS).where(or_(ELEMENT_JOBS.c.job == job, ELEMENT_JOBS.c.element == job)))
 
 
@@ -373,6 +399,7 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
         stage=row["stage"],
         fraction=min(max(row["fraction"], 0.0), 1.0),
         processes=json.loads(row["processes"]),
+        by=row["made_by"],
         digest=row["digest"],
         created=_utc(row["created"]),
         started=None if row["started"] is None else _utc(row["started"]),
@@ -385,16 +412,42 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
         memory_mb=row["memory_mb"],
         issues=[Issue.from_dict(issue) for issue in json.loads(row["issues"])],
         metrics=json.loads(row["metrics"]),
+        released=row["release_who"] is not None and row["release_withdrawn"] is None,
+        release=_release(row),
     )
+
+
+def _release(row: RowMapping) -> Release | None:
+    if row["release_who"] is None:
+        return None
+    withdrawn = None
+    if row["release_withdrawn"] is not None:
+        at = _utc(row["release_withdrawn"])
+        withdrawn = Withdrawal(by=row["release_withdrawn_who"], at=at, reason=row["release_reason"])
+    at, note = _utc(row["release_at"]), row["release_note"]
+    return Release(by=row["release_who"], at=at, note=note, withdrawn=withdrawn)
 
 
 def _utc(seconds: float) -> dt.datetime:
     return dt.datetime.fromtimestamp(seconds, dt.UTC)
 
 
+_LAST: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOBS.c.releases)
+"""The last release of a job."""
+_RELEASE: Final = ("who", "at", "note", "withdrawn", "withdrawn_who", "reason")
+"""What is told of it with its job."""
+
+
+def jobs_to_send() -> Select[Any]:
+    """Jobs as the store has them, with what else :func:`job_out` tells."""
+    more = [TOKENS.c.name.label("made_by"), *(RELEASES.c[name].label(f"release_{name}") for name in _RELEASE)]
+    with_names = select(JOBS, *more).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
+    return with_names.outerjoin(RELEASES, _LAST)
+
+
 def job_row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:
     """A job as the store has it; raises :class:`RefusedError`, 404."""
-    row = db.execute(select(JOBS).where(JOBS.c.id == job)).mappings().first()
+    row = db.execute(jobs_to_send().where(JOBS.c.id == job)).mappings().first()
     if row is None or (row["cancel"] == DELETED and not deleted_too):
         raise unknown_job(job)
     return row

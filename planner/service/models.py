@@ -57,8 +57,11 @@ TOKENS: Final = Table(
     Column("hash", String(64), nullable=False, unique=True),
     Column("created", Float, nullable=False),
     Column("revoked", Float),
+    Column("role", String(16), nullable=False),
+    Column("team", String(64)),
+    Column("expires", Float),
 )
-"""Who may use the service. Only the SHA-256 of a token is kept."""
+"""Who may use the service, and for what. Only the SHA-256 of a token is kept."""
 
 SESSIONS: Final = Table(
     "tandem_sessions",
@@ -95,10 +98,12 @@ JOBS: Final = Table(
     Column("from_store", Integer, nullable=False, default=0),
     Column("timeout_s", Float, nullable=False),
     Column("memory_mb", Float, nullable=False),
+    Column("releases", Integer, nullable=False, default=0),
     Index("tandem_jobs_by_owner", "owner", "created", "id"),
 )
 """``key``: what the answer depends on, the problem's digest and the versions. ``host`` works on the job until
-``lease``. ``seq`` is the number of the job's last event. ``cancel``: 1 cancelled, 2 deleted too."""
+``lease``. ``seq`` is the number of the job's last event. ``cancel``: 1 cancelled, 2 deleted too. ``releases``
+is the number of the job's last release."""
 
 CANCELLED: Final = 1
 """In a job's column `cancel`: its owner wants it to end."""
@@ -185,6 +190,40 @@ DELIVERIES: Final = Table(
     Column("attempts", Integer, nullable=False),
 )
 """What webhooks are still to be told, from when on, and how often that was tried."""
+
+RELEASES: Final = Table(
+    "tandem_releases",
+    METADATA,
+    Column("job", String(32), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("token", String(32), nullable=False),
+    Column("who", String(200), nullable=False),
+    Column("at", Float, nullable=False),
+    Column("note", Text, nullable=False),
+    Column("digest", String(64), nullable=False),
+    Column("proof", String(64), nullable=False),
+    Column("programs", Text, nullable=False),
+    Column("withdrawn", Float),
+    Column("withdrawn_token", String(32)),
+    Column("withdrawn_who", String(200)),
+    Column("reason", Text),
+)
+"""Who released the programs of a job, by ``number`` from 1: the problem's digest, the SHA-256 of proof and
+of each program by its name; and who took that back. Only the last one may hold."""
+
+AUDIT: Final = Table(
+    "tandem_audit",
+    METADATA,
+    Column("number", Integer, primary_key=True, autoincrement=False),
+    Column("at", Float, nullable=False),
+    Column("token", String(32), nullable=False, index=True),
+    Column("who", String(200), nullable=False),
+    Column("team", String(64), index=True),
+    Column("act", String(16), nullable=False),
+    Column("job", String(32), nullable=False, index=True),
+    Column("about", Text, nullable=False),
+)
+"""Who did what, in the order of ``number``; it outlives jobs and tokens."""
 
 SCHEMA: Final = Table(
     "tandem_schema", METADATA, Column("version", Integer, primary_key=True, autoincrement=False)
@@ -329,10 +368,11 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 7
+API: Final = 10
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
-6: keys of requests that are done once. 7: webhooks."""
+6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
+log."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -356,7 +396,12 @@ SETTLED: Final = ("verified", "done", "infeasible", "unproven")
 MARKS: Final = "progress.csv"
 """The file of an element's job that says which panels are cut, glued or broken; no part of its result."""
 Role = Literal["division", "panel", "report"]
+TokenRole = Literal["view", "plan", "release"]
+TOKEN_ROLES: Final[tuple[TokenRole, ...]] = ("view", "plan", "release")
+"""Roles of tokens, each of which includes the former: to look at everything; to make, change and delete
+jobs, and to hand links out; to release programs."""
 Mark = Literal["cut", "glued", "broken"]
+Act = Literal["submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked"]
 
 
 class Sent(BaseModel):
@@ -375,6 +420,39 @@ class Refusal(Sent):
     issues: list[Issue] = Field(description="all that is wrong, by code and field")
 
 
+class Withdrawal(Sent):
+    """Who took a release back, when, and why."""
+
+    by: str
+    at: dt.datetime
+    reason: str
+
+
+class Release(Sent):
+    """Who released the programs of a job; what was withdrawn is no longer released."""
+
+    by: str = Field(description="name of the token, or of who said so where no tokens are asked for")
+    at: dt.datetime
+    note: str = ""
+    withdrawn: Withdrawal | None = None
+
+
+class ReleaseOut(Release):
+    """A release, and what was released."""
+
+    job: str
+    name: str = Field(description="the problem's name")
+    digest: str = Field(description="SHA-256 over the problem's values and files")
+    proof: str = Field(description="SHA-256 of proof.json")
+    programs: dict[str, str] = Field(description="SHA-256 of each program by its name")
+
+
+class ReleaseList(Sent):
+    """The releases of a job, the newest first; only that one may hold."""
+
+    releases: list[ReleaseOut]
+
+
 class JobOut(Sent):
     """A job. ``fraction`` is that of its stage; ``from_store``: an identical problem had been planned."""
 
@@ -384,6 +462,7 @@ class JobOut(Sent):
     stage: str = Field("", description="what is being done")
     fraction: float = Field(0.0, ge=0, le=1, description="how much of the stage is done")
     processes: list[str] = []
+    by: str | None = Field(None, description="name of the token that made it")
     digest: str = Field(description="SHA-256 over the problem's values and files")
     created: dt.datetime
     started: dt.datetime | None = None
@@ -396,6 +475,10 @@ class JobOut(Sent):
     memory_mb: float
     issues: list[Issue] = []
     metrics: dict[str, float] = {}
+    released: bool = Field(
+        False, description="whether a named person released the programs, and none withdrew"
+    )
+    release: Release | None = Field(None, description="the last release")
 
 
 class JobList(Sent):
@@ -468,6 +551,26 @@ class Marking(Sent):
     model_config = ConfigDict(extra="forbid")
     panel: str = Field(max_length=32)
     state: Literal["cut", "glued", "broken", "open"]
+
+
+class AuditOut(Sent):
+    """Somebody did something. ``about``: the job's name and what else tells it from others: of a release the
+    digests, of a download the file and whether it was released then, by a link or not."""
+
+    number: int
+    at: dt.datetime
+    by: str = Field(description="name of the token, or of who said so where no tokens are asked for")
+    team: str | None = None
+    act: Act
+    job: str
+    about: dict[str, Any] = {}
+
+
+class AuditList(Sent):
+    """A page of the log, the newest first; ``next`` is the ``cursor`` of the page that follows."""
+
+    acts: list[AuditOut]
+    next: int | None = None
 
 
 class FileOut(Sent):
@@ -544,6 +647,16 @@ class CheckOut(Sent):
     summary: dict[str, Any]
     issues: list[Issue]
     looked_at: LookedAt | None = Field(default=None, description="where reach was tested")
+
+
+class SessionOut(Sent):
+    """Who asks. Without tokens there is one user of this name, who may do all."""
+
+    name: str = Field(description="of the token")
+    role: TokenRole
+    team: str | None = Field(None, description="those of its tokens see one another's jobs")
+    tokens: bool = Field(description="whether this service asks for tokens")
+    expires: dt.datetime | None = Field(None, description="end of the token")
 
 
 class Health(Sent):

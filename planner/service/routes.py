@@ -25,9 +25,10 @@ from sqlalchemy.exc import SQLAlchemyError
 
 import planner
 from planner.catalogue.issue_codes import CODES
+from planner.files import RELEASE
 from planner.issues import Issue, has_errors
-from planner.service import idempotency, metrics
-from planner.service.answers import MadeFile, is_known, stored_file, tagged
+from planner.service import audit, idempotency, metrics, releases
+from planner.service.answers import HEAD, MadeFile, is_known, stored_file, tagged
 from planner.service.jobs import Stream
 from planner.service.logs import about
 from planner.service.models import (
@@ -46,15 +47,18 @@ from planner.service.models import (
     LookedAt,
     Ready,
     Refusal,
+    SessionOut,
     State,
     Storage,
 )
 from planner.service.security import (
+    ANYBODY,
     LINK_S,
     LOCAL,
     LONGEST_LINK_S,
-    SESSION_S,
+    SAFE_METHODS,
     RefusedError,
+    Who,
     bad_link,
     unauthorised,
     unknown_job,
@@ -72,8 +76,8 @@ JOB_ID: Final = re.compile(r"[0-9a-f]{32}")
 """A job's identifier."""
 
 REFUSALS: Final = {
-    401: {"model": Refusal, "description": "no token, or one that is unknown or revoked"},
-    403: {"model": Refusal, "description": "a request of another site"},
+    401: {"model": Refusal, "description": "no token, or one that is unknown, revoked or over"},
+    403: {"model": Refusal, "description": "a request of another site, or beyond the token's role"},
     404: {"model": Refusal, "description": "there is no such thing, or it is another token's"},
     409: {"model": Refusal, "description": "the job's state does not allow it"},
     413: {"model": Refusal, "description": "larger than this service takes"},
@@ -104,49 +108,65 @@ def service(request: Request) -> Service:
     return found
 
 
-def caller(
+def asker(
     request: Request,
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)] = None,
     cookie: Annotated[str | None, Security(_COOKIE)] = None,
-) -> str:
-    """The owner of what is asked; raises :class:`RefusedError`, 401, or 429 for who asks too often."""
+) -> Who:
+    """Who asks, whatever he may; raises :class:`RefusedError`, 401, or 429 for who asks too often."""
     here = service(request)
     try:
-        owner = _owner(request, bearer, cookie, here)
+        who = _who(request, bearer, cookie, here)
     except RefusedError:
         address = request.client.host if request.client else ""
         here.failures.take(address, f"address {address} sends without a good token")
         raise
-    if owner != LOCAL:
-        here.rates.take(owner, "this token sends")
-    return owner
+    if who.token != LOCAL:
+        here.rates.take(who.token, "this token sends")
+    return who
 
 
-def _owner(
+def _who(
     request: Request, bearer: HTTPAuthorizationCredentials | None, cookie: str | None, here: Service
-) -> str:
+) -> Who:
     if bearer is not None:
-        return here.auth.owner(bearer.credentials)
+        return here.auth.who(bearer.credentials)
     if "authorization" in request.headers:
         raise unauthorised("the Authorization header is no bearer token; send 'Bearer TOKEN'")
     if cookie is not None:
         return here.auth.session(cookie)
     if here.options.tokens_required:
         raise unauthorised("a token is needed; send the header 'Authorization: Bearer TOKEN'")
-    return LOCAL
+    return ANYBODY
 
 
-Caller = Annotated[str, Depends(caller)]
+Asker = Annotated[Who, Depends(asker)]
 Here = Annotated[Service, Depends(service)]
 
 
-def own_job(job: str, owner: Caller, here: Here) -> JobOut:
-    """The job, if it is the caller's; raises :class:`RefusedError`, 404 for another one's too, so that nobody
-    learns which there are."""
+def caller(request: Request, who: Asker) -> str:
+    """The owner of what is made, if he may do what the method does: look, or make and change something.
+    Raises :class:`RefusedError`, 401 or 403."""
+    who.need("view" if request.method in SAFE_METHODS else "plan")
+    return who.token
+
+
+Caller = Annotated[str, Depends(caller)]
+
+
+def own_job(job: str, owner: Caller, who: Asker, here: Here) -> JobOut:
+    """The job, if it is the caller's or his team's; raises :class:`RefusedError`, 404 for another one's too,
+    so that nobody learns which there are."""
+    del owner  # may do what is asked
+    return job_of(job, who, here)
+
+
+def job_of(job: str, who: Who, here: Service) -> JobOut:
+    """A job, if ``who`` sees it; raises :class:`RefusedError`, 404."""
     if not JOB_ID.fullmatch(job):
         raise unknown_job(job)
     belongs_to, found = here.jobs.get(job)
-    if belongs_to != owner:
+    if not here.auth.sees(who, belongs_to):
         raise unknown_job(job)
     about(job)
     return found
@@ -165,18 +185,24 @@ def job_to_read(
     expires: Annotated[int | None, Query(ge=0, lt=2**53, description="end of a link")] = None,
     signature: Annotated[str | None, Query(max_length=200, description="signature of a link")] = None,
 ) -> JobOut:
-    """The job, for who reads its file ``name``: the caller if it is his, anybody with a link to that file.
+    """The job, for who reads its file ``name``: the caller if he sees it, anybody with a link to that file.
 
     A link is judged as one, whoever sends it. Raises :class:`RefusedError`, 401, 403 or 404.
     """
     if signature is None:
-        return own_job(job, caller(request, bearer, cookie), here)
-    here.links.check(job, name, expires, signature)
-    owner, found = here.jobs.get(job)
-    open_to_all = owner == LOCAL and not here.options.tokens_required
-    if not open_to_all and not here.auth.in_force(owner):
-        raise bad_link("the token of its job is no longer in force; ask for a new one")
-    return found
+        who = asker(request, bearer, cookie)
+        request.state.reader = who.token
+        return job_of(job, who, here)
+    owner = here.jobs.owner(job) if JOB_ID.fullmatch(job) else None
+    mates = () if owner is None else here.auth.mates(owner)
+    maker = here.links.check(job, name, expires, signature, mates) or owner
+    if owner is None or maker is None:
+        raise unknown_job(job)
+    open_to_all = maker == LOCAL and not here.options.tokens_required
+    if not open_to_all and not here.auth.in_force(maker):
+        raise bad_link("the token that made it, or its job, is no longer in force; ask for a new one")
+    request.state.reader = maker
+    return here.jobs.get(job)[1]
 
 
 def idempotency_key(
@@ -313,15 +339,26 @@ def storage(owner: Caller, here: Here) -> Storage:
     return Storage(used_mb=here.storage.used(owner) / 1e6, limit_mb=here.limits.token_disk_mb)
 
 
+@about_router.get(
+    "/v1/session", responses=ASKED, response_model_exclude_none=True, summary="Who asks, and what he may do"
+)
+def session(who: Asker, here: Here) -> SessionOut:
+    """Name, role and team of the token, or of the cookie's."""
+    expires = None if who.expires is None else dt.datetime.fromtimestamp(who.expires, dt.UTC)
+    asked = here.options.tokens_required
+    return SessionOut(name=who.name, role=who.role, team=who.team, tokens=asked, expires=expires)
+
+
 @about_router.post("/v1/session", responses=ASKED, status_code=204, summary="Log a browser in")
-def log_in(request: Request, owner: Caller, here: Here) -> Response:
+def log_in(request: Request, who: Asker, here: Here) -> Response:
     """Sets a cookie in exchange for the token of the Authorization header; pages cannot read it."""
     response = Response(status_code=204)
-    if owner != LOCAL:
+    if who.token != LOCAL:
+        cookie, good_s = here.auth.open_session(who)
         response.set_cookie(
             COOKIE,
-            here.auth.open_session(owner),
-            max_age=int(SESSION_S),
+            cookie,
+            max_age=int(good_s),
             httponly=True,
             samesite="strict",
             secure=request.url.scheme == "https",
@@ -459,14 +496,16 @@ async def check(
 def page(
     request: Request,
     owner: Caller,
+    who: Asker,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: CURSOR = None,
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
 ) -> Response:
-    """The newest first, a page at a time; 304 for who asks again with ``If-None-Match`` and has it as it
-    is."""
-    found, following = here.jobs.page(owner, state or [], cursor, limit)
+    """Yours and those of your team, the newest first, a page at a time; 304 for who asks again with
+    ``If-None-Match`` and has it as it is."""
+    del owner
+    found, following = here.jobs.page(here.auth.owners(who), state or [], cursor, limit)
     return tagged(request, JobList(jobs=found, next=following))
 
 
@@ -505,10 +544,10 @@ def events(
 @job_router.post(
     "/jobs/{job}/cancel", responses=refusals(404), response_model_exclude_none=True, summary="Cancel a job"
 )
-def cancel(found: OwnJob, here: Here) -> JobOut:
+def cancel(found: OwnJob, owner: Caller, here: Here) -> JobOut:
     """A job that waits is cancelled at once; one that runs has its worker stopped within a second or two.
     One that has ended stays as it is."""
-    return here.jobs.cancel(found.id)
+    return here.jobs.cancel(found.id, owner)
 
 
 @job_router.post(
@@ -517,23 +556,27 @@ def cancel(found: OwnJob, here: Here) -> JobOut:
     response_model_exclude_none=True,
     summary="Plan a job again",
 )
-def retry(found: OwnJob, here: Here) -> JobOut:
+def retry(found: OwnJob, owner: Caller, here: Here) -> JobOut:
     """A job that crashed, met a limit or was cancelled waits again, as if it had come now. 409 for one that
     waits or runs, and for one whose end the problem alone decides: it would end so again."""
-    return here.jobs.retry(found.id)
+    return here.jobs.retry(found.id, owner)
 
 
 @job_router.delete("/jobs/{job}", responses=refusals(404), status_code=204, summary="Delete a job")
-def delete(found: OwnJob, here: Here) -> Response:
+def delete(found: OwnJob, owner: Caller, here: Here) -> Response:
     """Delete a job with its files; one that runs is cancelled."""
-    here.jobs.cancel(found.id, also_delete=True)
+    here.jobs.cancel(found.id, owner, also_delete=True)
     return Response(status_code=204)
 
 
 @job_router.get("/jobs/{job}/files", responses=refusals(404), summary="Files of a job")
 def files(found: OwnJob, here: Here) -> FileList:
-    """Its problem (``problem/...``), and its results when it has ended."""
+    """Its problem (``problem/...``), its results when it has ended, and ``release.json`` where its programs
+    were released."""
     known = here.jobs.files(found.id)
+    if found.release is not None:
+        said = here.releases.told(found, known).content
+        known[RELEASE] = Blob(hashlib.sha256(said).hexdigest(), len(said))
     return FileList(files=[file_out(name, blob) for name, blob in sorted(known.items())])
 
 
@@ -556,30 +599,49 @@ def file(
 ) -> Response:
     """The file of that name in the list of files. With ``expires`` and ``signature`` of a link it asks for
     no token."""
-    blob = known_file(here, found.id, name)
     headers = {"Cache-Control": "private, max-age=3600"}
+    if releases.is_program(name) or name == RELEASE:  # what it says of its release is said anew
+        headers = {"Cache-Control": "private, no-cache", releases.HEADER: releases.word(found.release)}
     if "signature" in request.query_params:  # nothing of a link is kept or told to others
         headers |= {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}
     if name.endswith(".html"):
         headers["Content-Security-Policy"] = SANDBOX
     saved_as = PurePosixPath(name).name if download else None
-    return stored_file(request, here.files.path(blob.sha), blob.sha, content_type(name), headers, saved_as)
+    blob = known_file(here, found, name)
+    if blob is None:
+        content = here.releases.told(found, here.jobs.files(found.id)).content
+        headers["ETag"] = f'"{hashlib.sha256(content).hexdigest()}"'
+        if is_known(request, headers["ETag"]):
+            return Response(status_code=304, headers=headers)
+        return MadeFile(content, here.scratch, content_type(name), saved_as, headers)
+    kind = content_type(name)
+    answer = stored_file(request, here.files.path(blob.sha), blob.sha, kind, headers, saved_as)
+    if releases.is_program(name) and answer.status_code != 304:
+        by_link = "signature" in request.query_params
+        downloaded(request, here, found, name, releases.word(found.release), by_link)
+    return answer
 
 
 @job_router.post("/jobs/{job}/links", responses=refusals(404, 422), summary="Link to a file of a job")
 def link(
     found: OwnJob,
+    who: Asker,
     here: Here,
     name: Annotated[str, Query(max_length=255, description="a name of the list of files")],
     seconds: Annotated[int, Query(ge=1, le=LONGEST_LINK_S, description="how long it is good for")] = LINK_S,
 ) -> LinkOut:
-    """An address that reads this file without a token, for a browser, until it ends or the token is
-    revoked."""
-    known_file(here, found.id, name)
+    """An address that reads this file without a token, for a browser, until it ends or the token that asks
+    for it is revoked or over."""
+    known_file(here, found, name)
     expires = int(time.time()) + seconds
-    asked = urlencode({"expires": expires, "signature": here.links.sign(found.id, name, expires)})
+    until = dt.datetime.fromtimestamp(expires, dt.UTC)
+    said = {"name": found.name, "file": name, "until": until.isoformat()}
+    with here.database.write() as db:
+        audit.note(here.database, db, who.token, "linked", found.id, said)
+    by = None if here.jobs.owner(found.id) == who.token else who.token
+    asked = urlencode({"expires": expires, "signature": here.links.sign(found.id, name, expires, by)})
     path = f"/v1/jobs/{found.id}/files/{quote(name)}?{asked}"
-    return LinkOut(path=path, expires=dt.datetime.fromtimestamp(expires, dt.UTC))
+    return LinkOut(path=path, expires=until)
 
 
 @job_router.get(
@@ -592,33 +654,48 @@ def link(
         **refusals(404),
     },
 )
-def programs(found: OwnJob, here: Here, request: Request) -> Response:
-    """All programs in one archive; they are there if the proof holds."""
+def programs(found: OwnJob, who: Asker, here: Here, request: Request) -> Response:
+    """All programs in one archive, and ``release.json``, which says whether they are released, as the header
+    ``Tandem-Release`` and the file's name do. They are there if the proof holds."""
     known = {n: blob for n, blob in here.jobs.files(found.id).items() if n.startswith("programs/")}
     if not known:
         waiting = found.state in OPEN
         what = f"job {found.id} has no programs: it is {found.state}; "
         what += "ask again when it has ended" if waiting else f"its issues say why: GET /v1/jobs/{found.id}"
         raise RefusedError(404, Issue("service.unknown_file", what))
-    tag = f'"{hashlib.sha256(json.dumps(sorted(known.items())).encode()).hexdigest()}"'
-    headers = {"ETag": tag, "Cache-Control": "private, no-cache"}
+    told = here.releases.told(found, known)
+    parts = json.dumps([sorted(known.items()), hashlib.sha256(told.content).hexdigest()])
+    tag = f'"{hashlib.sha256(parts.encode()).hexdigest()}"'
+    headers = {"ETag": tag, "Cache-Control": "private, no-cache", releases.HEADER: told.word}
     if is_known(request, tag):
         return Response(status_code=304, headers=headers)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, blob in sorted(known.items()):
-            info = zipfile.ZipInfo(name.removeprefix("programs/"))
+        contents = {n.removeprefix("programs/"): here.files.read(blob.sha) for n, blob in known.items()}
+        for name, content in sorted({**contents, RELEASE: told.content}.items()):
+            info = zipfile.ZipInfo(name)
             info.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(info, here.files.read(blob.sha))
+            archive.writestr(info, content)
     content = packed.getvalue()
-    return MadeFile(content, here.scratch, "application/zip", f"{found.name}.zip", headers)
+    request.state.reader = who.token
+    downloaded(request, here, found, "programs.zip", told.word)
+    return MadeFile(content, here.scratch, "application/zip", f"{found.name}-{told.word}.zip", headers)
 
 
-def known_file(here: Service, job: str, name: str) -> Blob:
-    """The file of a job; raises :class:`RefusedError`, 404."""
-    blob = here.jobs.files(job).get(name)
-    if blob is None:
-        what = f"job {job} has no file {name[:200]!r}; list its files"
+def downloaded(
+    request: Request, here: Service, job: JobOut, file: str, word: str, by_link: bool = False
+) -> None:
+    """Write down that programs go out now."""
+    if not request.scope.get(HEAD):
+        said = {"name": job.name, "file": file, "release": word} | ({"link": True} if by_link else {})
+        audit.note_download(here.database, request.state.reader, job.id, said)
+
+
+def known_file(here: Service, job: JobOut, name: str) -> Blob | None:
+    """The file of a job, None for the one that says who released it; raises :class:`RefusedError`, 404."""
+    blob = here.jobs.files(job.id).get(name)
+    if blob is None and not (name == RELEASE and job.release is not None):
+        what = f"job {job.id} has no file {name[:200]!r}; list its files"
         raise RefusedError(404, Issue("service.unknown_file", what, field="name"))
     return blob
 

@@ -24,7 +24,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from planner.batch.job import LIKE, Done, Event, Finished, Found, Job, Progress
 from planner.issues import Issue, TandemError
-from planner.service import idempotency, metrics, webhooks
+from planner.service import audit, idempotency, metrics, webhooks
 from planner.service.jobs import (
     STORE,
     answer_from_store,
@@ -236,8 +236,9 @@ class Work:
             record_event(db, claimed.id, "state", {"state": state})
             return True
 
-    def forget(self, older_s: float | None) -> None:
-        """Delete jobs that were finished so long ago, sessions that are over, and old idempotency keys."""
+    def forget(self, older_s: float | None, audit_s: float | None = None) -> None:
+        """Delete jobs that were finished so long ago, sessions that are over, old idempotency keys, and
+        entries of the audit log that are older than ``audit_s``."""
         now = time.time()
         with self._database.write() as db:
             db.execute(delete(SESSIONS).where(SESSIONS.c.expires < now))
@@ -245,8 +246,14 @@ class Work:
             webhooks.forget(db)
             if older_s is not None:
                 old = and_(JOBS.c.state.not_in(OPEN), JOBS.c.finished < now - older_s)
-                for job in db.execute(select(JOBS.c.id).where(old)).scalars().all():
-                    remove(db, job)
+                gone = db.execute(select(JOBS.c.id, JOBS.c.owner, JOBS.c.name).where(old)).all()
+                for row in gone:
+                    remove(db, row.id)
+                for row in gone:  # behind: who writes entries waits for nothing else
+                    said = {"name": row.name}
+                    audit.note(self._database, db, row.owner, "deleted", row.id, said, audit.AGED)
+            if audit_s is not None:
+                audit.forget(self._database, db, audit_s)
 
     def _until(self) -> ColumnElement[float]:
         return self._database.clock() + self._lease_s
@@ -329,12 +336,13 @@ class Runner(threading.Thread):
         lease_s: float,
         alone: bool,
         keep_s: float | None,
+        audit_s: float | None,
         shas: Callable[[list[str]], set[str]],
     ) -> None:
         super().__init__(name="tandem-runner", daemon=True)
         self._work, self._files, self._make_team, self._count = work, files, make_team, count
         self._lease_s, self._alone, self._keep_s, self._shas = lease_s, alone, keep_s, shas
-        self._scratch = scratch
+        self._scratch, self._audit_s = scratch, audit_s
         self._ending = threading.Event()
         self._claimed: dict[str, Claimed] = {}
         self._last_progress: dict[str, tuple[str, float]] = {}
@@ -394,7 +402,7 @@ class Runner(threading.Thread):
             if self._work.take_over(alone=self._alone):
                 LOG.warning("jobs of a service that is gone wait again")
         if self._is_due("sweep", SWEEP_S):
-            self._work.forget(self._keep_s)
+            self._work.forget(self._keep_s, self._audit_s)
             self._files.sweep(self._shas)
         while len(self._claimed) < self._count and self._has_room():
             claimed = self._work.claim()

@@ -13,7 +13,7 @@ from typing import Final
 
 from sqlalchemy import Connection, MetaData, inspect, text
 
-VERSION: Final = 4
+VERSION: Final = 5
 """Version of the tables that this program reads and writes."""
 UNNUMBERED: Final = 1
 """Version of a store that has jobs and does not say which it is."""
@@ -44,6 +44,24 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
         "body TEXT NOT NULL, due FLOAT NOT NULL, attempts INTEGER NOT NULL, PRIMARY KEY (id))",
         "CREATE INDEX ix_tandem_deliveries_webhook ON tandem_deliveries (webhook)",
         "CREATE INDEX ix_tandem_deliveries_due ON tandem_deliveries (due)",
+    ),
+    4: (
+        # tokens of before there were roles could do all, and go on so
+        "ALTER TABLE tandem_tokens ADD COLUMN role VARCHAR(16) NOT NULL DEFAULT 'release'",
+        "ALTER TABLE tandem_tokens ADD COLUMN team VARCHAR(64)",
+        "ALTER TABLE tandem_tokens ADD COLUMN expires FLOAT",
+        "ALTER TABLE tandem_jobs ADD COLUMN releases INTEGER NOT NULL DEFAULT 0",
+        "CREATE TABLE tandem_releases (job VARCHAR(32) NOT NULL, number INTEGER NOT NULL, "
+        "token VARCHAR(32) NOT NULL, who VARCHAR(200) NOT NULL, at FLOAT NOT NULL, note TEXT NOT NULL, "
+        "digest VARCHAR(64) NOT NULL, proof VARCHAR(64) NOT NULL, programs TEXT NOT NULL, "
+        "withdrawn FLOAT, withdrawn_token VARCHAR(32), withdrawn_who VARCHAR(200), reason TEXT, "
+        "PRIMARY KEY (job, number))",
+        "CREATE TABLE tandem_audit (number INTEGER NOT NULL, at FLOAT NOT NULL, token VARCHAR(32) NOT NULL, "
+        "who VARCHAR(200) NOT NULL, team VARCHAR(64), act VARCHAR(16) NOT NULL, job VARCHAR(32) NOT NULL, "
+        "about TEXT NOT NULL, PRIMARY KEY (number))",
+        "CREATE INDEX ix_tandem_audit_token ON tandem_audit (token)",
+        "CREATE INDEX ix_tandem_audit_team ON tandem_audit (team)",
+        "CREATE INDEX ix_tandem_audit_job ON tandem_audit (job)",
     ),
 }
 """What brings a store of each version to the next one."""

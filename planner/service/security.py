@@ -1,9 +1,9 @@
 """Who asks, what one user may ask, and what stands before every request.
 
 Of a token only the hash is kept; browsers that showed one get a cookie, and a link to one file may be
-signed for a time. Before every request stand
-the size of its body, where it comes from, and what browsers may do with the answer. The service says
-no by an HTTP status and issues that say why.
+signed for a time. A token has a role, perhaps a team whose jobs it sees, and perhaps an end. Before every
+request stand the size of its body, where it comes from, and what browsers may do with the answer. The
+service says no by an HTTP status and issues that say why.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 import anyio
-from sqlalchemy import delete, func, insert, select, update
+from sqlalchemy import ColumnElement, RowMapping, and_, delete, func, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from planner.issues import Issue, TandemError
-from planner.service.models import SECRETS, SESSIONS, TOKENS, Database
+from planner.service.models import SECRETS, SESSIONS, TOKEN_ROLES, TOKENS, Database, TokenRole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Limits:
     each content once, None for what the disk has; ``readings`` of uploads that wait or are under way, of one
     token; ``job_s`` and ``job_memory_mb`` of one job's planning,
     ``check_s`` and ``check_memory_mb`` of reading or checking a problem; ``streams`` of events at once, of
-    one token, and ``requests_per_s`` of it, None for any; ``keep_days`` until a finished
-    job is deleted, None for never.
+    one token, and ``requests_per_s`` of it, None for any; ``keep_days`` until a finished job is deleted,
+    ``audit_days`` until an entry of the audit log is, None for never.
     """
 
     upload_mb: float = 200.0
@@ -59,6 +59,7 @@ class Limits:
     streams: int = 100
     requests_per_s: float | None = 50.0
     keep_days: float | None = None
+    audit_days: float | None = 1095.0
 
 
 PROBLEM_JSON: Final = "application/problem+json"
@@ -113,7 +114,11 @@ SESSION_S: Final = 30 * 86400.0
 _TOKEN: Final = re.compile(r"tandem_([0-9a-f]{16})_[A-Za-z0-9_-]{43}")
 """A token: the identifier that the database knows, and the secret."""
 _TOKEN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
-"""A name that a token may have."""
+"""A name that a token, or a team, may have."""
+_LASTS: Final = re.compile(r"([1-9][0-9]{0,3})([hdw])")
+"""How long a token is good for."""
+_UNITS_S: Final = {"h": 3600.0, "d": 86400.0, "w": 604800.0}
+"""Seconds of an hour, a day, a week."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,6 +128,41 @@ class TokenInfo:
     name: str
     created: float
     revoked: float | None
+    role: TokenRole
+    team: str | None
+    expires: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Who:
+    """Who asks: the identifier of a ``token``, which owns what is made with it, its name, what it may do,
+    its team, and its end [s since 1970]."""
+
+    token: str
+    name: str
+    role: TokenRole
+    team: str | None = None
+    expires: float | None = None
+
+    def need(self, role: TokenRole) -> None:
+        """Raises :class:`RefusedError`, 403, where the token's role does not include ``role``."""
+        if TOKEN_ROLES.index(self.role) < TOKEN_ROLES.index(role):
+            what = f"this needs a token with the role {role}, the token {self.name} has the role {self.role}"
+            way = f"ask who runs the service for one: tandem token add NAME --role {role}"
+            raise RefusedError(403, Issue("service.role", what, field="Authorization", hint=way))
+
+
+ANYBODY: Final = Who(LOCAL, LOCAL, "release")
+"""Who asks where no tokens are asked for."""
+
+
+def lasts(text: str) -> float:
+    """How long a token is good for [s], said as ``12h``, ``90d`` or ``4w``. Raises ``TandemError``."""
+    found = _LASTS.fullmatch(text)
+    if found is None:
+        what = f"expires: got {text[:40]!r}; give a whole number up to 9999 with h, d or w, such as 90d"
+        raise TandemError(Issue("service.token", what, field="expires"))
+    return float(found[1]) * _UNITS_S[found[2]]
 
 
 class Auth:
@@ -131,13 +171,19 @@ class Auth:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def make(self, name: str) -> str:
-        """A new token, which is told this once. Raises ``TandemError`` for a name that is taken or odd."""
-        if not _TOKEN_NAME.fullmatch(name):
-            raise TandemError(_bad_name(name, "use letters, digits and _ . @ -, at most 64"))
+    def make(
+        self, name: str, role: TokenRole = "plan", team: str | None = None, lasts_s: float | None = None
+    ) -> str:
+        """A new token, which is told this once, good for ``lasts_s`` from now on. Raises ``TandemError`` for
+        a name that is taken or odd."""
+        for one, field in ((name, "name"), (team, "team")):
+            if one is not None and not _TOKEN_NAME.fullmatch(one):
+                raise TandemError(_bad_name(one, "use letters, digits and _ . @ -, at most 64", field))
         number = secrets.token_hex(8)
         token = f"tandem_{number}_{secrets.token_urlsafe(32)}"
-        row = {"id": number, "name": name, "hash": _hash(token), "created": time.time()}
+        now = self._database.clock()
+        row: dict[str, Any] = {"id": number, "name": name, "hash": _hash(token), "role": role, "team": team}
+        row |= {"created": now, "expires": None if lasts_s is None else now + lasts_s}
         try:
             with self._database.write() as db:
                 db.execute(insert(TOKENS).values(row))
@@ -149,7 +195,8 @@ class Auth:
         """All tokens, the oldest first."""
         with self._database.read() as db:
             rows = db.execute(select(TOKENS).order_by(TOKENS.c.created)).mappings()
-            return tuple(TokenInfo(row["name"], row["created"], row["revoked"]) for row in rows)
+            fields = [field.name for field in dataclasses.fields(TokenInfo)]
+            return tuple(TokenInfo(**{name: row[name] for name in fields}) for row in rows)
 
     def revoke(self, name: str) -> None:
         """End a token and its sessions at once; its jobs stay. Raises ``TandemError`` where there is none."""
@@ -163,53 +210,83 @@ class Auth:
     def any(self) -> bool:
         """Whether a token is in force."""
         with self._database.read() as db:
-            alive = select(func.count()).select_from(TOKENS).where(TOKENS.c.revoked.is_(None))
+            alive = select(func.count()).select_from(TOKENS).where(self._good())
             return bool(db.execute(alive).scalar_one())
 
-    def owner(self, token: str) -> str:
+    def who(self, token: str) -> Who:
         """Whose token it is; raises :class:`RefusedError`, 401."""
         found = _TOKEN.fullmatch(token)
-        kept, revoked = "", None
+        row = None
         if found:
+            query = select(TOKENS, self._good().label("good")).where(TOKENS.c.id == found[1])
             with self._database.read() as db:
-                row = db.execute(select(TOKENS).where(TOKENS.c.id == found[1])).mappings().first()
-            if row is not None:
-                kept, revoked = row["hash"], row["revoked"]
-        if not hmac.compare_digest(kept, _hash(token)) or found is None or revoked is not None:
+                row = db.execute(query).mappings().first()
+        kept = "" if row is None else row["hash"]
+        if not hmac.compare_digest(kept, _hash(token)) or row is None or row["revoked"] is not None:
             raise unauthorised("the token is unknown or was revoked; ask for a new one")
-        return found[1]
+        if not row["good"]:
+            raise unauthorised("the token has come to its end; ask for a new one")
+        return _who(row)
 
     def in_force(self, owner: str) -> bool:
-        """Whether the owner's token is known and was not revoked."""
-        query = select(TOKENS.c.id).where(TOKENS.c.id == owner, TOKENS.c.revoked.is_(None))
+        """Whether the owner's token is known, was not revoked, and has not come to its end."""
+        query = select(TOKENS.c.id).where(TOKENS.c.id == owner, self._good())
         with self._database.read() as db:
             return db.execute(query).first() is not None
 
-    def open_session(self, owner: str) -> str:
-        """A cookie for a browser whose user showed the owner's token."""
-        cookie = secrets.token_urlsafe(32)
-        row = {"hash": _hash(cookie), "token": owner, "expires": time.time() + SESSION_S}
+    def owners(self, who: Who) -> Sequence[str]:
+        """Tokens whose jobs ``who`` sees: its own, and those of its team, also such as are over."""
+        return [who.token, *self.mates(who.token)]
+
+    def sees(self, who: Who, owner: str | None) -> bool:
+        """Whether ``who`` sees jobs of that owner."""
+        return owner is not None and (owner == who.token or owner in self.mates(who.token))
+
+    def mates(self, owner: str) -> Sequence[str]:
+        """The other tokens of the team of a token; none where it has no team."""
+        team = select(TOKENS.c.team).where(TOKENS.c.id == owner).scalar_subquery()
+        query = select(TOKENS.c.id).where(TOKENS.c.team == team, TOKENS.c.id != owner)
+        if owner == LOCAL:
+            return []
+        with self._database.read() as db:
+            return db.execute(query).scalars().all()
+
+    def open_session(self, who: Who) -> tuple[str, float]:
+        """A cookie for a browser whose user showed a token, and for how long [s] it is good: a session ends
+        with its token."""
+        cookie, now = secrets.token_urlsafe(32), time.time()
+        good_s = min(SESSION_S, SESSION_S if who.expires is None else max(who.expires - now, 0.0))
+        row = {"hash": _hash(cookie), "token": who.token, "expires": now + good_s}
         with self._database.write() as db:
             db.execute(insert(SESSIONS).values(row))
-        return cookie
+        return cookie, good_s
 
-    def session(self, cookie: str) -> str:
+    def session(self, cookie: str) -> Who:
         """Whose cookie it is; raises :class:`RefusedError`, 401."""
         query = (
-            select(SESSIONS)
-            .join(TOKENS, TOKENS.c.id == SESSIONS.c.token)
-            .where(SESSIONS.c.hash == _hash(cookie), TOKENS.c.revoked.is_(None))
+            select(TOKENS, SESSIONS.c.expires.label("over"))
+            .join(SESSIONS, TOKENS.c.id == SESSIONS.c.token)
+            .where(SESSIONS.c.hash == _hash(cookie), self._good())
         )
         with self._database.read() as db:
             row = db.execute(query).mappings().first()
-        if row is None or row["expires"] < time.time():
+        if row is None or row["over"] < time.time():
             raise unauthorised("the session is over; show the token again")
-        return str(row["token"])
+        return _who(row)
 
     def close_session(self, cookie: str) -> None:
         """End a session."""
         with self._database.write() as db:
             db.execute(delete(SESSIONS).where(SESSIONS.c.hash == _hash(cookie)))
+
+    def _good(self) -> ColumnElement[bool]:
+        """Of a token that may be used now, by the clock that all hosts share."""
+        lasting = or_(TOKENS.c.expires.is_(None), TOKENS.c.expires > self._database.clock())
+        return and_(TOKENS.c.revoked.is_(None), lasting)
+
+
+def _who(row: RowMapping) -> Who:
+    return Who(row["id"], row["name"], row["role"], row["team"], row["expires"])
 
 
 LINK_S: Final = 3600
@@ -221,26 +298,32 @@ LONGEST_LINK_S: Final = 86400
 class Links:
     """Links to files of jobs, signed with a secret that all hosts of one database share (HMAC, RFC 2104).
 
-    What is signed is the job, the file's name and the end, so a link reads that file until then and does
-    nothing else."""
+    What is signed is the job, the file's name, the end, and who made the link unless that is the job's owner,
+    so a link reads that file until then, or until its maker's token is over, and does nothing else."""
 
     def __init__(self, database: Database) -> None:
         self._secret = bytes.fromhex(_shared_secret(database, "links"))
 
-    def sign(self, job: str, name: str, expires: int) -> str:
-        """The signature for a file of a job until ``expires`` [s since 1970]."""
-        signed = json.dumps(["tandem link", job, name, expires]).encode()
+    def sign(self, job: str, name: str, expires: int, by: str | None = None) -> str:
+        """The signature for a file of a job until ``expires`` [s since 1970], of the token ``by``, or of its
+        owner."""
+        signed = json.dumps(["tandem link", job, name, expires, *([] if by is None else [by])]).encode()
         return hmac.new(self._secret, signed, hashlib.sha256).hexdigest()
 
-    def check(self, job: str, name: str, expires: int | None, signature: str) -> None:
-        """Whether the signature is that of this file of this job, and is not over. Raises
-        :class:`RefusedError`, 403."""
-        wanted = "" if expires is None else self.sign(job, name, expires)
+    def check(
+        self, job: str, name: str, expires: int | None, signature: str, mates: Sequence[str] = ()
+    ) -> str | None:
+        """Which of the ``mates`` of the job's owner made the link, None for the owner himself, if the
+        signature is that of this file of this job, and is not over. Raises :class:`RefusedError`, 403."""
         given = signature.encode("utf-8", "surrogatepass")
-        if expires is None or not hmac.compare_digest(wanted.encode(), given):
-            raise bad_link("it is not one that this service signed; copy it whole, or ask for a new one")
-        if expires <= time.time():
-            raise bad_link("it is over; ask for a new one")
+        for by in (None, *mates):
+            wanted = "" if expires is None else self.sign(job, name, expires, by)
+            if expires is None or not hmac.compare_digest(wanted.encode(), given):
+                continue
+            if expires <= time.time():
+                raise bad_link("it is over; ask for a new one")
+            return by
+        raise bad_link("it is not one that this service signed; copy it whole, or ask for a new one")
 
 
 def bad_link(why: str) -> RefusedError:
@@ -272,8 +355,9 @@ def _hash(secret: str) -> str:
     return hashlib.sha256(secret.encode("utf-8", "surrogatepass")).hexdigest()
 
 
-def _bad_name(name: str, what: str) -> Issue:
-    return Issue("service.token", f"token {name[:80]!r}: {what}", field="name")
+def _bad_name(name: str, what: str, field: str = "name") -> Issue:
+    kind = "team" if field == "team" else "token"
+    return Issue("service.token", f"{kind} {name[:80]!r}: {what}", field=field)
 
 
 SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})

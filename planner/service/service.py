@@ -31,6 +31,7 @@ from planner.service.idempotency import Once
 from planner.service.jobs import Hub, Jobs, NewJob, OfElement
 from planner.service.models import Database, JobOut, default_url
 from planner.service.rates import FAILURES_PER_S, Rates
+from planner.service.releases import Releases
 from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, Links, RefusedError
 from planner.service.storage import Blob, Files, Storage, Upload
@@ -109,11 +110,13 @@ class Service:
             lease_s=options.lease_s,
             alone=options.database is None,
             keep_s=None if limits.keep_days is None else limits.keep_days * 86400.0,
+            audit_s=None if limits.audit_days is None else limits.audit_days * 86400.0,
             shas=self.jobs.shas,
         )
         self.elements = Elements(self)
         self.webhooks = Webhooks(self.database, options.webhook_hosts)
         self._sender = Sender(self.webhooks)
+        self.releases = Releases(self.database, self.files)
         self._turns: dict[str, anyio.Semaphore] = {}
         self._readers = anyio.CapacityLimiter(options.examiners)
         self._waiting: Counter[str] = Counter()

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Final
 import anyio.to_thread
 from fastapi import APIRouter, Path, Request, Response
 
-from planner.service.element_routes import described, read_body
 from planner.service.models import NewWebhook, WebhookList, WebhookMade, WebhookOut
 from planner.service.routes import ASKED, Caller, Here, refusals
+from planner.service.texts import described, read_body
 
 router: Final = APIRouter(prefix="/v1/webhooks", tags=["webhooks"], responses=ASKED)
 Number = Annotated[str, Path(max_length=64, description="a webhook's `id`")]

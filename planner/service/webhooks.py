@@ -185,7 +185,8 @@ class Webhooks:
     def claim(self, busy: Collection[str]) -> Due | None:
         """The next thing that is due of an owner who is not ``busy``, held by this host for a while."""
         now = self._database.clock()
-        in_force = select(TOKENS.c.id).where(TOKENS.c.revoked.is_(None))
+        lasting = or_(TOKENS.c.expires.is_(None), TOKENS.c.expires > now)
+        in_force = select(TOKENS.c.id).where(TOKENS.c.revoked.is_(None), lasting)
         query = (
             select(DELIVERIES, WEBHOOKS.c.owner, WEBHOOKS.c.url, WEBHOOKS.c.secret)
             .join(WEBHOOKS, WEBHOOKS.c.id == DELIVERIES.c.webhook)

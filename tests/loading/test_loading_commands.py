@@ -107,6 +107,49 @@ def test_what_was_changed_is_not_sent_and_an_old_result_is_proven_again(
     assert len(list((tmp_path / "share").iterdir())) == 1
 
 
+def test_what_is_not_released_is_not_sent(run: Run, out: Path, tmp_path: Path) -> None:
+    """`release.json` of a service beside the result, or beside the programs of its archive."""
+    share = tmp_path / "share"
+    share.mkdir()
+    proof = json.loads((out / "proof.json").read_text())
+    good = {"released": True, "says": "released by ann, 2026-11-27 06:40:12 UTC", "release": {"by": "ann"}}
+    good |= {"digest": proof["problem_digest"], "programs": proof["programs"]}
+    taken = {"released": False, "says": "released by ann, then; withdrawn by bob, now"}
+    never = {"released": False, "says": "not released", "release": None}
+
+    def send(said: object, *more: str, place: str = "release.json") -> tuple[int, str]:
+        (out / place).write_text(said if isinstance(said, str) else json.dumps(said))
+        told = run("upload", out, "--controller", share, *more)
+        (out / place).unlink()
+        return told
+
+    for place in ("release.json", "programs/release.json"):
+        code, said = send(good, "--released", place=place)
+        assert (code, "released by ann, 2026-11-27 06:40:12 UTC" in said) == (5, True), said
+        assert not list(share.rglob("release.json"))
+    code, said = run("upload", out, "--controller", share)
+    assert (code, "released" in said) == (5, False), said
+    assert send(good | never)[0] == 5
+    there = len(list(share.iterdir()))
+    for wrong, more, why in (
+        (good | taken, (), "withdrawn by bob"),
+        (good | never, ("--released",), "not released"),
+        (good | {"digest": "0" * 64}, (), "other programs"),
+        (good | {"programs": {}}, (), "other programs"),
+        (good | {"released": "yes"}, (), "it says"),
+        ("{", (), "cannot be read"),
+        ([], (), "cannot be read"),
+    ):
+        code, said = send(wrong, *more)
+        assert (code, "upload.release" in said, why in said) == (2, True, True), said
+        assert "release the job at the service" in said
+    code, said = run("upload", out, "--controller", share, "--released")
+    assert (code, "there is none" in said) == (2, True), said
+    assert len(list(share.iterdir())) == there
+    (out / "programs/release.json").write_text(json.dumps(good))
+    assert run("verify", out)[0] == 0
+
+
 def test_what_is_signed_stays_as_it_is_unless_it_is_signed_again(run: Run, out: Path) -> None:
     (out / "statement.json").write_text("{}")
     before = (out / "proof.json").read_text().replace('"accepted"', '"taken"')

@@ -204,6 +204,7 @@ ELSEWHERE: Final = {
         "loading/test_loading_commands",
         "test_what_was_changed_is_not_sent_and_an_old_result_is_proven_again",
     ),
+    "upload.release": ("loading/test_loading_commands", "test_what_is_not_released_is_not_sent"),
     "upload.missing": ("loading/test_loading_commands", "test_programs_come_back_from_a_controller"),
     **dict.fromkeys(
         ("upload.login", "upload.address"),
@@ -259,7 +260,7 @@ NONE: Final = {
             "service.storage", "service.check_stopped", "service.gave_up", "service.answer",
             "service.timeout", "service.version", "service.backup", "service.idempotency", "service.webhook",
             "report.replay_failed", "output.disk_full", "service.state", "service.not_planning",
-            "upload.not_looked_at",
+            "upload.not_looked_at", "service.role", "service.release",
         ),
         STATE,
     ),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import collections
+import hashlib
+import json
 import os
 import signal
 import socket
@@ -16,10 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from fastapi.testclient import TestClient
+from sqlalchemy import select
 
 from planner.batch.job import Done, Event, Finished, Found, Job, Progress
 from planner.issues import Issue, Severity
 from planner.service.app import create_app
+from planner.service.models import JOBS
 from planner.service.security import Limits
 from planner.service.service import Options, Service
 from tests import small_problem
@@ -34,6 +38,7 @@ class Team:
     """Ends each job at once with a small result, or holds all while ``hold`` is set."""
 
     def __init__(self) -> None:
+        self.digest: Callable[[str], str] = lambda name: ""  # of the problem of a job, by the job's name here
         self.hold = threading.Event()
         self.started: list[str] = []
         self.cancelled: list[str] = []
@@ -58,6 +63,9 @@ class Team:
             for name, folder in self._open.items():
                 (folder / "programs").mkdir(parents=True)
                 (folder / "programs" / "main.mod").write_text("MODULE main")
+                named = {"main.mod": hashlib.sha256(b"MODULE main").hexdigest()}
+                proof = {"ok": True, "problem_digest": self.digest(name), "programs": named}
+                (folder / "proof.json").write_text(json.dumps(proof))
                 (folder / "report.html").write_text("<script>1</script>")
                 (folder / "plan.json").write_text("{}")
                 self._events.append(Finished(name, Done(name, "verified", (NOTE,), {"cycle_s": 1.0}, 0.1)))
@@ -78,7 +86,13 @@ class InProcess:
         self.team = Team()
         made = Options(data=data, limits=limits or Limits(), **options)
         self.service = Service(made, lambda: self.team)
+        self.team.digest = self._digest
         self.http = TestClient(create_app(self.service), base_url=HERE, raise_server_exceptions=False)
+
+    def _digest(self, name: str) -> str:
+        query = select(JOBS.c.digest).where(JOBS.c.id.startswith(name[-12:]))
+        with self.service.database.read() as db:
+            return str(db.execute(query).scalar_one())
 
     def __enter__(self) -> InProcess:
         self.http.__enter__()

@@ -113,7 +113,7 @@ def test_a_list_that_is_asked_for_again_is_sent_when_it_has_changed(done: tuple[
 def test_a_broken_download_of_programs_goes_on_where_it_was(done: tuple[InProcess, str]) -> None:
     here, job = done
     whole = here.http.get(f"{job}/programs.zip")
-    assert zipfile.ZipFile(io.BytesIO(whole.content)).namelist() == ["main.mod"]
+    assert zipfile.ZipFile(io.BytesIO(whole.content)).namelist() == ["main.mod", "release.json"]
     asked = {"Range": "bytes=20-", "If-Range": whole.headers["etag"]}
     rest = here.http.get(f"{job}/programs.zip", headers=asked)
     assert rest.status_code == 206

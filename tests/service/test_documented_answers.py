@@ -30,6 +30,8 @@ GOOD: Final[Mapping[str, dict[str, Any]]] = {
     "POST /v1/jobs": {"files": [("problem", ("p.yaml", named("more"))), FILES[1]]},
     "POST /v1/check": {"files": [("problem", ("p.yaml", named("checked"))), FILES[1]]},
     "POST /v1/jobs/{job}/links": {"params": {"name": "report.html"}},
+    "POST /v1/jobs/{job}/release": {"json": {"note": "cut of Tuesday"}},
+    "POST /v1/jobs/{job}/withdraw": {"json": {"reason": "the clamp moved"}},
     "POST /v1/elements/{element}/divide": {"json": {"fields": {"panels.hexagons.count": 26}}},
     "POST /v1/elements/{element}/plan": {"json": {"panels": ["A02"]}},
     "POST /v1/webhooks": {"json": {"url": "http://127.0.0.1:9/told"}},
@@ -57,7 +59,7 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
     """A service with tokens, one of which is sent unless a request says otherwise."""
     data = tmp_path_factory.mktemp("service") / "data"
     data.mkdir()
-    token = Auth(Database(default_url(data))).make("ann")
+    token = Auth(Database(default_url(data))).make("ann", "release")
     limits = Limits(upload_mb=UPLOAD_MB)
     hosts = ("127.0.0.1",)
     with Elements(data, limits, examiners=2, workers=4, require_token=True, webhook_hosts=hosts) as made:
@@ -135,7 +137,7 @@ def provoked(
     out = {status(headers={"Authorization": "Bearer none"})}
     out.add(status(closed, headers={"Host": "other.example", "Authorization": ""}))
     with monkeypatch.context() as away:
-        away.setattr(here.service.auth, "owner", Away())
+        away.setattr(here.service.auth, "who", Away())
         away.setattr(here.service.auth, "close_session", Away())
         away.setattr(Runner, "healthy", False)
         out.add(status(headers={"Cookie": "tandem_session=x"} if one == "DELETE /v1/session" else {}))

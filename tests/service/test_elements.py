@@ -70,6 +70,7 @@ class Elements(InProcess):
     def __init__(self, data: Path, limits: Limits | None = None, **options: Any) -> None:
         super().__init__(data, limits, **options)
         self.team = self.dividing = Dividing()
+        self.team.digest = self._digest
 
     def upload(self, folder: Path, **changes: Any) -> Any:
         """Upload a small shell with its template and its cell, as files of their own."""

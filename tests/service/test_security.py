@@ -186,7 +186,7 @@ def test_tokens_are_made_listed_and_revoked(tmp_path: Path, capsys: pytest.Captu
     service.token(service.Add(name="ann", data=tmp_path))
     token = capsys.readouterr().out.strip()
     auth = Auth(Database(default_url(tmp_path)))
-    assert auth.owner(token)
+    assert auth.who(token).name == "ann"
     for wrong in ("ann", "", "a b", "x" * 65):
         with pytest.raises(TandemError) as caught:
             service.token(service.Add(name=wrong, data=tmp_path))

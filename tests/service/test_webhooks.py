@@ -297,7 +297,7 @@ def test_one_owner_who_is_slow_keeps_no_other_waiting(tmp_path: Path) -> None:
     hooks = Webhooks(database, HOSTS)
     with database.write() as db:
         for owner in ("slow", "quick"):
-            row = {"id": owner, "name": owner, "hash": owner, "created": time.time()}
+            row = {"id": owner, "name": owner, "hash": owner, "role": "plan", "created": time.time()}
             db.execute(TOKENS.insert().values(row))
     for _ in range(6):
         hooks.ping("slow", hooks.add("slow", "http://127.0.0.1:9/slow")["id"])

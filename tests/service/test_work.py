@@ -132,8 +132,8 @@ def test_what_is_cancelled_or_deleted_while_its_host_goes_is_not_planned_again(d
     gone = Work(database, "gone", 0.0)
     assert gone.claim() is not None
     assert gone.claim() is not None
-    jobs.cancel(cancelled)
-    jobs.cancel(deleted, also_delete=True)
+    jobs.cancel(cancelled, "ann")
+    jobs.cancel(deleted, "ann", also_delete=True)
     here = Work(database, "here", 30.0)
     assert here.take_over(alone=True) == 2
     assert here.claim() is None

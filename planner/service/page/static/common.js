@@ -1,5 +1,5 @@
 // What all pages share: the banner, logging out, badges.
-import { remove, Refused, Unreachable } from "./api.js";
+import { json, remove, Refused, Unreachable } from "./api.js";
 import { $, announce, h, show } from "./dom.js";
 import { STATES } from "./words.js";
 
@@ -27,6 +27,14 @@ export function badge(state, element = h("span", {})) {
   element.replaceChildren(h("i", { "aria-hidden": "true" }), word);
   return element;
 }
+
+// Who uses this page; null where that is not known yet. What his role does not allow is not shown.
+export const me = document.body.dataset.page === "login" ? Promise.resolve(null) : json("/v1/session").catch(() => null);
+me.then((who) => {
+  if (!who) return;
+  document.body.dataset.role = who.role;
+  if ($("me") && who.tokens) $("me").textContent = [who.name, who.team, who.role].filter(Boolean).join(" · ");
+});
 
 $("logout")?.addEventListener("click", async () => {
   await remove("/v1/session");

@@ -1,9 +1,10 @@
 // One job: stages and issues as they happen, then report, replay, programs.
 import { fileOf, job as path, json, post, remove } from "./api.js";
-import { badge, banner, tell } from "./common.js";
+import { badge, banner, me, tell } from "./common.js";
 import { $, announce, h, icon, show } from "./dom.js";
 import { errors, issueItem, issueList, sorted } from "./issues.js";
 import { outcomeOf } from "./outcome.js";
+import { drawRelease, setUpRelease } from "./release.js";
 import { ago, bytes, duration, figureName, figureOrder, isOpen, number, processName, STATES, unitOf } from "./words.js";
 
 const id = $("job").dataset.id;
@@ -104,6 +105,7 @@ async function drawFiles() {
   const programs = files.filter((file) => file.name.startsWith("programs/"));
   show($("download"), programs.length > 0);
   $("download").href = `${path(id)}/programs.zip`;
+  await drawRelease(id, job, programs);
   tabs([further().length > 0 && ["issues", `${shownAbove() ? "Further issues" : "Issues"} (${further().length})`], has("report.html") && ["report", "Report"], has("replay.html") && ["replay", "Replay"], ["files", "Files"]].filter(Boolean));
   const groups = [
     ["Programs", programs, "What the robots run. They are there because the proof of their text holds."],
@@ -219,7 +221,7 @@ async function retry() {
     show($(`panel-${name}`), false);
   }
   show($("panel-issues"), true);
-  show($("download"), false);
+  for (const name of ["download", "release", "withdraw", "released"]) show($(name), false);
   await refresh().catch(tell);
   if (isOpen(job.state)) listen();
 }
@@ -284,7 +286,7 @@ $("cancel").prepend(icon("stop"));
 $("delete").prepend(icon("bin"));
 $("again").prepend(icon("again"));
 $("compare").prepend(icon("swap"));
-$("download").prepend(icon("down"));
+setUpRelease(id, () => refresh().catch(tell), await me);
 $("retry").prepend(icon("again"));
 $("retry").addEventListener("click", retry);
 $("cancel").addEventListener("click", () => post(`${path(id)}/cancel`).then(refresh).catch(tell));

@@ -1,6 +1,6 @@
 // The history: newest first, by state; two can be marked for comparison.
 import { json } from "./api.js";
-import { badge, banner, tell } from "./common.js";
+import { badge, banner, me, tell } from "./common.js";
 import { $, announce, h, show } from "./dom.js";
 import { ago, bytes, duration, isOpen, number, processName } from "./words.js";
 
@@ -18,6 +18,7 @@ let group = Math.max(GROUPS.findIndex(([name]) => name === new URLSearchParams(l
 let jobs = new Map();
 let next = null;
 const marked = [];
+const own = (await me)?.name; // jobs of others say whose they are
 
 const query = (cursor) => `/v1/jobs?limit=50${GROUPS[group][1].map((s) => `&state=${s}`).join("")}${cursor ? `&cursor=${cursor}` : ""}`;
 
@@ -55,8 +56,8 @@ function row(one) {
     "tr",
     {},
     h("td", {}, box),
-    h("td", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", data: { key: one.id } }, one.name), h("span", { class: "sub" }, one.from_store ? "answered from the store" : one.id.slice(0, 8))),
-    h("td", {}, badge(one.state), h("span", { class: "sub" }, running ? `${one.stage}, ${Math.round(100 * one.fraction)} %` : count)),
+    h("td", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", data: { key: one.id } }, one.name), h("span", { class: "sub" }, [one.by && one.by !== own ? `of ${one.by}` : null, one.from_store ? "answered from the store" : one.id.slice(0, 8)].filter(Boolean).join(", "))),
+    h("td", {}, badge(one.state), h("span", { class: "sub" }, running ? `${one.stage}, ${Math.round(100 * one.fraction)} %` : [one.released && "released", count].filter(Boolean).join(", "))),
     h("td", { class: "wide" }, one.processes.map(processName).join(", ")),
     h("td", { class: "n" }, figure("cycle_s", duration)),
     h("td", { class: "n wider" }, figure("clearance_mm", (v) => `${number(v, 3)} mm`)),

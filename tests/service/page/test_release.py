@@ -1,0 +1,129 @@
+"""Releases on the page, by whom they may be made, and what of the page a role sees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+import planner
+from planner.service.models import Database, default_url
+from planner.service.security import Auth
+from tests import small_problem
+from tests.service.page.test_access import CUT_OFF, NAMELESS
+from tests.service.support import Process
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, dict[str, str]]]:
+    """A service that asks for tokens: its address, a verified job of bob, and the tokens of the team."""
+    folder = tmp_path_factory.mktemp("shop")
+    data = folder / "data"
+    data.mkdir()
+    auth = Auth(Database(default_url(data)))
+    tokens = {
+        "ann": auth.make("ann", "release", "shop"),
+        "bob": auth.make("bob", "plan", "shop"),
+        "lea": auth.make("lea", "view", "shop"),
+    }
+    process = Process(data, "--require-token").wait()
+    client = planner.Client(process.url, tokens["bob"])
+    job = client.submit(planner.load(small_problem.write(folder)))
+    assert client.wait(job)["state"] == "verified"
+    yield process.url, job, tokens
+    process.stop()
+    assert "Traceback" not in process.log.read_text()
+
+
+def login(page: Page, url: str, token: str) -> None:
+    page.context.request.post(f"{url}/v1/session", headers={"Authorization": f"Bearer {token}"})
+
+
+def test_programs_are_released_and_withdrawn_by_name(
+    page: Page, shop: tuple[str, str, dict[str, str]], tmp_path: Path
+) -> None:
+    url, job, tokens = shop
+    login(page, url, tokens["ann"])
+    page.goto(f"{url}/ui/jobs/{job}")
+    expect(page.locator("#me")).to_have_text("ann · shop · release")
+    expect(page.locator("#released-title")).to_contain_text("Not released")
+    page.get_by_role("button", name="Release", exact=True).click()
+    ask = page.get_by_role("dialog", name="Release these programs?")
+    digest = planner.Client(url, tokens["lea"]).job(job)["digest"]
+    expect(ask.locator("#release-what")).to_contain_text(digest[:16])
+    expect(ask.locator("#release-what dt")).to_have_count(7)
+    expect(ask.get_by_label("Who releases")).to_be_hidden()
+    page.keyboard.press("Escape")
+    expect(ask).to_be_hidden()
+    expect(page.locator("#released-title")).to_contain_text("Not released")
+    page.get_by_role("button", name="Release", exact=True).click()
+    ask.get_by_label("Note").fill("<img src=x onerror=alert(1)> Dienstag")
+    ask.get_by_role("button", name="Release", exact=True).click()
+    expect(page.locator("#released-title")).to_contain_text("Released: these programs may run")
+    expect(page.locator("#released-list")).to_contain_text("Released by ann, ")
+    expect(page.locator("#released-list")).to_contain_text("<img src=x onerror=alert(1)> Dienstag")
+    with page.expect_download() as got:
+        page.get_by_role("link", name="Download released programs").click()
+    assert got.value.suggested_filename == "small-released.zip"
+    page.get_by_role("button", name="Delete").click()
+    expect(page.locator("#sure")).to_contain_text("they are released")
+    page.get_by_role("button", name="Keep it").click()
+    page.get_by_role("button", name="Withdraw release").click()
+    ask = page.get_by_role("dialog", name="Withdraw the release?")
+    ask.get_by_role("button", name="Withdraw", exact=True).click()
+    expect(ask).to_be_visible()  # a reason is wanted
+    ask.get_by_label("Reason").fill("the clamp moved")
+    ask.get_by_role("button", name="Withdraw", exact=True).click()
+    expect(page.locator("#released-title")).to_contain_text("Withdrawn")
+    expect(page.locator("#released-list")).to_contain_text("withdrawn by ann")
+    page.goto(url)
+    expect(page.locator(".jobs .sub").first).to_contain_text("of bob")
+
+
+@pytest.mark.parametrize(("who", "may"), [("lea", 0), ("bob", 1), ("ann", 2)])
+def test_the_page_shows_what_a_role_allows(
+    browser: Browser, shop: tuple[str, str, dict[str, str]], who: str, may: int
+) -> None:
+    url, job, tokens = shop
+    tab = browser.new_page(viewport={"width": 390, "height": 844})
+    login(tab, url, tokens[who])
+    tab.goto(f"{url}/ui/jobs/{job}")
+    expect(tab.locator("#released")).to_be_visible()
+    expect(tab.get_by_role("link", name="Download programs")).to_be_visible()
+    expect(tab.get_by_role("button", name="Delete")).to_be_visible(visible=may > 0)
+    expect(tab.get_by_role("link", name="New job")).to_be_visible(visible=may > 0)
+    expect(tab.get_by_role("link", name="Re-run with changes")).to_be_visible(visible=may > 0)
+    expect(tab.get_by_role("button", name="Release", exact=True)).to_be_visible(visible=may > 1)
+    assert tab.evaluate(CUT_OFF) == []
+    if may > 1:
+        tab.get_by_role("button", name="Release", exact=True).click()
+        assert (tab.evaluate(CUT_OFF), tab.evaluate(NAMELESS)) == ([], [])
+    tab.close()
+
+
+def test_who_releases_says_so_where_no_tokens_are_asked_for(page: Page, server: str, tmp_path: Path) -> None:
+    client = planner.Client(server)
+    job = client.submit(planner.load(small_problem.write(tmp_path)))
+    client.wait(job)
+    page.goto(f"{server}/ui/jobs/{job}")
+    page.get_by_role("button", name="Release", exact=True).click()
+    ask = page.get_by_role("dialog", name="Release these programs?")
+    ask.get_by_role("button", name="Release", exact=True).click()
+    expect(ask).to_be_visible()  # a name is wanted
+    ask.get_by_label("Who releases").fill("רות 3")
+    ask.get_by_role("button", name="Release", exact=True).click()
+    expect(page.locator("#released-list bdi").first).to_have_text("רות 3")
+    other = client.release  # once more, meanwhile
+    with pytest.raises(planner.TandemError, match="released it") as caught:
+        other(job, name="Ann")
+    assert caught.value.issues[0].code == "service.release"
+    outcome = client.plan(planner.load(small_problem.write(tmp_path)))
+    assert outcome.verified
+    assert "release.json" not in outcome.files
+    assert "release.json" in client.files(job)
+    assert sorted(client.programs(job)) == sorted(outcome.programs)
+    taken = client.withdraw(job, "a test", name="Ann")
+    assert taken["withdrawn"]["by"] == "Ann"
+    assert [one["by"] for one in client.releases(job)] == ["רות 3"]

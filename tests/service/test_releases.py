@@ -1,0 +1,398 @@
+"""Programs released by a person: what is written down, what downloads say, and who tries to get round."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import io
+import itertools
+import json
+import threading
+import time
+import zipfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from fastapi.testclient import TestClient
+from sqlalchemy import func, select, update
+
+from planner.service import texts
+from planner.service.jobs import put_files, remove
+from planner.service.models import JOBS, RELEASES, Database, default_url
+from planner.service.releases import Releases
+from planner.service.security import Auth, Limits, RefusedError
+from tests.service import postgres
+from tests.service.support import HERE, InProcess, codes, named
+from tests.service.test_roles import UNKNOWN, Shop, bearer, opened
+
+MAIN: Final = hashlib.sha256(b"MODULE main").hexdigest()
+"""SHA-256 of the program of a pretended plan."""
+NUMBERS: Final = itertools.count()
+"""Other names for other jobs."""
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
+    with opened(tmp_path_factory.mktemp("releases") / "data", None) as here:
+        yield Shop(here)
+
+
+def release(shop: Shop, job: str, name: str = "bob", **more: Any) -> Any:
+    return shop.ask(name, "POST", f"/v1/jobs/{job}/release", json=more)
+
+
+def withdraw(shop: Shop, job: str, name: str = "bob", **more: Any) -> Any:
+    return shop.ask(name, "POST", f"/v1/jobs/{job}/withdraw", json={"reason": "the clamp moved", **more})
+
+
+def test_a_release_says_who_when_and_of_what(shop: Shop) -> None:
+    job = shop.job("ann", "released")
+    before = time.time()
+    made = release(shop, job, note="  Schnitt am Dienstag\nmit Führung  ")
+    assert made.status_code == 201, made.text
+    said = made.json()
+    found = shop.ask("lea", "GET", f"/v1/jobs/{job}").json()
+    files = shop.ask("lea", "GET", f"/v1/jobs/{job}/files").json()["files"]
+    shas = {one["name"]: one["sha256"] for one in files}
+    assert said["by"] == "bob"
+    assert said["note"] == "Schnitt am Dienstag\nmit Führung"
+    assert said["programs"] == {"main.mod": MAIN} == {"main.mod": shas["programs/main.mod"]}
+    assert said["proof"] == shas["proof.json"]
+    assert said["digest"] == found["digest"]
+    assert before - 1 < dt.datetime.fromisoformat(said["at"]).timestamp() < time.time() + 1
+    assert found["released"] is True
+    assert found["release"] == {"by": "bob", "at": said["at"], "note": said["note"]}
+    (listed,) = [one for one in shop.ask("ann", "GET", "/v1/jobs").json()["jobs"] if one["id"] == job]
+    assert listed["released"] is True
+    assert shop.ask("lea", "GET", f"/v1/jobs/{job}/releases").json()["releases"] == [said]
+
+
+def test_who_may_not_release_does_not(shop: Shop) -> None:
+    job = shop.job("ann", "guarded")
+    for name in ("ann", "lea"):
+        for answer in (release(shop, job, name), withdraw(shop, job, name)):
+            assert (answer.status_code, codes(answer)) == (403, [("service.role", "Authorization")])
+            assert "needs a token with the role release" in answer.json()["detail"]
+    for name in ("eve", "dan"):
+        for answer in (release(shop, job, name), withdraw(shop, job, name)):
+            assert (answer.status_code, codes(answer)) == (404, UNKNOWN)
+        assert shop.ask(name, "GET", f"/v1/jobs/{job}/releases").status_code == 404
+    anybody = TestClient(shop.here.http.app, base_url=HERE)
+    assert anybody.post(f"/v1/jobs/{job}/release", json={}).status_code == 401
+    assert shop.ask("lea", "GET", f"/v1/jobs/{job}/releases").json() == {"releases": []}
+    other = shop.ask("bob", "POST", f"/v1/jobs/{job}/release", json={"name": "ann"})
+    assert (other.status_code, codes(other)) == (422, [("service.request", "name")])
+    assert "it is bob, by the token" in other.text
+    assert shop.ask("lea", "GET", f"/v1/jobs/{job}").json()["released"] is False
+
+
+def test_downloads_say_whether_they_are_released(shop: Shop) -> None:
+    job = shop.job("ann", "told")
+    parts: dict[str, bytes] = {}
+    for word in ("not-released", "released", "withdrawn"):
+        if word == "released":
+            said = release(shop, job, note="ja").json()
+        if word == "withdrawn":
+            said = withdraw(shop, job).json()
+        whole = shop.ask("lea", "GET", f"/v1/jobs/{job}/programs.zip")
+        again = shop.ask("bob", "GET", f"/v1/jobs/{job}/programs.zip")
+        assert whole.content == again.content, "the same bytes for the same release"
+        assert whole.headers["tandem-release"] == word
+        assert f'filename="told-{word}.zip"' in whole.headers["content-disposition"]
+        with zipfile.ZipFile(io.BytesIO(whole.content)) as packed:
+            assert packed.namelist() == ["main.mod", "release.json"]
+            told = json.loads(packed.read("release.json"))
+        assert told["released"] is (word == "released")
+        assert told["programs"] == {"main.mod": MAIN}
+        assert told["says"].startswith("released by bob, 20" if word != "not-released" else "not released")
+        assert ("withdrawn by bob" in told["says"]) is (word == "withdrawn")
+        one = shop.ask("lea", "GET", f"/v1/jobs/{job}/files/programs/main.mod")
+        assert (one.content, one.headers["tandem-release"]) == (b"MODULE main", word)
+        assert one.headers["cache-control"] == "private, no-cache"
+        tag = {"If-None-Match": one.headers["etag"], **bearer(shop.tokens["lea"])}
+        known = shop.here.http.get(f"/v1/jobs/{job}/files/programs/main.mod", headers=tag)
+        assert (known.status_code, known.headers["tandem-release"]) == (304, word), "caches are told anew"
+        file = shop.ask("lea", "GET", f"/v1/jobs/{job}/files/release.json")
+        listed = {f["name"]: f for f in shop.ask("lea", "GET", f"/v1/jobs/{job}/files").json()["files"]}
+        if word == "not-released":
+            assert (file.status_code, "release.json" in listed) == (404, False)
+        else:
+            assert file.json() == told
+            about = listed["release.json"]
+            assert about["sha256"] == hashlib.sha256(file.content).hexdigest()
+            assert about["size"] == len(file.content)
+            assert told["release"]["by"] == said["by"] == "bob"
+            asked = {"If-None-Match": file.headers["etag"], **bearer(shop.tokens["lea"])}
+            assert shop.here.http.get(f"/v1/jobs/{job}/files/release.json", headers=asked).status_code == 304
+        parts[whole.headers["etag"]] = whole.content
+    assert len(parts) == 3
+    # who went on with the part of what he had begun gets the whole of what is true now
+    old = next(tag for tag, content in parts.items() if content != whole.content)
+    asked = {"Range": "bytes=10-", "If-Range": old, **bearer(shop.tokens["lea"])}
+    rest = shop.here.http.get(f"/v1/jobs/{job}/programs.zip", headers=asked)
+    assert (rest.status_code, rest.content) == (200, whole.content)
+    asked["If-Range"] = whole.headers["etag"]
+    rest = shop.here.http.get(f"/v1/jobs/{job}/programs.zip", headers=asked)
+    assert (rest.status_code, rest.content) == (206, whole.content[10:])
+
+
+def test_a_link_to_a_program_says_it_too(shop: Shop) -> None:
+    job, anybody = shop.job("ann", "link_told"), TestClient(shop.here.http.app, base_url=HERE)
+    release(shop, job)
+    for name in ("programs/main.mod", "release.json"):
+        path = shop.ask("bob", "POST", f"/v1/jobs/{job}/links?name={name}").json()["path"]
+        assert anybody.get(path).headers["tandem-release"] == "released"
+        assert anybody.get(path).headers["cache-control"] == "no-store"
+
+
+def test_a_release_is_withdrawn_with_a_reason_and_stays_written_down(shop: Shop) -> None:
+    job = shop.job("ann", "back")
+    answer = withdraw(shop, job)
+    assert (answer.status_code, codes(answer)) == (409, [("service.release", None)])
+    first = release(shop, job, note="one").json()
+    for bad in ({}, {"reason": ""}, {"reason": " \n "}, {"reason": "\u200e"}):
+        answer = shop.ask("bob", "POST", f"/v1/jobs/{job}/withdraw", json=bad)
+        assert (answer.status_code, codes(answer)) == (422, [("service.request", "reason")]), bad
+    taken = withdraw(shop, job).json()
+    assert taken["withdrawn"]["by"] == "bob"
+    assert taken["withdrawn"]["reason"] == "the clamp moved"
+    assert withdraw(shop, job).status_code == 409
+    found = shop.ask("ann", "GET", f"/v1/jobs/{job}").json()
+    assert (found["released"], found["release"]["withdrawn"]["by"]) == (False, "bob")
+    second = release(shop, job, note="two").json()
+    known = shop.ask("ann", "GET", f"/v1/jobs/{job}/releases").json()["releases"]
+    assert known == [second, {**first, "withdrawn": taken["withdrawn"]}]
+    assert shop.ask("ann", "GET", f"/v1/jobs/{job}").json()["released"] is True
+
+
+def test_what_is_not_proven_is_not_released(shop: Shop) -> None:
+    here = shop.here
+    here.team.hold.set()
+    waits = here.post(named("waits"), headers=bearer(shop.tokens["ann"])).json()["id"]
+    answer = release(shop, waits)
+    assert (answer.status_code, codes(answer)) == (409, [("service.release", None)])
+    assert "only programs whose proof holds" in answer.text
+    here.team.hold.clear()
+    here.ended(waits, headers=bearer(shop.tokens["ann"]))
+    for state in ("unproven", "infeasible", "done", "cancelled"):
+        with here.service.database.write() as db:
+            db.execute(update(JOBS).where(JOBS.c.id == waits).values(state=state))
+        assert f"it is {state}" in release(shop, waits).text
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        ("proof.json", lambda proof: proof | {"ok": False}, "not verified"),
+        ("proof.json", lambda proof: proof | {"ok": "yes"}, "not verified"),
+        ("proof.json", lambda proof: proof | {"problem_digest": "0" * 64}, "of another problem"),
+        ("proof.json", lambda proof: proof | {"programs": {}}, "names other programs"),
+        ("proof.json", lambda proof: proof | {"programs": {"main.mod": "0" * 64}}, "names other programs"),
+        (
+            "proof.json",
+            lambda proof: proof | {"programs": {**proof["programs"], "more.mod": MAIN}},
+            "names other programs",
+        ),
+        ("proof.json", lambda proof: [proof], "cannot be read"),
+        ("programs/main.mod", lambda text: b"MODULE other", "names other programs"),
+        ("programs/added.mod", lambda text: b"MODULE added", "names other programs"),
+    ],
+)
+def test_what_the_proof_does_not_name_is_not_released(shop: Shop, name: str, change: Any, said: str) -> None:
+    """As if planning had written it so: the file is one of the store."""
+    job = shop.job("ann", f"proof_{next(NUMBERS)}")
+    files = shop.here.service.jobs.files(job)
+    content = b""
+    if name == "proof.json":
+        content = json.dumps(change(json.loads(shop.here.service.files.read(files[name].sha)))).encode()
+    else:
+        content = change(content)
+    with shop.here.service.database.write() as db:
+        put_files(db, job, {name: shop.here.service.files.put(io.BytesIO(content))})
+    answer = release(shop, job)
+    assert (answer.status_code, codes(answer)) == (409, [("service.release", None)])
+    assert said in answer.text
+    assert shop.ask("ann", "GET", f"/v1/jobs/{job}").json()["released"] is False
+
+
+@pytest.mark.parametrize("damage", ["changed", "gone"])
+def test_what_is_damaged_on_the_disk_is_not_released(tmp_path: Path, damage: str) -> None:
+    with opened(tmp_path / "data", None) as here:
+        shop = Shop(here)
+        job = shop.job("ann", "damaged")
+        path = here.service.files.path(MAIN)
+        path.write_bytes(b"MODULE evil") if damage == "changed" else path.unlink()
+        answer = release(shop, job)
+        assert (answer.status_code, codes(answer)) == (409, [("service.release", None)])
+        assert "the store is damaged" in answer.text
+        assert str(tmp_path) not in answer.text
+
+
+def test_the_same_problem_again_is_another_job_and_not_released(shop: Shop) -> None:
+    job = shop.job("ann", "again")
+    release(shop, job)
+    other = shop.here.post(named("again"), headers=bearer(shop.tokens["ann"])).json()
+    assert other["from_store"] is True
+    assert (other["state"], other["released"]) == ("verified", False)
+    files = shop.ask("ann", "GET", f"/v1/jobs/{other['id']}/files").json()["files"]
+    assert "release.json" not in {one["name"] for one in files}
+    told = shop.ask("ann", "GET", f"/v1/jobs/{other['id']}/programs.zip").headers["tandem-release"]
+    assert told == "not-released"
+    answer = shop.ask("ann", "POST", f"/v1/jobs/{job}/retry")
+    assert answer.status_code == 409, "what is released is not planned again"
+    shop.ask("ann", "POST", f"/v1/jobs/{job}/cancel")
+    assert shop.ask("ann", "GET", f"/v1/jobs/{job}").json()["released"] is True
+
+
+@pytest.mark.parametrize(
+    "text", ["<img src=x onerror=alert(1)>", "לוח 3", "پنل\u200cسه", "👩\u200d🔧 ok", "a\tb"]
+)
+def test_notes_in_any_language_are_kept_as_they_are(shop: Shop, text: str) -> None:
+    job = shop.job("ann", f"note_{next(NUMBERS)}")
+    assert release(shop, job, note=text).json()["note"] == text
+    whole = shop.ask("ann", "GET", f"/v1/jobs/{job}/programs.zip")
+    with zipfile.ZipFile(io.BytesIO(whole.content)) as packed:
+        assert json.loads(packed.read("release.json"))["release"]["note"] == text
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("a\u202eb", "U+202E (right-to-left override)"),
+        ("a\u2066b", "U+2066 (left-to-right isolate)"),
+        ("\u061ca b", "U+061C (arabic letter mark)"),
+        ("a\x00b", "U+0000 (a control character)"),
+        ("a\x1b[2J", "U+001B (a control character)"),
+        ("a\u2028b", "U+2028 (line separator)"),
+        ("a\U000e0041b", "U+E0041 (tag latin capital letter a)"),
+        ("a\ufeffb", "U+FEFF (zero width no-break space)"),
+        ("x" * (texts.LINES + 1), "at most 2000 characters"),
+        ("x" * 900_000, "at most 2000 characters"),
+    ],
+)
+def test_what_hides_or_turns_text_is_refused(shop: Shop, text: str, named: str) -> None:
+    answer = release(shop, shop.job("ann", "marks"), note=text)
+    assert (answer.status_code, codes(answer)) == (422, [("service.request", "note")])
+    assert named in answer.json()["detail"]
+    assert len(answer.content) < 2000
+
+
+def test_bodies_that_are_none_are_refused(shop: Shop) -> None:
+    job = shop.job("ann", "bodies")
+    for content, status in (
+        (b"[]", 422),
+        (b"{", 422),
+        (b'{"by": "ann"}', 422),
+        (b'{"note": 1}', 422),
+        (b'{"note": "\\ud800"}', 422),
+        (b" " * 1_000_001, 413),
+    ):
+        answer = shop.ask("bob", "POST", f"/v1/jobs/{job}/release", content=content)
+        assert answer.status_code == status, content[:30]
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_at_once_one_release_is_made(tmp_path: Path, kind: str) -> None:
+    database = postgres.fresh(tmp_path) if kind == "postgresql" else None
+    with opened(tmp_path / "data", database) as here:
+        shop = Shop(here)
+        job = shop.job("ann", "twice")
+        with ThreadPoolExecutor(8) as pool:
+            answers = list(pool.map(lambda k: release(shop, job, note=str(k)), range(8)))
+        assert sorted(answer.status_code for answer in answers) == [201, *[409] * 7]
+        with ThreadPoolExecutor(8) as pool:
+            answers = list(pool.map(lambda k: withdraw(shop, job, reason=str(k)), range(8)))
+        assert sorted(answer.status_code for answer in answers) == [200, *[409] * 7]
+        assert len(shop.ask("ann", "GET", f"/v1/jobs/{job}/releases").json()["releases"]) == 1
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_a_release_of_what_is_deleted_meanwhile_leaves_nothing(
+    tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By hand and by age, before the release looks again and after it did."""
+    database = postgres.fresh(tmp_path) if kind == "postgresql" else None
+    with opened(tmp_path / "data", database) as here:
+        shop = Shop(here)
+        first = shop.job("ann", "deleted")
+        proven = Releases._proven
+
+        def then_delete(self: Releases, *given: Any) -> Any:
+            found = proven(self, *given)
+            assert shop.ask("ann", "DELETE", f"/v1/jobs/{first}").status_code == 204
+            return found
+
+        with monkeypatch.context() as between:
+            between.setattr(Releases, "_proven", then_delete)
+            answer = release(shop, first)
+        assert (answer.status_code, codes(answer)) == (404, UNKNOWN)
+        jobs = [shop.job("ann", f"race_{k}") for k in range(6)]
+        ready = threading.Barrier(3)
+
+        def race(ask: Any) -> list[int]:
+            ready.wait()
+            return [ask(job) for job in jobs]
+
+        def by_age(job: str) -> int:
+            with here.service.database.write() as db:
+                remove(db, job)
+            return 0
+
+        with ThreadPoolExecutor(3) as pool:
+            releasing = pool.submit(race, lambda job: release(shop, job).status_code)
+            deleting = pool.submit(race, lambda job: shop.ask("ann", "DELETE", f"/v1/jobs/{job}").status_code)
+            aging = pool.submit(race, by_age)
+        assert set(releasing.result()) <= {201, 404}
+        assert set(deleting.result()) <= {204, 404}
+        assert aging.result() == [0] * 6
+        with here.service.database.read() as db:
+            assert db.execute(select(func.count()).select_from(RELEASES)).scalar_one() == 0
+
+
+def test_without_tokens_who_releases_says_so(tmp_path: Path) -> None:
+    with InProcess(tmp_path / "data", examiners=1) as here:
+        job = here.post().json()["id"]
+        here.ended(job)
+        answer = here.http.post(f"/v1/jobs/{job}/release", json={})
+        assert (answer.status_code, codes(answer)) == (422, [("service.request", "name")])
+        assert "say who releases" in answer.text
+        made = here.http.post(f"/v1/jobs/{job}/release", json={"name": "Änne Müller"}).json()
+        assert made["by"] == "Änne Müller"
+        whole = here.http.get(f"/v1/jobs/{job}/programs.zip")
+        assert whole.headers["tandem-release"] == "released"
+
+
+def test_a_token_that_is_over_releases_nothing(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    auth = Auth(Database(default_url(data)))
+    token, over = auth.make("ann", "release", "shop"), auth.make("old", "release", "shop", lasts_s=-1.0)
+    with InProcess(data, Limits(check_s=60), examiners=1, require_token=True) as here:
+        job = here.post(headers=bearer(token)).json()["id"]
+        here.ended(job, headers=bearer(token))
+        assert here.http.post(f"/v1/jobs/{job}/release", headers=bearer(over)).status_code == 401
+        assert here.http.get(f"/v1/jobs/{job}", headers=bearer(token)).json()["released"] is False
+
+
+def test_a_clock_that_went_back_leaves_the_order_of_releases(
+    shop: Shop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = shop.job("ann", "clock")
+    release(shop, job, note="first")
+    with monkeypatch.context() as clock:
+        past = time.time() - 86400.0
+        clock.setattr("planner.service.models.time.time", lambda: past)
+        withdraw(shop, job)
+        release(shop, job, note="second")
+    known = shop.ask("ann", "GET", f"/v1/jobs/{job}/releases").json()["releases"]
+    assert [one["note"] for one in known] == ["second", "first"]
+    assert shop.ask("ann", "GET", f"/v1/jobs/{job}").json()["release"]["note"] == "second"
+
+
+def test_the_store_refuses_a_job_that_is_none(shop: Shop) -> None:
+    with pytest.raises(RefusedError) as caught:
+        shop.here.service.releases.all("0" * 32)
+    assert caught.value.status == 404
