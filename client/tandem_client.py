@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
 
-API: Final = 10
+API: Final = 11
 """Number of the service's interface that this client was made for."""
 LINKS_API: Final = 2
 """The interface from which on there are links."""
@@ -59,6 +59,8 @@ RELEASES_API: Final = 9
 """The interface from which on programs are released."""
 AUDIT_API: Final = 10
 """The interface from which on there is a log of who did what."""
+FINDING_API: Final = 11
+"""The interface from which on jobs have titles, tags and notes, and are searched."""
 RELEASE: Final = "release.json"
 """What stands beside the programs, and says whether they are released."""
 PLANNED: Final = ("verified", "unproven")
@@ -208,15 +210,33 @@ class Client:
         """State, stage and ``fraction`` of it, issues and figures of a job, at once."""
         return self._json(_of(job))
 
-    def jobs(self) -> Iterator[dict[str, Any]]:
-        """All jobs of the token and of its team, the newest first; ``by`` says whose each is."""
-        query = "?limit=200"
+    def jobs(
+        self, search: str = "", tags: Sequence[str] = (), sort: str = "newest"
+    ) -> Iterator[dict[str, Any]]:
+        """All jobs of the token and of its team, or those with all words of ``search`` in name, title, tags
+        or notes and with all ``tags``; ``sort``: newest, oldest or title. ``by`` says whose each is."""
+        asked: dict[str, Any] = {"limit": 200}
+        if search or tags or sort != "newest":
+            self._want(FINDING_API, "search")
+            asked.update(search=search, tag=list(tags), sort=sort)
         while True:
-            page = self._json(f"/v1/jobs{query}")
+            page = self._json(f"/v1/jobs?{urllib.parse.urlencode(asked, doseq=True)}")
             yield from page["jobs"]
             if page.get("next") is None:
                 return
-            query = f"?limit=200&cursor={page['next']}"
+            asked["cursor"] = page["next"]
+
+    def describe(
+        self,
+        job: str,
+        title: str | None = None,
+        tags: Sequence[str] | None = None,
+        notes: str | None = None,
+    ) -> dict[str, Any]:
+        """Give a job a title in any language, tags and notes; what is None stays as it is."""
+        self._want(FINDING_API, "titles, tags and notes")
+        said = {"title": title, "tags": None if tags is None else list(tags), "notes": notes}
+        return self._send(_of(job), said, "PATCH")
 
     def cancel(self, job: str) -> None:
         """Cancel a job."""
@@ -471,9 +491,13 @@ class Client:
 
     def _decide(self, job: str, what: str, said: Mapping[str, Any]) -> dict[str, Any]:
         self._want(RELEASES_API, "releases")
+        return self._send(_of(job, f"/{what}"), said, "POST")
+
+    def _send(self, path: str, said: Mapping[str, Any], method: str) -> dict[str, Any]:
+        """Send what is not None."""
         given = {name: value for name, value in said.items() if value is not None}
         body, headers = json.dumps(given).encode(), {"Content-Type": "application/json"}
-        return self._read_json(self._request(_of(job, f"/{what}"), body, headers, "POST"))
+        return self._read_json(self._request(path, body, headers, method))
 
     def _json(self, path: str, method: str = "GET") -> dict[str, Any]:
         return self._read_json(self._request(path, method=method))

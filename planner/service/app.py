@@ -32,7 +32,16 @@ from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
-from planner.service import bundled, element_routes, logs, metrics, release_routes, routes, webhook_routes
+from planner.service import (
+    bundled,
+    element_routes,
+    finding_routes,
+    logs,
+    metrics,
+    release_routes,
+    routes,
+    webhook_routes,
+)
 from planner.service.answers import Heads, Hurried, allowed
 from planner.service.routes import REFUSALS, Caller, Here
 from planner.service.runner import Team
@@ -192,6 +201,7 @@ def _unknown(path: str) -> RefusedError:
 
 ROUTERS: Final = (
     routes.job_router,
+    finding_routes.router,
     release_routes.router,
     element_routes.router,
     webhook_routes.router,

@@ -24,6 +24,7 @@ from planner.batch.neighbours import like_within
 from planner.element import progress
 from planner.issues import Issue, Severity, TandemError
 from planner.service import idempotency
+from planner.service.finding import Wanted
 from planner.service.idempotency import Once
 from planner.service.jobs import NewJob, OfElement, job_files, job_out, job_row, put_files, remove
 from planner.service.models import (
@@ -122,7 +123,7 @@ class Elements:
         self, owners: Sequence[str], cursor: str | None, count: int
     ) -> tuple[list[ElementOut], str | None]:
         """Elements of the owners as :meth:`planner.service.jobs.Jobs.page` gives jobs."""
-        found, following = self._jobs.page(owners, (), cursor, count, "division")
+        found, following = self._jobs.page(owners, Wanted(cursor=cursor), count, "division")
         own = [one.id for one in found]
         about = select(ELEMENT_JOBS.c.job, ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job.in_(own))
         planned = (

@@ -21,7 +21,8 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from planner.issues import Issue
-from planner.service import audit, idempotency, metrics, webhooks
+from planner.service import audit, finding, idempotency, metrics, webhooks
+from planner.service.finding import Wanted
 from planner.service.idempotency import Once
 from planner.service.logs import about
 from planner.service.models import (
@@ -145,6 +146,7 @@ class Jobs:
             "timeout_s": new.timeout_s,
             "memory_mb": new.memory_mb,
             "issues": issues_json(new.issues),
+            **finding.described(new.name, "", (), ""),
         }
         db.execute(insert(JOBS).values(row))
         put_files(db, job, new.files)
@@ -173,31 +175,31 @@ class Jobs:
         return found
 
     def page(
-        self,
-        owners: Sequence[str],
-        states: Sequence[str],
-        cursor: str | None,
-        count: int,
-        role: Role | None = None,
+        self, owners: Sequence[str], wanted: Wanted, count: int, role: Role | None = None
     ) -> tuple[list[JobOut], str | None]:
-        """Up to ``count`` jobs of the owners, the newest first, and the cursor of what follows, if anything
-        does: jobs of that ``role`` in an element, or such as plan a problem."""
+        """Up to ``count`` jobs of the owners, and the cursor of what follows, if anything does: jobs of that
+        ``role`` in an element, or such as plan a problem. Raises :class:`RefusedError`, 422."""
         query = jobs_to_send().where(JOBS.c.owner.in_(owners), JOBS.c.cancel != DELETED)
         of = select(ELEMENT_JOBS.c.job)
         if role is None:
             query = query.where(JOBS.c.id.not_in(of.where(ELEMENT_JOBS.c.role != "panel")))
         else:
             query = query.where(JOBS.c.id.in_(of.where(ELEMENT_JOBS.c.role == role)))
-        if states:
-            query = query.where(JOBS.c.state.in_(states))
-        if cursor is not None:  # jobs may have been deleted since, that one too
-            made, job = float(cursor.split("-")[0]), cursor.split("-")[1]
-            query = query.where(or_(JOBS.c.created < made, and_(JOBS.c.created == made, JOBS.c.id < job)))
-        query = query.order_by(JOBS.c.created.desc(), JOBS.c.id.desc()).limit(count + 1)
         with self._database.read() as db:
-            rows = db.execute(query).mappings().all()
-        last = f"{rows[count - 1]['created']!r}-{rows[count - 1]['id']}" if len(rows) > count else None
+            rows = db.execute(finding.chosen(query, wanted).limit(count + 1)).mappings().all()
+        last = finding.cursor(wanted.sort, rows[count - 1]) if len(rows) > count else None
         return [job_out(row) for row in rows[:count]], last
+
+    def describe(self, job: str, change: Mapping[str, Any]) -> JobOut:
+        """Give a job the ``title``, ``tags`` and ``notes`` of a change; what it does not have stays. Raises
+        :class:`RefusedError`, 404."""
+        with self._database.write() as db:
+            self._database.one_at_a_time(db, job)
+            row = job_row(db, job)
+            said = {"title": row["title"], "tags": finding.tags_of(row), "notes": row["notes"], **change}
+            values = finding.described(row["name"], said["title"], said["tags"], said["notes"])
+            db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
+            return job_out(job_row(db, job), self._ahead(db, job))
 
     def cancel(self, job: str, by: str, also_delete: bool = False) -> JobOut:
         """Cancel a job, as the token ``by`` asks: at once if it waits, else its worker is told; no more
@@ -412,6 +414,9 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
         memory_mb=row["memory_mb"],
         issues=[Issue.from_dict(issue) for issue in json.loads(row["issues"])],
         metrics=json.loads(row["metrics"]),
+        title=row["title"],
+        tags=finding.tags_of(row),
+        notes=row["notes"],
         released=row["release_who"] is not None and row["release_withdrawn"] is None,
         release=_release(row),
     )

@@ -99,11 +99,17 @@ JOBS: Final = Table(
     Column("timeout_s", Float, nullable=False),
     Column("memory_mb", Float, nullable=False),
     Column("releases", Integer, nullable=False, default=0),
+    Column("title", String(200), nullable=False, default=""),
+    Column("tags", Text, nullable=False, default=""),
+    Column("notes", Text, nullable=False, default=""),
+    Column("label", String(200), nullable=False, default=""),
+    Column("sought", Text, nullable=False, default=""),
     Index("tandem_jobs_by_owner", "owner", "created", "id"),
 )
 """``key``: what the answer depends on, the problem's digest and the versions. ``host`` works on the job until
 ``lease``. ``seq`` is the number of the job's last event. ``cancel``: 1 cancelled, 2 deleted too. ``releases``
-is the number of the job's last release."""
+is the number of the job's last release. ``tags`` are framed by line ends. Without capitals, ``label`` is the
+title, or name, by which jobs are sorted, and ``sought`` all words by which they are found."""
 
 CANCELLED: Final = 1
 """In a job's column `cancel`: its owner wants it to end."""
@@ -368,11 +374,11 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 10
+API: Final = 11
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
-log."""
+log. 11: titles, tags and notes, search, deleting many."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -400,6 +406,7 @@ TokenRole = Literal["view", "plan", "release"]
 TOKEN_ROLES: Final[tuple[TokenRole, ...]] = ("view", "plan", "release")
 """Roles of tokens, each of which includes the former: to look at everything; to make, change and delete
 jobs, and to hand links out; to release programs."""
+Sort = Literal["newest", "oldest", "title"]
 Mark = Literal["cut", "glued", "broken"]
 Act = Literal["submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked"]
 
@@ -475,10 +482,20 @@ class JobOut(Sent):
     memory_mb: float
     issues: list[Issue] = []
     metrics: dict[str, float] = {}
+    title: str = Field("", description="what people call it, in any language")
+    tags: list[str] = []
+    notes: str = ""
     released: bool = Field(
         False, description="whether a named person released the programs, and none withdrew"
     )
     release: Release | None = Field(None, description="the last release")
+
+
+class Deleted(Sent):
+    """Which of the jobs that were to be deleted were, and which there are not."""
+
+    deleted: list[str]
+    unknown: list[str]
 
 
 class JobList(Sent):

@@ -21,6 +21,7 @@ import anyio.to_thread
 from fastapi import APIRouter, Cookie, Depends, Header, Query, Request, Response, Security
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
+from pydantic import AfterValidator, Field
 from sqlalchemy.exc import SQLAlchemyError
 
 import planner
@@ -29,6 +30,7 @@ from planner.files import RELEASE
 from planner.issues import Issue, has_errors
 from planner.service import audit, idempotency, metrics, releases
 from planner.service.answers import HEAD, MadeFile, is_known, stored_file, tagged
+from planner.service.finding import Wanted
 from planner.service.jobs import Stream
 from planner.service.logs import about
 from planner.service.models import (
@@ -48,6 +50,7 @@ from planner.service.models import (
     Ready,
     Refusal,
     SessionOut,
+    Sort,
     State,
     Storage,
 )
@@ -65,6 +68,7 @@ from planner.service.security import (
 )
 from planner.service.service import Service
 from planner.service.storage import Blob, documented, take_upload
+from planner.service.texts import Line, line
 
 COOKIE: Final = "tandem_session"
 """Name of the cookie of a session."""
@@ -379,6 +383,10 @@ def log_out(here: Here, tandem_session: Annotated[str | None, Cookie()] = None) 
 
 
 job_router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=ASKED)
+Tag = Annotated[str, Field(min_length=1, max_length=40), AfterValidator(line)]
+"""A word that jobs are found by."""
+
+
 UPLOADS: Final = {"requestBody": documented({"$ref": "#/components/schemas/ProblemFile"})}
 """How the description of the interface tells of a body that is a problem."""
 TYPES: Final = {
@@ -402,10 +410,11 @@ SANDBOX: Final = "sandbox allow-scripts allow-downloads allow-popups; frame-ance
 """What is in a report came from a user: it runs apart from this site, without its cookies."""
 PAGE_SIZE: Final = 50
 """Jobs of one page of the list, where the request does not say."""
-CURSOR = Annotated[
-    str | None,
-    Query(pattern=r"^[0-9]{1,12}\.[0-9]{1,9}-[0-9a-f]{32}$", description="`next` of the page before"),
-]
+WHEN: Final = r"^[0-9]{1,12}\.[0-9]{1,9}-[0-9a-f]{32}$"
+"""What a page ends with that is sorted by when jobs were made."""
+NEXT: Final = "`next` of the page before"
+"""What a cursor is."""
+CURSOR = Annotated[str | None, Query(pattern=WHEN, description=NEXT)]
 EVENT_SCHEMA: Final = {
     "type": "object",
     "description": "one event of the stream",
@@ -499,13 +508,19 @@ def page(
     who: Asker,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
-    cursor: CURSOR = None,
+    cursor: Annotated[
+        str | None, Query(pattern=f"{WHEN}|^[A-Za-z0-9_-]{{0,1100}}~[0-9a-f]{{32}}$", description=NEXT)
+    ] = None,
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
+    search: Annotated[Line, Query(description="all of these words in name, title, tags or notes")] = "",
+    tag: Annotated[list[Tag] | None, Query(max_length=10, description="with all of these tags")] = None,
+    sort: Annotated[Sort, Query(description="by when they were made, or by title, or name")] = "newest",
 ) -> Response:
-    """Yours and those of your team, the newest first, a page at a time; 304 for who asks again with
+    """Yours and those of your team, a page at a time; 304 for who asks again with
     ``If-None-Match`` and has it as it is."""
     del owner
-    found, following = here.jobs.page(here.auth.owners(who), state or [], cursor, limit)
+    wanted = Wanted(state or (), search, tag or (), sort, cursor)
+    found, following = here.jobs.page(here.auth.owners(who), wanted, limit)
     return tagged(request, JobList(jobs=found, next=following))
 
 

@@ -62,6 +62,12 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
         "CREATE INDEX ix_tandem_audit_token ON tandem_audit (token)",
         "CREATE INDEX ix_tandem_audit_team ON tandem_audit (team)",
         "CREATE INDEX ix_tandem_audit_job ON tandem_audit (job)",
+        "ALTER TABLE tandem_jobs ADD COLUMN title VARCHAR(200) NOT NULL DEFAULT ''",
+        "ALTER TABLE tandem_jobs ADD COLUMN tags TEXT NOT NULL DEFAULT ''",
+        "ALTER TABLE tandem_jobs ADD COLUMN notes TEXT NOT NULL DEFAULT ''",
+        "ALTER TABLE tandem_jobs ADD COLUMN label VARCHAR(200) NOT NULL DEFAULT ''",
+        "ALTER TABLE tandem_jobs ADD COLUMN sought TEXT NOT NULL DEFAULT ''",
+        "UPDATE tandem_jobs SET label = lower(name), sought = lower(name)",  # names are plain letters
     ),
 }
 """What brings a store of each version to the next one."""

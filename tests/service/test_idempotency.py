@@ -20,6 +20,7 @@ import planner
 from planner import Client
 from planner.issues import TandemError
 from planner.service import idempotency, tandem_client
+from planner.service.finding import Wanted
 from planner.service.jobs import Jobs, NewJob
 from planner.service.models import KEYS, Database, default_url
 from planner.service.security import Auth, Limits
@@ -155,7 +156,7 @@ def test_at_once_they_make_one_job(tmp_path: Path, kind: str) -> None:
         answers = list(pool.map(send, range(8)))
     assert all(answer == answers[0] for answer in answers)
     assert [job.id for job in jobs.made(asked)] == answers[0]
-    assert len(jobs.page(["ann"], (), None, 50)[0]) == len(answers[0]) == 2
+    assert len(jobs.page(["ann"], Wanted(), 50)[0]) == len(answers[0]) == 2
     database.close()
 
 
