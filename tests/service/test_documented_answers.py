@@ -29,6 +29,8 @@ FILES: Final = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", ("targ
 GOOD: Final[Mapping[str, dict[str, Any]]] = {
     "POST /v1/jobs": {"files": [("problem", ("p.yaml", named("more"))), FILES[1]]},
     "POST /v1/check": {"files": [("problem", ("p.yaml", named("checked"))), FILES[1]]},
+    "PATCH /v1/jobs/{job}": {"json": {"title": "Gewölbe 3"}},
+    "POST /v1/jobs/delete": {"json": {"jobs": [NOBODY]}},
     "POST /v1/jobs/{job}/links": {"params": {"name": "report.html"}},
     "POST /v1/jobs/{job}/release": {"json": {"note": "cut of Tuesday"}},
     "POST /v1/jobs/{job}/withdraw": {"json": {"reason": "the clamp moved"}},

@@ -1,6 +1,7 @@
 // One job: stages and issues as they happen, then report, replay, programs.
 import { fileOf, job as path, json, post, remove } from "./api.js";
 import { badge, banner, me, tell } from "./common.js";
+import { drawDescription, setUpDescription } from "./describe.js";
 import { $, announce, h, icon, show } from "./dom.js";
 import { errors, issueItem, issueList, sorted } from "./issues.js";
 import { outcomeOf } from "./outcome.js";
@@ -19,10 +20,10 @@ let ended = false;
 let files = [];
 
 function drawHead() {
-  document.title = `${job.name} · Tandem`;
-  $("name").textContent = job.name;
+  drawDescription(job);
   badge(job.state, $("state"));
   const facts = [
+    job.title ? job.name : null,
     job.processes.map(processName).join(", "),
     `made ${ago(job.created)}`,
     job.seconds ? `planned in ${duration(job.seconds)}` : null,
@@ -286,6 +287,7 @@ $("cancel").prepend(icon("stop"));
 $("delete").prepend(icon("bin"));
 $("again").prepend(icon("again"));
 $("compare").prepend(icon("swap"));
+setUpDescription(id, () => job, () => refresh().catch(tell));
 setUpRelease(id, () => refresh().catch(tell), await me);
 $("retry").prepend(icon("again"));
 $("retry").addEventListener("click", retry);

@@ -1,7 +1,8 @@
-// The history: newest first, by state; two can be marked for comparison.
-import { json } from "./api.js";
+// The history: found by words and tags, by state, sorted; jobs can be marked, two for comparison, any to be deleted.
+import { json, post } from "./api.js";
+import { ask } from "./ask.js";
 import { badge, banner, me, tell } from "./common.js";
-import { $, announce, h, show } from "./dom.js";
+import { $, announce, h, icon, later, show } from "./dom.js";
 import { ago, bytes, duration, isOpen, number, processName } from "./words.js";
 
 const GROUPS = [
@@ -14,20 +15,33 @@ const GROUPS = [
 const EVERY = 1500;
 const SELDOM = 5000; // where nothing is under way: somebody else may send a job
 let drawn = "";
-let group = Math.max(GROUPS.findIndex(([name]) => name === new URLSearchParams(location.search).get("show")), 0);
+const asked = new URLSearchParams(location.search);
+let group = Math.max(GROUPS.findIndex(([name]) => name === asked.get("show")), 0);
+let tags = asked.getAll("tag");
+let turn = 0; // of what was asked last; answers to former questions are dropped
 let jobs = new Map();
 let next = null;
 const marked = [];
 const own = (await me)?.name; // jobs of others say whose they are
 
-const query = (cursor) => `/v1/jobs?limit=50${GROUPS[group][1].map((s) => `&state=${s}`).join("")}${cursor ? `&cursor=${cursor}` : ""}`;
+function query(cursor) {
+  const given = new URLSearchParams({ limit: 50, sort: $("sort").value });
+  for (const state of GROUPS[group][1]) given.append("state", state);
+  for (const tag of tags) given.append("tag", tag);
+  if ($("search").value.trim()) given.append("search", $("search").value.trim());
+  if (cursor) given.append("cursor", cursor);
+  return `/v1/jobs?${given}`;
+}
+const narrowed = () => group !== 0 || tags.length > 0 || Boolean($("search").value.trim());
 
 async function load(cursor = null) {
+  const mine = turn;
   const page = await json(query(cursor));
+  if (mine !== turn) return;
   if (!cursor) jobs = new Map([...page.jobs.map((one) => [one.id, one]), ...[...jobs].filter(([id]) => jobs.size > 50 && !page.jobs.some((one) => one.id === id))]);
   else for (const one of page.jobs) jobs.set(one.id, one);
   if (cursor || jobs.size <= 50) next = page.next ?? null;
-  const now = JSON.stringify([[...jobs.values()], next, group]);
+  const now = JSON.stringify([[...jobs.values()], next, query()]);
   if (now !== drawn) draw();
   else for (const time of document.querySelectorAll("#rows time")) time.textContent = ago(time.dateTime); // what is marked stays
   drawn = now;
@@ -37,8 +51,8 @@ async function load(cursor = null) {
 function draw() {
   const all = [...jobs.values()];
   show($("table"), all.length > 0);
-  show($("empty"), !all.length && group === 0);
-  show($("none"), !all.length && group !== 0);
+  show($("empty"), !all.length && !narrowed());
+  show($("none"), !all.length && narrowed());
   show($("older"), Boolean(next));
   const focus = document.activeElement?.dataset.key;
   $("rows").replaceChildren(...all.map(row));
@@ -49,14 +63,14 @@ function row(one) {
   const figure = (name, show) => (one.metrics?.[name] === undefined ? "" : show(one.metrics[name]));
   const wrong = (one.issues ?? []).filter((issue) => (issue.severity ?? "error") === "error").length;
   const warned = (one.issues ?? []).filter((issue) => issue.severity === "warning").length;
-  const box = h("input", { type: "checkbox", checked: marked.includes(one.id), data: { key: `box-${one.id}` }, "aria-label": `Choose ${one.name} for comparison`, onchange: () => mark(one.id, box.checked) });
+  const box = h("input", { type: "checkbox", checked: marked.includes(one.id), data: { key: `box-${one.id}` }, "aria-label": `Choose ${one.title || one.name}`, onchange: () => mark(one.id, box.checked) });
   const count = [wrong && `${wrong} error${wrong > 1 ? "s" : ""}`, warned && `${warned} warning${warned > 1 ? "s" : ""}`].filter(Boolean).join(", ");
   const running = one.state === "running" && one.stage;
   return h(
     "tr",
     {},
     h("td", {}, box),
-    h("td", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", data: { key: one.id } }, one.name), h("span", { class: "sub" }, [one.by && one.by !== own ? `of ${one.by}` : null, one.from_store ? "answered from the store" : one.id.slice(0, 8)].filter(Boolean).join(", "))),
+    h("td", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.by && one.by !== own ? `of ${one.by}` : null, one.from_store ? "answered from the store" : one.id.slice(0, 8)].filter(Boolean).join(", "))),
     h("td", {}, badge(one.state), h("span", { class: "sub" }, running ? `${one.stage}, ${Math.round(100 * one.fraction)} %` : [one.released && "released", count].filter(Boolean).join(", "))),
     h("td", { class: "wide" }, one.processes.map(processName).join(", ")),
     h("td", { class: "n" }, figure("cycle_s", duration)),
@@ -69,8 +83,13 @@ function row(one) {
 function mark(id, on) {
   if (on) marked.push(id);
   else marked.splice(marked.indexOf(id), 1);
-  while (marked.length > 2) marked.shift();
-  draw();
+  choices();
+}
+
+function choices() {
+  const seen = marked.filter((id) => jobs.has(id)).length; // what is not seen is not deleted
+  show($("delete"), seen > 0);
+  $("delete").replaceChildren(icon("bin"), `Delete ${seen === 1 ? "it" : seen}`);
   show($("compare"), marked.length === 2);
   if (marked.length === 2) {
     $("compare").href = `/ui/compare?a=${marked[0]}&b=${marked[1]}`;
@@ -86,6 +105,43 @@ function filters() {
   );
 }
 
+function narrow(some) {
+  tags = some;
+  show($("tags"), tags.length > 0);
+  $("tags").replaceChildren("With the tags", ...tags.map((tag) => h("button", { type: "button", class: "chip", "aria-label": `Without the tag ${tag}`, onclick: () => narrow(tags.filter((one) => one !== tag)) }, h("bdi", {}, tag), icon("cross"))));
+  anew();
+}
+
+// Asks anew, from the first page on, and keeps in the address what was asked.
+function anew() {
+  turn += 1;
+  jobs = new Map();
+  next = null;
+  const kept = new URLSearchParams();
+  if (group) kept.append("show", GROUPS[group][0]);
+  for (const tag of tags) kept.append("tag", tag);
+  if ($("search").value.trim()) kept.append("search", $("search").value.trim());
+  if ($("sort").value !== "newest") kept.append("sort", $("sort").value);
+  history.replaceState(null, "", kept.size ? `/?${kept}` : "/");
+  return load().then(choices).catch(tell);
+}
+
+async function removeMarked() {
+  const some = marked.filter((id) => jobs.has(id)).slice(0, 200);
+  const released = some.filter((id) => jobs.get(id)?.released).length;
+  const text = `Programs, reports and problems of ${some.length === 1 ? "this job" : `these ${some.length} jobs`} are deleted too.${released ? ` ${released} of them ${released === 1 ? "is" : "are"} released.` : ""}`;
+  if (!(await ask(text, `Delete ${some.length}`))) return;
+  try {
+    await post("/v1/jobs/delete", { body: JSON.stringify({ jobs: some }), headers: { "Content-Type": "application/json" } });
+    for (const id of some) marked.splice(marked.indexOf(id), 1);
+    announce(`${some.length} deleted`);
+    await anew();
+    await room();
+  } catch (error) {
+    tell(error);
+  }
+}
+
 async function room() {
   const { used_mb: used, limit_mb: limit } = await json("/v1/storage");
   show($("room"), jobs.size > 0);
@@ -94,11 +150,9 @@ async function room() {
 
 async function choose(i) {
   group = i;
-  jobs = new Map();
   filters();
-  history.replaceState(null, "", i ? `/?show=${encodeURIComponent(GROUPS[i][0])}` : "/");
   $("filters").children[i].focus();
-  await load().catch(tell);
+  await anew();
 }
 
 async function again() {
@@ -111,8 +165,14 @@ async function again() {
   }
 }
 
+$("search").value = asked.get("search") ?? "";
+if (["oldest", "title"].includes(asked.get("sort"))) $("sort").value = asked.get("sort");
+$("search").addEventListener("input", later(250, anew));
+$("sort").addEventListener("change", anew);
+$("delete").addEventListener("click", removeMarked);
 $("older").addEventListener("click", () => load(next).catch(tell));
 filters();
+if (tags.length) narrow(tags);
 await load().then(room).catch(tell);
 setTimeout(again, EVERY);
 addEventListener("visibilitychange", () => !document.hidden && load().catch(tell));

@@ -1,0 +1,117 @@
+"""Jobs found again on the page, what people call them, and many deleted at once."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Page, expect
+from sqlalchemy import update
+
+from planner.service.jobs import Jobs, NewJob
+from planner.service.models import JOBS, Database, default_url
+from planner.service.security import LOCAL, Limits
+from planner.service.storage import Files
+from tests.service.page.test_access import CUT_OFF, NAMELESS
+from tests.service.support import Process
+
+CALLED = {
+    "panel_03": ("Gewölbe 3 – Ostseite", ["dome", "Ost"], "Cut on Tuesday."),
+    "panel_04": ("لوحة القبو ٤", ["dome"], ""),
+    "panel_05": ("<img src=x onerror=alert(1)>", ["<b>x</b>"], ""),
+    "W" * 24: ("W" * 200, ["T" * 40, "dome"], "N" * 500),
+    "plain": ("", [], ""),
+}
+"""Title, tags and notes of a job by its name."""
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict[str, str]]]:
+    """A service with jobs that have ended, and their ids by name."""
+    data = tmp_path_factory.mktemp("finding") / "data"
+    data.mkdir()
+    database = Database(default_url(data))
+    jobs, ids = Jobs(database, Limits()), {}
+    files = {"problem/problem.yaml": Files(data / "files").put(io.BytesIO(b"{}"))}
+    for name, (title, tags, notes) in CALLED.items():
+        new = NewJob(LOCAL, name, "0" * 64, name, ("targets",), files, 1.0, 1.0)
+        ids[name] = jobs.create(new).id
+        with database.write() as db:
+            db.execute(update(JOBS).where(JOBS.c.id == ids[name]).values(state="infeasible"))
+        jobs.describe(ids[name], {"title": title, "tags": tags, "notes": notes})
+    database.close()
+    process = Process(data).wait()
+    yield process.url, ids
+    process.stop()
+    assert "Traceback" not in process.log.read_text()
+
+
+def test_jobs_are_found_by_words_and_tags_and_sorted(page: Page, shop: tuple[str, dict[str, str]]) -> None:
+    url, _ = shop
+    page.goto(url)
+    names = page.locator(".job-name")
+    expect(names).to_have_count(len(CALLED))
+    expect(names.nth(2)).to_have_text("<img src=x onerror=alert(1)>")
+    page.get_by_label("Find jobs").fill("GEWÖLBE tuesday")
+    expect(names).to_have_count(1)
+    page.reload()  # the address keeps what was asked
+    expect(names).to_have_text(["Gewölbe 3 – Ostseite"])
+    page.get_by_label("Find jobs").fill("nothing of this")
+    expect(page.get_by_text("No job is so.")).to_be_visible()
+    page.get_by_label("Find jobs").fill("")
+    expect(names).to_have_count(len(CALLED))
+    page.get_by_role("button", name="dome", exact=True).first.click()
+    page.get_by_label("In the order").select_option("by title")
+    expect(names).to_have_text(["Gewölbe 3 – Ostseite", "W" * 200, "لوحة القبو ٤"])
+    page.reload()
+    expect(names).to_have_count(3)
+    page.get_by_role("button", name="Without the tag dome").click()
+    expect(names).to_have_count(len(CALLED))
+
+
+@pytest.mark.parametrize("width", [390, 1440])
+def test_long_titles_are_not_cut_off(page: Page, shop: tuple[str, dict[str, str]], width: int) -> None:
+    url, ids = shop
+    page.set_viewport_size({"width": width, "height": 900})
+    for path in ("/", f"/ui/jobs/{ids['W' * 24]}"):
+        page.goto(f"{url}{path}")
+        expect(page.get_by_text("W" * 200)).to_be_visible()
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], []), path
+
+
+def test_a_title_is_given_on_the_page(page: Page, shop: tuple[str, dict[str, str]]) -> None:
+    url, ids = shop
+    page.goto(f"{url}/ui/jobs/{ids['plain']}")
+    page.get_by_role("button", name="Title, tags, notes").click()
+    ask = page.get_by_role("dialog", name="What people call this job")
+    ask.get_by_label("Title").fill("a\u202eb")
+    ask.get_by_role("button", name="Keep").click()
+    expect(page.locator("#banner")).to_contain_text("right-to-left override")
+    page.get_by_role("button", name="Title, tags, notes").click()
+    ask.get_by_label("Title").fill("קמרון 3")
+    ask.get_by_label("Tags").fill("new, , new,  old ")
+    ask.get_by_label("Notes").fill("one\ntwo")
+    ask.get_by_role("button", name="Keep").click()
+    expect(page.get_by_role("heading", name="קמרון 3")).to_be_visible()
+    expect(page.locator("#job-tags .tag")).to_have_text(["new", "old"])
+    expect(page.locator("#facts")).to_contain_text("plain")
+    page.locator("#job-tags").get_by_text("old").click()
+    expect(page.locator(".job-name")).to_have_text(["קמרון 3"])
+
+
+def test_many_are_deleted_and_only_what_is_seen(page: Page, shop: tuple[str, dict[str, str]]) -> None:
+    url, _ = shop
+    page.goto(url)
+    for title in ("<img src=x onerror=alert(1)>", "لوحة القبو ٤", "Gewölbe 3 – Ostseite"):
+        page.get_by_label(f"Choose {title}").check()
+    expect(page.get_by_role("button", name="Delete 3")).to_be_visible()
+    page.get_by_label("Find jobs").fill("dome")
+    page.get_by_role("button", name="Delete 2").click()
+    page.get_by_role("dialog").get_by_role("button", name="Keep them").click()
+    page.get_by_role("button", name="Delete 2").click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete 2").click()
+    expect(page.locator(".job-name")).to_have_count(1)
+    page.get_by_label("Find jobs").fill("")
+    expect(page.locator(".job-name")).to_have_count(len(CALLED) - 2)
+    expect(page.get_by_text("<img src=x onerror=alert(1)>")).to_be_visible()
