@@ -329,6 +329,9 @@ def test_a_release_of_what_is_deleted_meanwhile_leaves_nothing(
             between.setattr(Releases, "_proven", then_delete)
             answer = release(shop, first)
         assert (answer.status_code, codes(answer)) == (404, UNKNOWN)
+        kept = shop.job("ann", "kept")
+        assert release(shop, kept).status_code == 201
+        assert shop.ask("ann", "DELETE", f"/v1/jobs/{kept}").status_code == 204
         jobs = [shop.job("ann", f"race_{k}") for k in range(6)]
         ready = threading.Barrier(3)
 
