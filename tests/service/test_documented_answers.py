@@ -152,6 +152,8 @@ def provoked(
         url = re.sub(r"{(\w+)}", lambda found, own=nobody: own[found[1]], path)  # type: ignore[misc]
         out.add(status(url=url))
     for parameter in about.get("parameters", []):
+        if parameter["in"] == "query" and parameter["name"] in ids:
+            out.add(status(params={parameter["name"]: NOBODY}))
         if parameter["in"] == "query":
             out.add(status(params={**GOOD.get(one, {}).get("params", {}), parameter["name"]: "~" * 300}))
         if parameter["in"] == "query" and parameter["name"] == "job":
