@@ -257,7 +257,7 @@ def _map(found: axis_map.AxisMap) -> dict[str, Any]:
     return {
         "freedom": found.freedom,
         "unit": unit,
-        "values": np.round(found.values / SCALES[unit], 3).tolist(),
+        "values": np.round(found.values / SCALES[unit], 6).tolist(),
         "states": {arm: own.tolist() for arm, own in places.state.items()},
         "codes": list(axis_map.CODES),
         "limit_deg": {arm: _some(own / DEG) for arm, own in places.limit.items()},
@@ -290,7 +290,7 @@ def _path(looked: _Looked, operation: int, made: axis_map.AxisMap, plan: Plan | 
             axis = axis_map.PLACE_AXES.index(made.freedom.removeprefix(axis_map.PLACE))
             out.append(float((plan.places[looked.setup.number - 1] - looked.place)[axis, 3]))
     scale = SCALES[UNITS[made.unit]]
-    path = [None if value is None else round(value / scale, 3) for value in out]
+    path = [None if value is None else round(value / scale, 6) for value in out]
     return {"path": path} if any(value is not None for value in path) else {}
 
 
