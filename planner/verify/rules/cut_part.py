@@ -96,8 +96,12 @@ def _reachable(context: Context, claim: CutsSurface, face: CutFace) -> CutFace:
     """The face with what a round wire cannot reach of it as good as it can be, where so much of it is off
     that this counts."""
     ruled = next((one for one in context.rulings if one.segment == claim.segment), None)
-    high = np.flatnonzero(face.deviation > face.tolerance)
-    if ruled is None or face.share >= face.wanted_share or not len(high):
+    if ruled is None or face.share >= face.wanted_share:
+        return face
+    # what stands farther than may be left by far is off whatever a wire reaches, and costs a search a point
+    off = (face.deviation > face.tolerance) & (face.deviation <= ruled.left + face.tolerance)
+    high = np.flatnonzero(off)
+    if not len(high):
         return face
     speed = face.speed[np.isfinite(face.speed)]
     more = unreached(ruled, face.points[high], 0.5 * float(claim.kerf.at(speed).max()))

@@ -4,6 +4,7 @@ in whole jobs, where a planner that leaves more must be caught."""
 from __future__ import annotations
 
 import dataclasses
+import types
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from planner.hotwire.straight import cut
 from planner.hotwire.straight.offset import Beside
 from planner.problem import Problem
 from planner.verify.prove import prove
+from planner.verify.result import CutFace
+from planner.verify.rules import cut_part
 from planner.verify.wire.cut_surface import unreached
 from tests.hotwire import foam_blocks as blocks
 from tests.verify.rules.test_straight_wire_slits import RIM, problem
@@ -82,6 +85,32 @@ def test_a_groove_that_is_narrower_than_the_slot_is_not_reached_at_all() -> None
     assert np.isinf(found[0])
     above = HALF * np.cos(np.pi / 6.0)  # as far in between its edges as the slot comes
     assert found[1] == pytest.approx(np.hypot(0.0005, 0.002 + above) - HALF, abs=6e-5)
+
+
+def test_what_stands_farther_than_may_be_left_is_off_without_a_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A part that is another one than was cut is refused at once; what counts as good is as it was."""
+    line = np.array([[-0.1, 0.1], [0.0, 0.0], [0.1, 0.1]])
+    ruled = claim(line, left=0.002)
+    x = np.linspace(-0.05, 0.05, 101)
+    points = np.column_stack([x, np.full(len(x), 0.1), np.abs(x)])
+    deviation = np.where(np.abs(x) < 0.0006, 0.0004, np.where(x > 0.0, 0.02, 0.0))
+    area = np.full(len(x), 1e-4)
+    share = float((np.abs(deviation) <= 0.0003).mean())
+    face = CutFace(ruled.segment, points, deviation, area, 0.0003, share, 0.99, 0.0, 0.02, speed=np.ones(1))
+    asked = []
+    searched = cut_part.unreached
+
+    def seen(own: FollowsRulings, places: np.ndarray, half: float) -> np.ndarray:
+        asked.append(len(places))
+        return searched(own, places, half)
+
+    monkeypatch.setattr(cut_part, "unreached", seen)
+    context = types.SimpleNamespace(rulings=(ruled,))
+    found = cut_part._reachable(context, types.SimpleNamespace(segment=ruled.segment, kerf=ruled.kerf), face)  # type: ignore[arg-type]
+    assert asked == [1]  # the corner; the flank that stands 20 mm off is none of it
+    assert found.share == pytest.approx(share + 1.0 / len(x))
 
 
 DOVETAIL = [
