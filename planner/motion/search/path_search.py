@@ -280,7 +280,7 @@ def find_path(scene: Scene, targets: Targets, fine: bool = True) -> tuple[Grid, 
 
     With few freedoms slides and tables are in their middle first, and at more places only where that has no
     path whose moves are free; at last, if ``fine``, spins and slides are sampled twice as densely. Very many
-    targets are planned on a skeleton first. Unless ``fine``, nothing is known of where there is no path.
+    targets are planned on a skeleton first.
     """
     if suits(targets):
         long = search_long(scene, targets)
@@ -292,10 +292,9 @@ def find_path(scene: Scene, targets: Targets, fine: bool = True) -> tuple[Grid, 
     kept: tuple[Grid, Found] | None = None
     tried: list[tuple[float, int]] = [(SPIN_STEP, 1)]
     tried += [(SPIN_STEP, SLIDE_SAMPLES)] if any(slides_only(f) for f in free) else []
-    for number, (step, slides) in enumerate(tried, start=1):
+    for step, slides in tried:
         grid = sample(targets, step, slides)
-        told = fine and number == len(tried)  # else more samples follow, or nobody asks
-        found = search(scene, targets, grid, moves=scene.model is not None, told=told)
+        found = search(scene, targets, grid, moves=scene.model is not None)
         if isinstance(found, Found):
             kept = kept or (grid, found)
             if not found.loose:
