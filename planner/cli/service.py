@@ -60,7 +60,7 @@ class Serve:
     oidc_scope: str = "openid profile email"
     """scopes that are asked for"""
     webhook_host: tuple[str, ...] = ()
-    """hosts whose addresses users may have told of jobs that end; none: no address is told"""
+    """HOST or HOST:PORT whose addresses users may have told of jobs that end; none: no address is told"""
     certificate: Path | None = None
     """certificate for TLS, PEM"""
     key: Path | None = None

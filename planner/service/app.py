@@ -182,7 +182,11 @@ def log_in(request: Request, here: Here, after: Annotated[str, Query(max_length=
     """To the provider, by which people log in."""
     if here.log_in is None:
         raise _unknown("/ui/oidc/login")
-    address, cookie = here.log_in.begin(_back(request), after)
+    try:
+        _count(request, here)
+        address, cookie = here.log_in.begin(_back(request), after)
+    except RefusedError as refused:
+        return _not_logged_in(here, refused)
     answer = RedirectResponse(address, 303, {"Cache-Control": "no-store"})
     answer.set_cookie(
         LOG_IN_COOKIE,
@@ -201,14 +205,28 @@ def logged_in(request: Request, here: Here) -> Response:
     """Back from the provider."""
     if here.log_in is None:
         raise _unknown("/ui/oidc/callback")
+    answer: Response
     try:
+        _count(request, here)
         who, after = here.log_in.end(str(request.url), _back(request), request.cookies.get(LOG_IN_COOKIE))
     except RefusedError as refused:
-        answer: Response = _page("login", PAGES["login"], here, status=refused.status, fault=str(refused))
+        answer = _not_logged_in(here, refused)
     else:
         answer = RedirectResponse(after, 303, {"Cache-Control": "no-store"})
         routes.remember(request, answer, here, who)
     answer.delete_cookie(LOG_IN_COOKIE, path="/ui/oidc")
+    return answer
+
+
+def _count(request: Request, here: Service) -> None:
+    """Raises :class:`RefusedError`, 429: who is not logged in may ask so often, as with wrong tokens."""
+    address = request.client.host if request.client else ""
+    here.failures.take(address, f"address {address} logs in")
+
+
+def _not_logged_in(here: Service, refused: RefusedError) -> Response:
+    answer = _page("login", PAGES["login"], here, status=refused.status, fault=str(refused))
+    answer.headers.update(refused.headers)
     return answer
 
 

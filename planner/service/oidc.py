@@ -8,15 +8,17 @@ other. Role and name are those that the provider tells at each log-in.
 from __future__ import annotations
 
 import base64
+import contextlib
 import dataclasses
 import hashlib
 import hmac
 import json
+import math
 import re
 import secrets
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
@@ -25,7 +27,7 @@ import httpx
 from authlib.common.errors import AuthlibBaseError
 from authlib.integrations.httpx_client import OAuth2Client
 from joserfc import jwt
-from joserfc.errors import JoseError
+from joserfc.errors import InvalidKeyIdError, JoseError
 from joserfc.jwk import KeySet
 
 from planner.issues import Issue, TandemError
@@ -42,6 +44,10 @@ KNOWN_S: Final = 3600.0
 """So long [s] what the provider tells of itself is believed."""
 ANSWER_S: Final = 15.0
 """Time [s] in which the provider has to answer."""
+FAILED_S: Final = 10.0
+"""So long [s] a provider that did not answer is not asked again."""
+AT_ONCE: Final = 3
+"""Log-ins that ask the provider at once: one that hangs takes no more of the service's threads."""
 LEEWAY_S: Final = 60
 """What clocks of provider and service may differ by [s]."""
 ANY: Final = "*"
@@ -99,7 +105,7 @@ def read(
         raise _wrong(
             "oidc-role", f"nobody could do anything; give --oidc-role VALUE=ROLE, {ANY}=view for all"
         )
-    return Oidc(issuer.rstrip("/"), client, word, found, claim, team, scope)
+    return Oidc(issuer, client, word, found, claim, team, scope)
 
 
 def _wrong(field: str, what: str) -> TandemError:
@@ -125,12 +131,16 @@ class LogIn:
         self._auth = auth
         self._secret = bytes.fromhex(shared_secret(database, "oidc"))
         self._lock = threading.Lock()
+        self._room = threading.BoundedSemaphore(AT_ONCE)
         self._about: tuple[float, dict[str, Any], KeySet] | None = None
+        self._asked_at = -math.inf
+        self._failed_until = -math.inf
 
     def begin(self, redirect: str, after: str) -> tuple[str, str]:
         """Where the browser goes, and the cookie that it has to bring back to ``redirect``; ``after`` is a
-        path of this service. Raises :class:`RefusedError`, 502."""
-        about, _ = self._provider()
+        path of this service. Raises :class:`RefusedError`: 502, or 503 while many log in."""
+        with self._one():
+            about, _ = self._provider()
         state, nonce, verifier = (secrets.token_urlsafe(32) for _ in range(3))
         asked = Asked(state, nonce, verifier, inside(after), time.time() + ASKED_S)
         with self._client(redirect) as client:
@@ -148,25 +158,47 @@ class LogIn:
             raise refused("it was not begun in this browser; begin at the log-in page")
         if "error" in given or "code" not in given:
             raise refused(f"the provider said no ({given.get('error', 'no code')[:60]}); log in again")
-        about, keys = self._provider()
+        with self._one():
+            about, keys = self._provider()
+            try:
+                with self._client(redirect) as client:
+                    tokens = client.fetch_token(
+                        about["token_endpoint"], code=given["code"], code_verifier=asked.verifier
+                    )
+            except AuthlibBaseError as error:
+                raise refused(f"the provider said no ({str(error.error)[:60]}); log in again") from error
+            except (httpx.HTTPError, ValueError) as error:
+                raise _away(error) from error
+            token = str(tokens.get("id_token", ""))
+            try:
+                claims = self._claims(token, about, keys, asked.nonce)
+            except InvalidKeyIdError:  # it may have changed its keys
+                claims = self._claims(token, *self._provider(anew=True), asked.nonce)
+        account = f"{about['issuer']} {claims['sub']}"
         try:
-            with self._client(redirect) as client:
-                tokens = client.fetch_token(
-                    about["token_endpoint"], code=given["code"], code_verifier=asked.verifier
-                )
-        except AuthlibBaseError as error:
-            raise refused(f"the provider said no ({str(error.error)[:60]}); log in again") from error
-        except (httpx.HTTPError, ValueError) as error:
-            raise _away(error) from error
-        claims = self._claims(str(tokens.get("id_token", "")), keys, asked.nonce)
-        who = self._auth.account(
-            f"{self.oidc.issuer} {claims['sub']}", called(claims), self.role(claims), self.oidc.team
-        )
+            role = self.role(claims)
+        except RefusedError:
+            self._auth.close_account(account)
+            raise
+        who = self._auth.account(account, called(claims), role, self.oidc.team)
         return dataclasses.replace(who, expires=time.time() + SESSION_S), asked.next
 
+    @contextlib.contextmanager
+    def _one(self) -> Iterator[None]:
+        """Of the few who ask the provider at once; raises :class:`RefusedError`, 503, where it is full."""
+        if not self._room.acquire(blocking=False):
+            issue = Issue("service.log_in", "log-in: many log in just now; try again in a moment")
+            raise RefusedError(503, issue, {"Retry-After": "5"})
+        try:
+            yield
+        finally:
+            self._room.release()
+
     def role(self, claims: Mapping[str, Any]) -> TokenRole:
-        """The role that may most of those that claims give; raises :class:`RefusedError`, 403."""
-        given = claims.get(self.oidc.claim)
+        """The role that may most of those that claims give; an address counts if the provider has verified
+        it. Raises :class:`RefusedError`, 403."""
+        trusted = self.oidc.claim != "email" or claims.get("email_verified") is True
+        given = claims.get(self.oidc.claim) if trusted else None
         listed = [given] if isinstance(given, str) else given if isinstance(given, list) else []
         values = set(map(str, listed))
         found = [role for value, role in self.oidc.roles.items() if value == ANY or value in values]
@@ -175,19 +207,22 @@ class LogIn:
             raise RefusedError(403, Issue("service.role", what, field=self.oidc.claim))
         return max(found, key=TOKEN_ROLES.index)
 
-    def _claims(self, token: str, keys: KeySet, nonce: str) -> dict[str, Any]:
-        """Those of an ID token that the provider has signed for this log-in (Core 1.0, section 3.1.3.7)."""
+    def _claims(self, token: str, about: Mapping[str, Any], keys: KeySet, nonce: str) -> dict[str, Any]:
+        """Those of an ID token that the provider has signed for this log-in (Core 1.0, section 3.1.3.7).
+        Raises :class:`RefusedError`, 403, and ``InvalidKeyIdError`` for a key that is not known."""
         try:
             found = dict(jwt.decode(token, keys, algorithms=list(ALGORITHMS)).claims)
             jwt.JWTClaimsRegistry(
                 leeway=LEEWAY_S,
-                iss={"essential": True, "value": self.oidc.issuer},
+                iss={"essential": True, "value": about["issuer"]},
                 aud={"essential": True, "value": self.oidc.client},
                 sub={"essential": True},
                 exp={"essential": True},
                 iat={"essential": True},
                 nonce={"essential": True, "value": nonce},
             ).validate(found)
+        except InvalidKeyIdError:
+            raise
         except (JoseError, ValueError, TypeError, KeyError) as error:
             raise refused(
                 f"the provider's ID token is not good ({type(error).__name__}); log in again"
@@ -196,21 +231,29 @@ class LogIn:
             raise refused("the provider's ID token is for another service; log in again")
         return found
 
-    def _provider(self) -> tuple[dict[str, Any], KeySet]:
-        """What the provider tells of itself, and its keys (OpenID Connect Discovery 1.0)."""
+    def _provider(self, anew: bool = False) -> tuple[dict[str, Any], KeySet]:
+        """What the provider tells of itself, and its keys (OpenID Connect Discovery 1.0); ``anew``: not what
+        is known, unless it was asked a moment ago."""
         with self._lock:
-            if self._about is not None and self._about[0] > time.monotonic():
+            now = time.monotonic()
+            old = anew and now - self._asked_at > FAILED_S
+            if self._about is not None and self._about[0] > now and not old:
                 return self._about[1:]
+            if now < self._failed_until:
+                raise _away(TimeoutError())
+            self._asked_at = now
             try:
                 with httpx.Client(timeout=ANSWER_S) as client:
-                    answer = client.get(f"{self.oidc.issuer}/.well-known/openid-configuration")
+                    issuer = self.oidc.issuer.rstrip("/")
+                    answer = client.get(f"{issuer}/.well-known/openid-configuration")
                     about = answer.raise_for_status().json()
-                    if about["issuer"].rstrip("/") != self.oidc.issuer:
+                    if about["issuer"].rstrip("/") != issuer:
                         raise ValueError("it calls itself otherwise")
                     for name in ("authorization_endpoint", "token_endpoint", "jwks_uri"):
                         _checked(about[name])
                     keys = KeySet.import_key_set(client.get(about["jwks_uri"]).raise_for_status().json())
             except (httpx.HTTPError, JoseError, ValueError, KeyError, TypeError, AttributeError) as error:
+                self._failed_until = time.monotonic() + FAILED_S
                 raise _away(error) from error
             self._about = (time.monotonic() + KNOWN_S, about, keys)
             return about, keys
@@ -249,8 +292,12 @@ def inside(path: str) -> str:
 
 def called(claims: Mapping[str, Any]) -> str:
     """What an account is called."""
-    names = NAMES if claims.get("email_verified") is True else NAMES[1:]
-    return next(str(claims[name])[:200] for name in names if claims.get(name))
+    known = {name: str(claims[name])[:200] for name in NAMES if claims.get(name)}
+    if claims.get("email_verified") is not True:
+        known.pop("email", None)
+    if "@" in known.get("preferred_username", ""):  # an address that nobody has verified
+        known.pop("preferred_username")
+    return next(iter(known.values()))
 
 
 def refused(why: str) -> RefusedError:

@@ -212,6 +212,12 @@ class Auth:
                 db.execute(update(TOKENS).where(TOKENS.c.id == number).values(known))
         return Who(number, plain, role, team)
 
+    def close_account(self, key: str) -> None:
+        """End the sessions of an account of a provider."""
+        number = hashlib.sha256(key.encode()).hexdigest()[:16]
+        with self._database.write() as db:
+            db.execute(delete(SESSIONS).where(SESSIONS.c.token == number))
+
     def list(self) -> tuple[TokenInfo, ...]:
         """All tokens, the oldest first."""
         with self._database.read() as db:

@@ -9,6 +9,7 @@ address is one of a host that the operator has named; redirections are not follo
 from __future__ import annotations
 
 import base64
+import contextlib
 import dataclasses
 import datetime as dt
 import hashlib
@@ -16,12 +17,13 @@ import hmac
 import http.client
 import json
 import logging
+import re
 import secrets
+import socket
 import ssl
 import threading
 import time
 from collections.abc import Callable, Collection
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 from urllib.parse import SplitResult, urlsplit
 
@@ -53,6 +55,10 @@ FORGOTTEN_S: Final = 3 * 86400.0
 """What is due for so long [s] is told no more."""
 MOST: Final = 10
 """Webhooks of one owner."""
+USUAL_PORTS: Final = {"https": 443, "http": 80}
+"""Ports of addresses that name none."""
+NUMBER: Final = re.compile(r"[0-9a-f]{32}")
+"""A webhook's identifier."""
 LONGEST_URL: Final = 500
 """Characters of an address at most."""
 GONE: Final = 410
@@ -73,13 +79,14 @@ class Due:
 
 
 def checked(url: str, hosts: Collection[str]) -> SplitResult:
-    """An address that may be told. ``hosts``: those that the operator has named, in lower case.
+    """An address that may be told. ``hosts``: those that the operator has named, in lower case, each by
+    itself for the usual port, or as ``HOST:PORT`` for another one.
 
     Raises :class:`RefusedError`, 422.
     """
     try:
         parts = urlsplit(url)
-        host, _ = (parts.hostname or "").lower(), parts.port
+        host, port = (parts.hostname or "").lower(), parts.port
     except ValueError:
         raise refused(f"{url[:80]!r} is no address; give https://HOST/PATH") from None
     if not hosts:
@@ -90,9 +97,10 @@ def checked(url: str, hosts: Collection[str]) -> SplitResult:
         raise refused(f"{parts.scheme or 'no scheme'} is not taken; give https://HOST/PATH")
     if parts.username is not None or parts.password is not None or parts.fragment:
         raise refused("its url has a user, a password or a fragment; leave them out: requests are signed")
-    if host not in hosts:
+    there = host if port in (None, USUAL_PORTS[parts.scheme]) else f"{host}:{port}"
+    if there not in hosts:
         allowed = ", ".join(sorted(hosts))
-        raise refused(f"host {host[:80]!r} is none that this service tells; allowed: {allowed}")
+        raise refused(f"host {there[:80]!r} is none that this service tells; allowed: {allowed}")
     return parts
 
 
@@ -178,6 +186,8 @@ class Webhooks:
             _put(db, number, "ping", {})
 
     def _own(self, db: Connection, owner: str, number: str) -> None:
+        if not NUMBER.fullmatch(number):
+            raise refused(f"{number[:40]!r}: there is none; list them", 404)
         own = select(WEBHOOKS.c.id).where(WEBHOOKS.c.id == number, WEBHOOKS.c.owner == owner)
         if db.execute(own).first() is None:
             raise refused(f"{number[:40]!r}: there is none; list them", 404)
@@ -250,16 +260,34 @@ def post(due: Due, hosts: Collection[str]) -> tuple[int | None, str]:
             link = http.client.HTTPSConnection(parts.netloc, timeout=ANSWER_S, context=context)
         else:
             link = http.client.HTTPConnection(parts.netloc, timeout=ANSWER_S)
+        over = threading.Event()
+        ending = threading.Timer(
+            ANSWER_S, _cut, (link, over)
+        )  # the connection's own limit is one for each piece
+        ending.daemon = True
+        ending.start()
         try:
             way = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
             link.request("POST", way, due.body.encode(), headers)
-            return link.getresponse().status, ""
+            status = link.getresponse().status
+            if over.is_set():  # a head that was cut off reads as one that ended
+                raise TimeoutError
+            return status, ""
         finally:
+            ending.cancel()
             link.close()
     except RefusedError as no_longer:
         return None, str(no_longer)
-    except (OSError, http.client.HTTPException) as error:
-        return None, f"no answer: {type(error).__name__}"
+    except (OSError, ValueError, http.client.HTTPException) as error:
+        LOG.info("webhook %s: no answer: %s", due.webhook, type(error).__name__)
+        return None, "no answer"
+
+
+def _cut(link: http.client.HTTPConnection, over: threading.Event) -> None:
+    over.set()
+    with contextlib.suppress(OSError):
+        if link.sock is not None:
+            link.sock.shutdown(socket.SHUT_RDWR)
 
 
 Post = Callable[[Due, Collection[str]], tuple[int | None, str]]
@@ -280,13 +308,12 @@ class Sender(threading.Thread):
         """Send nothing more; what is under way is sent again if it is not answered."""
         self._ending.set()
         if self.is_alive():
-            self.join(ANSWER_S)
+            self.join(LOOK_S + 5.0)
 
     def run(self) -> None:
         """Until :meth:`stop`."""
         if not self._webhooks.hosts:
             return
-        pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="tandem-webhook")
         while not self._ending.wait(LOOK_S):
             try:
                 while not self._ending.is_set() and len(self._busy) < AT_ONCE:
@@ -297,10 +324,9 @@ class Sender(threading.Thread):
                         break
                     with self._lock:
                         self._busy.add(due.owner)
-                    pool.submit(self._tell, due)
+                    threading.Thread(target=self._tell, args=(due,), daemon=True).start()
             except SQLAlchemyError:
                 LOG.exception("webhooks wait for the database")
-        pool.shutdown(wait=False, cancel_futures=True)
 
     def _tell(self, due: Due) -> None:
         try:

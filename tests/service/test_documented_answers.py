@@ -64,7 +64,7 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
     data.mkdir()
     token = Auth(Database(default_url(data))).make("ann", "release")
     limits = Limits(upload_mb=UPLOAD_MB)
-    hosts = ("127.0.0.1",)
+    hosts = ("127.0.0.1:9",)
     with Elements(data, limits, examiners=2, workers=4, require_token=True, webhook_hosts=hosts) as made:
         made.service.failures = Rates(None)
         made.http.headers["Authorization"] = f"Bearer {token}"

@@ -10,10 +10,12 @@ import json
 import os
 import re
 import shutil
+import socket
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,7 @@ from planner.issues import TandemError
 from planner.service import oidc
 from planner.service.models import Database, default_url
 from planner.service.oidc import ASKED_S, LogIn, Oidc, called, inside, read
+from planner.service.rates import Rates
 from planner.service.security import Auth, RefusedError
 from tests.service.support import InProcess, free_port
 
@@ -304,7 +307,7 @@ def test_options_that_cannot_be_are_told(tmp_path: Path) -> None:
     more = {"claim": "groups", "team": None, "scope": "openid"}
     made = read(**good, **more)  # type: ignore[arg-type]
     assert (made.issuer, made.secret, made.roles) == (
-        "https://id.example",
+        "https://id.example/",
         SECRET,
         {"*": "view", "a=b": "plan"},
     )
@@ -396,3 +399,92 @@ def test_a_service_without_a_provider_has_no_such_pages(tmp_path: Path) -> None:
         assert here.http.get("/ui/oidc/login").status_code == 404
         assert here.http.get("/ui/oidc/callback").status_code == 404
         assert "your account" not in here.http.get("/ui/login").text
+
+
+def test_an_issuer_may_end_with_a_slash(forger: Forger, tmp_path: Path) -> None:
+    """Authentik's and Auth0's do; compared is what the provider says (Core 1.0, section 3.1.3.7)."""
+    forger.about = {"issuer": f"{forger.issuer}/"}
+    database = Database(default_url(tmp_path))
+    for given in (forger.issuer, f"{forger.issuer}/"):
+        log_in = LogIn(database, Auth(database), Oidc(given, "tandem", SECRET, ROLES))  # type: ignore[arg-type]
+        address, cookie = went(log_in, forger)
+        forger.claims["iss"] = f"{forger.issuer}/"
+        assert log_in.end(address, REDIRECT, cookie)[0].role == "plan"
+        address, cookie = went(log_in, forger)  # without the slash it is another one
+        with pytest.raises(RefusedError):
+            log_in.end(address, REDIRECT, cookie)
+    database.close()
+
+
+def test_an_address_that_nobody_verified_gives_no_role_and_no_name(forger: Forger, tmp_path: Path) -> None:
+    database = Database(default_url(tmp_path))
+    roles = {"boss@shop.example": "release", "*": "view"}
+    told = Oidc(forger.issuer, "tandem", SECRET, roles, claim="email")  # type: ignore[arg-type]
+    log_in = LogIn(database, Auth(database), told)
+    for verified, role, name in ((False, "view", "7"), (True, "release", "boss@shop.example")):
+        address, cookie = went(log_in, forger)
+        borrowed = {"email": "boss@shop.example", "preferred_username": "boss@shop.example"}
+        forger.claims |= {**borrowed, "email_verified": verified}
+        who, _ = log_in.end(address, REDIRECT, cookie)
+        assert (who.role, who.name) == (role, name)
+    database.close()
+
+
+def test_who_has_lost_his_role_has_no_session_left(log_in: LogIn, forger: Forger) -> None:
+    address, cookie = went(log_in, forger)
+    who, _ = log_in.end(address, REDIRECT, cookie)
+    session, _ = log_in._auth.open_session(who)
+    assert log_in._auth.session(session).token == who.token
+    address, cookie = went(log_in, forger)
+    forger.claims["groups"] = []
+    with pytest.raises(RefusedError):
+        log_in.end(address, REDIRECT, cookie)
+    with pytest.raises(RefusedError):
+        log_in._auth.session(session)
+
+
+def test_keys_that_were_changed_are_asked_for(
+    log_in: LogIn, forger: Forger, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(oidc, "FAILED_S", 0.0)
+    address, cookie = went(log_in, forger)
+    log_in.end(address, REDIRECT, cookie)
+    new = RSAKey.generate_key(2048, {"kid": "two"})
+    address, cookie = went(log_in, forger)
+    monkeypatch.setattr(f"{__name__}.KEY", new)
+    forger.token = lambda claims: jwt.encode({"alg": "RS256", "kid": "two"}, claims, new)
+    assert log_in.end(address, REDIRECT, cookie)[0].role == "plan"
+
+
+def test_a_provider_that_hangs_costs_log_ins_alone(tmp_path: Path) -> None:
+    """It is asked by few at once, and not again at once; the service answers others meanwhile."""
+    silent = socket.socket()
+    silent.bind((HERE.removeprefix("http://"), 0))
+    silent.listen(64)
+    account = Oidc(f"{HERE}:{silent.getsockname()[1]}", "tandem", SECRET, ROLES)  # type: ignore[arg-type]
+    with InProcess(tmp_path / "data", examiners=1, oidc=account) as here:
+        here.service.failures = Rates(None)
+        before = oidc.ANSWER_S
+        oidc.ANSWER_S = 2.0  # type: ignore[misc]
+        try:
+            with ThreadPoolExecutor(30) as pool:
+                asked = [
+                    pool.submit(here.http.get, "/ui/oidc/login", follow_redirects=False) for _ in range(30)
+                ]
+                begun = time.monotonic()
+                assert here.http.get("/v1/jobs").status_code == 401
+                assert time.monotonic() - begun < 2.0
+                statuses = {one.result().status_code for one in asked}
+            assert statuses == {502, 503}
+            begun = time.monotonic()
+            assert here.http.get("/ui/oidc/login").status_code == 502
+            assert time.monotonic() - begun < 1.0
+        finally:
+            oidc.ANSWER_S = before  # type: ignore[misc]
+            silent.close()
+
+
+def test_log_ins_of_one_address_come_at_a_limited_rate(tmp_path: Path) -> None:
+    account = Oidc(f"{HERE}:9", "tandem", SECRET, ROLES)  # type: ignore[arg-type]
+    with InProcess(tmp_path / "data", examiners=1, oidc=account) as here:
+        assert {here.http.get("/ui/oidc/login").status_code for _ in range(14)} == {502, 429}
