@@ -735,6 +735,7 @@ CODES: Final[dict[str, Code]] = {
     "service.not_found": Code("the service has nothing at that address, or not by that method"),
     "service.token": Code("a request to the service has no token, or one that is unknown, revoked or over"),
     "service.log_in": Code("somebody cannot log in by the provider of accounts"),
+    "service.damaged": Code("a stored program is not as it was written, and is not given out"),
     "service.role": Code("a request to the service is beyond what the role of its token allows"),
     "service.foreign": Code("a request comes from another site"),
     "service.link": Code("a link to a file of a job is over, or is not one that the service signed"),

@@ -145,6 +145,15 @@ class Releases:
         except FileNotFoundError:
             return ""
 
+    def check(self, job: str, programs: Mapping[str, Blob]) -> None:
+        """Read programs again before they go out: what is said of them is said of these bytes. Raises
+        :class:`RefusedError`, 500, where one is not in the store as it was written."""
+        for name, blob in programs.items():
+            if self._digest(blob) != blob.sha:
+                what = f"job {job}: {name} is not in the store as it was written; it is not given out: tell "
+                what += "who runs the service, and plan the job again"
+                raise RefusedError(500, Issue("service.damaged", what, field=name))
+
 
 def is_program(name: str) -> bool:
     """Whether a file of a job is one that robots run."""

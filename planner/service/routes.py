@@ -674,6 +674,8 @@ def file(
         if is_known(request, headers["ETag"]):
             return Response(status_code=304, headers=headers)
         return MadeFile(content, here.scratch, content_type(name), saved_as, headers)
+    if releases.is_program(name):
+        here.releases.check(found.id, {name: blob})
     kind = content_type(name)
     answer = stored_file(request, here.files.path(blob.sha), blob.sha, kind, headers, saved_as)
     if releases.is_program(name) and answer.status_code != 304:
@@ -729,6 +731,7 @@ def programs(found: OwnJob, who: Asker, here: Here, request: Request) -> Respons
     headers = {"ETag": tag, "Cache-Control": "private, no-cache", releases.HEADER: told.word}
     if is_known(request, tag):
         return Response(status_code=304, headers=headers)
+    here.releases.check(found.id, known)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         contents = {n.removeprefix("programs/"): here.files.read(blob.sha) for n, blob in known.items()}

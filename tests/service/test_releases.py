@@ -231,6 +231,16 @@ def test_what_is_damaged_on_the_disk_is_not_released(shop: Shop) -> None:
     finally:
         path.write_bytes(good)
     assert release(shop, job).status_code == 201
+    try:  # nor does it go out as released, where it was damaged since
+        for damage in (lambda: path.write_bytes(b"MODULE evil"), path.unlink):
+            damage()
+            for what in ("files/programs/main.mod", "programs.zip"):
+                answer = shop.ask("ann", "GET", f"/v1/jobs/{job}/{what}")
+                assert (answer.status_code, codes(answer)[0][0]) == (500, "service.damaged")
+                assert "is not given out" in answer.text and str(path.parent) not in answer.text
+    finally:
+        path.write_bytes(good)
+    assert shop.ask("ann", "GET", f"/v1/jobs/{job}/programs.zip").status_code == 200
 
 
 def test_the_same_problem_again_is_another_job_and_not_released(shop: Shop) -> None:
