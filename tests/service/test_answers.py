@@ -68,7 +68,7 @@ def test_head_tells_what_get_tells_without_a_body(done: tuple[InProcess, str], p
     ("method", "path", "allowed"),
     [
         ("PUT", "/v1/jobs", "GET, HEAD, POST"),
-        ("PATCH", "", "DELETE, GET, HEAD"),
+        ("PUT", "", "DELETE, GET, HEAD, PATCH"),
         ("GET", "/cancel", "POST"),
         ("POST", "/v1/health", "GET, HEAD"),
     ],

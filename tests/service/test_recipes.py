@@ -85,8 +85,8 @@ def test_a_stop_reaches_the_service_alone_and_no_worker_takes_it_along() -> None
 
 def test_the_units_commands_are_ours() -> None:
     start = shlex.split(unit("tandem.service")["Service"]["ExecStart"])
-    assert start[0] == INSTALLED and start[-1] == "$TANDEM_OPTIONS"
-    asked = parsed(start[1:-1])
+    assert start[0] == INSTALLED and start[-2:] == ["$TANDEM_OPTIONS", "$TANDEM_SECRET_OPTIONS"]
+    asked = parsed(start[1:-2])
     assert isinstance(asked, commands.Serve)
     assert asked.require_token and asked.host == "127.0.0.1"  # behind a proxy that does TLS
 
