@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, RowMapping, delete, func, insert, select
 
-from planner.service.models import AUDIT, TOKENS, Act, AuditOut, Database
+from planner.service.models import AUDIT, JOBS, TOKENS, Act, AuditOut, Database
 from planner.service.security import LOCAL, Who
 
 SAME_S: Final = 3600.0
@@ -47,11 +47,14 @@ def note(
 
 
 def note_download(database: Database, by: str, job: str, about: Mapping[str, Any]) -> None:
-    """Write down that somebody gets programs of a job."""
-    text = json.dumps(dict(about), ensure_ascii=False, sort_keys=True)
-    same = (AUDIT.c.job == job, AUDIT.c.token == by, AUDIT.c.act == "downloaded", AUDIT.c.about == text)
-    query = select(AUDIT.c.number).where(*same, AUDIT.c.at > database.clock() - SAME_S).limit(1)
+    """Write down that somebody gets programs of a job, with the number of its last release, if it had any:
+    what is released anew is another download."""
     with database.read() as db:
+        number = db.execute(select(JOBS.c.releases).where(JOBS.c.id == job)).scalar()
+        about = {**about, "release_number": number} if number else about
+        text = json.dumps(dict(about), ensure_ascii=False, sort_keys=True)
+        same = (AUDIT.c.job == job, AUDIT.c.token == by, AUDIT.c.act == "downloaded", AUDIT.c.about == text)
+        query = select(AUDIT.c.number).where(*same, AUDIT.c.at > database.clock() - SAME_S).limit(1)
         if db.execute(query).first() is not None:
             return
     with database.write() as db:

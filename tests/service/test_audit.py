@@ -113,6 +113,19 @@ def test_only_what_happened_is_written_down(shop: Shop) -> None:
     assert acts(shop, job)[2:] == [("released", "bob"), ("downloaded", "lea"), ("downloaded", "bob")]
 
 
+def test_a_download_of_what_was_released_anew_is_another_one(shop: Shop) -> None:
+    job = shop.job("ann", "anew")
+    for _ in range(2):
+        shop.ask("bob", "POST", f"/v1/jobs/{job}/release", json={})
+        for path in ("programs.zip", "files/programs/main.mod"):
+            for _ in range(2):
+                assert shop.ask("lea", "GET", f"/v1/jobs/{job}/{path}").status_code == 200
+        shop.ask("bob", "POST", f"/v1/jobs/{job}/withdraw", json={"reason": "again"})
+    found = shop.ask("bob", "GET", f"/v1/audit?job={job}&act=downloaded").json()["acts"]
+    told = [(one["about"]["file"], one["about"]["release_number"]) for one in reversed(found)]
+    assert told == [(name, n) for n in (1, 2) for name in ("programs.zip", "programs/main.mod")]
+
+
 def test_what_waits_is_cancelled_and_tried_again_by_name(shop: Shop) -> None:
     shop.here.team.hold.set()
     job = shop.here.post(named("held"), headers=bearer(shop.tokens["ann"])).json()["id"]
