@@ -23,7 +23,7 @@ from planner.batch.job import ELEMENT, PLANNED, PROBLEM, Done
 from planner.batch.neighbours import like_within
 from planner.element import progress
 from planner.issues import Issue, Severity, TandemError
-from planner.service import idempotency
+from planner.service import audit, idempotency
 from planner.service.finding import Wanted
 from planner.service.idempotency import Once
 from planner.service.jobs import NewJob, OfElement, job_files, job_out, job_row, put_files, remove
@@ -272,7 +272,8 @@ class Elements:
                 given |= {f"problem/run/{one}/{f}": own[f] for f in OF_PLANS if f in own}
             old = _report(db, element)
             if old is not None and old.state not in OPEN:
-                remove(db, old.id)
+                for gone in remove(db, old.id):
+                    audit.note(self._database, db, owner, "deleted", gone.id, {"name": gone.name})
         text = json.dumps([_done(one, panel.row).to_dict() for one, panel in ended.items()]).encode()
         (listed,) = self._service.storage.put(owner, [io.BytesIO(text)])
         given[f"problem/{PLANNED}"] = listed

@@ -218,11 +218,14 @@ class Jobs:
             wanted = DELETED if also_delete else max(CANCELLED, row["cancel"])
             db.execute(update(JOBS).where(JOBS.c.id == job, JOBS.c.state == "running").values(cancel=wanted))
             done = job_out(job_row(db, job, deleted_too=True))
+            act: Act = "deleted" if also_delete else "cancelled"
+            told = {}
             if also_delete and done.state not in OPEN:
-                remove(db, job)
-            if also_delete or (row["state"] in OPEN and not row["cancel"]):
-                act: Act = "deleted" if also_delete else "cancelled"
-                audit.note(self._database, db, by, act, job, {"name": done.name})
+                told = {one.id: one.name for one in remove(db, job)}
+            elif also_delete or (row["state"] in OPEN and not row["cancel"]):
+                told = {job: done.name}
+            for one, name in told.items():
+                audit.note(self._database, db, by, act, one, {"name": name})
         if row["state"] == "queued" and done.state == "cancelled":
             metrics.ended("cancelled")
         return done
@@ -354,16 +357,30 @@ def job_files(db: Connection, job: str) -> dict[str, Blob]:
     return {row["name"]: Blob(row["sha"], row["size"]) for row in rows}
 
 
-def remove(db: Connection, job: str) -> None:
+class Gone(NamedTuple):
+    """A job that was deleted."""
+
+    id: str
+    owner: str
+    name: str
+
+
+def remove(db: Connection, job: str) -> list[Gone]:
     """Delete a job with its files and events; of an element, reports too, and its panels become jobs like any
-    others. Stored content goes with a later sweep."""
+    others. Stored content goes with a later sweep. What went is told, for who writes it down: nothing where
+    another transaction was first."""
     own = and_(ELEMENT_JOBS.c.element == job, ELEMENT_JOBS.c.role == "report")
     reports = db.execute(select(ELEMENT_JOBS.c.job).where(own)).scalars().all()
-    for one in {job, *reports}:
-        db.execute(delete(JOBS).where(JOBS.c.id == one))  # first, for who releases it holds it
+    gone = []
+    for one in dict.fromkeys((job, *reports)):
+        row = db.execute(select(JOBS.c.id, JOBS.c.owner, JOBS.c.name).where(JOBS.c.id == one)).first()
+        done = db.execute(delete(JOBS).where(JOBS.c.id == one))  # first, for who releases it holds it
+        if row is not None and done.rowcount:
+            gone.append(Gone(*row))
         for table in (EVENTS, FILES, KEYS, RELEASES):
             db.execute(delete(table).where(table.c.job == one))
     db.execute(delete(ELEMENT_JOBS).where(or_(ELEMENT_JOBS.c.job == job, ELEMENT_JOBS.c.element == job)))
+    return gone
 
 
 def answer_from_store(db: Connection, job: str, key: str) -> bool:

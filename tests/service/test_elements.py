@@ -258,9 +258,14 @@ def test_a_report_tells_what_became_of_the_panels(here: Elements, tmp_path: Path
     rows = here.http.get(f"/v1/jobs/{report['id']}/files/report.csv").text
     assert f"{panel},infeasible" in rows
     assert report["id"] not in [one["id"] for one in here.http.get("/v1/jobs?limit=200").json()["jobs"]]
+    newer = here.http.post(f"{address}/report").json()["id"]
+    assert here.ended(newer)["state"] == "done"
     assert here.http.delete(address).status_code == 204
     assert here.http.get(f"/v1/jobs/{report['id']}").status_code == 404
     assert here.http.get(f"/v1/jobs/{job['id']}").status_code == 200
+    for one in (report["id"], newer, element["id"]):  # the older report gave way, the newer went with all
+        log = here.http.get(f"/v1/audit?job={one}").json()["acts"]
+        assert [entry["act"] for entry in reversed(log)] == ["submitted", "deleted"], one
 
 
 def test_panels_stand_alone_with_what_their_template_names(here: Elements, tmp_path: Path) -> None:

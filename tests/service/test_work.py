@@ -6,12 +6,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from sqlalchemy import update
+from sqlalchemy import Connection, update
 
-from planner.service.jobs import Jobs, NewJob
+from planner.service import audit, runner
+from planner.service.jobs import Gone, Jobs, NewJob, remove
 from planner.service.models import JOBS, Database, default_url
 from planner.service.runner import MOST_ATTEMPTS, Work
 from planner.service.security import Limits
@@ -154,3 +156,28 @@ def test_old_jobs_are_forgotten_if_asked(database: Database) -> None:
     time.sleep(0.02)
     work.forget(0.01)
     assert jobs.counts() == {"queued": 1}
+
+
+def test_hosts_that_forget_at_once_write_down_a_job_once(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs, work = jobs_of(database), Work(database, "host", 30.0)
+    made = [jobs.create(new(f"key{i}")).id for i in range(3)]
+    while (claimed := work.claim()) is not None:
+        work.finish(claimed, "verified", (), {}, 1.0, {})
+    time.sleep(0.02)
+    both = threading.Barrier(1 if database.sqlite else 2)  # SQLite has one writer
+
+    def after_both(db: Connection, job: str) -> list[Gone]:
+        if job == min(made):
+            both.wait(20.0)  # both have seen the jobs
+        return remove(db, job)
+
+    monkeypatch.setattr(runner, "remove", after_both)
+    with ThreadPoolExecutor(2) as pool:
+        done = [pool.submit(Work(database, f"host{i}", 30.0).forget, 0.01) for i in range(2)]
+    assert [one.result() for one in done] == [None, None]
+    assert jobs.counts() == {}
+    told = audit.everything(database, None, ("deleted",), 99)
+    assert sorted(one.job for one in told) == sorted(made)
+    assert {one.by for one in told} == {audit.AGED}
