@@ -7,6 +7,7 @@ imported when they are asked for: with all processes they take seconds to load.
 from __future__ import annotations
 
 import datetime as dt
+import functools
 import hashlib
 import io
 import json
@@ -383,7 +384,9 @@ def log_out(here: Here, tandem_session: Annotated[str | None, Cookie()] = None) 
 
 
 job_router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=ASKED)
-Tag = Annotated[str, Field(min_length=1, max_length=40), AfterValidator(line)]
+TAG: Final = 40
+"""Characters of a tag."""
+Tag = Annotated[str, Field(min_length=1, max_length=TAG), AfterValidator(functools.partial(line, most=TAG))]
 """A word that jobs are found by."""
 
 

@@ -30,18 +30,21 @@ REFUSED: Final = ("Cc", "Cf", "Co", "Cs", "Zl", "Zp")
 Body = TypeVar("Body", bound=BaseModel)
 
 
-def line(text: str) -> str:
-    """A text of one line, as it is kept. Raises ``PydanticCustomError``."""
-    return _kept(text, "")
+def line(text: str, most: int = LINE) -> str:
+    """A text of one line, as it is kept, of at most so many characters. Raises ``PydanticCustomError``."""
+    return _kept(text, "", most)
 
 
 def lines(text: str) -> str:
     """A text of several lines, as it is kept. Raises ``PydanticCustomError``."""
-    return _kept(text.replace("\r\n", "\n"), "\n\t")
+    return _kept(text.replace("\r\n", "\n"), "\n\t", LINES)
 
 
-def _kept(text: str, allowed: str) -> str:
+def _kept(text: str, allowed: str, most: int) -> str:
     kept = unicodedata.normalize("NFC", text).strip()
+    if len(kept) > most:  # some letters become two or three
+        what = "has {count} characters as it is kept (NFC), at most {most} may be; make it shorter"
+        raise PydanticCustomError("text", what, {"count": len(kept), "most": most})
     for one in kept:
         if one not in JOINERS + allowed and unicodedata.category(one) in REFUSED:
             name = unicodedata.name(one, "a control character").lower()

@@ -12,7 +12,7 @@ import pytest
 from planner.service.jobs import NewJob
 from tests.service import postgres
 from tests.service.support import InProcess, codes
-from tests.service.test_roles import UNKNOWN, Shop, opened
+from tests.service.test_roles import UNKNOWN, Shop, bearer, opened
 
 TITLES: Final = {
     "alpha": ("Gewölbe STRASSE 3", ["dome", "Ost"], "cut of Tuesday"),
@@ -157,6 +157,9 @@ def test_what_is_left_out_stays_and_what_is_empty_goes(shop: Shop) -> None:
         ({"title": "a\nb"}, "title"),
         ({"title": "x" * 10_000}, "title"),
         ({"title": 3}, "title"),
+        ({"title": "\ufb2c" * 67}, "title"),  # three characters each, as they are kept
+        ({"tags": ["\ufb2c" * 14]}, "tags.0"),
+        ({"notes": "\ufb2c" * 667}, "notes"),
         ({"tags": ["a\u200fb"]}, "tags.0"),
         ({"tags": ["ok", ""]}, "tags.1"),
         ({"tags": ["x" * 41]}, "tags.0"),
@@ -171,6 +174,34 @@ def test_texts_that_hide_something_are_refused(shop: Shop, said: dict[str, Any],
     assert (answer.status_code, codes(answer)) == (422, [("service.request", field)])
     assert len(answer.content) < 2000
     assert shop.ask("ann", "GET", f"/v1/jobs/{job['id']}").json()["title"] == job["title"]
+
+
+def test_texts_that_grow_may_be_as_long_as_others(shop: Shop) -> None:
+    job = put(shop, "ann", "grown")
+    said = {"title": "\ufb2c" * 66, "tags": ["\ufb2c" * 13], "notes": "\ufb2c" * 666}
+    found = shop.ask("ann", "PATCH", f"/v1/jobs/{job}", json=said)
+    assert (found.status_code, [len(found.json()[name]) for name in ("title", "notes")]) == (200, [198, 1998])
+    assert shop.ask("ann", "GET", "/v1/jobs", params={"search": "\ufb2c" * 67}).status_code == 422
+    assert shop.ask("ann", "GET", "/v1/jobs", params={"tag": "\ufb2c" * 14}).status_code == 422
+    shop.ask("ann", "DELETE", f"/v1/jobs/{job}")
+
+
+def test_a_zero_byte_in_an_address_is_no_500(shop: Shop) -> None:
+    job = put(shop, "ann", "zero")
+    described = shop.here.http.get("/openapi.json", headers=bearer(shop.tokens["bob"])).json()
+    asked = 0
+    for path, ways in described["paths"].items():
+        if "{" not in path or "/webhooks" in path:
+            continue
+        for way in ways.keys() & {"get", "post", "patch", "delete"}:
+            for first in ("%00", f"{job}%00", job if "{name}" in path else "0" * 31 + "%00"):
+                url = path.replace("{job}", first).replace("{element}", first).replace("{kind}", "a%00")
+                url = url.replace("{name}", "a%00.mod")
+                answer = shop.ask("bob", way.upper(), url, json={})
+                assert answer.status_code in (404, 422), (way, url, answer.text)
+                asked += 1
+    assert asked > 30
+    shop.ask("ann", "DELETE", f"/v1/jobs/{job}")
 
 
 def test_many_are_deleted_at_once_and_no_others(shop: Shop) -> None:

@@ -283,6 +283,7 @@ def test_notes_in_any_language_are_kept_as_they_are(shop: Shop, text: str) -> No
         ("a\ufeffb", "U+FEFF (zero width no-break space)"),
         ("x" * (texts.LINES + 1), "at most 2000 characters"),
         ("x" * 900_000, "at most 2000 characters"),
+        ("\ufb2c" * 667, "has 2001 characters as it is kept (NFC), at most 2000"),
     ],
 )
 def test_what_hides_or_turns_text_is_refused(shop: Shop, text: str, named: str) -> None:
