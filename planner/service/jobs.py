@@ -12,7 +12,7 @@ import datetime as dt
 import json
 import secrets
 import time
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence, Set
 from typing import Any, Final, NamedTuple
 
 import anyio.to_thread
@@ -45,7 +45,7 @@ from planner.service.models import (
     Role,
     Withdrawal,
 )
-from planner.service.security import Limits, RefusedError, issue_json, unknown_job
+from planner.service.security import LOCAL, Auth, Limits, RefusedError, issue_json, unknown_job
 from planner.service.storage import Blob
 
 STORE: Final = "store"
@@ -479,6 +479,8 @@ POLL_S: Final = 0.25
 """Time [s] between two looks for new events."""
 ALIVE_S: Final = 15.0
 """A comment is sent so often, so that proxies do not take a stream for dead."""
+MAY_S: Final = 5.0
+"""Time [s] between two looks whether those who listen may still see their jobs."""
 JOBS_PER_QUERY: Final = 500
 """Jobs that one query of the database asks for."""
 
@@ -491,29 +493,46 @@ class Event(NamedTuple):
     data: str
 
 
-class Hub:
-    """Wakes listeners when their jobs have news."""
+@dataclasses.dataclass(eq=False)
+class _Listener:
+    """Who listens to a job, by his token, and the last event that he has."""
 
-    def __init__(self, database: Database, limits: Limits) -> None:
-        self._database, self._limits = database, limits
-        self._listening: dict[str, dict[asyncio.Event, int]] = {}
+    token: str
+    seen: int
+    woken: asyncio.Event = dataclasses.field(default_factory=asyncio.Event)
+    over: bool = False
+
+
+class Hub:
+    """Wakes listeners when their jobs have news, and ends the streams of those who may see them no more."""
+
+    def __init__(self, database: Database, limits: Limits, auth: Auth) -> None:
+        self._database, self._limits, self._auth = database, limits, auth
+        self._listening: dict[str, set[_Listener]] = {}
         self._of_owner: dict[str, int] = {}
         self._closing = False
 
     async def run(self) -> None:
         """Ask the store for news until cancelled; errors of the store are passed over, it is asked again."""
+        due = 0.0
         while True:
             await asyncio.sleep(POLL_S)
-            if self._listening:
+            if not self._listening:
+                continue
+            with contextlib.suppress(Exception):
+                self._wake(await anyio.to_thread.run_sync(self._numbers, list(self._listening)))
+            if time.monotonic() >= due:
+                due = time.monotonic() + MAY_S
+                asked = {(one.token, job) for job, own in self._listening.items() for one in own}
                 with contextlib.suppress(Exception):
-                    self._wake(await anyio.to_thread.run_sync(self._numbers, list(self._listening)))
+                    self._end(await anyio.to_thread.run_sync(self._unseen, asked))
 
     def close(self) -> None:
         """End all streams."""
         self._closing = True
         for listeners in self._listening.values():
-            for event in listeners:
-                event.set()
+            for one in listeners:
+                one.woken.set()
 
     @contextlib.contextmanager
     def slot(self, owner: str) -> Iterator[None]:
@@ -529,37 +548,65 @@ class Hub:
             if not self._of_owner[owner]:
                 del self._of_owner[owner]
 
-    async def stream(self, job: str, after: int) -> AsyncIterator[str]:
-        """The events of a job after number ``after`` as server-sent events, until it has ended or is gone."""
-        woken = asyncio.Event()
-        self._listening.setdefault(job, {})[woken] = after
+    async def stream(self, job: str, after: int, token: str) -> AsyncIterator[str]:
+        """The events of a job after number ``after`` as server-sent events, until it has ended or is gone, or
+        the token may see it no more: then without the event ``end``, and who comes again is refused."""
+        own = _Listener(token, after)
+        self._listening.setdefault(job, set()).add(own)
         try:
             yield ": tandem\n\n"
-            while not self._closing:
-                woken.clear()
-                events, is_open = await anyio.to_thread.run_sync(self._news, job, after)
+            while not (self._closing or own.over):
+                own.woken.clear()
+                events, is_open = await anyio.to_thread.run_sync(self._news, job, own.seen)
                 for event in events:
-                    after = event.seq
+                    own.seen = event.seq
                     yield f"id: {event.seq}\nevent: {event.kind}\ndata: {event.data}\n\n"
                 if not is_open:
-                    yield f"id: {after}\nevent: end\ndata: {json.dumps({'seq': after})}\n\n"
+                    yield f"id: {own.seen}\nevent: end\ndata: {json.dumps({'seq': own.seen})}\n\n"
                     return
-                self._listening[job][woken] = after
                 try:
-                    await asyncio.wait_for(woken.wait(), ALIVE_S)
+                    await asyncio.wait_for(own.woken.wait(), ALIVE_S)
                 except TimeoutError:
                     yield ": still here\n\n"
         finally:
-            listeners = self._listening.get(job, {})
-            listeners.pop(woken, None)
+            listeners = self._listening.get(job, set())
+            listeners.discard(own)
             if not listeners:
                 self._listening.pop(job, None)
 
     def _wake(self, numbers: dict[str, int]) -> None:
         for job, listeners in self._listening.items():
-            for event, seen in listeners.items():
-                if numbers.get(job, -1) != seen:
-                    event.set()
+            for one in listeners:
+                if numbers.get(job, -1) != one.seen:
+                    one.woken.set()
+
+    def _end(self, unseen: Set[tuple[str, str]]) -> None:
+        for job, listeners in self._listening.items():
+            for one in listeners:
+                if (one.token, job) in unseen:
+                    one.over = True
+                    one.woken.set()
+
+    def _unseen(self, asked: Set[tuple[str, str]]) -> set[tuple[str, str]]:
+        """Those of the tokens with jobs whose token is over, or sees that job no more; two questions for all
+        of them. A job that is gone ends its streams itself."""
+        asked = {(token, job) for token, job in asked if token != LOCAL}
+        good = self._auth.teams(sorted({token for token, _ in asked}))
+        jobs = sorted({job for _, job in asked})
+        whose: dict[str, tuple[str, str | None]] = {}
+        query = select(JOBS.c.id, JOBS.c.owner, TOKENS.c.team).outerjoin_from(
+            JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id
+        )
+        with self._database.read() as db:
+            for start in range(0, len(jobs), JOBS_PER_QUERY):
+                some = query.where(JOBS.c.id.in_(jobs[start : start + JOBS_PER_QUERY]))
+                whose |= {row.id: (row.owner, row.team) for row in db.execute(some)}
+
+        def sees(token: str, job: str) -> bool:
+            owner, team = whose.get(job, (token, None))
+            return token in good and (owner == token or (team is not None and team == good[token]))
+
+        return {(token, job) for token, job in asked if not sees(token, job)}
 
     def _numbers(self, jobs: list[str]) -> dict[str, int]:
         found: dict[str, int] = {}
@@ -585,7 +632,7 @@ class Stream(StreamingResponse):
 
     def __init__(self, hub: Hub, owner: str, job: str, after: int) -> None:
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-        super().__init__(hub.stream(job, after), media_type="text/event-stream", headers=headers)
+        super().__init__(hub.stream(job, after, owner), media_type="text/event-stream", headers=headers)
         self._hub, self._owner = hub, owner
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

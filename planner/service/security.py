@@ -111,6 +111,8 @@ LOCAL: Final = "local"
 """The owner of jobs that came without a token, over loopback."""
 SESSION_S: Final = 30 * 86400.0
 """Time [s] after which a session of a browser ends."""
+TOKENS_PER_QUERY: Final = 500
+"""Tokens that one query of the database asks for."""
 _TOKEN: Final = re.compile(r"tandem_([0-9a-f]{16})_[A-Za-z0-9_-]{43}")
 """A token: the identifier that the database knows, and the secret."""
 _TOKEN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
@@ -260,6 +262,16 @@ class Auth:
         query = select(TOKENS.c.id).where(TOKENS.c.id == owner, self._good())
         with self._database.read() as db:
             return db.execute(query).first() is not None
+
+    def teams(self, tokens: Sequence[str]) -> dict[str, str | None]:
+        """Those of the tokens that are in force, with their teams."""
+        found: dict[str, str | None] = {}
+        with self._database.read() as db:
+            for start in range(0, len(tokens), TOKENS_PER_QUERY):
+                some = TOKENS.c.id.in_(tokens[start : start + TOKENS_PER_QUERY])
+                rows = db.execute(select(TOKENS.c.id, TOKENS.c.team).where(some, self._good()))
+                found |= dict(row.tuple() for row in rows)
+        return found
 
     def owners(self, who: Who) -> Sequence[str]:
         """Tokens whose jobs ``who`` sees: its own, and those of its team, also such as are over."""

@@ -101,7 +101,7 @@ class Service:
         self.scratch = _work_folder(options.data / "work", options.database is None, self.host)
         self.jobs = Jobs(self.database, self.limits)
         self.storage = Storage(self.files, self.jobs.owned, self.limits)
-        self.hub = Hub(self.database, self.limits)
+        self.hub = Hub(self.database, self.limits, self.auth)
         limits = self.limits
         self._examiners = Examiners(
             options.examiners, self.scratch, limits.check_s, limits.check_memory_mb, limits.mesh_facets

@@ -6,6 +6,7 @@ import re
 import sqlite3
 import time
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,11 +16,11 @@ from sqlalchemy import update
 
 from planner.cli import service as commands
 from planner.issues import TandemError
-from planner.service import models, security
+from planner.service import jobs, models, security
 from planner.service.models import Database, default_url
 from planner.service.security import Auth, Limits
 from tests.service import postgres
-from tests.service.support import HERE, InProcess, codes, named
+from tests.service.support import HERE, InProcess, codes, named, until
 from tests.service.test_schema import TOKEN, old_store
 
 REFUSED: Final = [("service.role", "Authorization")]
@@ -244,6 +245,47 @@ def over(here: InProcess, browser: TestClient, stranger: TestClient, token: str,
     assert browser.post("/v1/jobs").status_code == 401
     assert stranger.get(path).status_code == 403
     assert not here.service.auth.in_force(token[7:23])
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_streams_end_with_what_lets_their_listeners_see_the_job(
+    tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jobs, "MAY_S", 0.1)
+    database = postgres.fresh(tmp_path) if kind == "postgresql" else None
+    with opened(tmp_path / "data", database) as here:
+        shop, tokens, auth = Shop(here), models.TOKENS, here.service.auth
+        shop.tokens |= {"guest": auth.make("guest", "view", "shop", lasts_s=3600.0)}
+        shop.tokens |= {"moved": auth.make("moved", "view", "shop")}
+        here.team.hold.set()
+        job = here.post(named("heard"), headers=bearer(shop.tokens["ann"])).json()["id"]
+        until(lambda: shop.ask("ann", "GET", f"/v1/jobs/{job}").json()["state"] == "running")
+
+        def change(name: str, **values: Any) -> None:
+            with here.service.database.write() as db:
+                db.execute(update(tokens).where(tokens.c.name == name).values(**values))
+
+        with ThreadPoolExecutor(5) as pool:
+            heard = {
+                name: pool.submit(shop.ask, name, "GET", f"/v1/jobs/{job}/events")
+                for name in ("ann", "bob", "lea", "guest", "moved")
+            }
+            try:
+                until(lambda: sum(here.service.hub._of_owner.values()) == 5)
+                time.sleep(1.0)  # all look several times, and nobody is sent away
+                assert not any(one.done() for one in heard.values())
+                auth.revoke("lea")
+                change("guest", expires=time.time() - 1.0)
+                change("moved", team="other")
+                for name, status in (("lea", 401), ("guest", 401), ("moved", 404)):
+                    said = heard[name].result(20.0)
+                    assert (said.status_code, "event: end" in said.text) == (200, False), name
+                    assert shop.ask(name, "GET", f"/v1/jobs/{job}/events").status_code == status
+                assert not heard["ann"].done() and not heard["bob"].done()
+            finally:
+                here.team.hold.clear()
+            for name in ("ann", "bob"):
+                assert "event: end" in heard[name].result(20.0).text
 
 
 def test_wrong_secrets_do_not_learn_that_a_token_is_over(shop: Shop) -> None:
