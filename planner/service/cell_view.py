@@ -30,7 +30,9 @@ from planner.report.raster import part_meshes
 from planner.targets import Targets
 
 FINEST: Final = 10_000
-"""Triangles of a wanted surface at most."""
+"""Meshes of more triangles are thinned out."""
+MOST_TRIANGLES: Final = 300_000
+"""Triangles that are drawn at most: some 10 MB of JSON."""
 WIRE_POINTS: Final = 25
 """Points of a bent wire."""
 
@@ -173,17 +175,26 @@ def _field(name: str, pose: FloatArray) -> dict[str, Any]:
 
 
 def _bodies(problem: Problem, setup: Setup, model: CellModel, place: FloatArray) -> list[dict[str, Any]]:
-    """Triangles in the frame of their body, pieces of one colour together."""
+    """Triangles in the frame of their body, pieces of one colour together. Raises ``TandemError`` for more
+    than are drawn."""
+    from planner.service.upload_reader import thinned
+
     pieces = (*scenes.extract(model).pieces, *scenes.mounted(setup, place))
     parts: dict[tuple[str, tuple[float, ...]], list[Mesh]] = {}
     for piece in pieces:
         moved = piece.solid.moved(piece.pose)
-        parts.setdefault((piece.body, piece.color), []).append(Mesh(moved.vertices, moved.faces))
+        mesh = thinned(Mesh(moved.vertices, moved.faces), FINEST)
+        parts.setdefault((piece.body, piece.color), []).append(mesh)
+    wanted = [thinned(mesh, FINEST) for _, mesh in part_meshes(problem.part) if len(mesh.faces)]
+    count = sum(len(mesh.faces) for own in (*parts.values(), wanted) for mesh in own)
+    if count > MOST_TRIANGLES:
+        what = (
+            f"cell: its bodies have {count:,} triangles, also where fine meshes are thinned out, and at most "
+            f"{MOST_TRIANGLES:,} are drawn; name fewer meshes, or export them coarser"
+        )
+        raise TandemError(Issue("service.too_large", what, field="cell", value=count, limit=MOST_TRIANGLES))
     obstacles = {body.name for body in setup.cell.obstacles}
     out = [_body(name, _kind(name, obstacles), color, own) for (name, color), own in parts.items()]
-    from planner.service.upload_reader import thinned
-
-    wanted = [thinned(mesh, FINEST) for _, mesh in part_meshes(problem.part) if len(mesh.faces)]
     return [*out, _body("stock", "part", None, wanted)] if wanted else out
 
 

@@ -71,6 +71,7 @@ from planner.service.security import (
 from planner.service.service import Service
 from planner.service.storage import Blob, documented, take_upload
 from planner.service.texts import Line, line
+from planner.service.upload_processes import Reading
 
 COOKIE: Final = "tandem_session"
 """Name of the cookie of a session."""
@@ -539,14 +540,18 @@ async def cell(
     if job is not None:
         known = await anyio.to_thread.run_sync(lambda: here.jobs.files(job_of(job, who, here).id))
         asked["plan"] = [[name, str(here.files.path(known[name].sha))] for name in PLAN if name in known]
-    read = await here.in_turn(
-        request, owner, lambda reading: here.examine(upload, cell=asked, reading=reading)
-    )
-    if read.cell is None:
-        raise RefusedError(422, [issue for issue in read.issues if has_errors([issue])])
-    seen = {"name": read.name, "digest": read.digest, "issues": read.issues, **read.cell}
-    # it is large: other requests go on meanwhile
-    return await anyio.to_thread.run_sync(lambda: packed(request, CellOut.model_validate(seen)))
+
+    def drawn(reading: Reading) -> Response:
+        """Packed in the owner's turn too: it is large, and few turns are taken at once."""
+        read = here.examine(upload, cell=asked, reading=reading)
+        if read.cell is None:
+            wrong = [issue for issue in read.issues if has_errors([issue])]
+            large = all(issue.code == "service.too_large" for issue in wrong)
+            raise RefusedError(413 if large else 422, wrong)
+        seen = {"name": read.name, "digest": read.digest, "issues": read.issues, **read.cell}
+        return packed(request, CellOut.model_validate(seen))
+
+    return await here.in_turn(request, owner, drawn)
 
 
 @job_router.get("/jobs", response_model=JobList, responses=KNOWN | refusals(422), summary="List your jobs")

@@ -17,7 +17,7 @@ from planner import pipeline
 from planner.cell import plant
 from planner.issues import has_errors
 from planner.report import scene as scenes
-from planner.service import cell_view
+from planner.service import cell_view, routes
 from tests import small_problem
 from tests.service.support import ROOT, InProcess, codes, named
 
@@ -206,6 +206,59 @@ def test_it_is_compressed_for_who_takes_that(here: InProcess) -> None:
     plain: httpx.Response = here.http.post("/v1/cell", files=files, headers={"Accept-Encoding": "identity"})
     assert "content-encoding" not in plain.headers
     assert gzip.decompress(packed) == plain.content and len(packed) < len(plain.content) / 2
+
+
+def crowded(here: InProcess, mesh: str, times: int) -> Any:
+    """The answer of a cell in which an obstacle is so often the mesh, in the text of an OBJ file."""
+    shapes = ["{kind: mesh, file: fine.obj, unit: mm, pose: {xyz_mm: [0, 900, 50]}}"] * times
+    body = f"\n  obstacles:\n    - {{name: post, shapes: [{', '.join(shapes)}]}}\n"
+    text = named("crowded").replace("\nstock:", body + "stock:")
+    files = [("problem", ("p.yaml", text)), ("files", ("targets.csv", _table()))]
+    return here.http.post("/v1/cell", files=[*files, ("files", ("fine.obj", mesh.encode()))])
+
+
+def test_fine_meshes_are_thinned_out(here: InProcess) -> None:
+    """A sphere of 100 mm, three times, as the obstacle."""
+    rings, turns = 100, 120
+    polar, around = np.meshgrid(np.linspace(0.01, np.pi - 0.01, rings), np.arange(turns) * 2 * np.pi / turns)
+    points = 100.0 * np.stack(
+        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1
+    )
+    at = 1 + np.arange(turns * rings).reshape(turns, rings)
+    a, b = at[:, :-1], np.roll(at, -1, axis=0)[:, :-1]
+    faces = np.concatenate([np.stack([a, b, b + 1], -1), np.stack([a, b + 1, a + 1], -1)]).reshape(-1, 3)
+    mesh = "".join(f"v {x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in points.reshape(-1, 3))
+    answer = crowded(here, mesh + "".join(f"f {i} {j} {k}\n" for i, j, k in faces), 3)
+    assert answer.status_code == 200, answer.text[:500]
+    (post,) = (body for body in answer.json()["bodies"] if body["kind"] == "obstacle")
+    assert len(faces) == 23_760 and 3_000 < len(post["faces"]) / 9 < 15_000
+    away = np.linalg.norm(np.array(post["vertices"]).reshape(-1, 3) - [0, 900, 50], axis=1)
+    assert away.max() <= 100.01 and away.min() > 98.0
+
+
+def test_more_triangles_than_are_drawn_are_refused(here: InProcess) -> None:
+    """Such as cross one another, which nothing makes fewer."""
+    random = np.random.default_rng(7)
+    mesh = "".join(f"v {x:.2f} {y:.2f} {z:.2f}\n" for x, y, z in random.uniform(-90, 90, (150, 3)))
+    mesh += "".join(
+        f"f {i} {j} {k}\n" for i, j, k in np.sort(random.integers(1, 151, (32_000, 3))) if i < j < k
+    )
+    answer = crowded(here, mesh, 10)
+    assert (answer.status_code, codes(answer)) == (413, [("service.too_large", "cell")])
+    assert "at most 300,000 are drawn; name fewer meshes" in answer.json()["detail"]
+
+
+def test_a_cell_is_packed_in_the_turn_of_who_asks(here: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
+    turns = []
+    packed = routes.packed
+
+    def seen(*given: Any) -> Any:
+        turns.append(here.service._readers.borrowed_tokens)
+        return packed(*given)
+
+    monkeypatch.setattr(routes, "packed", seen)
+    assert here.post(path="/v1/cell").status_code == 200
+    assert turns == [1]
 
 
 def _table() -> bytes:
