@@ -17,7 +17,7 @@ from planner import pipeline
 from planner.cell import plant
 from planner.issues import has_errors
 from planner.report import scene as scenes
-from planner.service import cell_view, routes
+from planner.service import answers, cell_view, routes
 from tests import small_problem
 from tests.service.support import ROOT, InProcess, codes, named
 
@@ -250,7 +250,7 @@ def test_more_triangles_than_are_drawn_are_refused(here: InProcess) -> None:
 
 def test_a_cell_is_packed_in_the_turn_of_who_asks(here: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
     turns = []
-    packed = routes.packed
+    packed = answers.packed
 
     def seen(*given: Any) -> Any:
         turns.append(here.service._readers.borrowed_tokens)
