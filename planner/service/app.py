@@ -313,7 +313,7 @@ def create_app(service: Service) -> FastAPI:
     options = service.options
     names = None if options.tokens_required else LOOPBACK | {options.host}
     app.add_middleware(Heads)
-    app.add_middleware(Guard, upload_mb=service.limits.upload_mb, open_hosts=names)
+    app.add_middleware(Guard, upload_mb=service.limits.upload_mb, open_hosts=names, closed=service.closed)
     every = [*app.routes, *(route for router in ROUTERS for route in router.routes)]
     paths = [getattr(route, "path", "") for route in every]
     app.add_middleware(metrics.Measured, routes=paths)

@@ -44,7 +44,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.sql.elements import ColumnElement
 
 from planner.issues import Issue, TandemError
-from planner.service.schema import NewerError, NoVersionError, bring_up_to_date
+from planner.service.schema import VERSION, NewerError, NoVersionError, bring_up_to_date
 
 METADATA: Final = MetaData()
 """The tables of the service."""
@@ -250,6 +250,8 @@ class Database:
     def __init__(self, url: str) -> None:
         """Raises ``TandemError`` with ``service.database`` where it cannot be opened."""
         self._lock = threading.Lock()
+        self.newer: NewerError | None = None
+        """What is told once the tables have become those of a version that this program does not know."""
         try:
             self._engine = open_engine(url)
             self.sqlite = self._engine.dialect.name == "sqlite"
@@ -285,6 +287,13 @@ class Database:
         """Ask it something; raises ``SQLAlchemyError`` where it is away."""
         with self.read() as db:
             db.execute(text("SELECT 1"))
+
+    def look(self, connection: Connection) -> None:
+        """Raises ``NewerError`` where the tables have become those of a newer version."""
+        found = connection.execute(text("SELECT max(version) FROM tandem_schema")).scalar()
+        if isinstance(found, int) and found > VERSION:
+            self.newer = NewerError(found)
+            raise self.newer
 
     def clock(self) -> ColumnElement[float]:
         """Seconds since 1970, by the one clock that all hosts of this database share."""

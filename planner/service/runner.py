@@ -35,6 +35,7 @@ from planner.service.jobs import (
     remove,
 )
 from planner.service.models import DELETED, ELEMENT_JOBS, JOBS, OPEN, SESSIONS, Database, State
+from planner.service.schema import NewerError
 from planner.service.security import MB, issue_json
 from planner.service.storage import Blob, Files
 
@@ -126,9 +127,11 @@ class Work:
         )
 
     def renew(self) -> None:
-        """Hold on to this host's jobs."""
+        """Hold on to this host's jobs. Raises ``NewerError`` where the tables have become those of a newer
+        version."""
         mine = and_(JOBS.c.host == self._host, JOBS.c.state == "running")
         with self._database.write() as db:
+            self._database.look(db)
             db.execute(update(JOBS).where(mine).values(lease=self._until()))
 
     def drop_others(self, held: Collection[str]) -> None:
@@ -322,7 +325,8 @@ class Team(Protocol):
 
 
 class Runner(threading.Thread):
-    """Claims jobs, hands them to a team, stores what comes back. ``shas`` tells which files are wanted."""
+    """Claims jobs, hands them to a team, stores what comes back. ``shas`` tells which files are wanted.
+    It ends, and calls ``on_newer``, where the tables have become those of a newer version."""
 
     def __init__(
         self,
@@ -337,11 +341,12 @@ class Runner(threading.Thread):
         keep_s: float | None,
         audit_s: float | None,
         shas: Callable[[list[str]], set[str]],
+        on_newer: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(name="tandem-runner", daemon=True)
         self._work, self._files, self._make_team, self._count = work, files, make_team, count
         self._lease_s, self._alone, self._keep_s, self._shas = lease_s, alone, keep_s, shas
-        self._scratch, self._audit_s = scratch, audit_s
+        self._scratch, self._audit_s, self._on_newer = scratch, audit_s, on_newer
         self._ending = threading.Event()
         self._claimed: dict[str, Claimed] = {}
         self._last_progress: dict[str, tuple[str, float]] = {}
@@ -376,6 +381,11 @@ class Runner(threading.Thread):
                 team = team or self._make_team()
                 self._round(team)
                 self._troubled = False
+            except NewerError as error:
+                LOG.error("the database %s; requests and jobs are taken no more", error)
+                self._claimed.clear()  # their leases come to an end, and a host that knows the tables goes on
+                self._on_newer()
+                break
             except (SQLAlchemyError, TandemError, OSError):
                 self._wait_again("the runner tries again in %g s", AGAIN_S)
         if team is not None:
@@ -396,8 +406,8 @@ class Runner(threading.Thread):
 
     def _round(self, team: Team) -> None:
         if self._is_due("lease", self._lease_s / 4):
-            self._work.drop_others([claimed.id for claimed in self._claimed.values()])
             self._work.renew()
+            self._work.drop_others([claimed.id for claimed in self._claimed.values()])
             if self._work.take_over(alone=self._alone):
                 LOG.warning("jobs of a service that is gone wait again")
         if self._is_due("sweep", SWEEP_S):

@@ -16,7 +16,7 @@ import math
 import re
 import secrets
 import time
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from http import HTTPStatus
 from typing import Any, Final
 from urllib.parse import urlsplit
@@ -416,6 +416,8 @@ HEADERS: Final = {
 """Headers of every answer: nothing is guessed, framed or told to other sites."""
 
 
+PROBES: Final = frozenset({"/v1/health", "/v1/ready"})
+"""Addresses that tell how the process does."""
 HTTPS_ALONE: Final = "max-age=31536000"
 """What browsers that came by TLS are told (RFC 6797): for a year they come by it alone."""
 
@@ -449,10 +451,16 @@ class _Body:
 
 class Guard:
     """Wraps the application. ``open_hosts``: the names by which an instance without tokens may be addressed;
-    None where tokens are required."""
+    None where tokens are required. ``closed`` gives the refusal of all but `PROBES`, while there is one."""
 
-    def __init__(self, app: ASGIApp, upload_mb: float, open_hosts: frozenset[str] | None) -> None:
-        self._app, self._limit_mb, self._open_hosts = app, upload_mb, open_hosts
+    def __init__(
+        self,
+        app: ASGIApp,
+        upload_mb: float,
+        open_hosts: frozenset[str] | None,
+        closed: Callable[[], RefusedError | None] = lambda: None,
+    ) -> None:
+        self._app, self._limit_mb, self._open_hosts, self._closed = app, upload_mb, open_hosts, closed
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
@@ -481,6 +489,8 @@ class Guard:
         try:
             headers = Headers(scope=scope)
             self._check_origin(scope, headers)
+            if scope["path"] not in PROBES and (refusal := self._closed()) is not None:
+                raise refusal
             await self._app(scope, self._counted(headers, body), hardened)
         except RefusedError as error:
             await _answer(error, hardened)

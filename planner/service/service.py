@@ -106,6 +106,8 @@ class Service:
         self._examiners = Examiners(
             options.examiners, self.scratch, limits.check_s, limits.check_memory_mb, limits.mesh_facets
         )
+        self.webhooks = Webhooks(self.database, options.webhook_hosts)
+        self._sender = Sender(self.webhooks)
         self.runner = Runner(
             Work(self.database, self.host, options.lease_s),
             self.files,
@@ -117,10 +119,9 @@ class Service:
             keep_s=None if limits.keep_days is None else limits.keep_days * 86400.0,
             audit_s=None if limits.audit_days is None else limits.audit_days * 86400.0,
             shas=self.jobs.shas,
+            on_newer=self._sender.stop,
         )
         self.elements = Elements(self)
-        self.webhooks = Webhooks(self.database, options.webhook_hosts)
-        self._sender = Sender(self.webhooks)
         self.releases = Releases(self.database, self.files)
         self._turns: dict[str, anyio.Semaphore] = {}
         self._readers = anyio.CapacityLimiter(options.examiners)
@@ -179,6 +180,13 @@ class Service:
         self.runner.start()
         self._sender.start()
 
+    def closed(self) -> RefusedError | None:
+        """Why no request is taken, whoever asks; None where some are."""
+        if self.database.newer is None:
+            return None
+        issue = Issue("service.database", f"the database {self.database.newer}; or ask another host")
+        return RefusedError(503, issue, {"Retry-After": "60"})
+
     def unready(self) -> list[Issue]:
         """Why jobs are not taken in or not planned now; nothing where they are."""
         issues = []
@@ -190,7 +198,9 @@ class Service:
             self.storage.allow()
         except RefusedError as refused:
             issues += refused.issues
-        if not issues and not self.runner.working:
+        if closed := self.closed():
+            issues = list(closed.issues)
+        elif not issues and not self.runner.working:
             issues.append(Issue("service.not_planning", "jobs are taken in, and none is planned now"))
         return issues
 

@@ -6,18 +6,20 @@ import errno
 import shutil
 import sqlite3
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import select, text
 from sqlalchemy.exc import OperationalError
 
 from planner.batch import run
 from planner.batch.job import Done, Finished, Job, Place
 from planner.issues import Issue, TandemError
 from planner.service import runner, storage
-from planner.service.models import Database
+from planner.service.models import JOBS, Database
 from planner.service.security import Limits
 from tests.service.support import InProcess, codes, named, until
 
@@ -45,6 +47,36 @@ def away(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
 def free(monkeypatch: pytest.MonkeyPatch, count: float) -> None:
     usage = shutil.disk_usage("/")
     monkeypatch.setattr(storage.shutil, "disk_usage", lambda root: usage._replace(free=int(count)))
+
+
+def test_tables_of_a_newer_version_end_the_work_of_an_older_host(
+    here: InProcess, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As another host leaves them that was updated while this one runs."""
+    here.team.hold.set()
+    job = here.post(named("older")).json()["id"]
+    until(lambda: here.http.get(f"/v1/jobs/{job}").json()["state"] == "running")
+    with ThreadPoolExecutor(1) as pool:
+        stream = pool.submit(here.http.get, f"/v1/jobs/{job}/events")
+        until(lambda: bool(here.service.hub._of_owner))
+        with here.service.database.write() as db:
+            db.execute(text("UPDATE tandem_schema SET version = version + 1"))
+        until(lambda: not here.service.runner.is_alive(), 30.0)
+        assert "event: end" not in stream.result(30.0).text
+    for answer in (
+        here.http.get("/v1/jobs"),
+        here.post(named("late")),
+        here.http.get("/v1/ready"),
+        here.http.get("/"),
+    ):
+        assert (answer.status_code, answer.headers["retry-after"]) in ((503, "60"), (503, "5"))
+        assert codes(answer) == [("service.database", None)]
+        assert "update tandem-planner on this machine" in answer.text
+    assert here.http.get("/v1/health").status_code == 503
+    assert "requests and jobs are taken no more" in caplog.text
+    here.team.hold.clear()
+    with here.service.database.read() as db:  # another host takes it over when its lease is over
+        assert db.execute(select(JOBS.c.state, JOBS.c.attempts)).one() == ("running", 1)
 
 
 def test_while_the_database_is_away_requests_are_503_and_the_process_is_well(
