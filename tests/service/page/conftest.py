@@ -13,7 +13,7 @@ from tests.service.support import Process
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-expect.set_options(timeout=30_000)
+expect.set_options(timeout=90_000)  # readings of uploads wait for processors, where two suites run at once
 
 
 @pytest.fixture(scope="session")
@@ -32,7 +32,7 @@ def page(browser: Browser) -> Iterator[Page]:
     """A tab of a browser that knows nothing; at the end, no script failed and no policy was broken."""
     context = browser.new_context(viewport={"width": 1366, "height": 900}, accept_downloads=True)
     tab = context.new_page()
-    tab.set_default_timeout(30_000)
+    tab.set_default_timeout(90_000)
     faults: list[str] = []
 
     def listen(message: ConsoleMessage) -> None:
