@@ -183,7 +183,7 @@ def log_in(request: Request, here: Here, after: Annotated[str, Query(max_length=
     if here.log_in is None:
         raise _unknown("/ui/oidc/login")
     try:
-        _count(request, here)
+        routes.count_unknown(request, here, "logs in")
         address, cookie = here.log_in.begin(_back(request), after)
     except RefusedError as refused:
         return _not_logged_in(here, refused)
@@ -207,7 +207,7 @@ def logged_in(request: Request, here: Here) -> Response:
         raise _unknown("/ui/oidc/callback")
     answer: Response
     try:
-        _count(request, here)
+        routes.count_unknown(request, here, "logs in")
         who, after = here.log_in.end(str(request.url), _back(request), request.cookies.get(LOG_IN_COOKIE))
     except RefusedError as refused:
         answer = _not_logged_in(here, refused)
@@ -216,12 +216,6 @@ def logged_in(request: Request, here: Here) -> Response:
         routes.remember(request, answer, here, who)
     answer.delete_cookie(LOG_IN_COOKIE, path="/ui/oidc")
     return answer
-
-
-def _count(request: Request, here: Service) -> None:
-    """Raises :class:`RefusedError`, 429: who is not logged in may ask so often, as with wrong tokens."""
-    address = request.client.host if request.client else ""
-    here.failures.take(address, f"address {address} logs in")
 
 
 def _not_logged_in(here: Service, refused: RefusedError) -> Response:

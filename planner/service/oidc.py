@@ -32,7 +32,7 @@ from joserfc.jwk import KeySet
 
 from planner.issues import Issue, TandemError
 from planner.service.models import TOKEN_ROLES, Database, TokenRole
-from planner.service.security import LOOPBACK, Auth, RefusedError, Who, shared_secret
+from planner.service.security import Auth, RefusedError, Who, in_clear, shared_secret
 
 ALGORITHMS: Final = ("RS256", "PS256", "ES256")
 """How ID tokens may be signed: with keys of the provider alone."""
@@ -83,8 +83,7 @@ def read(
 ) -> Oidc:
     """As the command line has it: ``roles`` as ``VALUE=ROLE``, the ``secret`` in a file. Raises
     ``TandemError``."""
-    parts = urlsplit(issuer)
-    if parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK):
+    if in_clear(urlsplit(issuer)):
         raise _wrong("oidc-issuer", f"got {issuer[:80]!r}; give the provider's address, https://...")
     if not client or secret is None:
         raise _wrong("oidc-client", "a provider asks who asks; give --oidc-client and --oidc-secret")
@@ -307,8 +306,7 @@ def refused(why: str) -> RefusedError:
 
 def _checked(address: str) -> None:
     """Raises ``ValueError`` for what is told in clear over a network."""
-    parts = urlsplit(address)
-    if parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK):
+    if in_clear(urlsplit(address)):
         raise ValueError("it gives an address without TLS")
 
 

@@ -121,7 +121,7 @@ class Releases:
             way = "only programs whose proof holds are released: see its issues"
             raise _not_releasable(job, f"it is {row['state']}", way)
         for name, blob in files.items():
-            if (name.startswith(PROGRAMS) or name == PROOF) and self._digest(blob) != blob.sha:
+            if (name.startswith(PROGRAMS) or name == PROOF) and self._intact(blob) is None:
                 what = f"{name} is not in the store as it was written"
                 raise _not_releasable(job, what, "the store is damaged: tell who runs the service")
         try:
@@ -139,20 +139,26 @@ class Releases:
                 raise _not_releasable(job, what, "plan it again with this version")
         return programs
 
-    def _digest(self, blob: Blob) -> str:
+    def _intact(self, blob: Blob) -> bytes | None:
+        """The content, if it lies in the store as it was written."""
         try:
-            return hashlib.sha256(self._files.read(blob.sha)).hexdigest()
+            content = self._files.read(blob.sha)
         except FileNotFoundError:
-            return ""
+            return None
+        return content if hashlib.sha256(content).hexdigest() == blob.sha else None
 
-    def check(self, job: str, programs: Mapping[str, Blob]) -> None:
-        """Read programs again before they go out: what is said of them is said of these bytes. Raises
+    def read(self, job: str, programs: Mapping[str, Blob]) -> dict[str, bytes]:
+        """The contents of programs that go out: what is said of them is said of these bytes. Raises
         :class:`RefusedError`, 500, where one is not in the store as it was written."""
+        out = {}
         for name, blob in programs.items():
-            if self._digest(blob) != blob.sha:
+            content = self._intact(blob)
+            if content is None:
                 what = f"job {job}: {name} is not in the store as it was written; it is not given out: tell "
                 what += "who runs the service, and plan the job again"
                 raise RefusedError(500, Issue("service.damaged", what, field=name))
+            out[name] = content
+        return out
 
 
 def is_program(name: str) -> bool:

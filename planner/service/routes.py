@@ -115,6 +115,12 @@ def service(request: Request) -> Service:
     return found
 
 
+def count_unknown(request: Request, here: Service, does: str) -> None:
+    """Count a request of an address of which nobody is known; raises :class:`RefusedError`, 429."""
+    address = request.client.host if request.client else ""
+    here.failures.take(address, f"address {address} {does}")
+
+
 def asker(
     request: Request,
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)] = None,
@@ -125,8 +131,7 @@ def asker(
     try:
         who = _who(request, bearer, cookie, here)
     except RefusedError:
-        address = request.client.host if request.client else ""
-        here.failures.take(address, f"address {address} sends without a good token")
+        count_unknown(request, here, "sends without a good token")
         raise
     if who.token != LOCAL:
         here.rates.take(who.token, "this token sends")
@@ -683,7 +688,7 @@ def file(
             return Response(status_code=304, headers=headers)
         return MadeFile(content, here.scratch, content_type(name), saved_as, headers)
     if releases.is_program(name):
-        here.releases.check(found.id, {name: blob})
+        here.releases.read(found.id, {name: blob})
     kind = content_type(name)
     answer = stored_file(request, here.files.path(blob.sha), blob.sha, kind, headers, saved_as)
     if releases.is_program(name) and answer.status_code != 304:
@@ -739,10 +744,9 @@ def programs(found: OwnJob, who: Asker, here: Here, request: Request) -> Respons
     headers = {"ETag": tag, "Cache-Control": "private, no-cache", releases.HEADER: told.word}
     if is_known(request, tag):
         return Response(status_code=304, headers=headers)
-    here.releases.check(found.id, known)
+    contents = {n.removeprefix("programs/"): c for n, c in here.releases.read(found.id, known).items()}
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        contents = {n.removeprefix("programs/"): here.files.read(blob.sha) for n, blob in known.items()}
         for name, content in sorted({**contents, RELEASE: told.content}.items()):
             info = zipfile.ZipInfo(name)
             info.compress_type = zipfile.ZIP_DEFLATED

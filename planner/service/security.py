@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from http import HTTPStatus
 from typing import Any, Final
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 import anyio
 from sqlalchemy import ColumnElement, RowMapping, and_, delete, func, insert, or_, select, update
@@ -526,6 +526,11 @@ class Guard:
             return message
 
         return counted
+
+
+def in_clear(parts: SplitResult) -> bool:
+    """Whether an address is one without TLS, but of this machine."""
+    return parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK)
 
 
 def _host_and_port(origin: str) -> str:

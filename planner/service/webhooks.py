@@ -32,7 +32,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from planner.issues import Issue
 from planner.service.models import DELIVERIES, JOBS, TOKENS, WEBHOOKS, Database
-from planner.service.security import LOCAL, LOOPBACK, RefusedError
+from planner.service.security import LOCAL, RefusedError, in_clear
 
 LOG: Final = logging.getLogger("planner.service")
 """Log of the service."""
@@ -93,7 +93,7 @@ def checked(url: str, hosts: Collection[str]) -> SplitResult:
         raise refused("this service tells no addresses; ask its operator for --webhook-host")
     if len(url) > LONGEST_URL or not url.isascii() or not url.isprintable() or " " in url:
         raise refused(f"its url may have {LONGEST_URL} characters at most, printable ASCII without spaces")
-    if parts.scheme != "https" and not (parts.scheme == "http" and host in LOOPBACK):
+    if in_clear(parts):
         raise refused(f"{parts.scheme or 'no scheme'} is not taken; give https://HOST/PATH")
     if parts.username is not None or parts.password is not None or parts.fragment:
         raise refused("its url has a user, a password or a fragment; leave them out: requests are signed")
