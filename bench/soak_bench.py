@@ -1,0 +1,280 @@
+"""A service under mixed load: memory, open files and threads of all its processes when warm and at the end,
+how long answers take, and whether a job is lost.
+
+``tandem serve`` as a process of its own, which plans for real; eight clients at once send jobs and what is
+refused, look at problems and cells, list, search, follow, read, hang up, cancel, delete and release.
+``TANDEM_SOAK_MINUTES`` says how long, 2 where it says nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import random
+import signal
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from tests import small_problem
+
+ROOT = Path(__file__).parents[1]
+MINUTES = "TANDEM_SOAK_MINUTES"
+WARM_SHARE = 0.25
+"""Share of the time after which processes, pools and caches are taken as warm."""
+KEPT = 60
+"""Jobs that are kept: what is older is deleted, as in a workshop that runs for long."""
+CELLS = ("wing", "column_capital", "flank_wall", "shell_piece_held")
+"""Bundled problems whose cells and first looks are asked for."""
+Files = list[tuple[str, tuple[str, bytes]]]
+
+
+@dataclass(frozen=True)
+class Held:
+    """What the processes of a service hold: memory [MB], of a page that they share its part each, open
+    files and threads."""
+
+    memory_mb: float
+    files: int
+    threads: int
+    processes: int
+
+
+def run() -> list[dict[str, Any]]:
+    """Rows of median and 99th percentile [s] of each kind of request, and one of what is held; raises
+    RuntimeError where a job was lost or the service failed."""
+    minutes = float(os.environ.get(MINUTES, "2"))
+    with tempfile.TemporaryDirectory() as folder, _served(Path(folder)) as (pid, url):
+        soak = _Soak(url, Path(folder))
+        try:
+            soak.begin()
+            time.sleep(60.0 * minutes * WARM_SHARE)
+            warm = _held(pid)
+            time.sleep(60.0 * minutes * (1.0 - WARM_SHARE))
+            last = _held(pid)
+        finally:
+            soak.end()
+        states = soak.settled()
+    return [*soak.rows(), _row(minutes, warm, last, states, soak)]
+
+
+@contextlib.contextmanager
+def _served(folder: Path) -> Iterator[tuple[int, str]]:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        port = int(one.getsockname()[1])
+    command = [sys.executable, "-m", "planner", "serve", "--data", str(folder / "data"), "--port", str(port)]
+    command += ["--requests-per-s", "1000"]
+    with (folder / "log").open("wb") as log:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+        process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
+    try:
+        url = f"http://127.0.0.1:{port}"
+        for _ in range(600):
+            with contextlib.suppress(httpx.HTTPError):
+                if httpx.get(f"{url}/v1/health").status_code == 200:
+                    break
+            time.sleep(0.1)
+        yield process.pid, url
+        if "Traceback" in (said := (folder / "log").read_text()):
+            raise RuntimeError(f"the service failed: {said[-2000:]}")
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(60)
+
+
+def _held(pid: int) -> Held:
+    """Of a process and all that it started."""
+    parents: dict[int, list[int]] = defaultdict(list)
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            parents[int(stat.read_text().rpartition(")")[2].split()[1])].append(int(stat.parent.name))
+    family, todo = [], [pid]
+    while todo:
+        family.append(todo.pop())
+        todo += parents[family[-1]]
+    memory, files, threads = 0.0, 0, 0
+    for one in family:
+        with contextlib.suppress(OSError):
+            at = Path(f"/proc/{one}")
+            said = dict(line.split(":") for line in (at / "smaps_rollup").read_text().splitlines()[1:])
+            memory += int(said["Pss"].split()[0]) * 1.024e-3
+            files += len(list((at / "fd").iterdir()))
+            threads += len(list((at / "task").iterdir()))
+    return Held(memory, files, threads, len(family))
+
+
+class _Soak:
+    """Clients of a service, until they are told to end."""
+
+    def __init__(self, url: str, folder: Path) -> None:
+        self._url = url
+        self._over = threading.Event()
+        self._times: dict[str, list[float]] = defaultdict(list)
+        self._numbers = itertools.count()
+        self._jobs: list[str] = []
+        self._gone: set[str] = set()
+        self.answers: Counter[tuple[str, int]] = Counter()
+        self._bundles = {name: _bundle(name) for name in CELLS}
+        self._clients = [
+            threading.Thread(target=self._go, args=(seed, what, pause), daemon=True)
+            for seed, (what, pause) in enumerate(
+                [
+                    (self._submit, 4.0), (self._follow, 1.0), (self._look, 3.0), (self._cell, 6.0),
+                    (self._list, 0.2), (self._read, 0.3), (self._wrong, 1.0), (self._tidy, 2.0),
+                ]
+            )
+        ]  # fmt: skip
+
+    def begin(self) -> None:
+        for client in self._clients:
+            client.start()
+
+    def end(self) -> None:
+        self._over.set()
+        for client in self._clients:
+            client.join(120.0)
+
+    def settled(self) -> Counter[str]:
+        """How many of the jobs that were accepted and not deleted ended how."""
+        kept = [job for job in self._jobs if job not in self._gone]
+        with httpx.Client(base_url=self._url, timeout=60.0) as client:
+            for _ in range(1200):
+                states = Counter(client.get(f"/v1/jobs/{job}").json().get("state", "lost") for job in kept)
+                if not states["queued"] + states["running"]:
+                    return states
+                time.sleep(0.5)
+        raise RuntimeError(f"jobs do not end: {dict(states)}")
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        for kind, times in sorted(self._times.items()):
+            note = f"wall time of {len(times)} requests beside all others"
+            p99 = sorted(times)[int(0.99 * (len(times) - 1))]
+            median = statistics.median(times)
+            yield {"name": f"soak: {kind}", "median_s": median, "p99_s": p99, "note": note}
+
+    def _go(self, seed: int, what: Callable[[httpx.Client, random.Random], None], pause_s: float) -> None:
+        given = random.Random(seed)
+        with httpx.Client(base_url=self._url, timeout=120.0) as client:
+            while not self._over.wait(given.uniform(0.5, 1.5) * pause_s):
+                what(client, given)
+
+    def _ask(self, client: httpx.Client, kind: str, method: str, path: str, **more: Any) -> httpx.Response:
+        begin = time.perf_counter()
+        answer = client.request(method, path, **more)
+        self._times[kind].append(time.perf_counter() - begin)
+        self.answers[kind, answer.status_code] += 1
+        return answer
+
+    def _submit(self, client: httpx.Client, given: random.Random) -> None:
+        text = small_problem.PROBLEM.replace("name: small", f"name: soak{next(self._numbers)}")
+        rows = "\n".join([small_problem.COLUMNS, *small_problem.ROWS]).encode()
+        files: Files = [("problem", ("p.yaml", text.encode())), ("files", ("targets.csv", rows))]
+        answer = self._ask(client, "submit", "POST", "/v1/jobs", files=files)
+        if answer.status_code == 201:
+            self._jobs.append(answer.json()["id"])
+        if given.random() < 0.1:
+            self._ask(client, "cancel", "POST", f"/v1/jobs/{self._jobs[-1]}/cancel")
+
+    def _follow(self, client: httpx.Client, given: random.Random) -> None:
+        """The events of a job; every third time the listener hangs up after the first."""
+        if not self._jobs:
+            return
+        with client.stream("GET", f"/v1/jobs/{self._jobs[-1]}/events") as stream:
+            self.answers["events", stream.status_code] += 1
+            leave = given.random() < 0.3
+            for _ in stream.iter_lines():
+                if leave or self._over.is_set():
+                    break
+
+    def _look(self, client: httpx.Client, given: random.Random) -> None:
+        files = self._bundles[given.choice(CELLS)]
+        self._ask(client, "check without reach", "POST", "/v1/check?reach=false", files=files)
+
+    def _cell(self, client: httpx.Client, given: random.Random) -> None:
+        self._ask(client, "cell in 3D", "POST", "/v1/cell", files=self._bundles[given.choice(CELLS)])
+
+    def _list(self, client: httpx.Client, given: random.Random) -> None:
+        query = given.choice(["", "search=soak1", "sort=title", "state=verified", "limit=200"])
+        self._ask(client, "list", "GET", f"/v1/jobs?{query}")
+
+    def _read(self, client: httpx.Client, given: random.Random) -> None:
+        job = given.choice(self._jobs[-KEPT:] or ["0" * 32])
+        name = given.choice(["report.html", "replay.html", "motion.json", "proof.json"])
+        kind = given.choice(["job", "programs.zip", f"files/{name}"])
+        path = f"/v1/jobs/{job}" if kind == "job" else f"/v1/jobs/{job}/{kind}"
+        self._ask(client, "file" if "files" in kind else kind, "GET", path)
+
+    def _wrong(self, client: httpx.Client, given: random.Random) -> None:
+        """What is refused, too long, or broken off."""
+        kind = given.randrange(4)
+        if kind == 0:
+            text = small_problem.PROBLEM.replace("robot:", "robo:").encode()
+            self._ask(client, "refused", "POST", "/v1/jobs", files=[("problem", ("p.yaml", text))])
+        elif kind == 1:
+            self._ask(client, "refused", "GET", f"/v1/jobs/{given.getrandbits(128):032x}")
+        elif kind == 2:
+            address = self._url.removeprefix("http://").split(":")
+            with socket.create_connection((address[0], int(address[1]))) as one:
+                head = "POST /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 100000\r\n"
+                one.sendall(f"{head}Content-Type: multipart/form-data; boundary=b\r\n\r\n--b\r\n".encode())
+        else:
+            noise = given.randbytes(200_000)
+            files: Files = [("problem", ("p.yaml", noise)), ("files", ("targets.csv", noise))]
+            self._ask(client, "refused", "POST", "/v1/jobs", files=files)
+
+    def _tidy(self, client: httpx.Client, given: random.Random) -> None:
+        """Release and withdraw now and then; delete what is old."""
+        if len(self._jobs) > 2 and given.random() < 0.3:
+            job = given.choice(self._jobs[-KEPT:])
+            said = {"note": "soak", "name": "A. Tester"}
+            if self._ask(client, "release", "POST", f"/v1/jobs/{job}/release", json=said).status_code < 300:
+                why = {"reason": "soak", "name": "A. Tester"}
+                self._ask(client, "release", "POST", f"/v1/jobs/{job}/withdraw", json=why)
+        old = [job for job in self._jobs[:-KEPT] if job not in self._gone]
+        for job in old[:3]:
+            if self._ask(client, "delete", "DELETE", f"/v1/jobs/{job}").status_code == 204:
+                self._gone.add(job)
+
+
+def _bundle(name: str) -> Files:
+    """A bundled problem with its files, as an upload."""
+    folder = ROOT / "problems" / name
+    text = (folder / "problem.yaml").read_bytes()
+    said = text.decode()
+    others = [one for one in folder.rglob("*") if one.is_file() and one.name in said]
+    cells = [one for one in (ROOT / "problems" / "cells").iterdir() if one.name in said]
+    named = {one.name: one for one in (*others, *cells)}
+    return [
+        ("problem", ("problem.yaml", text)),
+        *(("files", (key, one.read_bytes())) for key, one in named.items()),
+    ]
+
+
+def _row(minutes: float, warm: Held, last: Held, states: Counter[str], soak: _Soak) -> dict[str, Any]:
+    failed = {kind: count for kind, count in soak.answers.items() if kind[1] >= 500 and kind[1] != 503}
+    if failed or states["lost"] or states["crashed"]:
+        raise RuntimeError(f"answers {dict(soak.answers)}, jobs {dict(states)}")
+    said = ", ".join(f"{kind} {status}: {count}" for (kind, status), count in sorted(soak.answers.items()))
+    note = (
+        f"answers: {said}; jobs {dict(states)}; warm and at the end: {warm.memory_mb:.0f} and "
+        f"{last.memory_mb:.0f} MB, {warm.files} and {last.files} open files, {warm.threads} and "
+        f"{last.threads} threads, {warm.processes} and {last.processes} processes"
+    )
+    return {
+        "name": f"soak of {minutes:g} minutes: memory",
+        "ratio": last.memory_mb / warm.memory_mb,
+        "note": note,
+    }
