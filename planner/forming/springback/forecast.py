@@ -61,6 +61,11 @@ def require_mode(work: Work) -> None:
         what = f"{work.operation.name}: mode {mode}: {WHY_NOT[mode]}; allowed are {', '.join(MODES)}"
         hint = "form a test piece and measure it"
         raise TandemError(Issue("forming.springback_mode", what, field="mode", hint=hint))
+    if work.staged:
+        what = f"{work.operation.name}: the sheet is formed in stages, or was cut before; what it springs "
+        what += "back by is known of whole sheets that one operation forms"
+        hint = "form a test piece and measure it"
+        raise TandemError(Issue("forming.springback_mode", what, field="features", hint=hint))
 
 
 def forces_told(work: Work) -> list[str]:
