@@ -48,8 +48,8 @@ from planner.forming.process_plan import (
     work,
 )
 from planner.forming.sheet_mechanics import thickness_map, thinnest, wall_angle_map
-from planner.forming.stages import hole_issues, shown
 from planner.forming.springback import compensation, compensation_file, forecast, level_file, released
+from planner.forming.stages import hole_issues, shown
 from planner.forming.support.opposite import DRIFT_SHARE
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts, read_only
 from planner.geometry.units import DEG, MM
@@ -270,9 +270,8 @@ class FormingJob(Job[Forming]):
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         if given is None:
-            estimate = None
-            if level is None and not made.staged:
-                estimate = forecast.estimate(made, paths)
+            estimate = forecast.estimate(made, paths) if level is None and made.flat else None
+            issues += [] if made.flat else [forecast.not_foretold(made)]
             more = {}
             if estimate is not None:
                 issues += forecast.estimate_issues(made, paths, estimate)
@@ -321,10 +320,16 @@ class FormingJob(Job[Forming]):
 
 def _of_holes(made: Work, paths: Laid) -> list[Issue]:
     """Holes that an operation comes too near to."""
+    if made.operation.mode == "adsif" and made.sheet.holes:
+        what = f"the sheet was cut along {made.sheet.holes[0].name} before; in adsif tools press all of it"
+        hint = "form it before it is cut, or take another mode"
+        return [Issue("forming.holes", what, field="operations.mode", hint=hint)]
     radii = []
     for one, _ in paths:
         other = made.supporter(one)
-        radii.append((made.heads[made.former(one)].radius, 0.0 if other is None else made.heads[other].radius))
+        radii.append(
+            (made.heads[made.former(one)].radius, 0.0 if other is None else made.heads[other].radius)
+        )
     return list(hole_issues(made.sheet.holes, made.operation.hole_margin_mm * MM, paths, radii))
 
 

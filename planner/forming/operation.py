@@ -254,8 +254,8 @@ class Forming(Strict):
         Field(
             min_length=1,
             max_length=10_000,
-            description="numbers of those that this operation forms, as `tandem features` prints them; others "
-            "are formed by other operations. None: all",
+            description="numbers of those that this operation forms, as `tandem features` prints them; "
+            "others are formed by other operations. None: all",
         ),
     ] = None
     hole_margin_mm: Annotated[

@@ -70,10 +70,14 @@ class Work:
         return formed_sheet(self.mesh, self.tree, sorted(own.union(self.before)))
 
     @property
+    def flat(self) -> bool:
+        """Whether the sheet is flat and whole when the operation begins."""
+        return not self.before and not self.sheet.holes
+
+    @property
     def staged(self) -> bool:
-        """Whether others form a part of it, or it has holes: no elastic sheet of that is known."""
-        every = len(self.order) == len(self.tree.features)
-        return not every or bool(self.before or self.sheet.holes)
+        """Whether other operations form or cut the sheet before it, or form it further."""
+        return not self.flat or len(self.order) < len(self.tree.features)
 
     def former(self, one: Pass) -> str:
         """The arm that forms a pass."""

@@ -85,8 +85,8 @@ MOST_SHOWN: Final = 60_000
 
 
 def shown(mesh: Mesh, holes: Sequence[Hole], after: str) -> dict[str, Any]:
-    """The exhibit ``left``, by name, of a sheet whose lower face is ``mesh`` as the operation ``after`` leaves
-    it; nothing where that is too large to be drawn."""
+    """The exhibit ``left``, by name, of a sheet whose lower face is ``mesh`` as the operation ``after``
+    leaves it; nothing where that is too large to be drawn."""
     corners = mesh.vertices[mesh.faces]
     for hole in holes:
         area = shapely.Polygon(hole.ring).buffer(0.0)

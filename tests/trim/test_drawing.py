@@ -14,9 +14,9 @@ from planner import processes
 from planner.claims.trim import TrimsSheet
 from planner.issues import Issue, TandemError
 from planner.trim.operation import Trim, every_outline
-from planner.verify.forming.state import Forming
 from planner.verify.context import Context
 from planner.verify.files import UnreadError
+from planner.verify.forming.state import Forming
 from planner.verify.prove import TRIM_RULES
 from planner.verify.trim.outlines import drawn, expanded, order, worked_out
 from planner.verify.trim.torch_motion import Trimming

@@ -68,6 +68,15 @@ def require_mode(work: Work) -> None:
         raise TandemError(Issue("forming.springback_mode", what, field="features", hint=hint))
 
 
+def not_foretold(work: Work) -> Issue:
+    """That a sheet that was formed or cut before has no forecast (forming.springback)."""
+    what = (
+        f"{work.operation.name}: what it springs back by is not foretold: the sheet was formed or cut before"
+    )
+    hint = "form a test piece and measure it (tandem scan-fit)"
+    return Issue("forming.springback", what, Severity.NOTE, hint=hint)
+
+
 def forces_told(work: Work) -> list[str]:
     """Which force is taken, and, of two tools, what of the second one's."""
     op = work.operation

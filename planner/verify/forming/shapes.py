@@ -214,14 +214,12 @@ class Feature:
 
 
 class PartShapes:
-    """Part and passes of one operation. ``features`` in the order of forming, the ``first`` of which operations
-    before it form; ``places`` (N, 2) all over part and passes, ``wanted`` (N,) [m] how far the part is off the
-    flat there, ``moved`` (F, N) [m] how far each feature moves it, ``steep`` (N,) the part's normal along z.
-    """
+    """Part and passes of one operation. ``features`` in the order of forming, the ``first`` of which earlier
+    operations form; ``places`` (N, 2) all over part and passes, ``wanted`` (N,) [m] how far the part is off
+    the flat there, ``moved`` (F, N) [m] how far each feature moves it, ``steep`` (N,) the part's normal
+    along z."""
 
-    def __init__(
-        self, part: FormsPart, passes: tuple[Passed, ...], before: tuple[Feature, ...] = ()
-    ) -> None:
+    def __init__(self, part: FormsPart, passes: tuple[Passed, ...], before: tuple[Feature, ...] = ()) -> None:
         self.part = part
         self.first = len(before)
         self.features = (*before, *_features(part, passes))

@@ -97,8 +97,8 @@ def _of_hole(
             if near < part.hole_margin - FACET:
                 what = f"{shape.claim.segment} moves the sheet {mm(near):.2f} mm off {name}, which was cut "
                 what += f"before; wanted: {mm(part.hole_margin):g} mm"
-                measure = {"value": mm(near), "limit": mm(part.hole_margin)}
-                issues.append(Issue(FORMING_HOLES, what, field=name, unit="mm", **measure))
+                value, limit = mm(near), mm(part.hole_margin)
+                issues.append(Issue(FORMING_HOLES, what, field=name, value=value, limit=limit, unit="mm"))
     passes = [one for one in forming.formed if one.setup == index and any(one.claim is c for c in group)]
     if len(passes) != sum(isinstance(claim, FormsSheet) for claim in group):
         issues.append(Issue(FORMING_HOLES, f"passes beside {name} are not all replayed", field=name))
@@ -120,9 +120,7 @@ def _formed_off(shape: Shape, hole: _Hole) -> float:
     return float(tree.query_nearest(hole.ring, return_distance=True, all_matches=False)[1].min())
 
 
-def _tools_off(
-    context: Context, part: FormsPart, one: Formed, hole: _Hole
-) -> tuple[float, list[Issue]]:
+def _tools_off(context: Context, part: FormsPart, one: Formed, hole: _Hole) -> tuple[float, list[Issue]]:
     """How far [m] in plan the tools of a pass stay off a curve while they form."""
     track, least = one.track, np.inf
     issues: list[Issue] = []

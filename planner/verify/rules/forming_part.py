@@ -58,8 +58,8 @@ SAME_AREA_SHARE = 0.02
 @rule("verify.forming_part", FormsPart)
 def forming_part(context: Context, forming: Forming) -> Outcome:
     """The faces of all passes, of all operations that form some features of it, together make the part and
-    nothing else; each feature is formed by the tool on its side, from the level at which the sheet is then, in
-    the wanted order, through shapes in between that are as steep as wanted and never beyond the part."""
+    nothing else; each feature is formed by the tool on its side, from the level at which the sheet is then,
+    in the wanted order, through shapes in between that are as steep as wanted and never beyond the part."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, FACE_ERROR, ""
     last = next((made for made, _ in reversed(forming.parts) if made is not None), None)
