@@ -437,11 +437,11 @@ def _left(film: _Film, problem: Problem, plan: Plan, run: Track) -> None:
                 works = [k for k in own.tolist() if run.segment[k].works]
                 mesh = Mesh(np.asarray(one["vertices"]), np.asarray(one["faces"]))
                 found += [(works[-1], mesh)] if works else []
-    ends = [first for first, _ in found[1:]] + [len(run.time)]
-    for number, ((first, mesh), end) in enumerate(zip(found, ends, strict=True)):
+    keys = np.arange(len(run.time))
+    for number, (first, mesh) in enumerate(found):
+        end = found[number + 1][0] if number + 1 < len(found) else len(keys)
         path = f"{BLOCK_PATH}/left/{number}"
         _surface(film.meshcat, path, mesh, _PART_COLOUR)
-        keys = np.arange(len(run.time))
         film.show(path, (keys > first) & (keys <= end))
 
 

@@ -1,4 +1,4 @@
-"""A sheet with holes: forming in which they would be moved is refused; what an operation that trims leaves."""
+"""A sheet with holes: what would move them is refused; what an operation that trims leaves."""
 
 from __future__ import annotations
 

@@ -295,6 +295,8 @@ def estimate_issues(work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Es
         f"will be; estimated at {count} place{'s' * (count > 1)}, of {TOLD:g} mm and less nothing is told"
     )
     hint = "tandem springback says it all over the part; --write makes a file that springback: takes"
+    if work.staged:
+        hint = "of a sheet that is formed in stages no file makes up for it: form a test piece and measure it"
     if found.assumed:
         hint = f"state a measured force (force_n, force_by), for which another figure may come out; {hint}"
     return [
