@@ -91,7 +91,7 @@ def shown(mesh: Mesh, holes: Sequence[Hole], after: str) -> dict[str, Any]:
     for hole in holes:
         area = shapely.Polygon(hole.ring).buffer(0.0)
         shapely.prepare(area)
-        near = shapely.intersects(area, shapely.polygons(corners[:, :, :2])) == hole.inside
+        near = shapely.intersects(area, shapely.polygons(corners[:, :, :2]))
         pieces = small_pieces(corners[near], SHOWN_PIECE, MOST_SHOWN)[0]
         middle = pieces.mean(axis=1)
         kept = shapely.contains_xy(area, middle[:, 0], middle[:, 1]) != hole.inside

@@ -12,8 +12,9 @@ import pytest
 from planner import pipeline, processes
 from planner.forming.job import FormingJob
 from planner.forming.process_plan import lay_all
-from planner.forming.stages import formed_sheet, hole_issues
+from planner.forming.stages import formed_sheet, hole_issues, shown
 from planner.issues import Issue, TandemError
+from planner.problem import Hole
 from planner.trim.job import TrimJob
 from tests.forming.staged import DEPTHS, HOLE, SUMP_RADIUS, part, problem
 from tests.small_forming import write
@@ -160,6 +161,20 @@ def test_a_sheet_that_was_cut_off_its_clamp_is_not_formed(tmp_path: Path) -> Non
     (issue,) = refused(tmp_path, 2, hole=hole(0.0, 100.0, drops="outside"))
     assert issue.code == "forming.holes"
     assert "its clamp holds nothing" in issue.message
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_what_is_shown_has_its_holes(inside: bool) -> None:
+    mesh = part()
+    turn = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
+    ring = 0.01 * np.stack([np.cos(turn), np.sin(turn)], axis=1) + [0.02, 0.0]
+    (one,) = shown(mesh, [Hole("hole", ring, inside)], "cut").values()
+    whole, left = (
+        0.5 * float(np.abs(np.linalg.det(np.diff(v[f][:, :, :2], axis=1))).sum())
+        for v, f in ((mesh.vertices, mesh.faces), (one["vertices"], one["faces"]))
+    )
+    hole = np.pi * 0.01**2
+    assert left == pytest.approx(whole - hole if inside else hole, abs=0.02 * hole)
 
 
 @pytest.mark.parametrize(

@@ -270,8 +270,7 @@ def in_place(
 ) -> tuple[OrderStep, ...]:
     """Strategy 1: parents before their children (preorder), every feature where it is in the part; of those
     that are its ``own``, where others were formed ``before``."""
-    every = [feature.id for feature in tree.features if own is None or feature.id in own]
-    return given_order(tree, every, own=own, before=before)
+    return given_order(tree, _chosen([feature.id for feature in tree.features], own), own=own, before=before)
 
 
 def on_virgin_sheet(
@@ -285,8 +284,12 @@ def on_virgin_sheet(
         feature = tree.feature(waiting.pop())
         order.append(feature.id)
         waiting.extend(feature.children)
-    chosen = [number for number in order[::-1] if own is None or number in own]
-    return given_order(tree, chosen, True, own, before)
+    return given_order(tree, _chosen(order[::-1], own), True, own, before)
+
+
+def _chosen(order: list[int], own: Sequence[int] | None) -> list[int]:
+    some = set(order if own is None else own)
+    return [number for number in order if number in some]
 
 
 def given_order(
@@ -352,7 +355,7 @@ def _check(
                 "parent first, or form the features translated, on the virgin sheet"
             )
             for feature in tree.features
-            if feature.id in order
+            if feature.id in wanted
             and feature.parent is not None
             and place[feature.id] < place.get(feature.parent, len(place))
         ]
