@@ -300,6 +300,26 @@ class Part:
 
 
 @dataclasses.dataclass(frozen=True)
+class Hole:
+    """A closed curve ``ring`` (K, 2) [m] in plan along which an operation has cut a sheet: what lies
+    ``inside`` of it drops, or all that is outside."""
+
+    name: str
+    ring: FloatArray
+    inside: bool = True
+
+
+@dataclasses.dataclass(frozen=True)
+class Stages:
+    """The operations that form a sheet ``before`` and ``after`` another one, in order, each with its name and
+    the numbers of the features that it forms, None for all. ``stays``: the sheet stays clamped behind it."""
+
+    before: tuple[tuple[str, tuple[int, ...] | None], ...] = ()
+    after: tuple[tuple[str, tuple[int, ...] | None], ...] = ()
+    stays: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
 class Sheet:
     """What a stock that is a clamped sheet has besides its size: ``metal``, and the ``opening`` (K, 2) [m] of
     its clamp, a closed convex outline in the sheet's plane about the stock frame's origin. ``border`` [N/m^2]
@@ -307,15 +327,17 @@ class Sheet:
     does not move.
 
     ``formed`` are the convex solids, in the stock frame, that hold what stands out of the flat sheet once the
-    part is formed; bodies of the cell keep clear of them from the beginning. ``holes``: curves (K, 2) [m] in
-    plan along which an operation has cut it, each with its name.
+    part is formed; bodies of the cell keep clear of them from the beginning. ``holes``: along which curves
+    earlier operations have cut it. ``stages``: which others form it, as one operation finds it; None where
+    nothing says so, and where none does.
     """
 
     metal: SheetMetal
     opening: FloatArray
     border: float = 0.0
     formed: tuple[Shape, ...] = ()
-    holes: tuple[tuple[str, FloatArray], ...] = ()
+    holes: tuple[Hole, ...] = ()
+    stages: Stages | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -420,6 +442,14 @@ class Fixed(Protocol):
 
     def with_fixtures(self, stock: Stock, part: Part | None) -> Stock:
         """The stock with bodies of fixtures, by which bodies of the cell keep clear."""
+
+
+@runtime_checkable
+class Forms(Protocol):
+    """An operation that forms a sheet: the ``features`` of its part with these numbers, None for all."""
+
+    name: str
+    features: tuple[int, ...] | None
 
 
 OWN_CLEARANCE: Final = 0.005
@@ -583,6 +613,24 @@ class Problem:
     def setup_of(self, index: int) -> Setup:
         """The setup of an operation, by its index."""
         return next(setup for setup in self.setups if index in setup.operations)
+
+    def found_by(self, index: int) -> Setup:
+        """The setup of an operation, by its index, with a sheet as this operation finds it: what those before
+        it in the same setup have left, and which others form it."""
+        setup = self.setup_of(index)
+        stock = setup.stock
+        for before in setup.operations[: setup.operations.index(index)]:
+            stock = self.operations[before].leaves(stock)
+        if stock.sheet is None or setup.stock.sheet is None:
+            return setup
+        forms = [(k, (op.name, op.features)) for k, op in enumerate(self.operations) if isinstance(op, Forms)]
+        stages = Stages(
+            tuple(one for k, one in forms if k < index),
+            tuple(one for k, one in forms if k > index),
+            index + 1 < len(self.operations),
+        )
+        sheet = dataclasses.replace(stock.sheet, stages=stages if forms else None)
+        return dataclasses.replace(setup, stock=dataclasses.replace(setup.stock, sheet=sheet))
 
 
 def _standing(arm: Arm, stations: Mapping[str, float]) -> Arm:

@@ -106,7 +106,7 @@ def job(problem: Problem, index: int) -> Job[Any]:
     process = all_processes()[operation.process]
     if isinstance(process, Issue):
         raise TandemError(process)
-    return process.job(operation, problem.setup_of(index), problem.part)
+    return process.job(operation, problem.found_by(index), problem.part)
 
 
 def jobs(problem: Problem) -> tuple[Job[Any], ...]:

@@ -152,7 +152,9 @@ def dome() -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
 if __name__ == "__main__":
     revolved(203.2, rounded_wall(22.0, 165.0, 60.0, 12.0, 26), 288).export(HERE / "cone_dpif_l" / "cone.ply")
     revolved(55.0, rounded_wall(11.0, 25.0, 45.0, 8.0, 16), 144).export(HERE / "cone_spif" / "cone.ply")
-    revolved(45.0, rounded_wall(9.0, 12.0, 35.0, 8.0, 12), 96).export(HERE / "dish_apertures" / "dish.ply")
+    sump = rounded_wall(0.0, 4.0, 30.0, 8.0, 6)[1:]
+    profile = np.vstack([rounded_wall(9.0, 12.0, 35.0, 8.0, 12), sump + np.array([29.0, -12.0])])
+    revolved(45.0, profile, 96).export(HERE / "dish_apertures" / "dish.ply")
     pyramid(60.0, 24.0, rounded_wall(12.0, 40.0, 75.0, 8.0, 20), 160).export(
         HERE / "pyramid_steep" / "pyramid.ply"
     )

@@ -456,6 +456,9 @@ CODES: Final[dict[str, Code]] = {
     "verify.forming_part": Code(
         "what passes form does not make the part, or not in the wanted order and shapes"
     ),
+    "verify.forming_holes": Code(
+        "what is formed, or a tool that forms, comes nearer than wanted to a curve of a cut before"
+    ),
     "verify.forming_claims": Code(
         "what is claimed of a pass does not follow from the part and the user's numbers"
     ),
@@ -708,7 +711,10 @@ CODES: Final[dict[str, Code]] = {
     "forming.touching": Code("two features touch or lie over each other", given=True),
     "forming.flat": Code("nothing of a part leaves the sheet plane", given=True),
     "forming.step": Code("a slicing step is no length above 0, or gives too many levels", given=True),
-    "forming.holes": Code("a sheet is to be formed behind an operation that has cut holes into it"),
+    "forming.holes": Code("what is formed, or a tool, comes too near to a curve along which a sheet was cut"),
+    "forming.features": Code(
+        "operations that form some features of a part name one that it has not, one twice, or not all"
+    ),
     "forming.order": Code(
         "an order of forming names a feature twice, not at all, or before what it stands on", given=True
     ),

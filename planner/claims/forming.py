@@ -229,6 +229,8 @@ class FormsPart:
     ``gouge``, ``gap``, ``handshake`` [m]: tolerances. ``pressed`` [m]: how deep tools may press.
     ``mesh_tolerance`` [m]: how far the vertices of the part may be off the face that is meant by them.
     ``unreached`` [m]: how far balls may stay off the part where they do not fit; None: that is only told.
+    ``features``: numbers of those that it forms, None for all. ``hole_margin`` [m]: how far, in plan, what it
+    forms and its tools stay off curves along which the sheet was cut before.
     """
 
     mode: str
@@ -257,3 +259,5 @@ class FormsPart:
     male: bool = False
     sinking: tuple[str, float] | None = None
     unreached: float | None = None
+    features: tuple[int, ...] | None = None
+    hole_margin: float = 0.005

@@ -285,8 +285,9 @@ LEVEL: Final = Sentence("Level {number:.0f} of {name} alone: the sheet as the le
 FIRST_PASS: Final = "the first pass"
 """Name of a level's pass that nobody names."""
 SHEET_READY: Final = Sentence("Sheet clamped and greased, nobody in the cell?")
+STAGE_READY: Final = Sentence("Sheet as it was left, greased, no loose piece, nobody in the cell?")
 FORMED: Final = Sentence("Tools off the sheet, take the part out?")
-LEVEL_FORMED: Final = Sentence("Tools off the sheet, which stays clamped?")
+STAYS: Final = Sentence("Tools off the sheet, which stays clamped?")
 
 
 # ---- a torch ----

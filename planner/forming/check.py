@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
-import shapely
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -37,7 +36,7 @@ from planner.geometry.curves import along, arc_length
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, small_pieces
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
-from planner.problem import Setup, Sheet
+from planner.problem import Setup
 from planner.tooling import profile
 
 
@@ -127,19 +126,6 @@ def of_die(work: Work) -> Iterator[Issue]:
         yield from die_issues(tuple(final.values()), die, die_mesh(die), work.thickness, tolerance)
 
 
-def hole_issues(sheet: Sheet, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
-    """A sheet with holes gives way at them, which no path here makes up for: how near the contact comes to
-    each curve along which it was cut."""
-    for name, ring in sheet.holes:
-        hole = shapely.LinearRing(ring)
-        off = [shapely.distance(hole, shapely.points(path.contact.point[:, :2])) for _, path in paths]
-        near = float(min(row.min() for row in off)) / MM
-        what = f"the sheet was cut along {name} before, and the contact would come within {near:.1f} mm "
-        what += "of that; a sheet with holes is not formed yet"
-        hint = "form all of the part before it is trimmed: put this operation before the one that trims"
-        yield Issue("forming.holes", what, value=near, unit="mm", hint=hint)
-
-
 def force(work: Work, one: Pass, path: ToolPath) -> ForceEstimate:
     """The axial force on the forming tool of a pass."""
     op, radius = work.operation, work.heads[work.former(one)].radius
@@ -154,7 +140,7 @@ def force(work: Work, one: Pass, path: ToolPath) -> ForceEstimate:
 
 
 def _clear(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
-    found = states(work.tree, work.mesh, work.passes, work.thickness)
+    found = states(work.tree, work.mesh, work.passes, work.thickness, work.before)
     state_of = {one.name: state for one, state in zip(work.passes, found, strict=True)}
     for one, path in paths:
         state = state_of[one.name]

@@ -49,7 +49,7 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.problem import Part, Setup
+from planner.problem import Part, Setup, Sheet
 from planner.tooling import FormingTool, profile
 
 BORDER_TOLERANCE: Final = 0.5 * MM
@@ -65,7 +65,7 @@ vertical: it follows the smooth face, not its facets."""
 
 def claims(work: Work) -> tuple[Claim, ...]:
     """The claims of all passes."""
-    found = states(work.tree, work.mesh, work.passes, work.thickness)
+    found = states(work.tree, work.mesh, work.passes, work.thickness, work.before)
     out: list[Claim] = [FormsInOrder(tuple(segment(one) for one in work.passes))]
     if work.operation.springback is not None:
         out.append(ComesBack(work.operation.name, tuple(segment(one) for one in work.passes)))
@@ -234,7 +234,18 @@ def wanted_part(operation: Forming, setup: Setup, part: Part | None) -> FormsPar
         mesh_tolerance=part.formed.tolerance,
         unreached=None if op.unreached_mm is None else op.unreached_mm * MM,
         sinking=(die.signal, (step or 0.0) * MM) if die is not None and sinks else None,
+        features=op.features,
+        hole_margin=op.hole_margin_mm * MM,
     )
+
+
+def spoken(op: Forming, sheet: Sheet | None) -> tuple[words.Sentence, words.Sentence]:
+    """What the operator is asked before and behind an operation: a sheet that others have formed or cut is
+    clamped already, and one that others go on with stays so."""
+    stages = None if sheet is None else sheet.stages
+    found = sheet is not None and (bool(sheet.holes) or (stages is not None and bool(stages.before)))
+    stays = op.level is not None or (stages is not None and stages.stays)
+    return words.STAGE_READY if found else words.SHEET_READY, words.STAYS if stays else words.FORMED
 
 
 def dialogue(
@@ -253,8 +264,8 @@ def dialogue(
     if level is not None:
         name = level.pass_name or words.FIRST_PASS
         first.append(question_step(words.LEVEL, number=level.number, name=name))
-    first.append(question_step(words.SHEET_READY))
-    done = words.FORMED if level is None else words.LEVEL_FORMED
+    ready, done = spoken(operation, sheet)
+    first.append(question_step(ready))
     stops: tuple[DialogueStop, ...] = ()
     if sinks is not None:
         pulse = (*power_on_steps(sinks.signal, sinks.pulse), *power_off_steps(sinks.signal, sinks.pulse))

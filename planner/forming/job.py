@@ -29,7 +29,6 @@ from planner.forming.check import (
     check,
     clamped_issues,
     force,
-    hole_issues,
     of_die,
     shift_issues,
     step_issues,
@@ -50,6 +49,7 @@ from planner.forming.process_plan import (
 )
 from planner.forming.sheet_mechanics import thickness_map, thinnest, wall_angle_map
 from planner.forming.springback import compensation, compensation_file, forecast, level_file, released
+from planner.forming.stages import hole_issues, shown
 from planner.forming.support.opposite import DRIFT_SHARE
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts, read_only
 from planner.geometry.units import DEG, MM
@@ -104,23 +104,25 @@ def exhibits(work: Work, paths: Laid) -> dict[str, Any]:
         "features": _features(work),
         "passes": _passes(work, paths),
         "wall_angle": _map(
-            work, "Wall angle", wall_angle_map(work.mesh.vertices, work.mesh.faces) / DEG, "deg"
+            work, "Wall angle", wall_angle_map(work.left.vertices, work.left.faces) / DEG, "deg"
         ),
         "thickness": _map(
             work,
             "Thickness by the sine law",
-            thickness_map(work.mesh.vertices, work.mesh.faces, work.thickness) / MM,
+            thickness_map(work.left.vertices, work.left.faces, work.thickness) / MM,
             "mm",
         ),
         "paths": _paths(paths),
     }
+    if work.staged:
+        out |= shown(work.left, work.sheet.holes, work.operation.name)
     if any(np.isfinite(path.gap).any() for _, path in paths):
         out["gap"] = _gap(work, paths)
     return out
 
 
 def _setup(work: Work, paths: Laid) -> dict[str, Any]:
-    op, thin = work.operation, thinnest(work.mesh.vertices, work.mesh.faces, work.thickness)
+    op, thin = work.operation, thinnest(work.left.vertices, work.left.faces, work.thickness)
     largest = max((force(work, one, path) for one, path in paths), key=lambda found: found.force)
     items: list[tuple[Any, ...]] = [
         ("sheet", f"{work.thickness / MM:g} mm {work.sheet.metal.title}"),
@@ -188,7 +190,7 @@ def _passes(work: Work, paths: Laid) -> dict[str, Any]:
 
 
 def _map(work: Work, title: str, value: FloatArray, unit: str) -> dict[str, Any]:
-    return {"kind": "heatmap", "title": title, "points": work.mesh.vertices, "value": value, "unit": unit}
+    return {"kind": "heatmap", "title": title, "points": work.left.vertices, "value": value, "unit": unit}
 
 
 def _paths(paths: Laid) -> dict[str, Any]:
@@ -264,17 +266,18 @@ class FormingJob(Job[Forming]):
             raise TandemError(_or_allowed(made, error.issues, corners)) from None
         if level is not None and level.file is not None:
             given = self._of_level(level, level.file, paths)
-        issues = [*hole_issues(made.sheet, paths), *corners, *dies, *check(made, setup, paths)]
+        issues = [*_of_holes(made, paths), *corners, *dies, *check(made, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         if given is None:
-            estimate = forecast.estimate(made, paths) if level is None else None
-            shown = {}
+            estimate = forecast.estimate(made, paths) if level is None and made.flat else None
+            issues += [] if made.flat else [forecast.not_foretold(made)]
+            more = {}
             if estimate is not None:
                 issues += forecast.estimate_issues(made, paths, estimate)
-                shown = {"released": released.estimated(made, paths, estimate)} if estimate.rows else {}
+                more = {"released": released.estimated(made, paths, estimate)} if estimate.rows else {}
             found = _targets(made, setup, paths, paths, issues, self.claims())
-            return dataclasses.replace(found, exhibits={**found.exhibits, **shown})
+            return dataclasses.replace(found, exhibits={**found.exhibits, **more})
         deeper = compensation.shifted(paths, given.ways)
         issues += [
             *compensation.steeper(made, paths, given.ways, given.slope, level),
@@ -284,10 +287,10 @@ class FormingJob(Job[Forming]):
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         found = _targets(made, setup, paths, deeper, issues, self.claims())
-        shown = {"compensation": compensation.exhibit(given.ways)}
+        more = {"compensation": compensation.exhibit(given.ways)}
         if level is None and given.scan is None:
-            shown["released"] = released.compensated(made, paths, given)
-        return dataclasses.replace(found, exhibits={**found.exhibits, **shown})
+            more["released"] = released.compensated(made, paths, given)
+        return dataclasses.replace(found, exhibits={**found.exhibits, **more})
 
     def compensated(self) -> compensation_file.Compensation | None:
         """The springback file that the operation names, if it does. Raises ``TandemError``
@@ -313,6 +316,21 @@ class FormingJob(Job[Forming]):
         holder = two_point.holder_claim(self.planned)
         spoken = forming_claims.dialogue(self.operation, self.setup, whole, holder)
         return (whole, spoken, *forming_claims.claims(self.planned))
+
+
+def _of_holes(made: Work, paths: Laid) -> list[Issue]:
+    """Holes that an operation comes too near to."""
+    if made.operation.mode == "adsif" and made.sheet.holes:
+        what = f"the sheet was cut along {made.sheet.holes[0].name} before; in adsif tools press all of it"
+        hint = "form it before it is cut, or take another mode"
+        return [Issue("forming.holes", what, field="operations.mode", hint=hint)]
+    radii = []
+    for one, _ in paths:
+        other = made.supporter(one)
+        radii.append(
+            (made.heads[made.former(one)].radius, 0.0 if other is None else made.heads[other].radius)
+        )
+    return list(hole_issues(made.sheet.holes, made.operation.hole_margin_mm * MM, paths, radii))
 
 
 def _route(made: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
@@ -427,8 +445,8 @@ def _actions(
     if level is not None:
         named = vocabulary.LEVEL.filled(number=level.number, name=level.pass_name or vocabulary.FIRST_PASS)
         out.append(Action(0, "confirm", named))
-    out.append(Action(0, "confirm", vocabulary.SHEET_READY.filled()))
+    ready, done = forming_claims.spoken(made.operation, made.sheet)
+    out.append(Action(0, "confirm", ready.filled()))
     first = route.segment.index(segment(one).at("in"))
     out += two_point.holder_actions(made, one, path, first)
-    done = vocabulary.FORMED if level is None else vocabulary.LEVEL_FORMED
     return (*out, Action(len(route.segment) - 1, "confirm", done.filled()))

@@ -249,6 +249,24 @@ class Forming(Strict):
         Literal["in_place", "virgin"],
         Field(description="parents first, in place; or inner features first, on the flat sheet"),
     ] = "in_place"
+    features: Annotated[
+        tuple[int, ...] | None,
+        Field(
+            min_length=1,
+            max_length=10_000,
+            description="numbers of those that this operation forms, as `tandem features` prints them; "
+            "others are formed by other operations. None: all",
+        ),
+    ] = None
+    hole_margin_mm: Annotated[
+        float,
+        Field(
+            ge=0.5,
+            le=200,
+            description="least distance, seen along z, of what is formed and of the tools from curves along "
+            "which the sheet was cut before",
+        ),
+    ] = 5.0
     order: Annotated[tuple[int, ...] | None, Field(description="features in an order of one's own")] = None
     squeeze: Annotated[float, Field(ge=0.5, le=1.2, description="gap over the thickness by the sine law")] = (
         1.0
@@ -328,7 +346,23 @@ class Forming(Strict):
             raise ValueError("passes: wall angles must ascend, each above 0 and at most 90")
         self._stated_forces()
         self._one_level()
+        self._some_features()
         return self
+
+    def _some_features(self) -> None:
+        """What features of its own ask of an operation."""
+        if self.features is None:
+            return
+        if len(set(self.features)) != len(self.features) or min(self.features) < 1:
+            raise ValueError("features: each number from 1 on is named once")
+        if self.mode not in FORCE_MODES:
+            allowed = ", ".join(sorted(FORCE_MODES))
+            raise ValueError(f"features belongs to the modes {allowed}, not {self.mode}")
+        if self.level is not None or self.springback is not None:
+            raise ValueError(
+                "features: neither level nor springback is known of a sheet that is formed in stages; take "
+                "them out"
+            )
 
     def _stated_forces(self) -> None:
         """What forces by depth or level, and that of a support, ask of their operation."""

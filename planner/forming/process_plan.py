@@ -24,6 +24,7 @@ from planner.forming.paths.adsif_path import adsif_tool_path, pressed_by_support
 from planner.forming.paths.contact_path import make_path
 from planner.forming.paths.spiral import MISSED_DISTANCE, PathOptions
 from planner.forming.sheet_mechanics import steepest
+from planner.forming.stages import formed_sheet, own_features
 from planner.forming.stated_force import Stated, stated
 from planner.forming.support.clearance import Clamp, clamp_of
 from planner.forming.support.modes import tool_path
@@ -46,7 +47,8 @@ class Work:
     """An operation on its sheet: ``mesh`` is the part's lower face in the sheet's frame, ``heads`` the tools'
     working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet, ``tolerance`` [m]
     how far the part's mesh may be off the face that is meant. ``every``: how many moves the controllers of
-    two arms go between meetings; 0 where they go by one clock."""
+    two arms go between meetings; 0 where they go by one clock. ``before``: the features that other operations
+    have formed."""
 
     operation: Forming
     sheet: Sheet
@@ -59,6 +61,23 @@ class Work:
     clamp: Clamp
     tolerance: float = 0.0
     every: int = 0
+    before: tuple[int, ...] = ()
+
+    @functools.cached_property
+    def left(self) -> Mesh:
+        """The lower face of the sheet as the operation leaves it."""
+        own = {step.feature for step in self.order}
+        return formed_sheet(self.mesh, self.tree, sorted(own.union(self.before)))
+
+    @property
+    def flat(self) -> bool:
+        """Whether the sheet is flat and whole when the operation begins."""
+        return not self.before and not self.sheet.holes
+
+    @property
+    def staged(self) -> bool:
+        """Whether other operations form or cut the sheet before it, or form it further."""
+        return not self.flat or len(self.order) < len(self.tree.features)
 
     def former(self, one: Pass) -> str:
         """The arm that forms a pass."""
@@ -131,22 +150,27 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
     heads = _heads(operation, setup)
     tolerance = part.formed.tolerance if part is not None and part.formed is not None else 0.0
     tree = feature_tree.build(mesh, operation.feature_step_mm * MM, max(feature_tree.LEAST_BUMP, tolerance))
-    order = _order(operation, tree)
+    before, own = own_features(operation.name, operation.features, sheet.stages, tree)
+    order = _order(operation, tree, own, before)
     thickness = float(setup.stock.size[2])
     made = passes(tree, order, mesh, thickness, operation, sheet.metal)
     _require_sides(operation, made)
     controller = setup.cell.controller
     every = controller.handshake.every if controller.sync == "handshake" else 0
     clamp = clamp_of(setup.stock)
-    found = Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp, tolerance, every)
+    found = Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp, tolerance, every, before)
     _ = found.stated  # what is wrong with it is said before anything is laid
     return found
 
 
-def _order(op: Forming, tree: FeatureTree) -> tuple[OrderStep, ...]:
+def _order(
+    op: Forming, tree: FeatureTree, own: tuple[int, ...], before: tuple[int, ...]
+) -> tuple[OrderStep, ...]:
+    some = None if op.features is None else own
     if op.order is not None:
-        return feature_tree.given_order(tree, op.order, translated=op.strategy == "virgin")
-    return feature_tree.on_virgin_sheet(tree) if op.strategy == "virgin" else feature_tree.in_place(tree)
+        return feature_tree.given_order(tree, op.order, op.strategy == "virgin", some, before)
+    by = feature_tree.on_virgin_sheet if op.strategy == "virgin" else feature_tree.in_place
+    return by(tree, some, before)
 
 
 def _heads(op: Forming, setup: Setup) -> dict[str, FormingHead]:
@@ -345,7 +369,9 @@ def _by_arm(work: Work, one: Pass, path: ToolPath) -> dict[str, tuple[FloatArray
 
 def _away(work: Work, arm: str, clearance: float) -> float:
     """Height z [m] at which a tool's TCP is off everything of the sheet, whatever is formed already."""
-    head, heights = work.heads[arm], work.mesh.vertices[:, 2]
+    head = work.heads[arm]
+    found = formed_sheet(work.mesh, work.tree, work.before).vertices[:, 2]
+    heights = np.concatenate([work.mesh.vertices[:, 2], found])
     shifts = [one.vertices[:, 2] for one in work.passes]
     low = min(float(heights.min()), *(float(z.min()) for z in shifts))
     high = max(float(heights.max()), *(float(z.max()) for z in shifts)) + work.thickness

@@ -49,21 +49,24 @@ class State:
     carried: FloatArray
 
 
-def states(tree: FeatureTree, mesh: Mesh, found: Sequence[Pass], thickness: float) -> tuple[State, ...]:
+def states(
+    tree: FeatureTree, mesh: Mesh, found: Sequence[Pass], thickness: float, before: Sequence[int] = ()
+) -> tuple[State, ...]:
     """The state at each of the passes ``found``, which are in the order of forming.
 
-    ``mesh``: the part's lower face of which ``tree`` was built; ``thickness`` [m] of the sheet.
+    ``mesh``: the part's lower face of which ``tree`` was built; ``thickness`` [m] of the sheet; ``before``:
+    features that are formed already.
     """
     out = []
-    done: list[int] = []
-    before: Pass | None = None
+    done = list(before)
+    last: Pass | None = None
     for one in found:
-        if before is not None and before.feature != one.feature:
-            done.append(before.feature)
-            before = None
-        sunk = 0.0 if before is None else before.end - before.start
+        if last is not None and last.feature != one.feature:
+            done.append(last.feature)
+            last = None
+        sunk = 0.0 if last is None else last.end - last.start
         out.append(_state(tree, mesh, one, done, sunk, thickness))
-        before = one
+        last = one
     return tuple(out)
 
 

@@ -21,6 +21,7 @@ An exhibit is a mapping of arrays and plain data with ``kind`` and ``title`` (``
               tools and ``released``; ``deviation`` (H, W) from the wanted part, NaN where none is known,
               ``limit``: the end of its scale, ``unit``. The replay shows both surfaces.
 ``mesh``      ``vertices`` (V, 3) [m], ``faces`` (F, 3): a shaded picture.
+``left``      the same of the stock as an operation leaves it; the replay shows it from then on.
 ``tree``      ``nodes``: names; ``parent``: for each node the index of its parent, -1 for a root.
 ``text``      ``text``: a paragraph.
 
@@ -348,6 +349,7 @@ _KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Block]]] = 
     "heatmap": _heatmap,
     "released": _released,
     "mesh": _mesh,
+    "left": _mesh,
     "tree": _tree,
     "text": _text,
 }

@@ -12,7 +12,7 @@ import dataclasses
 import html
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -273,6 +273,7 @@ def _filmed(model: CellModel, problem: Problem, plan: Plan) -> tuple[Any, Track]
     _set_view(meshcat, model, run)
     _bodies(film, model, problem, plan.places, run)
     _parts(meshcat, problem)
+    _left(film, problem, plan, run)
     if run.wire is not None:
         _wire(film, run.wire, run.shown, run.wire_radius)
     _strips(film, problem, run)
@@ -424,6 +425,24 @@ def _parts(meshcat: Any, problem: Problem) -> None:
     """The wanted surfaces, which move with the block."""
     for name, mesh in raster.part_meshes(problem.part):
         _surface(meshcat, f"{BLOCK_PATH}/wanted/{name}", mesh, _PART_COLOUR)
+
+
+def _left(film: _Film, problem: Problem, plan: Plan, run: Track) -> None:
+    """Stocks as operations leave them, each from the end of its work on, until the next one is shown."""
+    found: list[tuple[int, Mesh]] = []
+    for index, operation in enumerate(plan.operations):
+        for one in operation.targets.exhibits.values():
+            if isinstance(one, Mapping) and one.get("kind") == "left":
+                own = np.flatnonzero(run.setup == scenes.setup_index(problem, index))
+                works = [k for k in own.tolist() if run.segment[k].works]
+                mesh = Mesh(np.asarray(one["vertices"]), np.asarray(one["faces"]))
+                found += [(works[-1], mesh)] if works else []
+    keys = np.arange(len(run.time))
+    for number, (first, mesh) in enumerate(found):
+        end = found[number + 1][0] if number + 1 < len(found) else len(keys)
+        path = f"{BLOCK_PATH}/left/{number}"
+        _surface(film.meshcat, path, mesh, _PART_COLOUR)
+        film.show(path, (keys > first) & (keys <= end))
 
 
 def _surface(meshcat: Any, path: str, mesh: Mesh, color: Rgba) -> None:

@@ -20,13 +20,15 @@ import shapely
 from planner.claims import vocabulary
 from planner.claims.claim import Claim
 from planner.claims.vocabulary import Segment
+from planner.forming.features.tree import LEAST_BUMP, build
 from planner.forming.job import poses
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, corners, transform
+from planner.forming.stages import formed_sheet, shown
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, corners, transform
 from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.milling.tool_path import sharp, thinned
-from planner.problem import Setup
+from planner.problem import Hole, Setup
 from planner.reading import sheet as sheet_file
 from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
 from planner.tooling import Torch
@@ -38,6 +40,8 @@ from planner.trim.slots import Slot, Wanted, slots
 
 TRIM: Final = "trim"
 """The kind of segments in which a torch cuts, and comes and goes."""
+FEATURE_STEP: Final = 0.5 * MM
+"""Distance of the slices of features [m]; what each one moves does not hang on it."""
 CHORD_SHARE: Final = 0.1
 """Share of the tolerance that straight moves between targets may cost."""
 AXIS_LEVER: Final = 0.03
@@ -88,15 +92,27 @@ class TrimJob(Job[Trim]):
     @functools.cached_property
     def face(self) -> Face:
         """The face that the torch follows. Raises ``TandemError`` (trim.no_sheet) and issues of files."""
+        thickness = float(self.setup.stock.size[2])
+        return Face(self.formed, thickness, 1 if self.operation.side == "top" else -1)
+
+    @functools.cached_property
+    def formed(self) -> Mesh:
+        """The lower face of the sheet as it is trimmed. Raises as :attr:`face`."""
         op, stock = self.operation, self.setup.stock
-        part = self.part
+        part, wanted = self.part, isinstance(op.surface, str)
         if not isinstance(op.surface, str):
             place = None if op.surface.frame == "find" else np.eye(4)
             part = sheet_file.build(op.surface, Path(), stock, place)
         if stock.sheet is None or part is None or part.formed is None:
             what = f"{op.name}: there is no formed sheet; give sheet: and a part of kind sheet_mesh"
             raise TandemError(Issue("trim.no_sheet", what, field="sheet"))
-        return Face(part.formed.mesh, float(stock.size[2]), 1 if op.side == "top" else -1)
+        mesh, stages = part.formed.mesh, stock.sheet.stages
+        if wanted and stages is not None and stages.after:
+            tree = build(mesh, FEATURE_STEP, max(LEAST_BUMP, part.formed.tolerance))
+            done = {number for _, some in stages.before for number in some or ()}
+            known = sorted(done.intersection(one.id for one in tree.features))
+            mesh = formed_sheet(mesh, tree, known)
+        return mesh
 
     @functools.cached_property
     def wanted(self) -> tuple[Wanted, ...]:
@@ -134,7 +150,10 @@ class TrimJob(Job[Trim]):
         route, issues = _route(op, self.setup, self.face, torch, made)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        return _targets(op, self.setup, torch, made, wanted, route, self.claims())
+        free = [w for w in wanted if not w.spec.joints]  # what hangs by joints stays
+        cut = [Hole(w.spec.name, w.laid.point[:, :2], w.spec.drops == "inside") for w in free]
+        left = shown(self.formed, (*sheet.holes, *cut), op.name) if sheet.stages is not None else {}
+        return _targets(op, self.setup, torch, made, wanted, route, self.claims(), left)
 
     def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
         """Slots in which the arm is slower on average than the operation allows: the torch then burns away
@@ -277,6 +296,7 @@ def _targets(
     wanted: tuple[Wanted, ...],
     route: Route,
     stated: tuple[Claim, ...],
+    sheet: dict[str, Any],
 ) -> Targets:
     arm, count = op.arms[0], len(route.segment)
     actions = _actions(op, setup, torch, route)
@@ -295,7 +315,7 @@ def _targets(
         segment=route.segment,
         actions=actions,
         claims=stated,
-        exhibits=exhibits(op, torch, made, wanted, route),
+        exhibits=exhibits(op, torch, made, wanted, route) | sheet,
         rounding=_rounding(op, arm),
         may_stop=True,
         may_join=True,

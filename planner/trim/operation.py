@@ -16,7 +16,7 @@ from planner.claims.vocabulary import fold
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
-from planner.problem import Stock
+from planner.problem import Hole, Stock
 from planner.reading.drawing import read_dxf
 from planner.reading.part_ruled import GuideFile, guide
 from planner.reading.sheet import SheetMeshFile
@@ -195,7 +195,9 @@ class Trim(Strict):
         if stock.sheet is None:
             return stock
         try:
-            cut = tuple((own.name, ring[:, :2]) for own, ring in every_outline(self))
+            cut = tuple(
+                Hole(own.name, ring[:, :2], own.drops == "inside") for own, ring in every_outline(self)
+            )
         except TandemError:
             return stock  # a file that cannot be read is told by the operation itself
         return dataclasses.replace(

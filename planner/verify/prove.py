@@ -40,6 +40,7 @@ from planner.verify.rules import (
     dialogue,
     external_axes,
     forming_claims,
+    forming_holes,
     forming_level,
     forming_part,
     forming_tool,
@@ -170,6 +171,7 @@ OTHER_RULES: tuple[Rule[..., Any], ...] = (
 """Rules about any motion that ask the most time; another process may look at the last six of them."""
 FORMING_RULES: tuple[Rule[[Context, Forming], Outcome], ...] = (
     forming_part.forming_part,
+    forming_holes.forming_holes,
     forming_claims.forming_claims,
     springback.springback,
     forming_level.level,
@@ -403,7 +405,7 @@ class Prover:
         for mill_rule in MILLING_RULES:
             run.add(mill_rule.code, mill_rule(context, milling))
             yield
-        trimming = Trimming(context)
+        trimming = Trimming(context, forming)
         for trim_rule in TRIM_RULES:
             run.add(trim_rule.code, trim_rule(context, trimming))
             yield

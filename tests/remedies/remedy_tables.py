@@ -31,7 +31,10 @@ ELSEWHERE: Final = {
         ("trim/test_input", "test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps"),
     ),
     "forming.holes": (
-        "trim/test_holes", "test_forming_behind_trimming_is_refused_with_the_distance",
+        "forming/test_stages", "test_a_smaller_margin_and_a_hole_farther_away_help",
+    ),
+    "forming.features": (
+        "forming/test_stages", "test_features_that_do_not_add_up_to_the_part_are_refused",
     ),
     "trim.open": ("trim/test_input", "test_an_open_drawing_is_refused"),
     "trim.tool": ("trim/test_input", "test_a_forming_tool_cuts_no_sheet"),

@@ -14,6 +14,7 @@ from planner.motion import solve
 from planner.post import write as post
 from planner.problem import Problem
 from planner.verify.context import Context
+from planner.verify.forming.state import Forming
 from planner.verify.prove import TRIM_RULES, Prover
 from planner.verify.result import Proof
 from planner.verify.trim import outlines
@@ -107,7 +108,7 @@ class Job:
         context = Context(self.problem, claims, programs, unread)
         own = [rule for rule in TRIM_RULES if rule.code == code]
         if own and context.playable:
-            issues = own[0](context, Trimming(context)).issues
+            issues = own[0](context, Trimming(context, Forming(context))).issues
         else:
             issues = self.prove(programs, code).issues
         return code in {issue.code for issue in issues}

@@ -16,6 +16,7 @@ from planner.issues import Issue, TandemError
 from planner.trim.operation import Trim, every_outline
 from planner.verify.context import Context
 from planner.verify.files import UnreadError
+from planner.verify.forming.state import Forming
 from planner.verify.prove import TRIM_RULES
 from planner.verify.trim.outlines import drawn, expanded, order, worked_out
 from planner.verify.trim.torch_motion import Trimming
@@ -167,6 +168,6 @@ def test_a_drawing_is_planned_and_proven_and_a_curve_that_moves_later_is_told(tm
     cuts(1.0)  # the programs are those of the drawing as it was
     claims, unread = worked_out(planned.prover.claims)
     context = Context(planned.problem, claims, planned.programs, unread)
-    trimming = Trimming(context)
+    trimming = Trimming(context, Forming(context))
     codes = {issue.code for rule in TRIM_RULES for issue in rule(context, trimming).issues}
     assert "verify.trim_kept" in codes

@@ -265,32 +265,49 @@ class OrderStep:
     shift: float
 
 
-def in_place(tree: FeatureTree) -> tuple[OrderStep, ...]:
-    """Strategy 1: parents before their children (preorder), every feature where it is in the part."""
-    return given_order(tree, [feature.id for feature in tree.features])
+def in_place(
+    tree: FeatureTree, own: Sequence[int] | None = None, before: Sequence[int] = ()
+) -> tuple[OrderStep, ...]:
+    """Strategy 1: parents before their children (preorder), every feature where it is in the part; of those
+    that are its ``own``, where others were formed ``before``."""
+    return given_order(tree, _chosen([feature.id for feature in tree.features], own), own=own, before=before)
 
 
-def on_virgin_sheet(tree: FeatureTree) -> tuple[OrderStep, ...]:
+def on_virgin_sheet(
+    tree: FeatureTree, own: Sequence[int] | None = None, before: Sequence[int] = ()
+) -> tuple[OrderStep, ...]:
     """Strategy 2: children before their parents (postorder), every feature from the level of the flat
-    sheet."""
+    sheet; of those that are its ``own``, where others were formed ``before``."""
     order: list[int] = []
     waiting = list(tree.roots)  # siblings come out in reverse, then all is reversed
     while waiting:
         feature = tree.feature(waiting.pop())
         order.append(feature.id)
         waiting.extend(feature.children)
-    return given_order(tree, order[::-1], translated=True)
+    return given_order(tree, _chosen(order[::-1], own), True, own, before)
 
 
-def given_order(tree: FeatureTree, order: Sequence[int], translated: bool = False) -> tuple[OrderStep, ...]:
+def _chosen(order: list[int], own: Sequence[int] | None) -> list[int]:
+    some = set(order if own is None else own)
+    return [number for number in order if number in some]
+
+
+def given_order(
+    tree: FeatureTree,
+    order: Sequence[int],
+    translated: bool = False,
+    own: Sequence[int] | None = None,
+    before: Sequence[int] = (),
+) -> tuple[OrderStep, ...]:
     """An order of one's own. In place, a parent must come before its children. ``translated`` allows any
     order: what is formed before its parent is formed at the level that the sheet has there at the time.
+    ``own``: the features that are to be formed, none for all, where others were formed ``before``.
 
     Raises ``TandemError`` with ``forming.order`` for a feature that is unknown, missing or named twice, and
     in place for a child before its parent.
     """
-    _check(tree, order, translated)
-    done: set[int] = set()
+    _check(tree, order, translated, own, before)
+    done = set(before)
     steps = []
     for number in order:
         steps.append(OrderStep(number, sheet_level(tree, number, done) - tree.feature(number).start))
@@ -315,23 +332,32 @@ def sheet_level(tree: FeatureTree, number: int, done: set[int]) -> float:
     return tree.level + sum(moved for parent, moved in around if parent in done)
 
 
-def _check(tree: FeatureTree, order: Sequence[int], translated: bool) -> None:
-    wanted = set(range(1, len(tree.features) + 1))
+def _check(
+    tree: FeatureTree,
+    order: Sequence[int],
+    translated: bool,
+    own: Sequence[int] | None,
+    before: Sequence[int],
+) -> None:
+    wanted = set(range(1, len(tree.features) + 1)) if own is None else set(own)
     issues = []
     unknown = sorted(set(order) - wanted)
     missing = sorted(wanted - set(order))
     twice = sorted({number for number in order if order.count(number) > 1})
     for what, numbers in (("does not exist", unknown), ("is missing", missing), ("is there twice", twice)):
-        issues += [_issue(f"feature {n} {what}; name each of 1 to {len(wanted)} once") for n in numbers]
+        each = f"1 to {len(wanted)}" if own is None else ", ".join(map(str, sorted(wanted)))
+        issues += [_issue(f"feature {n} {what}; name each of {each} once") for n in numbers]
     if not translated and not issues:
-        place = {number: index for index, number in enumerate(order)}
+        place = {number: index for index, number in enumerate((*before, *order))}
         issues += [
             _issue(
                 f"feature {feature.id} comes before feature {feature.parent}, on which it stands; form the "
                 "parent first, or form the features translated, on the virgin sheet"
             )
             for feature in tree.features
-            if feature.parent is not None and place[feature.id] < place[feature.parent]
+            if feature.id in wanted
+            and feature.parent is not None
+            and place[feature.id] < place.get(feature.parent, len(place))
         ]
     if issues:
         raise TandemError(issues)

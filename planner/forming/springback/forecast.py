@@ -61,6 +61,20 @@ def require_mode(work: Work) -> None:
         what = f"{work.operation.name}: mode {mode}: {WHY_NOT[mode]}; allowed are {', '.join(MODES)}"
         hint = "form a test piece and measure it"
         raise TandemError(Issue("forming.springback_mode", what, field="mode", hint=hint))
+    if work.staged:
+        what = f"{work.operation.name}: the sheet is formed in stages, or was cut before; what it springs "
+        what += "back by is known of whole sheets that one operation forms"
+        hint = "form a test piece and measure it"
+        raise TandemError(Issue("forming.springback_mode", what, field="features", hint=hint))
+
+
+def not_foretold(work: Work) -> Issue:
+    """That a sheet that was formed or cut before has no forecast (forming.springback)."""
+    what = (
+        f"{work.operation.name}: what it springs back by is not foretold: the sheet was formed or cut before"
+    )
+    hint = "form a test piece and measure it (tandem scan-fit)"
+    return Issue("forming.springback", what, Severity.NOTE, hint=hint)
 
 
 def forces_told(work: Work) -> list[str]:
@@ -281,6 +295,8 @@ def estimate_issues(work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Es
         f"will be; estimated at {count} place{'s' * (count > 1)}, of {TOLD:g} mm and less nothing is told"
     )
     hint = "tandem springback says it all over the part; --write makes a file that springback: takes"
+    if work.staged:
+        hint = "of a sheet that is formed in stages no file makes up for it: form a test piece and measure it"
     if found.assumed:
         hint = f"state a measured force (force_n, force_by), for which another figure may come out; {hint}"
     return [

@@ -179,7 +179,7 @@ class _Grid:
         outline = {feature: shapely.Polygon(one.region[:, :2]) for feature, (one, _) in last.items()}
         self.x, self.y = _lines(list(outline.values()), work.sheet.opening)
         plan = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
-        self.points = np.column_stack([plan, _height(work.mesh, plan)])
+        self.points = np.column_stack([plan, _height(work.left, plan)])
         self.side = np.ones(len(plan))
         inner = np.full(len(plan), -1)
         # smaller outlines later: a place belongs to the innermost feature around it

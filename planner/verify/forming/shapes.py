@@ -214,13 +214,15 @@ class Feature:
 
 
 class PartShapes:
-    """Part and passes of one operation. ``features`` in the order of forming; ``places`` (N, 2) all over part
-    and passes, ``wanted`` (N,) [m] how far the part is off the flat there, ``moved`` (F, N) [m] how far each
-    feature moves it, ``steep`` (N,) the part's normal along z."""
+    """Part and passes of one operation. ``features`` in the order of forming, the ``first`` of which earlier
+    operations form; ``places`` (N, 2) all over part and passes, ``wanted`` (N,) [m] how far the part is off
+    the flat there, ``moved`` (F, N) [m] how far each feature moves it, ``steep`` (N,) the part's normal
+    along z."""
 
-    def __init__(self, part: FormsPart, passes: tuple[Passed, ...]) -> None:
+    def __init__(self, part: FormsPart, passes: tuple[Passed, ...], before: tuple[Feature, ...] = ()) -> None:
         self.part = part
-        self.features = _features(part, passes)
+        self.first = len(before)
+        self.features = (*before, *_features(part, passes))
         corners = part.vertices[part.faces]
         self.level = _rim_level(part)
         own = [
@@ -242,6 +244,11 @@ class PartShapes:
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         steep[row] = np.abs(cross[triangle, 2]) / np.maximum(np.linalg.norm(cross[triangle], axis=1), 1e-300)
         return height, steep
+
+    @property
+    def own(self) -> list[tuple[int, Feature]]:
+        """The features of the operation itself, with their places among all."""
+        return list(enumerate(self.features))[self.first :]
 
     @cached_property
     def inside(self) -> BoolArray:

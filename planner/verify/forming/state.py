@@ -7,7 +7,7 @@ the same way as few straight pieces from which it is off by no more than a state
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Final, Protocol
 
@@ -22,7 +22,7 @@ from planner.verify.forming.face import Face, Nearest, left_by
 from planner.verify.forming.level import OneLevel, now
 from planner.verify.forming.level import told as levels_told
 from planner.verify.forming.released import Released, Told, released, told
-from planner.verify.forming.shapes import PartShapes, in_order
+from planner.verify.forming.shapes import Feature, PartShapes, in_order
 from planner.verify.replay.motion import Poses, Rows, during
 
 _BLOCK_SAMPLES = 32
@@ -492,15 +492,32 @@ class Forming:
     @cached_property
     def parts(self) -> tuple[tuple[PartShapes | None, tuple[Claim, ...]], ...]:
         """What each operation that forms is to make, with its passes, and all its claims; None for the part
-        where nothing says what it is."""
+        where nothing says what it is. One that forms some features of it finds those of others before it."""
         out: list[tuple[PartShapes | None, tuple[Claim, ...]]] = []
+        before: tuple[Feature, ...] = ()
         for setup in self.context.setup_claims:
             for group in setup.groups:
                 part = next((claim for claim in group if isinstance(claim, FormsPart)), None)
                 passes = in_order(group)
-                if part is not None or passes:
-                    out.append((None if part is None else PartShapes(part, passes), group))
+                if part is None and not passes:
+                    continue
+                made = None
+                if part is not None:
+                    made = PartShapes(part, passes, () if part.features is None else before)
+                    before = (*before, *(feature for _, feature in made.own))
+                out.append((made, group))
         return tuple(out)
+
+    def still_flat(self, group: Sequence[Claim], places: FloatArray) -> FloatArray:
+        """How far (N,) [m] along z operations that come after one with this group of claims move the sheet at
+        places in plan (N, 2): so much less it is moved when that one begins."""
+        order = [id(one) for setup in self.context.setup_claims for one in setup.groups]
+        out = np.zeros(len(places))
+        for made, other in self.parts:
+            if made is not None and order.index(id(other)) > order.index(id(group)):
+                for _, feature in made.own:
+                    out += feature.final.shift(places)
+        return out
 
     @cached_property
     def formed(self) -> tuple[Formed, ...]:

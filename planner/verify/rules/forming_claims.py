@@ -83,10 +83,10 @@ def forming_claims(context: Context, forming: Forming) -> Outcome:
     issues: list[Issue] = []
     worst, where = -np.inf, ""
     for made, group in forming.parts:
-        if made is None or not made.features:
+        if made is None or not made.own:
             continue
         issues += _numbers(made.part, group)
-        nowhere = [feature for feature in made.features if not len(feature.final.rim)]
+        nowhere = [feature for _, feature in made.own if not len(feature.final.rim)]
         if nowhere:  # nothing can be said of what is about it
             segment = nowhere[0].final.claim.segment
             issues.append(Issue(FORMING_CLAIMS, f"{segment} begins nowhere on the sheet", field=str(segment)))
@@ -303,7 +303,7 @@ def _all_there(part: FormsPart, made: PartShapes, group: Sequence[Claim]) -> Ite
         FormsByTable: part.mode == "adsif",
         FormsSheet: part.mode != "adsif",
     }
-    for feature in made.features:
+    for _, feature in made.own:
         for shape in feature.shapes:
             for one in shape.claims:
                 for kind, needed in wanted.items():
@@ -402,7 +402,7 @@ def _states(made: PartShapes, group: Sequence[Claim]) -> Iterator[Issue]:
     points = spread_over(part.vertices[part.faces], _PART_PLACES)[0]
     points = np.concatenate([points[:, :2], *(f.final.spread(2_000)[:, :2] for f in made.features)])
     moved = np.array([feature.final.shift(points) for feature in made.features])
-    for k, feature in enumerate(made.features):
+    for k, feature in made.own:
         if part.male:
             continue  # the flat that sinks is all that there is besides the one feature
         low, high = feature.final.rim.min(axis=0) - TOOL_REACH, feature.final.rim.max(axis=0) + TOOL_REACH

@@ -57,27 +57,31 @@ SAME_AREA_SHARE = 0.02
 
 @rule("verify.forming_part", FormsPart)
 def forming_part(context: Context, forming: Forming) -> Outcome:
-    """The faces of all passes together make the part and nothing else; each feature is formed by the tool on
-    its side, from the level at which the sheet is then, in the wanted order, through shapes in between that
-    are as steep as wanted and never beyond the part."""
+    """The faces of all passes, of all operations that form some features of it, together make the part and
+    nothing else; each feature is formed by the tool on its side, from the level at which the sheet is then,
+    in the wanted order, through shapes in between that are as steep as wanted and never beyond the part."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, FACE_ERROR, ""
+    last = next((made for made, _ in reversed(forming.parts) if made is not None), None)
+    issues += _once(forming)
     for made, group in forming.parts:
         if made is None:
             for claim in in_order(group):
                 what = f"nothing says of what part {claim.segment} is a face"
                 issues.append(Issue(FORMING_PART, what, field=str(claim.segment)))
             continue
-        if not made.features:
+        if not made.own:
             issues.append(Issue(FORMING_PART, "the part is never formed", field="part"))
             continue
         issues += _tolerance(context, made)
-        off, found = _whole(made) if made.part.mesh_tolerance == 0.0 else _whole_of_noisy(made)
-        if off > worst:
-            worst, where = off, str(made.features[0].final.claim.segment)
-            limit = FACE_ERROR + made.part.mesh_tolerance
-        issues += found
-        for k, feature in enumerate(made.features):
+        if made.part.features is None or made is last:
+            off, found = _whole(made) if made.part.mesh_tolerance == 0.0 else _whole_of_noisy(made)
+            if off > worst:
+                worst, where = off, str(made.features[0].final.claim.segment)
+                limit = FACE_ERROR + made.part.mesh_tolerance
+            issues += found
+            issues += [] if made.part.features is None else _numbering(made)
+        for k, feature in made.own:
             issues += _side(made, k, feature)
             issues += _level(made, k, feature)
             issues += _between(made.part, feature)
@@ -85,6 +89,24 @@ def forming_part(context: Context, forming: Forming) -> Outcome:
     if not np.isfinite(worst):
         return Outcome(tuple(issues), where=NO_PART)
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
+
+
+def _once(forming: Forming) -> Iterator[Issue]:
+    """Whether operations that form some features of a part form those that they name, and no two the same."""
+    formed: set[int] = set()
+    some = any(made is not None and made.part.features is not None for made, _ in forming.parts)
+    for made, _ in forming.parts if some else ():
+        if made is None or not made.own:
+            continue
+        numbers = {feature.number for _, feature in made.own}
+        wanted = numbers if made.part.features is None else set(made.part.features)
+        if numbers != wanted:
+            what = f"features {sorted(numbers)} are formed; wanted of this operation: {sorted(wanted)}"
+            yield _issue(what, made.own[0][1])
+        if formed & numbers:
+            what = f"features {sorted(formed & numbers)} are formed by two operations"
+            yield _issue(what, made.own[0][1])
+        formed |= numbers
 
 
 def _tolerance(context: Context, made: PartShapes) -> Iterator[Issue]:
@@ -227,14 +249,16 @@ def _order(made: PartShapes) -> Iterator[Issue]:
     """Whether features come in the order that is wanted: the user's own, or what stands inside of what."""
     numbers = [feature.number for feature in made.features]
     if made.part.order is not None:
-        if tuple(numbers) != made.part.order:
-            yield _issue(
-                f"features come in the order {numbers}; wanted: {list(made.part.order)}", made.features[0]
-            )
+        own = numbers[made.first :]
+        if tuple(own) != made.part.order:
+            what = f"features come in the order {own}; wanted: {list(made.part.order)}"
+            yield _issue(what, made.own[0][1])
             return
-        yield from _numbering(made)
+        yield from _numbering(made) if made.part.features is None else ()
         return
     for inner, outer in np.argwhere(made.inside).tolist():
+        if min(inner, outer) < made.first:
+            continue  # what was formed before is as the problem has it
         first, then = (inner, outer) if made.part.virgin else (outer, inner)
         if first > then:
             what = f"f{numbers[then]} is formed before f{numbers[first]}; wanted: "

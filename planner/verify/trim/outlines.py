@@ -7,7 +7,7 @@ is flat. What a curve encloses, seen along z, is told by its winding number abou
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -172,9 +172,15 @@ class Feet:
 
 
 class SheetSide:
-    """The side of the formed sheet on which the torch is."""
+    """The side of the formed sheet on which the torch is. Where it is to be as in the part, it is less so by
+    what is ``flat`` still: how far (N,) [m] later operations move it at places in plan (N, 2)."""
 
-    def __init__(self, claim: TrimsSheet, part: Mapping[str, Any] | None) -> None:
+    def __init__(
+        self,
+        claim: TrimsSheet,
+        part: Mapping[str, Any] | None,
+        flat: Callable[[FloatArray], FloatArray] | None = None,
+    ) -> None:
         own = claim.surface
         if own is not None:
             said: dict[str, Any] = {"file": str(own.file), "unit": own.unit, "face": own.face}
@@ -188,6 +194,8 @@ class SheetSide:
         self.tolerance = found.tolerance
         corners = found.face.corners + np.array([0.0, 0.0, self.rise])
         vertices, index = np.unique(np.round(corners.reshape(-1, 3), 10), axis=0, return_inverse=True)
+        if own is None and flat is not None:
+            vertices[:, 2] -= flat(vertices[:, :2])
         self.vertices, self.faces = vertices, np.asarray(index).reshape(-1, 3)
         self._laid = Laid(self.vertices, self.faces)
 

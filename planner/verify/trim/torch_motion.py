@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from planner.issues import Issue
 from planner.tooling import Torch
 from planner.verify.context import Context
 from planner.verify.files import UnreadError
+from planner.verify.forming.state import Forming
 from planner.verify.milling.tool_motion import Milling, Track
 from planner.verify.programs.steps import SignalStep
 from planner.verify.trim.outlines import TRIM, Curve, Feet, SheetSide, slot_names
@@ -84,9 +86,11 @@ class TrimWork:
     """One claim on a trimmed sheet, with the motion of its torch. Raises `UnreadError` where part or curves
     cannot be read once more."""
 
-    def __init__(self, context: Context, index: int, claim: TrimsSheet) -> None:
+    def __init__(
+        self, context: Context, index: int, claim: TrimsSheet, flat: Callable[[FloatArray], FloatArray]
+    ) -> None:
         self.context, self.index, self.claim = context, index, claim
-        self.sheet = SheetSide(claim, context.problem.source.get("part"))
+        self.sheet = SheetSide(claim, context.problem.source.get("part"), flat)
         self.curves = tuple(Curve(one, self.sheet) for one in claim.outlines)
         self._milling = Milling(context)
         labels = tuple(sorted(set(context.motion.node_label.tolist())))
@@ -131,7 +135,7 @@ class TrimWork:
 class Trimming:
     """All claims on trimmed sheets of a proof; ``issues`` says what could not be read."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, forming: Forming) -> None:
         self.context = context
         works, self.issues = list[TrimWork](), list[Issue]()
         for index, setup in enumerate(context.setup_claims):
@@ -140,7 +144,8 @@ class Trimming:
                     if not isinstance(claim, TrimsSheet):
                         continue
                     try:
-                        works.append(TrimWork(context, index, claim))
+                        flat = partial(forming.still_flat, group)
+                        works.append(TrimWork(context, index, claim, flat))
                     except (UnreadError, OSError) as error:
                         what = f"part or curves cannot be read a second time: {error}"
                         self.issues.append(Issue("verify.trim_cut", what, field="operations.outlines"))

@@ -1,0 +1,165 @@
+"""Forming in stages: which features an operation forms, the sheet as others leave it, and holes in that.
+
+A part may be formed by several operations, each of which names its features; between them the sheet may be
+cut. What features move adds up, so a sheet with some of them is the flat and their shares of the part.
+
+A hole gives way under a tool that comes near to it, and one in what is formed later is moved and stretched:
+neither is known here. So both the tools and all that an operation forms keep off each curve that was cut by
+a stated margin, seen along z; a hole that nothing formed later comes near to stays where it was cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+import numpy as np
+import shapely
+
+from planner.forming.contact import Pass, ToolPath
+from planner.forming.features.tree import FeatureTree
+from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.mesh import small_pieces
+from planner.geometry.units import MM
+from planner.issues import Issue, TandemError
+from planner.problem import Hole, Stages
+
+
+def own_features(
+    name: str, features: tuple[int, ...] | None, stages: Stages | None, tree: FeatureTree
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Numbers of the features that were formed before the operation ``name``, and of its own, ascending.
+
+    Raises ``TandemError`` (forming.features): numbers that the part has not, features that are formed twice,
+    and those that nothing forms.
+    """
+    every = {one.id for one in tree.features}
+    stages = stages or Stages()
+    owner: dict[int, str] = {}
+    issues: list[Issue] = []
+    for operation, some in (*stages.before, (name, features), *stages.after):
+        named = every if some is None else set(some)
+        twice = sorted(named & owner.keys())
+        if twice:
+            what = f"{operation}: {_features(twice)} formed by {owner[twice[0]]} already"
+            hint = "name other features, or one operation for all of them; repeats runs each pass again"
+            issues.append(_issue(what, hint))
+        unknown = sorted(named - every)
+        if unknown:
+            what = f"{operation}: {_features(unknown)} not there; the part has 1 to {len(every)}"
+            issues.append(_issue(what, "see them by: tandem features PART"))
+        owner.update(dict.fromkeys(named, operation))
+    left = sorted(every - owner.keys())
+    if left and not issues:
+        what = f"{name}: {_features(left)} formed by no operation"
+        issues.append(_issue(what, "name them in one of the operations, or take them out of the part"))
+    if issues:
+        raise TandemError(issues)
+    before = {number for _, some in stages.before for number in (some or ())}
+    return tuple(sorted(before)), tuple(sorted(every if features is None else features))
+
+
+def _features(numbers: Sequence[int]) -> str:
+    text = ", ".join(map(str, numbers))
+    return f"feature {text} is" if len(numbers) == 1 else f"features {text} are"
+
+
+def _issue(what: str, hint: str) -> Issue:
+    return Issue("forming.features", what, field="operations.features", hint=hint)
+
+
+def formed_sheet(mesh: Mesh, tree: FeatureTree, done: Sequence[int]) -> Mesh:
+    """The lower face of the sheet once the features ``done`` of the part ``mesh`` are formed, at the level
+    that each has in the part; what stands inside of one that is not formed is as high over the flat as it is
+    over that."""
+    if len(done) == len(tree.features):
+        return mesh
+    height = tree.level + tree.share[np.array(done, dtype=np.int64) - 1].sum(axis=0)
+    return Mesh(np.column_stack([mesh.vertices[:, :2], height]), mesh.faces)
+
+
+SHOWN_PIECE: Final = 0.8 * MM
+"""Triangles at holes that are drawn are no larger than this [m]."""
+MOST_SHOWN: Final = 60_000
+"""Triangles of a sheet that is drawn at most."""
+
+
+def shown(mesh: Mesh, holes: Sequence[Hole], after: str) -> dict[str, Any]:
+    """The exhibit ``left``, by name, of a sheet whose lower face is ``mesh`` as the operation ``after``
+    leaves it; nothing where that is too large to be drawn."""
+    corners = mesh.vertices[mesh.faces]
+    for hole in holes:
+        area = shapely.Polygon(hole.ring).buffer(0.0)
+        shapely.prepare(area)
+        near = shapely.intersects(area, shapely.polygons(corners[:, :, :2]))
+        pieces = small_pieces(corners[near], SHOWN_PIECE, MOST_SHOWN)[0]
+        middle = pieces.mean(axis=1)
+        kept = shapely.contains_xy(area, middle[:, 0], middle[:, 1]) != hole.inside
+        corners = np.concatenate([corners[~near] if hole.inside else corners[:0], pieces[kept]])
+    if not 0 < len(corners) <= MOST_SHOWN:
+        return {}
+    vertices, index = np.unique(np.round(corners.reshape(-1, 3), 9), axis=0, return_inverse=True)
+    faces = np.asarray(index).reshape(-1, 3)
+    return {
+        "left": {
+            "kind": "left",
+            "title": f"The sheet as {after} leaves it",
+            "vertices": vertices,
+            "faces": faces,
+        }
+    }
+
+
+def hole_issues(
+    holes: Sequence[Hole],
+    margin: float,
+    paths: Sequence[tuple[Pass, ToolPath]],
+    radii: Sequence[tuple[float, float]],
+) -> Iterator[Issue]:
+    """Holes (forming.holes) that are nearer than ``margin`` [m] to what passes form, or to their tools of
+    ``radii`` [m], the forming and the other one of each pass; and curves outside of which all has dropped."""
+    for hole in holes:
+        ring = shapely.Polygon(hole.ring).buffer(0.0)
+        if not hole.inside:
+            what = f"the sheet was cut along {hole.name}, outside of which all drops: its clamp holds nothing"
+            yield _of_hole(what, None, margin, "put this operation before the one that cuts it off")
+            continue
+        own = [(shapely.distance(ring, _moved(one)), one.name) for one, _ in paths]
+        near, name = min(own, key=lambda found: found[0])
+        if near < margin:
+            what = f"{hole.name}, which was cut before, is {near / MM:.1f} mm off what {name} forms"
+            if near == 0.0:
+                what = f"{hole.name}, which was cut before, lies in what {name} forms, and would be moved"
+            hint = "form that feature before the sheet is cut, or move the curve away from it"
+            yield _of_hole(what, near, margin, hint)
+            continue
+        tools = [
+            (shapely.distance(ring, _way(way)) - radius, one.name)
+            for (one, path), both in zip(paths, radii, strict=True)
+            for way, radius in zip((path.former, path.support), both, strict=True)
+            if way is not None
+        ]
+        near, name = min(tools, key=lambda found: found[0])
+        if near < margin:
+            how = f"comes within {near / MM:.1f} mm of" if near > 0.0 else "goes over"
+            what = f"in {name} a tool {how} {hole.name}, which was cut before"
+            hint = "form that feature before the sheet is cut, move the curve away, or take a smaller tool"
+            yield _of_hole(what, max(near, 0.0), margin, hint)
+
+
+def _of_hole(what: str, value: float | None, margin: float, hint: str) -> Issue:
+    what += "" if value is None else f"; wanted: {margin / MM:g} mm (hole_margin_mm)"
+    got = None if value is None else float(value) / MM
+    limit = None if value is None else margin / MM
+    return Issue(
+        "forming.holes", what, field="operations.features", value=got, limit=limit, unit="mm", hint=hint
+    )
+
+
+def _moved(one: Pass) -> shapely.Geometry:
+    """What a pass moves, in plan."""
+    return shapely.Polygon(one.region[:, :2]).buffer(0.0)
+
+
+def _way(places: FloatArray) -> shapely.Geometry:
+    return shapely.LineString(places[:, :2]) if len(places) > 1 else shapely.Point(places[0, :2])
