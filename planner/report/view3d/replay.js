@@ -33,7 +33,7 @@ class Replay extends Stage {
     this.turn = film.view.turn;
     this.lift = film.view.lift;
     this.frames = new Map(film.frames.map((one) => [one.name, { poses: this.read(one.poses), matrix: new THREE.Matrix4() }]));
-    this.whole = film.view.work;
+    this.whole = this.all = film.view.work;
     if (!this.works) return;
     this.bodies = film.bodies.map((one) => {
       const [vertices, faces] = film.meshes[one.mesh].map(this.read);
@@ -568,7 +568,7 @@ function start() {
   const asked = bar.asked();
   bar.go(asked ?? 0);
   bar.set(asked === null && !matchMedia("(prefers-reduced-motion: reduce)").matches);
-  dispatchEvent(new CustomEvent("replay", { detail: view }));
+  if (view.works) dispatchEvent(new CustomEvent("replay", { detail: view }));
   globalThis.replay = { view, bar };
 }
 
