@@ -30,6 +30,7 @@ const nothing = () => null;
 const hooks = { meant: nothing, picked: nothing, moved: nothing, dropped: nothing };
 const view = new CellView(canvas, document.querySelector("div"), hooks);
 view.show(data, false);
+globalThis.frames_view = view;
 globalThis.frames_ms = (count) => {
   const out = [];
   for (let i = 0; i < count; i++) {

@@ -85,7 +85,8 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>"
         f"<title>{title}</title><style>{style}</style></head><body>"
-        f"<header><h1 class='unseen'>{title}</h1>{_tools(layers)}</header><main><canvas id='scene' tabindex='0' role='img' "
+        f"<header><h1 class='unseen'>{title}</h1>{_tools(layers)}</header>"
+        "<main><canvas id='scene' tabindex='0' role='img' "
         f"aria-label='3D view of {html.escape(names, quote=True)} at work. Arrow keys turn it, + and - zoom, "
         "0 goes back to the work.'></canvas><div id='labels' aria-hidden='true'></div>"
         f"<section id='key' aria-label='Colours along the cut' hidden></section>{released_sheet.switch(plan)}"
@@ -356,8 +357,8 @@ def _wire(film: _Film, run: Track) -> dict[str, Any] | None:
 
 
 def _cuts(film: _Film, problem: Problem, plan: Plan, run: Track, size: float) -> None:
-    """What wires and cutters sweep within the block while they cut; for other tools a rod, in the ``size`` [m]
-    of the view, along the way of their tips over the stock.
+    """What wires and cutters sweep within the block while they cut; for other tools a rod, as thick as suits
+    the ``size`` [m] of the view, along the way of their tips over the stock.
 
     In later setups, in which the block may have become smaller, cuts are drawn as far as it goes then.
     """
@@ -400,7 +401,7 @@ def _sweep(
     with np.errstate(invalid="ignore"):
         inside = ((middle >= lower - 1e-9) & (middle <= upper + 1e-9)).all(axis=2)
     time = run.time[cut.keys] - run.time[0]
-    _grid(film, "", points, time, inside, np.isin(run.setup, setups))
+    _grid(film, "", points, time, np.asarray(inside), np.isin(run.setup, setups))
 
 
 def _rod(film: _Film, arm: str, tip: FloatArray, time: FloatArray, works: BoolArray, radius: float) -> None:

@@ -48,8 +48,8 @@ def view(
 ) -> tuple[dict[str, Any], list[Issue]]:
     """The cell as an operation finds it, and what is in the way of drawing more of it. Of about ``most``
     targets it says where they are and what posture the arms have there, or why none; with ``freedom`` there
-    is the map of that one over them, and where a ``plan`` goes through it; with ``reach`` what each arm can do
-    over a block that stands.
+    is the map of that one over them, and where a ``plan`` goes through it; with ``reach`` what each arm can
+    do over a block that stands.
 
     Raises :class:`TandemError` where the cell cannot be built.
     """

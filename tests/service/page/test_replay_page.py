@@ -111,8 +111,7 @@ def test_its_bar_is_worked_by_keys_and_says_where_it_is(page: Page, files: Path)
     assert page.evaluate("replay.bar.at") == pytest.approx(end / 200)
     page.keyboard.press(".")
     page.keyboard.press(".")
-    here = page.evaluate("replay.bar.at")
-    assert here in pytest.approx(page.evaluate("[...replay.bar.reached]"))
+    assert page.evaluate("replay.bar.at") == pytest.approx(page.evaluate("replay.bar.reached[1]"))
     expect(time).to_have_attribute("aria-valuetext", re.compile(r"\d+:\d\d\.\d of \d+:\d\d\.\d, \w+"))
     page.keyboard.press("End")
     assert page.evaluate("replay.bar.at") == pytest.approx(end)
@@ -186,8 +185,8 @@ def test_nothing_is_cut_off_and_every_control_has_a_name(
         page.add_init_script(path=AXE)
     opened(page, files)
     page.select_option("#colours", label="clearance")
-    corner = drawn(page)[4, 4]
-    assert (corner > 200).all() if scheme == "light" else (corner < 60).all()
+    ground = np.median(drawn(page).reshape(-1, 3), axis=0)
+    assert (ground > 180).all() if scheme == "light" else (ground < 80).all()
     assert page.evaluate("document.scrollingElement.scrollWidth") <= wide
     for control in page.locator("button, select, input").all():
         box = control.bounding_box()
@@ -197,7 +196,7 @@ def test_nothing_is_cut_off_and_every_control_has_a_name(
         "location.hash = 'theme=' + (matchMedia('(prefers-color-scheme: dark)').matches ? 'light' : 'dark')"
     )
     page.wait_for_timeout(200)
-    assert (drawn(page)[4, 4] > 200).all() == (scheme == "dark")
+    assert (np.median(drawn(page).reshape(-1, 3), axis=0) > 180).all() == (scheme == "dark")
     if AXE:
         found = page.evaluate(
             "axe.run().then((one) => one.violations.map((v) => v.id + ' ' + v.nodes[0].html))"

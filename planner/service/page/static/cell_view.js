@@ -82,7 +82,7 @@ export class CellView extends Stage {
     this.draw();
   }
 
-  // Dots over the block in the colours of what the arms can do there; styles: of each place the name of a colour.
+  // Dots in place of block and part in the colours of what the arms can do there; styles: of each place the name of a colour.
   field(places, styles, size) {
     this.grid ??= this.stage.add(new THREE.Group()).children.at(-1);
     this.clear(this.grid);
@@ -93,6 +93,8 @@ export class CellView extends Stage {
       dots.renderOrder = 1;
       this.grid.add(dots);
     }
+    // what is not drawn can be taken hold of all the same
+    for (const mesh of this.bodies) mesh.material.visible = !places.length || !["stock", "part"].includes(mesh.userData.kind);
     this.recolour();
   }
 
