@@ -26,6 +26,8 @@ FACE_POINTS: Final = 20_000
 """Points of simulated faces that are shown at most, spread evenly, the worst of each face among them."""
 _NEAR_COLOUR: Final = np.array([0.85, 0.10, 0.45])
 """Where less than what is asked for is kept."""
+_NO_COLOUR: Final = np.array([0.6, 0.63, 0.66])
+"""Where there is no figure."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,7 +89,7 @@ def _clearance(problem: Problem, motion: Motion, time: FloatArray) -> Layer | No
 
     def colours(value: FloatArray) -> FloatArray:
         return np.where(
-            (value < asked)[..., None], _NEAR_COLOUR, charts.sequential(np.clip(value / high, 0, 1))
+            (value < asked - 1e-6)[..., None], _NEAR_COLOUR, charts.sequential(np.clip(value / high, 0, 1))
         )
 
     title = "clearance of arms, tools, block, obstacles"
@@ -106,10 +108,14 @@ def _clearance(problem: Problem, motion: Motion, time: FloatArray) -> Layer | No
 def _speed(motion: Motion, proof: Proof, time: FloatArray) -> Layer | None:
     series = proof.series
     feed = motion.feed
-    if any(name.startswith("wire/") and name.endswith("/feed") for name in series):
+    wires = [
+        name.removesuffix("feed") for name in series if name.startswith("wire/") and name.endswith("/feed")
+    ]
+    if any(np.isfinite(series[f"{wire}feed"]).any() for wire in wires):
         known = np.isfinite(feed.speed)
-        order = np.argsort(feed.time, kind="stable")
-        values = {"": worst(feed.time[order], feed.speed[order] / MM, time, least=False)}
+        stretches = [(np.asarray(series[f"{wire}time"]), np.asarray(series[f"{wire}feed"])) for wire in wires]
+        stretches.sort(key=lambda one: float(one[0][0]) if len(one[0]) else 0.0)
+        values = {"": worst(*_apart(stretches), time, least=False)}
         work = known & np.isfinite(feed.lower) & (feed.lower > 0.0)
         limits = (
             [
@@ -131,8 +137,8 @@ def _speed(motion: Motion, proof: Proof, time: FloatArray) -> Layer | None:
             for name in names
         }
         limits = []
-        stretches = [(at >= a) & (at <= b) for a, b in motion.work] or [np.ones(len(at), dtype=bool)]
-        works = np.logical_or.reduce(stretches)
+        within = [(at >= a) & (at <= b) for a, b in motion.work] or [np.ones(len(at), dtype=bool)]
+        works = np.logical_or.reduce(within)
         inside = np.concatenate([np.asarray(series[name])[works] / MM for name in names])
         title = "speed of the tool's tip"
     if not len(inside) or not np.isfinite(inside).any():
@@ -148,6 +154,14 @@ def _speed(motion: Motion, proof: Proof, time: FloatArray) -> Layer | None:
     return _layer("speed", title, "mm/s", (0.0, high), colours, kept, words, values)
 
 
+def _apart(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Curves [s, m/s] one after the other as one [s, mm/s], with nothing known between two of them."""
+    none = np.array([np.nan])
+    at = [np.concatenate([time[:1] - 1e-6, time, time[-1:] + 1e-6]) for time, _ in curves if len(time)]
+    value = [np.concatenate([none, speed / MM, none]) for time, speed in curves if len(time)]
+    return np.concatenate(at), np.concatenate(value)
+
+
 def _layer(
     name: str,
     title: str,
@@ -160,7 +174,10 @@ def _layer(
 ) -> Layer:
     low, high = ends
     key = colours(np.linspace(low, high, SHADES))
-    shown = {arm: colours(np.nan_to_num(own, nan=low)) for arm, own in values.items()}
+    shown = {
+        arm: np.where(np.isnan(own)[:, None], _NO_COLOUR, colours(np.where(np.isnan(own), low, own)))
+        for arm, own in values.items()
+    }
     return Layer(name, title, unit, low, high, key, limits, words, values, shown)
 
 
