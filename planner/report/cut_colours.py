@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from planner.claims.vocabulary import WORKING_KINDS
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.plans import Plan
@@ -137,7 +138,8 @@ def _speed(motion: Motion, proof: Proof, time: FloatArray) -> Layer | None:
             for name in names
         }
         limits = []
-        within = [(at >= a) & (at <= b) for a, b in motion.work] or [np.ones(len(at), dtype=bool)]
+        bands = [band for band in motion.bands if band.kind in WORKING_KINDS]
+        within = [(at >= band.start) & (at <= band.end) for band in bands] or [np.ones(len(at), dtype=bool)]
         works = np.logical_or.reduce(within)
         inside = np.concatenate([np.asarray(series[name])[works] / MM for name in names])
         title = "speed of the tool's tip"

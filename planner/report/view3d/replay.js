@@ -68,7 +68,7 @@ class Replay extends Stage {
     shape.setAttribute("color", new THREE.BufferAttribute(new Float32Array(vertices.length).fill(1), 3));
     const mesh = new THREE.Mesh(shape, shaded(true, 1, true));
     Object.assign(mesh, { matrixAutoUpdate: false, frustumCulled: false, seen: one.seen, userData: { body: "block", kind: "cut" } });
-    Object.assign(mesh.material, { polygonOffset: true, polygonOffsetFactor: -4, polygonOffsetUnits: -8 }); // before the part that it lies on
+    if (!one.arm) Object.assign(mesh.material, { polygonOffset: true, polygonOffsetFactor: -2, polygonOffsetUnits: -4 }); // before the part that it lies on
     this.cell.add(mesh);
     return { mesh, arm: one.arm, per: one.per, keys, upto };
   }
