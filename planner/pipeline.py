@@ -105,8 +105,7 @@ class Outcome:
 
     def show(self, browser: bool | None = None) -> Viewer:
         """The replay. A notebook shows what this returns in its cell, with the time bar, and keeps it; else
-        Meshcat on this machine has it, and a tab of the browser opens, unless ``browser`` says otherwise.
-        Raises ``TandemError`` (``report.replay_failed``) where Meshcat cannot start."""
+        it is served on this machine, and a tab of the browser opens, unless ``browser`` says otherwise."""
         from planner.report import output, replay
 
         viewer = output.show(self.problem, self.plan, self.proof)

@@ -121,7 +121,6 @@ CODES: Final[dict[str, Code]] = {
     "report.exhibit": Code(
         "an exhibit of a process is not of its kind's form and was left out of the report"
     ),
-    "report.replay_failed": Code("the 3D replay could not be written"),
     # the general door, process: targets
     "targets.file": Code(
         "a file of targets cannot be read, or a value in it is missing or out of range", given=True

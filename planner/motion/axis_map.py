@@ -213,22 +213,41 @@ def places(scenes: Sequence[Scene], targets: Targets, values: FloatArray, steady
     first = scenes[0]
     states, limits, singulars, costs, angles = {}, {}, {}, {}, {}
     for arm, pose in poses.items():
-        chain = first.chains[arm]
-        q = chain.inverse(pose)  # (K, V, S, B, 6)
-        limit, single = chain.best_limit_margin(q), chain.singularity_margin(q)
-        hard, bend = first.settings.joint_margin, first.settings.singularity_margin
-        cost = _lack(limit, hard, SOFT_LIMIT_RAD) + _lack(single, bend, SOFT_SINGULARITY_RAD)
-        flat = (*shape[:2], -1)
-        best = np.nan_to_num(cost, nan=np.inf, posinf=np.inf).reshape(flat).argmin(axis=-1)[..., None]
-        limits[arm] = np.take_along_axis(limit.reshape(flat), best, axis=-1)[..., 0]
-        singulars[arm] = np.take_along_axis(single.reshape(flat), best, axis=-1)[..., 0]
-        tests = (limit > -np.inf, limit >= hard, (limit >= hard) & (single >= bend))
-        passed = [test.any(axis=(2, 3)) for test in tests]
-        states[arm] = np.select([~one for one in passed], [NO_REACH, JOINT_LIMIT, SINGULAR], FREE)
-        states[arm] = states[arm].astype(np.int8)
-        costs[arm], angles[arm] = np.where(tests[2], cost, np.inf), q
+        own_states = arm_states(first, arm, pose)
+        states[arm], limits[arm], singulars[arm] = own_states.state, own_states.limit, own_states.singular
+        costs[arm], angles[arm] = own_states.cost, own_states.q
     chosen, pair = _free_choices(scenes, targets, costs, angles, states, steady)
     return Places(states, limits, singulars, chosen, pair)
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmStates:
+    """What one arm can do at places (...) with S poses each: its ``state`` (...), as :class:`Places` has it
+    but for collisions; ``limit``, ``singular`` (...) [rad] of the best one. ``cost`` (..., S, B) of each
+    branch, inf where it is not allowed, with joints ``q`` (..., S, B, 6)."""
+
+    state: NDArray[np.int8]
+    limit: FloatArray
+    singular: FloatArray
+    cost: FloatArray
+    q: FloatArray
+
+
+def arm_states(scene: Scene, arm: str, pose: FloatArray) -> ArmStates:
+    """The same of TCP poses (..., S, 4, 4) in the world."""
+    chain = scene.chains[arm]
+    q = chain.inverse(pose)  # (..., S, B, 6)
+    limit, single = chain.best_limit_margin(q), chain.singularity_margin(q)
+    hard, bend = scene.settings.joint_margin, scene.settings.singularity_margin
+    cost = _lack(limit, hard, SOFT_LIMIT_RAD) + _lack(single, bend, SOFT_SINGULARITY_RAD)
+    flat = (*pose.shape[:-3], -1)
+    best = np.nan_to_num(cost, nan=np.inf, posinf=np.inf).reshape(flat).argmin(axis=-1)[..., None]
+    limits = np.take_along_axis(limit.reshape(flat), best, axis=-1)[..., 0]
+    singulars = np.take_along_axis(single.reshape(flat), best, axis=-1)[..., 0]
+    tests = (limit > -np.inf, limit >= hard, (limit >= hard) & (single >= bend))
+    passed = [test.any(axis=(-2, -1)) for test in tests]
+    state = np.select([~one for one in passed], [NO_REACH, JOINT_LIMIT, SINGULAR], FREE)
+    return ArmStates(state.astype(np.int8), limits, singulars, np.where(tests[2], cost, np.inf), q)
 
 
 def _lack(margin: FloatArray, hard: float, soft: float) -> FloatArray:

@@ -279,7 +279,7 @@ _WARM = np.array([0.78, 0.18, 0.13])
 """Red, green, blue in 0..1 of a deviation far above zero: material is left standing."""
 _UNROLLED_GRID = (1500, 41)
 """Points along and across a ruled surface that is laid flat."""
-_MISSED_COLOUR = np.array([0.35, 0.13, 0.45])
+MISSED_COLOUR = np.array([0.35, 0.13, 0.45])
 """Red, green, blue in 0..1 of places that the tool did not pass."""
 CUT_WORDS: Final = ("too much cut", "left standing", "the wire did not pass")
 """What negative, positive and missing deviations of a cut face are called."""
@@ -402,7 +402,7 @@ def deviation_map(
     grid, extent = binned(uv, deviation)
     missed = np.isnan(grid)
     color = diverging(np.where(np.isfinite(grid), grid, 0.0), span)
-    color[missed] = _MISSED_COLOUR
+    color[missed] = MISSED_COLOUR
     alpha = np.where(np.isposinf(grid), 0.0, 1.0)
     field = _field(markup.png(color, alpha), extent)
     return Figure(title, Group((field, _scale_bar(span, tolerance, bool(missed.any()), signs))), words)

@@ -328,8 +328,7 @@ def own_clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure
 
 
 def _distances(title: str, lines: Sequence[Line], wanted: float, data: Clearance, motion: Motion) -> Figure:
-    """Distances over time [mm] with the ``wanted`` one [m]; the least of ``data``, when it is, and between
-    what."""
+    """Distances over time [mm] with the ``wanted`` one [m]."""
     top = max([float(np.nanmax(line.y)) for line in lines if np.isfinite(line.y).any()] or [100.0])
     body = chart(
         lines,
@@ -339,10 +338,14 @@ def _distances(title: str, lines: Sequence[Line], wanted: float, data: Clearance
         levels=[Level(wanted / MM, "asked for")],
         y_range=(0.0, min(top * 1.1, 150.0) + 1.0),
     )
+    return Figure(title, body, least_words(data))
+
+
+def least_words(data: Clearance) -> str:
+    """The least distance, when it is, and between what."""
     worst = int(np.nanargmin(data.distance))
     at = f"{markup.fixed(data.distance[worst] / MM, 1)} mm at {markup.fixed(data.time[worst], 1)} s"
-    note = f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
-    return Figure(title, body, note)
+    return f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
 
 
 def gap(data: Gap, motion: Motion) -> Figure:

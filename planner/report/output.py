@@ -199,20 +199,14 @@ def pages(
     """``report.html`` and ``replay.html``, by name.
 
     ``drawn``: what :func:`pictures` gives, where that is done already.
-    Where Meshcat cannot start there is no replay, and the report says so.
     """
     model = cell_model(problem, plan)
-    out: dict[str, str] = {}
-    issues: tuple[Issue, ...] = ()
-    try:
-        out["replay.html"] = replay.document(model, problem, plan, proof)
-    except TandemError as error:
-        issues = error.issues
     if drawn is None:
         drawn = cell_picture.setup_pictures(model, problem, plan)
-    extra = Extra(drawn, model.pairs_filtered, issues=issues)
-    out["report.html"] = render(problem, plan, proof, extra)
-    return out
+    return {
+        "replay.html": replay.document(model, problem, plan, proof),
+        "report.html": render(problem, plan, proof, Extra(drawn, model.pairs_filtered)),
+    }
 
 
 def cell_model(problem: Problem, plan: Plan, setup: Setup | None = None) -> CellModel:
@@ -222,7 +216,7 @@ def cell_model(problem: Problem, plan: Plan, setup: Setup | None = None) -> Cell
 
 
 def show(problem: Problem, plan: Plan, proof: Proof | None = None) -> Viewer:
-    """The replay in a browser, live, and as a page. Raises ``TandemError`` (``report.replay_failed``)."""
+    """The replay as a page, served on this machine."""
     return replay.show(cell_model(problem, plan), problem, plan, proof)
 
 

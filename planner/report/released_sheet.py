@@ -24,44 +24,28 @@ PER_MM: Final = 100.0
 SHADES: Final = 33
 """Colours of the key, evenly from one end of its scale to the other."""
 
-_STYLE: Final = """
-#sheet{position:fixed;left:16px;top:14px;z-index:4;width:270px;background:rgba(255,255,255,.93);
-border-radius:12px;padding:10px 14px;
-font:13px/1.35 "Inter","Segoe UI",system-ui,-apple-system,Arial,sans-serif;
-color:#1b2330;box-shadow:0 4px 18px rgba(20,30,45,.18)}
-#sheet label{display:flex;gap:8px;align-items:center;cursor:pointer;font-weight:600}
-#sheet input{margin:0;width:15px;height:15px}
-#sheet .more{margin-top:8px}#sheet .key{height:10px;border-radius:3px}
-#sheet .ends{display:flex;justify-content:space-between;font-variant-numeric:tabular-nums;margin:2px 0 6px}
-#sheet p{margin:4px 0 0;color:#4d596a;font-size:12px}
-"""
-"""Style of the switch and the key."""
-
 _SCRIPT: Final = """
-(()=>{const D=JSON.parse(document.getElementById('released').textContent),
- box=document.querySelector('#sheet input'),more=document.querySelector('#sheet .more');let groups=[];
- const surface=(T,s,z,paint,opacity)=>{const W=s.x.length,H=s.y.length,p=[],c=[],t=[];
-  for(let j=0;j<H;j++)for(let i=0;i<W;i++){p.push(s.x[i]/1e3,s.y[j]/1e3,z[j*W+i]/s.per_mm/1e3);
+addEventListener('replay',({detail:view})=>{
+ const D=JSON.parse(document.getElementById('released').textContent),
+ box=document.querySelector('#sheet input'),more=document.querySelector('#sheet .more');let made=null;
+ const surface=(s,z,paint,opacity)=>{const W=s.x.length,H=s.y.length,p=[],c=[],t=[];
+  for(let j=0;j<H;j++)for(let i=0;i<W;i++){p.push(s.x[i],s.y[j],z[j*W+i]/s.per_mm);
    if(i&&j){const b=j*W+i,a=b-1,d=b-W,e=d-1;t.push(e,d,b,e,b,a)}}
-  const g=new T.BufferGeometry();g.setAttribute('position',new T.Float32BufferAttribute(p,3));
+  const g=new THREE.BufferGeometry();g.setAttribute('position',new THREE.Float32BufferAttribute(p,3));
   g.setIndex(t);g.computeVertexNormals();const n=g.attributes.normal.array;
   for(let k=0;k<W*H;k++){const lit=.6+.4*Math.abs(.35*n[3*k]+.2*n[3*k+1]+.915*n[3*k+2]);
    c.push(...paint(k).map(v=>v*lit))}
-  g.setAttribute('color',new T.Float32BufferAttribute(c,3));
-  return new T.Mesh(g,new T.MeshBasicMaterial({vertexColors:true,side:T.DoubleSide,transparent:opacity<1,
-   opacity,depthWrite:opacity>=1}))};
- const build=()=>{const T=MeshCat.THREE,at=viewer.scene_tree.find(['block']).object;
-  groups=D.map(s=>{const g=new T.Group(),n=s.colours.length-1,
-   shade=s.colours.map(v=>{const k=new T.Color(v);return [k.r,k.g,k.b]}),
-   none=(k=>[k.r,k.g,k.b])(new T.Color('#9aa4b0')),
+  g.setAttribute('color',new THREE.Float32BufferAttribute(c,3));
+  return new THREE.Mesh(g,new THREE.MeshBasicMaterial({vertexColors:true,side:THREE.DoubleSide,
+   transparent:opacity<1,opacity,depthWrite:opacity>=1}))};
+ const rgb=v=>[1,3,5].map(i=>parseInt(v.slice(i,i+2),16)/255),none=rgb('#9aa4b0');
+ const build=()=>D.flatMap(s=>{const n=s.colours.length-1,shade=s.colours.map(rgb),
    paint=k=>s.deviation[k]===null?none:
     shade[Math.round(n*Math.min(Math.max(.5+.5*s.deviation[k]/s.per_mm/s.limit,0),1))];
-   g.add(surface(T,s,s.released,paint,1),surface(T,s,s.formed,()=>none,.4));at.add(g);return g})};
- const show=()=>{if(!groups.length&&box.checked)build();for(const g of groups)g.visible=box.checked;
-  viewer.scene_tree.find(['block','stock']).object.visible=!box.checked;more.hidden=!box.checked;viewer.set_dirty()};
- const ready=()=>{if(window.viewer&&viewer.scene_tree&&viewer.animator&&viewer.animator.duration>0)show();
-  else setTimeout(ready,60)};
- box.onchange=show;ready()})();
+   return [surface(s,s.released,paint,1),surface(s,s.formed,()=>none,.4)]});
+ const show=()=>{if(!made&&box.checked){made=build();for(const one of made)view.attach('block',one)}
+  for(const one of made??[])one.visible=box.checked;view.hide('stock',box.checked);more.hidden=!box.checked};
+ box.onchange=show;show()});
 """
 """Script of the switch: makes the surfaces when they are first asked for."""
 
@@ -111,7 +95,7 @@ def switch(plan: Plan) -> str:
     notes = "".join(f"<p>{html.escape(note)}</p>" for note in dict.fromkeys(s["note"] for s in sheets))
     end = markup.number(limit)
     return (
-        f"<style>{_STYLE}</style><div id='sheet'><label><input type='checkbox' checked>"
+        "<div id='sheet' class='panel'><label><input type='checkbox' checked>"
         "sheet once the tools have let go</label><div class='more' hidden>"
         f"<div class='key' style='background:linear-gradient(90deg,{bar})'></div>"
         f"<div class='ends'><span>−{end} mm</span><span>0</span><span>+{end} mm</span></div>"

@@ -1,286 +1,121 @@
 """The 3D replay: one offline HTML file with arms, tools, block, the bending wire and a time bar.
 
-Written by Drake's Meshcat as static HTML. Rigid bodies move by transforms, and so does the wire, as
-a chain of capsules, because animated lines keep only their last state. What has been cut appears
-strip by strip. The bar at the foot has play, time, segments, stops and speed, and drives Meshcat's
-animation.
+Bodies move by poses at keyframes, which the page's script takes straight lines and shortest turns between;
+a bent wire by its points. What has been cut is one surface for each run of cuts, of which the part up to now
+is drawn. The script (`view3d/replay.js`) draws by three.js as the page of the service does; both are inside
+the file, and so are the figures of the proof by which the cut is coloured (`cut_colours`).
 """
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import functools
 import html
-import json
+import http.server
 import sys
+import threading
+import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
-from pydrake.geometry import Capsule, Meshcat, MeshcatAnimation, MeshcatParams, Rgba
+from scipy.spatial.transform import Rotation
 
-from planner.cell.plant import CellModel, quiet, rigid
-from planner.claims.vocabulary import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, Mesh, spread_rows
-from planner.issues import Issue, TandemError
+from planner.cell.plant import CellModel
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse, spread_rows
+from planner.geometry.units import MM
 from planner.plans import Plan
 from planner.problem import Problem, Setup
-from planner.report import raster, released_sheet
+from planner.report import cut_colours, raster, released_sheet, view3d
 from planner.report import scene as scenes
-from planner.report.scene import MOTION_TIME, SETUP_SEGMENT, TRAVEL_TIME, Track, track
+from planner.report.scene import Sweep, Track, track
+from planner.report.time_bar import Clock, embedded, replay_clock, time_bar
 from planner.verify.result import Proof
 
-_SEGMENT_COLOURS: Final = {
-    "cut": "#f08a3c",
-    "mill": "#f08a3c",
-    "trim": "#f08a3c",
-    "form": "#f08a3c",
-    "approach": "#58a6c7",
-    "retreat": "#58a6c7",
-    "link": "#58a6c7",
-    "transit": "#7d9fc0",
-    "entry": "#aab4c0",
-    "exit": "#aab4c0",
-    "setup": "#c9a2c4",
-}
-"""Colours of the time bar by kind of segment."""
-_OTHER_COLOUR: Final = "#8d99a8"
-"""Colour of the time bar for every other kind of segment."""
-Clock = tuple[tuple[float, float], ...]
-"""Times of the programs and of the replay [s] that belong together, ascending; straight between them."""
-
-_STYLE: Final = """
-#status-message{display:none!important}.dg.ac{z-index:3}
-#bar{position:fixed;left:16px;right:16px;bottom:14px;z-index:4;background:rgba(255,255,255,.93);border-radius:12px;
-padding:10px 16px 12px;font:14px/1.35 "Inter","Segoe UI",system-ui,-apple-system,Arial,sans-serif;
-color:#1b2330;
-box-shadow:0 4px 18px rgba(20,30,45,.18);display:grid;grid-template-columns:auto 1fr auto;gap:4px 14px;
-align-items:center}
-#bar button,#bar select{font:inherit;border:0;background:#e8edf2;color:inherit;border-radius:8px;
-height:34px;cursor:pointer}
-#bar button{width:42px;font-size:15px}#bar select{padding:0 6px}
-#bar .line{position:relative;height:34px;touch-action:none;cursor:pointer}
-#bar .seg{position:absolute;top:13px;height:8px}#bar .seg:first-child{border-radius:4px 0 0 4px}
-#bar .stop{position:absolute;top:8px;width:2px;height:18px;background:#c0352b}
-#bar .knob{position:absolute;top:7px;width:20px;height:20px;margin-left:-10px;border-radius:50%;
-background:#fff;
-border:3px solid #0f6e84;box-shadow:0 1px 4px rgba(0,0,0,.3);box-sizing:border-box}
-#bar .say{grid-column:1/4;display:flex;gap:10px 22px;flex-wrap:wrap;color:#4d596a;
-font-size:13px;min-height:18px}
-#bar .say b{color:#1b2330;font-variant-numeric:tabular-nums}
-#bar .say i{display:inline-block;width:10px;height:10px;
-border-radius:3px;margin-right:6px}
-"""
-"""Style of the time bar."""
-
-_SCRIPT: Final = """
-(()=>{const D=JSON.parse(document.getElementById('track').textContent),T=D.end,
- bar=document.getElementById('bar'),
- q=s=>bar.querySelector(s),line=q('.line'),knob=q('.knob'),play=q('button'),speed=q('select');
- let t=0,going=false,last=0,drag=false;
- for(const [a,b,name,color] of D.segments){const e=document.createElement('div');e.className='seg';
-e.title=name;
-  e.style.cssText=`left:${100*a/T}%;width:${100*(b-a)/T}%;background:${color}`;line.prepend(e)}
- for(const [a,text] of D.stops){const e=document.createElement('div');e.className='stop';e.title=text;
-  e.style.left=`${100*a/T}%`;line.append(e)}
- line.append(knob);
- const clock=s=>`${Math.floor(s/60)}:${(s%60).toFixed(1).padStart(4,'0')}`;
- const draw=()=>{knob.style.left=`${100*t/T}%`;
-  const s=D.segments.find(v=>t>=v[0]&&t<=v[1])||D.segments[D.segments.length-1];
-  q('.time').textContent=`${clock(t)} / ${clock(T)}`;q('.segment').textContent=s?s[2]:'';
-q('.say i').style.background=s?s[3]:'';
-  const near=D.stops.filter(v=>Math.abs(v[0]-t)<Math.max(T*.004,.05));
-q('.stopped').textContent=near.map(v=>v[1]).join(' · ')};
- const go=v=>{t=Math.min(Math.max(v,0),T);
-if(window.viewer){for(const a of viewer.animator.actions){a.paused=false;a.enabled=true}
-  viewer.animator.seek(t)}draw()};
- const set=v=>{going=v;play.textContent=v?'\\u275A\\u275A':'\\u25B6';last=performance.now()};
- play.onclick=()=>{if(!going&&t>=T)go(0);set(!going)};
- const at=e=>{const r=line.getBoundingClientRect();go((e.clientX-r.left)/r.width*T)};
- line.onpointerdown=e=>{drag=true;line.setPointerCapture(e.pointerId);at(e)};
- line.onpointermove=e=>{if(drag)at(e)};line.onpointerup=()=>{drag=false};
- addEventListener('keydown',e=>{if(e.code==='Space'){e.preventDefault();play.onclick()}
-  if(e.code==='ArrowRight')go(t+T/200);if(e.code==='ArrowLeft')go(t-T/200)});
- const onReplay=v=>{const c=D.clock,k=c.findIndex(p=>p[0]>=v);if(!c.length)return v;
-  if(k<1)return c[k?c.length-1:0][1];const [a,b]=[c[k-1],c[k]];
-return a[1]+(b[1]-a[1])*(v-a[0])/Math.max(b[0]-a[0],1e-9)};
- const inWork=(v,name)=>{const n=Math.max(D.segments.findIndex(s=>s[2]===name),0),
-  before=D.segments.slice(0,n+1).filter(s=>s[2]==='entry'||s[2]==='setup').pop();
-return (before?before[1]:0)+v};
- const asked=()=>{const h=new URLSearchParams(location.hash.slice(1)),
-  n=k=>h.has(k)&&isFinite(h.get(k))?+h.get(k):null;
-  const [t,at,work]=['t','at','work'].map(n);
-return t!==null?t:at!==null?onReplay(at):work!==null?inWork(work,h.get('in')):null},start=asked();
- addEventListener('hashchange',()=>{const v=asked();if(v!==null){set(false);go(v)}});
- const step=now=>{if(going&&!drag){go(t+(now-last)/1000*speed.value);if(t>=T)set(false)}last=now;
-requestAnimationFrame(step)};
- const ready=()=>{if(window.viewer&&viewer.animator&&viewer.animator.duration>0){
-   if(viewer.gui)viewer.gui.close();viewer.animator.play();viewer.animator.pause();
-go(start??0);if(start===null)set(true);
-   requestAnimationFrame(step)}else setTimeout(ready,60)};
- draw();ready()})();
-"""
-"""Script of the time bar, which drives the animation of Meshcat."""
-
-
-def time_bar(name: str, run: Track, clock: Clock = (), motion_time: float | None = None) -> str:
-    """HTML of the bar for an animation that starts at time 0; with ``motion_time`` [s], which the report
-    states, it says how much of its own time is what.
-
-    ``#t=seconds`` in the address stops there, also when it changes; ``#at=`` is a time on the programs'
-    clock, which ``clock`` leads over; ``#work=`` one from the start of the work of the operation that has the
-    segment ``in=``.
-    """
-    time = run.time - run.time[0]
-    end = float(max(time[-1], 1e-3))
-    data = {
-        "end": round(end, 3),
-        "segments": [(a, b, str(one), colour) for a, b, one, colour in _segments(time, run.segment)],
-        "clock": [(round(a, 3), round(b, 3)) for a, b in clock],
-        "stops": [(round(at - float(run.time[0]), 3), text) for at, text in run.stops],
-    }
-    packed = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
-    best = min((1, 2, 4, 8, 16, 32), key=lambda v: abs(np.log(end / v / 45.0)))
-    options = "".join(
-        f'<option value="{v}"{" selected" if v == best else ""}>{v:g} ×</option>'
-        for v in (0.5, 1, 2, 4, 8, 16, 32)
-    )
-    return (
-        f"<style>{_STYLE}</style><div id='bar'>"
-        "<button title='play or pause (space)'>▶</button><div class='line'>"
-        f"<div class='knob'></div></div><select title='speed'>{options}</select>"
-        f"<div class='say'><span><b>{html.escape(name)}</b></span><span><span class='time'></span>"
-        f"{_shares(end, run, motion_time)}</span>"
-        "<span><i></i><span class='segment'></span></span>"
-        "<span class='stopped' style='color:#c0352b'></span></div></div>"
-        f"<script type='application/json' id='track'>{packed}</script><script>{_SCRIPT}</script>"
-    )
-
-
-def _shares(end: float, run: Track, motion_time: float | None) -> str:
-    """What the time ``end`` [s] of a replay consists of; the report's ``motion_time`` [s] is a part of it."""
-    if motion_time is None or end - motion_time < 0.05:
-        return ""
-    rest = "ways from and to home"
-    rest += " and changes of setup" if SETUP_SEGMENT in run.segment else ""
-    travel = f"{_clock_time(run.travel)} {TRAVEL_TIME}, " if run.travel else ""
-    left = end - motion_time - run.travel
-    return f": {_clock_time(motion_time)} {MOTION_TIME}, {travel}{_clock_time(left)} {rest}"
-
-
-def _clock_time(seconds: float) -> str:
-    """A time as the bar shows it: minutes, and seconds to a tenth."""
-    tenths = round(10.0 * seconds)
-    return f"{tenths // 600}:{tenths % 600 / 10:04.1f}"
-
-
-def replay_clock(run: Track, time: FloatArray, labels: Sequence[str]) -> Clock:
-    """How the programs' clock, ``time`` (S,) [s] with the ``labels`` (S,) of what is done (keys of
-    segments), leads to the replay's: what has the same label in both begins and ends together, and so does
-    the whole.
-
-    The replay shows the ways from and to home at a pace of its own, so the clocks differ by more than a
-    shift.
-    """
-    shown = [(one, a, b) for a, b, one, _ in _segments(run.time - run.time[0], run.segment)]
-    out: list[tuple[float, float]] = []
-    for label, first, last in _runs(labels):
-        found = next((i for i, one in enumerate(shown) if one[0].key == label), None)
-        if found is not None:
-            _, start, end = shown[found]
-            shown = shown[found + 1 :]
-            out += [(float(time[max(first - 1, 0)]), start), (float(time[last]), end)]
-    if not out:
-        return ()
-    return ((float(time[0]), 0.0), *out, (float(time[-1]), float(run.time[-1] - run.time[0])))
-
-
-def _runs(labels: Sequence[str]) -> list[tuple[str, int, int]]:
-    """Runs of equal labels: label, first and last index."""
-    edges = [i for i in range(1, len(labels)) if labels[i] != labels[i - 1]]
-    return [
-        (str(labels[a]), a, b - 1)
-        for a, b in zip([0, *edges], [*edges, len(labels)], strict=True)
-        if len(labels)
-    ]
-
-
-def _segments(time: np.ndarray, segments: tuple[Segment, ...]) -> list[tuple[float, float, Segment, str]]:
-    """Runs of one segment: start, end, segment, colour; it belongs to the way to its keyframe."""
-    out: list[tuple[float, float, Segment, str]] = []
-    for i in range(1, len(segments)):
-        a, b = round(float(time[i - 1]), 3), round(float(time[i]), 3)
-        if out and out[-1][2] == segments[i]:
-            out[-1] = (out[-1][0], b, *out[-1][2:])
-        else:
-            out.append((a, b, segments[i], _SEGMENT_COLOURS.get(segments[i].kind, _OTHER_COLOUR)))
-    return out
-
-
-FRAMES_PER_S: Final = 100.0
-"""Frames [1/s] of the animation, which its keyframes are rounded to."""
 KEYFRAMES: Final = 480
 """Keyframes of a job of one operation."""
 KEYFRAMES_MORE: Final = 240
 """Keyframes of each further operation."""
-STRIPS: Final = 120
-"""Strips of cut surface that appear one after the other, in all."""
 TRIMMED_DEPTH_M: Final = 0.001
 """How far [m] inside a block that was trimmed earlier cuts are still drawn: those that trimmed it are now its
 sides."""
-WIRE_LINKS: Final = 28
-"""Capsules of the chain that a bent wire is drawn as."""
-BLOCK_PATH: Final = "/block"
-"""Where the block stands in the tree of Meshcat."""
-_CUT_COLOUR: Final = Rgba(1.0, 0.66, 0.36, 1.0)
-"""Colour of what has been cut."""
-_BLOCK_COLOUR: Final = Rgba(0.97, 0.91, 0.66, 0.42)
-"""Colour of the block, which is seen through."""
-_PART_COLOUR: Final = Rgba(0.16, 0.56, 0.62, 1.0)
-"""Colour of the wanted part."""
+SWEPT_POINTS: Final = 25
+"""Points of a wire over which the surface that it cuts is drawn."""
+PATH_POINTS: Final = 2000
+"""Points of the way of a tool that cuts along no line, in each operation."""
+PATH_SIDES: Final = 4
+"""Sides of the rod that is drawn along the way of a tool that cuts along no line."""
+PATH_SHARE: Final = 0.004
+"""Radius of that rod over the size of what is shown at first."""
+BLOCK: Final = "block"
+"""Name of the frame of the stock."""
+_FILES: Final = ("replay.css", "replay.js")
 
 
 def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> str:
     """The replay as text. ``model``: the cell, for its robots and fixed bodies; a ``proof`` has the clock
-    that its issues are told by.
-
-    Raises :class:`TandemError` (``report.replay_failed``) if Meshcat cannot start.
-    """
-    meshcat, run = _filmed(model, problem, plan)
-    return _page(meshcat, run, problem, plan, proof)
-
-
-def _page(meshcat: Any, run: Track, problem: Problem, plan: Plan, proof: Proof | None) -> str:
-    """The replay as text, of the Meshcat that shows it."""
-    page = str(meshcat.StaticHtml())
-    title = f"{problem.name} – Tandem replay"
-    bar = time_bar(problem.name, run, _clock(run, proof), plan.duration or None)
-    page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>")
-    return page.replace("</body>", f"{bar}{released_sheet.switch(plan)}</body>", 1)
-
-
-def _filmed(model: CellModel, problem: Problem, plan: Plan) -> tuple[Any, Track]:
-    """A Meshcat that shows the plan, and what it shows; raises as :func:`document`."""
-    try:
-        with quiet():
-            meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
-    except RuntimeError as error:
-        issue = Issue("report.replay_failed", f"Meshcat, which writes replay.html, cannot start: {error}")
-        raise TandemError(issue) from error
+    that its issues are told by, and the figures that the cut is coloured by."""
     run = track(problem, plan, KEYFRAMES + KEYFRAMES_MORE * max(0, len(plan.operations) - 1))
-    animation = MeshcatAnimation(FRAMES_PER_S)
-    film = _Film(meshcat, animation, np.round((run.time - run.time[0]) * FRAMES_PER_S).astype(int))
-    _set_view(meshcat, model, run)
-    _bodies(film, model, problem, plan.places, run)
-    _parts(meshcat, problem)
-    _left(film, problem, plan, run)
-    if run.wire is not None:
-        _wire(film, run.wire, run.shown, run.wire_radius)
-    _strips(film, problem, run)
-    animation.set_autoplay(False)
-    animation.set_repetitions(1)
-    meshcat.SetAnimation(animation)
-    return meshcat, run
+    clock = _clock(run, proof)
+    film = _Film()
+    tips = _tips(problem, run, _bodies(film, model, problem, plan, run))
+    view = _view(model, problem, run, tips)
+    _cuts(film, problem, plan, run, float(np.ptp(np.array(view["work"]), axis=0).max()) * MM)
+    fine = film.settle(run.time - run.time[0])
+    layers = _layers(film, problem, plan, proof, fine, clock)
+    style, script = ((view3d.FOLDER / name).read_text("utf-8") for name in _FILES)
+    data = {
+        "time": film.array(run.time - run.time[0]),
+        "fine": film.array(fine),
+        "setup": film.array(run.setup, np.uint16),
+        "frames": film.frames,
+        "meshes": film.meshes,
+        "bodies": film.bodies,
+        "cuts": film.cuts,
+        "wire": _wire(film, run),
+        "layers": layers,
+        "targets": _target_times(film, plan, run),
+        "view": view,
+        "arrays": film.packed(),
+    }
+    title = html.escape(f"{problem.name} – Tandem replay")
+    names = ", ".join(f"{arm.name} ({arm.data.title})" for arm in problem.cell.arms)
+    return (
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
+        "<meta name='viewport' content='width=device-width, initial-scale=1'>"
+        f"<title>{title}</title><style>{style}</style></head><body>"
+        f"<header><h1 class='unseen'>{title}</h1>{_tools(layers)}</header>"
+        "<main><canvas id='scene' tabindex='0' role='img' "
+        f"aria-label='3D view of {html.escape(names, quote=True)} at work. Arrow keys turn it, + and - zoom, "
+        "0 goes back to the work.'></canvas><div id='labels' aria-hidden='true'></div>"
+        f"<section id='key' aria-label='Colours along the cut' hidden></section>{released_sheet.switch(plan)}"
+        "<p id='none' hidden>This browser draws no 3D (WebGL 2).</p></main>"
+        f"<footer>{time_bar(problem.name, run, clock, plan.duration or None)}</footer>"
+        f"{embedded('film', data)}<script>{view3d.three()}</script>"
+        f"<script>{view3d.script(script, view3d.THREE_MODULES)}</script></body></html>\n"
+    )
+
+
+def _tools(layers: Sequence[dict[str, Any]]) -> str:
+    """The row of controls above the picture."""
+    choices = "".join(f"<option value='{i}'>{one['name']}</option>" for i, one in enumerate(layers))
+    colours = (
+        "<label><span>Colours</span><select id='colours'><option value=''>none</option>"
+        f"{choices}</select></label>"
+        if layers
+        else ""
+    )
+    return (
+        "<div id='tools' role='toolbar' aria-label='View'>"
+        "<button type='button' id='follow' aria-pressed='false' title='The view goes with the tool (f)'>"
+        "Follow tool</button>"
+        "<button type='button' id='home' title='Look at the work (0)'>Work</button>"
+        "<button type='button' id='whole' title='Look at the whole cell (w)'>Cell</button>"
+        "<button type='button' id='measure' aria-pressed='false' title='Distance between two points (m)'>"
+        f"Measure</button>{colours}<span id='measured' role='status'></span>"
+        "<button type='button' id='theme'></button></div>"
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -289,12 +124,30 @@ class Viewer:
     ``page``, the replay that a result folder has, which needs neither this process nor a network."""
 
     url: str
-    meshcat: Any
     page: str = dataclasses.field(repr=False)
 
     def _repr_html_(self) -> str:
         style = 'width="100%" height="560" style="border:0"'
         return f'<iframe srcdoc="{html.escape(self.page)}" {style}></iframe>'
+
+
+class _OnePage(http.server.BaseHTTPRequestHandler):
+    """Answers with one page."""
+
+    def __init__(self, page: bytes, *more: Any) -> None:
+        self.page = page
+        super().__init__(*more)
+
+    def do_GET(self) -> None:
+        """The page, whatever the path."""
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(self.page)))
+        self.end_headers()
+        self.wfile.write(self.page)
+
+    def log_message(self, *_: Any) -> None:
+        """Nothing is logged."""
 
 
 def in_notebook() -> bool:
@@ -307,10 +160,19 @@ def in_notebook() -> bool:
 
 
 def show(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> Viewer:
-    """The replay in a server of Meshcat on this machine, with its animation under "Animations", and as a
-    page. Raises as :func:`document`."""
-    meshcat, run = _filmed(model, problem, plan)
-    return Viewer(str(meshcat.web_url()), meshcat, _page(meshcat, run, problem, plan, proof))
+    """The replay as a page, and served to this machine alone."""
+    page = document(model, problem, plan, proof)
+    handler = functools.partial(_OnePage, page.encode())
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, args=(0.1,), daemon=True).start()
+    viewer = Viewer(f"http://127.0.0.1:{server.server_address[1]}/", page)
+    weakref.finalize(viewer, _close, server).atexit = False  # its thread ends with the process
+    return viewer
+
+
+def _close(server: http.server.ThreadingHTTPServer) -> None:
+    server.shutdown()
+    server.server_close()
 
 
 def _clock(run: Track, proof: Proof | None) -> Clock:
@@ -320,190 +182,326 @@ def _clock(run: Track, proof: Proof | None) -> Clock:
     return replay_clock(run, np.asarray(series["time"]), [str(label) for label in series["label"]])
 
 
-@dataclasses.dataclass(frozen=True)
+Reference = tuple[str, int, int]
+"""Where an array lies among the bytes of a page: its kind, first byte, number of values."""
+
+
 class _Film:
-    """Meshcat, its animation, and the frame (T,) of each key."""
+    """What a page holds, gathered: arrays as bytes, frames that move, meshes, bodies, surfaces of cuts."""
 
-    meshcat: Any
-    animation: Any
-    frames: NDArray[np.int_]
+    def __init__(self) -> None:
+        self.bytes = bytearray()
+        self.frames: list[dict[str, Any]] = []
+        self.meshes: list[list[Reference]] = []
+        self.bodies: list[dict[str, Any]] = []
+        self.cuts: list[dict[str, Any]] = []
+        self.known: dict[bytes, int] = {}
 
-    def move(self, path: str, poses: FloatArray) -> None:
-        """Keys (T, 4, 4) for a thing; keys between two equal neighbours say nothing and are left out."""
-        self.meshcat.SetTransform(path, rigid(poses[0]))
-        moved = np.abs(np.diff(poses, axis=0)).max(axis=(1, 2)) > 1e-9
-        if not moved.any():
-            return
-        keep = np.concatenate([[True], moved]) | np.concatenate([moved, [True]])
-        for i in np.flatnonzero(keep):
-            self.animation.SetTransform(int(self.frames[i]), path, rigid(poses[i]))
+    def array(self, values: Any, kind: Any = np.float32) -> Reference:
+        """Puts an array among the bytes, little-endian and flat."""
+        flat = np.asarray(values).astype(np.dtype(kind).newbyteorder("<")).ravel()
+        self.bytes += bytes(-len(self.bytes) % 4)
+        start = len(self.bytes)
+        self.bytes += flat.tobytes()
+        return np.dtype(kind).str[1:], start, len(flat)
 
-    def show(self, path: str, seen: BoolArray) -> None:
-        """Shows and hides a thing by keys (T,)."""
-        if seen.all():
-            return
-        self.meshcat.SetProperty(path, "visible", bool(seen[0]))
-        self.animation.SetProperty(0, path, "visible", bool(seen[0]))
-        for i in np.flatnonzero(np.diff(seen.astype(int))) + 1:
-            self.animation.SetProperty(int(self.frames[i]), path, "visible", bool(seen[i]))
+    def packed(self) -> str:
+        """All arrays as text."""
+        return base64.b64encode(bytes(self.bytes)).decode()
+
+    def frame(self, name: str, poses: FloatArray) -> None:
+        """A frame that stands or moves by poses (T, 4, 4): places [mm] and quaternions."""
+        still = np.abs(poses - poses[0]).max() < 1e-9
+        own = poses[:1] if still else poses
+        turns = Rotation.from_matrix(own[:, :3, :3]).as_quat()
+        self.frames.append({"name": name, "poses": self.array(np.hstack([own[:, :3, 3] / MM, turns]))})
+
+    def mesh(self, vertices: FloatArray, faces: IntArray) -> int:
+        """The number of a mesh [m]; equal ones are kept once."""
+        points = np.round(vertices / MM, 3).astype(np.float32)
+        key = points.tobytes() + b"|" + np.asarray(faces).astype(np.uint32).tobytes()
+        if key not in self.known:
+            self.known[key] = len(self.meshes)
+            self.meshes.append([self.array(points), self.indices(faces, len(points))])
+        return self.known[key]
+
+    def indices(self, faces: IntArray, count: int) -> Reference:
+        """Indices of fewer than ``count`` vertices."""
+        return self.array(faces, np.uint16 if count < 65_536 else np.uint32)
+
+    def settle(self, time: FloatArray) -> FloatArray:
+        """The times (S,) [s] of all rows of the surfaces, and of the keyframes, by which ``keys`` count."""
+        rows = [np.asarray(cut["keys"]) for cut in self.cuts]
+        fine = np.unique(np.concatenate([time, *rows]))
+        for cut, own in zip(self.cuts, rows, strict=True):
+            cut["keys"] = self.array(np.searchsorted(fine, own), np.uint32)
+        return fine
+
+    def body(self, frame: str, kind: str, piece: scenes.Piece, seen: BoolArray | None = None) -> None:
+        """A piece that goes along with a frame, seen at some keyframes."""
+        solid = piece.solid.moved(piece.pose)
+        color = None if kind in ("stock", "edge", "support") else [round(float(v), 4) for v in piece.color]
+        mesh = self.mesh(solid.vertices, solid.faces)
+        self.bodies.append({"body": frame, "kind": kind, "color": color, "mesh": mesh} | _runs_of(seen))
 
 
-def _set_view(meshcat: Any, model: CellModel, run: Track) -> None:
-    """Background, camera across the line of the bases, or of the base and the block; no axes."""
-    meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
-    meshcat.SetProperty("/Background", "bottom_color", [0.74, 0.78, 0.83])
-    meshcat.SetProperty("/Axes", "visible", False)
-    meshcat.SetProperty("/Grid", "visible", True)
-    places = np.array([model.bases[arm][:3, 3] for arm in model.arms])
-    reach = max(robot.reach for robot in model.robots.values())
-    block = run.block[:, :3, 3]
-    ends = places if len(places) > 1 else np.stack([places[0], block.mean(axis=0)])
-    line = (ends[-1] - ends[0]) * np.array([1.0, 1.0, 0.0])
-    line = line / max(float(np.linalg.norm(line)), 1e-9)
-    seen = np.concatenate([places, places + np.array([0.0, 0.0, 0.85 * reach]), block])
-    target = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
-    spread = float(np.linalg.norm(seen - target, axis=1).max()) + 0.6 * reach
-    across = np.array([line[1], -line[0], 0.0])
-    target[2] -= 0.10 * spread  # the bar takes the foot of the picture
-    eye = target + 0.92 * spread * across - 0.2 * spread * line + np.array([0.0, 0.0, 0.35 * spread])
-    meshcat.SetCameraPose(eye, target)
+def _runs_of(seen: BoolArray | None) -> dict[str, Any]:
+    """From which keyframe to before which one a thing is seen; nothing where always."""
+    if seen is None or seen.all():
+        return {}
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], seen.astype(int), [0]])))
+    return {"seen": edges.reshape(-1, 2).tolist()}
 
 
-def _bodies(
-    film: _Film, model: CellModel, problem: Problem, places: Sequence[FloatArray], run: Track
-) -> None:
-    """Robots and fixed bodies, tools and blocks of all setups, each shown in the setups that have it."""
+def _bodies(film: _Film, model: CellModel, problem: Problem, plan: Plan, run: Track) -> dict[str, FloatArray]:
+    """Robots and fixed bodies, tools and blocks of all setups, each shown in the setups that have it; gives
+    the poses (T, 4, 4) of bodies and tools back."""
     scene = scenes.extract(model)
     poses = scenes.ridden(scene, problem.setups, run.setup, scene.poses(run.q), run.stands)
-    for number, piece in enumerate(scene.pieces):
-        _object(film, f"/cell/{piece.body}/{number}", piece)
-    for body in scene.bodies():
-        film.move(f"/cell/{body}", poses[body])
-    for arm in model.arms:
-        film.move(f"/cell/{arm}/tool", poses[f"{arm}/tool"])
-    film.move(BLOCK_PATH, run.block)
-    sets: dict[str, tuple[list[scenes.Piece], BoolArray]] = {}
+    obstacles = {body.name for body in problem.cell.obstacles}
+    for piece in scene.pieces:
+        film.body(piece.body, "obstacle" if piece.body in obstacles else "link", piece)
+    for body in poses:
+        film.frame(body, poses[body])
+    film.frame(BLOCK, run.block)
+    sets: dict[tuple[str, int], tuple[list[scenes.Piece], BoolArray]] = {}
     for index, setup in enumerate(problem.setups):
-        for name, pieces in _groups(setup, places[index]).items():
-            path = next(
-                (p for p, (known, _) in sets.items() if p.startswith(name) and _same_looks(known, pieces)), ""
+        for name, pieces in _groups(setup, plan.places[index]).items():
+            key = next(
+                (k for k, (known, _) in sets.items() if k[0] == name and _same_looks(known, pieces)), None
             )
-            path = path or f"{name}/{index}"
-            seen = sets.setdefault(path, (pieces, np.zeros(len(run.time), dtype=bool)))[1]
-            seen |= run.setup == index
-    for path, (pieces, seen) in sets.items():
-        for number, piece in enumerate(pieces):
-            _object(film, f"{path}/{number}", piece)
-        film.show(path, seen)
+            found = sets.setdefault(key or (name, index), (pieces, np.zeros(len(run.time), dtype=bool)))
+            found[1][run.setup == index] = True
+    for pieces, seen in sets.values():
+        for piece in pieces:
+            last = piece.body.rpartition("/")[2]
+            frame = BLOCK if last in ("stock", "support") else piece.body.replace("/edge", "/tool")
+            film.body(frame, last, piece, seen)
+    for _, mesh in raster.part_meshes(problem.part):
+        number = film.mesh(mesh.vertices, mesh.faces)
+        film.bodies.append({"body": BLOCK, "kind": "part", "color": None, "mesh": number})
+    _left(film, problem, plan, run)
+    return poses
+
+
+def _left(film: _Film, problem: Problem, plan: Plan, run: Track) -> None:
+    """Stocks as operations leave them, each from the end of its work on, until the next one is shown."""
+    found: list[tuple[int, int]] = []
+    for index, operation in enumerate(plan.operations):
+        for one in operation.targets.exhibits.values():
+            if isinstance(one, Mapping) and one.get("kind") == "left":
+                own = np.flatnonzero(run.setup == scenes.setup_index(problem, index))
+                works = [k for k in own.tolist() if run.segment[k].works]
+                mesh = film.mesh(np.asarray(one["vertices"]), np.asarray(one["faces"]))
+                found += [(works[-1], mesh)] if works else []
+    keys = np.arange(len(run.time))
+    for number, (first, mesh) in enumerate(found):
+        end = found[number + 1][0] if number + 1 < len(found) else len(keys)
+        seen = _runs_of((keys > first) & (keys <= end))
+        film.bodies.append({"body": BLOCK, "kind": "part", "color": None, "mesh": mesh} | seen)
 
 
 def _groups(setup: Setup, place: FloatArray) -> dict[str, list[scenes.Piece]]:
-    """Pieces of a setup by the path of what they move with."""
+    """Pieces of a setup by the body that they belong to."""
     out: dict[str, list[scenes.Piece]] = {}
     for piece in scenes.mounted(setup, place):
-        arm, _, kind = piece.body.partition("/")
-        out.setdefault(f"/cell/{arm}/tool" if kind else f"{BLOCK_PATH}/{piece.body}", []).append(piece)
+        out.setdefault(piece.body, []).append(piece)
     return out
 
 
 def _same_looks(one: list[scenes.Piece], other: list[scenes.Piece]) -> bool:
     """Whether two groups look the same."""
     return len(one) == len(other) and all(
-        a.body == b.body
-        and a.solid.vertices.shape == b.solid.vertices.shape
+        a.solid.vertices.shape == b.solid.vertices.shape
         and np.allclose(a.solid.moved(a.pose).vertices, b.solid.moved(b.pose).vertices, atol=1e-9)
         for a, b in zip(one, other, strict=True)
     )
 
 
-def _object(film: _Film, path: str, piece: scenes.Piece) -> None:
-    film.meshcat.SetObject(path, piece.shape, _BLOCK_COLOUR if piece.body == "stock" else Rgba(*piece.color))
-    film.meshcat.SetTransform(path, rigid(piece.pose))
+def _tips(problem: Problem, run: Track, poses: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Tips (T, 3) [m] of the tools in the world."""
+    out = {}
+    for arm in problem.cell.arms:
+        tools = [one.cell.arm(arm.name).tool.tcp for one in problem.setups]
+        out[arm.name] = (poses[f"{arm.name}/tool"] @ np.stack(tools)[run.setup])[:, :3, 3]
+    return out
 
 
-def _parts(meshcat: Any, problem: Problem) -> None:
-    """The wanted surfaces, which move with the block."""
-    for name, mesh in raster.part_meshes(problem.part):
-        _surface(meshcat, f"{BLOCK_PATH}/wanted/{name}", mesh, _PART_COLOUR)
+def _view(model: CellModel, problem: Problem, run: Track, tips: dict[str, FloatArray]) -> dict[str, Any]:
+    """How the view begins: ``work``, the corners [mm] of the box of block and tools where they first work,
+    seen across the line of the bases, or of the base and the block; ``tips`` {arm} of tools in their frames
+    in each setup, ``arms`` of each operation, and from which keyframe which ``operation`` is done."""
+    works = np.array([segment.works for segment in run.segment])
+    first = int(np.flatnonzero(works)[0]) if works.any() else 0
+    block = run.block[first]
+    busy = problem.operations[int(run.operation[first])].arms
+    places = [model.bases[arm][:3, 3] for arm in busy]
+    line = ((places[1] if len(places) > 1 else block[:3, 3]) - places[0]) * np.array([1.0, 1.0, 0.0])
+    line = line / max(float(np.linalg.norm(line)), 1e-9)
+    eye = 0.92 * np.array([line[1], -line[0], 0.0]) - 0.2 * line + np.array([0.0, 0.0, 0.45])
+    stock = problem.setups[int(run.setup[first])].stock
+    corners = np.array(np.meshgrid(*np.stack([stock.lower, stock.upper], axis=1))).reshape(3, -1).T
+    own = works & (run.operation == run.operation[first])
+    seen = [corners @ block[:3, :3].T + block[:3, 3], *(tips[arm][own] for arm in busy)]
+    box = np.concatenate(seen)
+    setups = problem.setups
+    return {
+        "work": np.round(np.stack([box.min(axis=0), box.max(axis=0)]) / MM, 1).tolist(),
+        "turn": round(float(np.arctan2(eye[1], eye[0])), 4),
+        "lift": round(float(np.arctan2(eye[2], np.hypot(eye[0], eye[1]))), 4),
+        "tips": {
+            arm.name: [np.round(one.cell.arm(arm.name).tool.tcp[:3, 3] / MM, 3).tolist() for one in setups]
+            for arm in problem.cell.arms
+        },
+        "arms": [list(operation.arms) for operation in problem.operations],
+        "operation": [[int(k), int(run.operation[k])] for k in _changes(run.operation)],
+    }
 
 
-def _left(film: _Film, problem: Problem, plan: Plan, run: Track) -> None:
-    """Stocks as operations leave them, each from the end of its work on, until the next one is shown."""
-    found: list[tuple[int, Mesh]] = []
-    for index, operation in enumerate(plan.operations):
-        for one in operation.targets.exhibits.values():
-            if isinstance(one, Mapping) and one.get("kind") == "left":
-                own = np.flatnonzero(run.setup == scenes.setup_index(problem, index))
-                works = [k for k in own.tolist() if run.segment[k].works]
-                mesh = Mesh(np.asarray(one["vertices"]), np.asarray(one["faces"]))
-                found += [(works[-1], mesh)] if works else []
-    keys = np.arange(len(run.time))
-    for number, (first, mesh) in enumerate(found):
-        end = found[number + 1][0] if number + 1 < len(found) else len(keys)
-        path = f"{BLOCK_PATH}/left/{number}"
-        _surface(film.meshcat, path, mesh, _PART_COLOUR)
-        film.show(path, (keys > first) & (keys <= end))
+def _changes(values: IntArray) -> IntArray:
+    """Where a series begins and changes."""
+    return (
+        np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1]) if len(values) else np.zeros(0, np.int64)
+    )
 
 
-def _surface(meshcat: Any, path: str, mesh: Mesh, color: Rgba) -> None:
-    """A surface that can be seen from both sides."""
-    both = np.concatenate([mesh.faces, mesh.faces[:, ::-1]])
-    meshcat.SetTriangleMesh(path, mesh.vertices.T, both.T.astype(np.int32), color)
+def _wire(film: _Film, run: Track) -> dict[str, Any] | None:
+    """The wire that joins the arms: its points [mm] at the keyframes, drawn thick enough to be seen."""
+    if run.wire is None:
+        return None
+    radius = max(run.wire_radius, scenes.LEAST_WIRE_RADIUS_M) / MM
+    count = int(run.wire.shape[1])
+    return {"points": film.array(run.wire / MM), "count": count, "radius": radius} | _runs_of(run.shown)
 
 
-def _wire(film: _Film, wire: FloatArray, shown: BoolArray, radius: float) -> None:
-    """A chain of capsules along the wire (T, P, 3), drawn thick enough to be seen."""
-    points = wire[:, spread_rows(wire.shape[1], WIRE_LINKS + 1)]
-    step = np.diff(points, axis=1)
-    length = np.linalg.norm(step, axis=-1)
-    poses = _poses_along(0.5 * (points[:, 1:] + points[:, :-1]), step)
-    for k in range(step.shape[1]):
-        path = f"/wire/{k}"
-        shape = Capsule(max(radius, scenes.LEAST_WIRE_RADIUS_M), float(np.median(length[shown, k])))
-        film.meshcat.SetObject(path, shape, Rgba(*scenes.HOT_COLOUR))
-        film.move(path, poses[:, k])
-    film.show("/wire", shown)
+def _cuts(film: _Film, problem: Problem, plan: Plan, run: Track, size: float) -> None:
+    """What wires and cutters sweep within the block while they cut; for other tools a rod, as thick as suits
+    the ``size`` [m] of the view, along the way of their tips over the stock.
 
-
-def _poses_along(middle: FloatArray, direction: FloatArray) -> FloatArray:
-    """Poses (..., 4, 4) at ``middle`` with z along ``direction``."""
-    z = direction / np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-12)
-    aside = np.where(np.abs(z[..., 2:3]) < 0.9, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
-    x = np.cross(aside, z)
-    x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    pose = np.zeros((*z.shape[:-1], 4, 4))
-    pose[..., :3, 0], pose[..., :3, 1], pose[..., :3, 2] = x, np.cross(z, x), z
-    pose[..., :3, 3], pose[..., 3, 3] = middle, 1.0
-    return pose
-
-
-def _strips(film: _Film, problem: Problem, run: Track) -> None:
-    """What wires sweep within the block while they cut, as strips that appear when they are cut and stay.
-
-    In later setups, in which the block may have become smaller, they are drawn as far as it goes then.
+    In later setups, in which the block may have become smaller, cuts are drawn as far as it goes then.
     """
-    number = 0
     blocks = [setup.stock for setup in problem.setups]
-    total = sum(len(cut.keys) for cut in run.sweeps)
     for cut in run.sweeps:
         own = blocks[cut.setup]
-        some = spread_rows(cut.points.shape[1], 25)
-        points = cut.points[:, some]
-        steps = np.arange(len(cut.keys) - 1)
-        count = max(1, min(len(steps), round(STRIPS * len(steps) / max(total, 1))))
         kept = [k for k, block in enumerate(blocks) if k >= cut.setup and raster.same_size(block, own)]
-        parts = [(part, own.lower, own.upper, kept) for part in np.array_split(steps, count)]
-        smaller = (k for k in range(cut.setup + 1, len(blocks)) if k not in kept)
-        parts += [
-            (steps, blocks[k].lower + TRIMMED_DEPTH_M, blocks[k].upper - TRIMMED_DEPTH_M, [k])
-            for k in smaller
-        ]
-        for part, lower, upper, setups in parts:
-            mesh = raster.swept_surface(points[part[0] : part[-1] + 2], lower, upper) if len(part) else None
-            if mesh is None:
-                continue
-            path = f"{BLOCK_PATH}/cut/{number}"
-            _surface(film.meshcat, path, mesh, _CUT_COLOUR)
-            done = np.arange(len(run.time)) >= cut.keys[part[-1] + 1]
-            film.show(path, done & np.isin(run.setup, setups))
-            number += 1
+        _sweep(film, cut, own.lower, own.upper, run, kept)
+        for k in range(cut.setup + 1, len(blocks)):
+            if k not in kept:
+                lower, upper = blocks[k].lower + TRIMMED_DEPTH_M, blocks[k].upper - TRIMMED_DEPTH_M
+                _sweep(film, cut, lower, upper, run, [k])
+    swept = {int(run.operation[cut.keys[-1]]) for cut in run.sweeps}
+    for index, (start, operation) in enumerate(zip(run.starts, plan.operations, strict=True)):
+        rows = spread_rows(len(operation.time), PATH_POINTS)
+        works = np.array([operation.targets.segment[k].works for k in rows])
+        if index in swept or not works.any():
+            continue
+        setup = problem.setup_of(index)
+        bases = {**plan.bases, **scenes.standing(setup)}
+        q = {name: own[rows] for name, own in operation.q.items()}
+        to_block = inverse(scenes.block_pose(setup, plan.places[setup.number - 1], bases, q))
+        time = operation.time[rows] - operation.time[0] + start - run.time[0]
+        for name in operation.targets.arms:
+            if setup.stock.held_by != name:
+                arm = setup.cell.arm(name)
+                tip = (to_block @ scenes.flange_poses(arm, bases, q[name]) @ arm.tool.tcp)[:, :3, 3]
+                _rod(film, name, tip, time, works, PATH_SHARE * size)
+
+
+def _sweep(
+    film: _Film, cut: Sweep, lower: FloatArray, upper: FloatArray, run: Track, setups: Sequence[int]
+) -> None:
+    points = cut.points
+    if points.shape[1] == 2:
+        points = raster.clipped_wires(points, lower, upper)
+    else:
+        points = points[:, spread_rows(points.shape[1], SWEPT_POINTS)]
+    middle = 0.25 * (points[:-1, :-1] + points[1:, :-1] + points[:-1, 1:] + points[1:, 1:])
+    with np.errstate(invalid="ignore"):
+        inside = ((middle >= lower - 1e-9) & (middle <= upper + 1e-9)).all(axis=2)
+    time = run.time[cut.keys] - run.time[0]
+    _grid(film, "", points, time, np.asarray(inside), np.isin(run.setup, setups))
+
+
+def _rod(film: _Film, arm: str, tip: FloatArray, time: FloatArray, works: BoolArray, radius: float) -> None:
+    """A rod about the way of a tip (K, 3) at ``time`` (K,) [s], where it works on the way there."""
+    way = np.gradient(tip, axis=0) if len(tip) > 1 else np.zeros_like(tip)
+    z = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+    aside = np.where(np.abs(z[:, 2:3]) < 0.9, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+    x = np.cross(aside, z)
+    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
+    turn = np.linspace(0.0, 2.0 * np.pi, PATH_SIDES + 1)[:, None]
+    round_ = np.cos(turn)[None] * x[:, None] + np.sin(turn)[None] * np.cross(z, x)[:, None]
+    inside = np.repeat(works[1:, None], PATH_SIDES, axis=1)
+    _grid(film, arm, tip[:, None] + radius * round_, time, inside, None)
+
+
+def _grid(
+    film: _Film, arm: str, points: FloatArray, time: FloatArray, inside: BoolArray, seen: BoolArray | None
+) -> None:
+    """A surface over points (K, P, 3) [m] in the stock frame, of the quads that are ``inside`` (K-1, P-1); it
+    grows with ``time`` (K,) [s], and has the colours of an arm at these times, or of all together."""
+    if not inside.any():
+        return
+    count = points.shape[1]
+    row, column = np.nonzero(inside)
+    a = row * count + column
+    quads = np.stack([a, a + 1, a + count + 1, a, a + count + 1, a + count], axis=1)
+    upto = np.cumsum(np.bincount(row, minlength=len(time) - 1)) * 6
+    film.cuts.append(
+        {
+            "arm": arm,
+            "per": count,
+            "vertices": film.array(np.nan_to_num(points) / MM),
+            "faces": film.indices(quads, points.shape[0] * count),
+            "keys": time,
+            "upto": film.array(np.concatenate([[0], upto]), np.uint32),
+        }
+        | _runs_of(seen)
+    )
+
+
+def _target_times(film: _Film, plan: Plan, run: Track) -> dict[str, Any]:
+    """When the arms are at the targets, and the names of their runs of one segment with the first of each."""
+    times, runs, first = [], [], 0
+    for start, operation in zip(run.starts, plan.operations, strict=True):
+        segments = operation.targets.segment
+        for i, segment in enumerate(segments):
+            if i == 0 or segment != segments[i - 1]:
+                runs.append([first + i, str(segment)])
+        times.append(operation.time - operation.time[0] + start - run.time[0])
+        first += len(segments)
+    return {"times": film.array(np.concatenate(times) if times else np.zeros(0)), "runs": runs}
+
+
+def _layers(
+    film: _Film, problem: Problem, plan: Plan, proof: Proof | None, fine: FloatArray, clock: Clock
+) -> list[dict[str, Any]]:
+    """The figures that the cut is coloured by, as the page has them."""
+    if not clock:
+        return []
+    told, shown = np.array(clock).T
+    time = np.interp(fine, shown, told)
+    out = []
+    for one in cut_colours.layers(problem, plan, proof, time):
+        own: dict[str, Any] = {
+            "name": one.name,
+            "title": one.title,
+            "unit": one.unit,
+            "low": round(one.low, 4),
+            "high": round(one.high, 4),
+            "key": ["#" + "".join(f"{round(255 * float(c)):02x}" for c in shade) for shade in one.key],
+            "limits": [[round(value, 4), word] for value, word in one.limits],
+            "words": one.words,
+            "values": {arm: film.array(values) for arm, values in one.values.items()},
+            "colours": {arm: _bytes(film, colours) for arm, colours in one.colours.items()},
+        }
+        if len(one.points):
+            own["points"] = film.array(one.points / MM)
+            own["spacing"] = round(one.spacing / MM, 3)
+            own["point_colours"] = _bytes(film, one.point_colours)
+        out.append(own)
+    return out
+
+
+def _bytes(film: _Film, colours: FloatArray) -> Reference:
+    return film.array(np.clip(np.round(255.0 * colours), 0, 255), np.uint8)

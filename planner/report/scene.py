@@ -313,7 +313,8 @@ class Track:
     ``setup`` (T,) counts from 0; ``block`` (T, 4, 4) is the stock's pose in the world. ``wire`` (T, P, 3) in
     the world is a wire that joins the arms, None for jobs without; ``shown`` (T,): whether it is mounted.
     ``sweeps``: what wires cut. ``stands`` (T,): values [m, rad] of tracks and the turntable, by what they
-    carry, on whose ways ``travel`` [s] of the time goes.
+    carry, on whose ways ``travel`` [s] of the time goes. ``operation`` (T,) counts from 0; ``starts``: the
+    time [s] of each operation's first target.
     """
 
     time: FloatArray
@@ -328,6 +329,8 @@ class Track:
     sweeps: tuple[Sweep, ...]
     stands: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
     travel: float = 0.0
+    operation: IntArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    starts: tuple[float, ...] = ()
 
 
 @dataclasses.dataclass
@@ -344,6 +347,7 @@ class _Rows:
     stands: dict[str, list[FloatArray]]
     here: dict[str, float]
     travel: float = 0.0
+    starts: list[float] = dataclasses.field(default_factory=list)
 
     def end(self) -> float:
         return float(self.time[-1][-1]) if self.time else 0.0
@@ -444,6 +448,7 @@ def _operation_rows(
 ) -> dict[str, FloatArray]:
     targets = operation.targets
     time = operation.time - operation.time[0] + rows.end()
+    rows.starts.append(rows.end())
     q = {**{a: v[None] for a, v in here.items()}, **operation.q}
     for action in targets.actions:
         text = action.text or {"on": f"{action.signal} on", "off": f"{action.signal} off"}.get(
@@ -541,13 +546,15 @@ def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, problem: Problem, 
     sweeps = _sweeps(problem, plan, q, segments, operation, wire, block)
     edges = [op.targets.edge for op in plan.operations if op.targets.edge is not None]
     base = (pick, q, segments, setup, block)
+    more = (operation, tuple(rows.starts))
     if not edges or not shown.any():
         none = np.zeros(len(pick), dtype=bool)
-        return Track(*base, None, none, 0.0, tuple(rows.stops), sweeps, stands, rows.travel)
+        return Track(*base, None, none, 0.0, tuple(rows.stops), sweeps, stands, rows.travel, *more)
     # A hidden wire waits where it is next or was last seen, so that nothing flies in from afar.
     seen = np.flatnonzero(shown)
     wire = wire[seen[np.clip(np.searchsorted(seen, np.arange(len(pick))), 0, len(seen) - 1)]]
-    return Track(*base, wire, shown, edges[0].radius, tuple(rows.stops), sweeps, stands, rows.travel)
+    stops = tuple(rows.stops)
+    return Track(*base, wire, shown, edges[0].radius, stops, sweeps, stands, rows.travel, *more)
 
 
 def _sweeps(

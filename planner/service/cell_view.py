@@ -18,7 +18,7 @@ from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, Mesh, from_parts, spread_rows, to_rpy
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.motion import axis_map, solve, stations
+from planner.motion import axis_map, reach_field, solve, stations
 from planner.motion.first_look import FirstLook
 from planner.motion.planning_scene import Scene
 from planner.motion.search.subsampling import subset
@@ -44,10 +44,12 @@ def view(
     most: int | None = None,
     freedom: str | None = None,
     plan: Plan | None = None,
+    reach: bool = False,
 ) -> tuple[dict[str, Any], list[Issue]]:
     """The cell as an operation finds it, and what is in the way of drawing more of it. Of about ``most``
     targets it says where they are and what posture the arms have there, or why none; with ``freedom`` there
-    is the map of that one over them, and where a ``plan`` goes through it.
+    is the map of that one over them, and where a ``plan`` goes through it; with ``reach`` what each arm can
+    do over a block that stands.
 
     Raises :class:`TandemError` where the cell cannot be built.
     """
@@ -86,6 +88,8 @@ def view(
         if freedom in known:
             made = axis_map.axis_map(looked.scene, subset(looked.targets, looked.rows), freedom)
             out["map"] = _map(made) | _path(looked, operation, made, plan)
+        if reach and placed and setup.stock.held_by is None:
+            out |= _reach(looked)
     seen = scenes.extract(model)
     poses = scenes.stand(seen, setup, place, q)
     out["poses"] = {body: _rows(poses[body]) for body in {one["body"] for one in out["bodies"]}}
@@ -275,6 +279,23 @@ def _map(found: axis_map.AxisMap) -> dict[str, Any]:
         "singular_deg": {arm: _some(own / DEG) for arm, own in places.singular.items()},
         "clearance_mm": _some(found.clearance / MM),
         "pairs": [[" and ".join(pair) if all(pair) else "" for pair in row] for row in places.pair],
+    }
+
+
+def _reach(looked: _Looked) -> dict[str, Any]:
+    stock = looked.setup.stock
+    found = reach_field.reach_field(looked.scene, looked.targets, stock.lower, stock.upper)
+    if found is None:
+        return {}
+    return {
+        "reach": {
+            "points_mm": np.round(found.points / MM, 1).tolist(),
+            "pitch_mm": _numbers(found.pitch / MM),
+            "states": {arm: own.tolist() for arm, own in found.state.items()},
+            "codes": list(axis_map.CODES),
+            "targets": found.targets,
+            "samples": found.samples,
+        }
     }
 
 

@@ -766,6 +766,20 @@ class FreedomMap(Sent):
     )
 
 
+class ReachOut(Sent):
+    """What each arm can do over a standing block, at places on a grid that is ``pitch_mm`` apart along its
+    edges: ``states`` by arm are numbers of ``codes``, 0 where it reaches within its limits. At a place the
+    tool is turned as at the nearest of so many working ``targets``; ``samples`` of what the process leaves
+    free were looked at, bodies were not held apart."""
+
+    points_mm: list[list[float]]
+    pitch_mm: list[float]
+    states: dict[str, list[int]]
+    codes: list[str]
+    targets: int
+    samples: int
+
+
 class CellOut(Sent):
     """What a cell looks like to an operation. ``poses``: of each body at home, then in every posture, twelve
     numbers each: the upper rows of its matrix in the world, places in mm. ``joints_deg``: the joints of these
@@ -790,6 +804,7 @@ class CellOut(Sent):
     )
     freedoms: list[FreedomOut] | None = None
     map: FreedomMap | None = None
+    reach: ReachOut | None = None
 
 
 class Health(Sent):

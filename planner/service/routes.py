@@ -536,12 +536,15 @@ async def cell(
         str | None,
         Query(pattern="^[0-9a-f]{32}$", description="with the path of this job's plan through the map"),
     ] = None,
+    reach: Annotated[
+        bool, Query(description="with what each arm can do over the block, if that stands")
+    ] = False,
 ) -> Response:
     """Bodies with their triangles, and where they are with all arms at home. With ``targets``, where some of
     them are, evenly spread, the posture that the arms have there, or why there is none. Who hangs up ends
     it."""
     upload = await take_upload(request, here.storage, owner, here.limits)
-    asked: dict[str, Any] = {"operation": operation, "most": targets, "freedom": freedom}
+    asked: dict[str, Any] = {"operation": operation, "most": targets, "freedom": freedom, "reach": reach}
     if job is not None:
         known = await anyio.to_thread.run_sync(lambda: here.jobs.files(job_of(job, who, here).id))
         asked["plan"] = [[name, str(here.files.path(known[name].sha))] for name in PLAN if name in known]

@@ -262,7 +262,7 @@ NONE: Final = {
             "service.token", "service.foreign", "service.link", "service.too_many", "service.stopping",
             "service.storage", "service.check_stopped", "service.gave_up", "service.answer",
             "service.timeout", "service.version", "service.backup", "service.idempotency", "service.webhook",
-            "report.replay_failed", "output.disk_full", "service.state", "service.not_planning",
+            "output.disk_full", "service.state", "service.not_planning",
             "upload.not_looked_at", "service.role", "service.release", "service.log_in", "service.damaged",
         ),
         STATE,

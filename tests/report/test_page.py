@@ -12,10 +12,10 @@ import pytest
 
 from planner.catalogue import robots
 from planner.cell import kinematics
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.report import markup, motion_charts, output, page_sections, replay, setup_sheet
+from planner.report import markup, motion_charts, output, page_sections, setup_sheet
 from planner.report.output import Extra
 from planner.verify.result import Proof
 from tests.post import krl_job
@@ -225,20 +225,6 @@ def test_wrist_angle_is_zero_where_axes_4_and_6_are_in_line(problem: Problem, pl
     q[:, 4] = [0.0, 0.3, np.pi - 0.2]
     got = dataclasses.replace(arm, time=np.arange(3.0), q=q, speed=q).wrist_angle
     np.testing.assert_allclose(got, [0.0, 0.3, 0.2], atol=1e-12)
-
-
-def test_report_without_replay_says_why(
-    problem: Problem, plan: Plan, proof: Proof, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> None:
-        raise RuntimeError("no free port")
-
-    monkeypatch.setattr(replay, "Meshcat", refuse)
-    with pytest.raises(TandemError) as caught:
-        replay.document(object(), problem, plan)  # type: ignore[arg-type]
-    assert caught.value.issues[0].code == "report.replay_failed"
-    made = output.files(problem, plan, proof)
-    assert "replay.html" not in made and "report.replay_failed" in made["report.html"]
 
 
 def test_setup_sheet_names_the_wires_between_two_controllers(problem: Problem, plan: Plan) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from planner import pipeline
 from planner.claims.vocabulary import Segment
-from planner.report import replay, scene
+from planner.report import scene, time_bar
 from planner.report.scene import Track
 from tests import small_problem
 
@@ -33,7 +33,7 @@ def test_times_of_the_programs_lead_to_the_same_place_in_the_replay() -> None:
     shown = run([0, 4, 5, 7, 9], ["entry", "entry", "approach", "cut", "exit"])
     time = np.array([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 4.5])
     labels = ["home", "home", "approach", "approach", "cut", "cut", "home"]
-    pairs = np.array(replay.replay_clock(shown, time, labels))
+    pairs = np.array(time_bar.replay_clock(shown, time, labels))
     at = np.interp([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 4.5], *pairs.T)
     np.testing.assert_allclose(at, [0.0, 4.0, 4.5, 5.0, 6.0, 7.0, 9.0])
 
@@ -41,7 +41,7 @@ def test_times_of_the_programs_lead_to_the_same_place_in_the_replay() -> None:
 def test_segments_that_the_programs_repeat_are_taken_in_order() -> None:
     shown = run([0, 1, 2, 3], ["cut", "cut", "link", "cut"])
     time = np.array([0.0, 2.0, 3.0, 5.0])
-    pairs = replay.replay_clock(shown, time, ["cut", "cut", "link", "cut"])
+    pairs = time_bar.replay_clock(shown, time, ["cut", "cut", "link", "cut"])
     wanted = [[0, 0], [0, 0], [2, 1], [2, 1], [3, 2], [3, 2], [5, 3], [5, 3]]
     np.testing.assert_allclose(pairs, wanted)
 
@@ -53,7 +53,7 @@ def test_the_arm_stands_in_the_replay_as_the_programs_have_it(tmp_path: Path) ->
     shown = scene.track(outcome.problem, outcome.plan, 600)
     labels = [str(label) for label in series["label"]]
     at = np.flatnonzero(np.array(labels) == "cut/path")[5:-5]
-    pairs = np.array(replay.replay_clock(shown, np.asarray(series["time"]), labels))
+    pairs = np.array(time_bar.replay_clock(shown, np.asarray(series["time"]), labels))
     led = np.interp(series["time"][at], *pairs.T)
     for joint in range(6):
         got = np.interp(led, shown.time - shown.time[0], shown.q["left"][:, joint])
@@ -63,14 +63,14 @@ def test_the_arm_stands_in_the_replay_as_the_programs_have_it(tmp_path: Path) ->
 
 
 def test_without_a_proof_there_is_no_clock() -> None:
-    assert '"clock":[]' in replay.time_bar("name", run([0, 1], ["cut", "cut"]))
+    assert '"clock":[]' in time_bar.time_bar("name", run([0, 1], ["cut", "cut"]))
 
 
 def test_the_bar_says_what_its_time_consists_of() -> None:
     shown = run([0, 4, 5, 76.3, 80], ["entry", "entry", "approach", "cut", "exit"])
-    bar = replay.time_bar("name", shown, motion_time=72.3)
+    bar = time_bar.time_bar("name", shown, motion_time=72.3)
     assert "1:12.3 from first to last target, 0:07.7 ways from and to home</span>" in bar
     changed = run([0, 2, 60.04, 62], ["setup", "setup", "cut", "cut"])
-    bar = replay.time_bar("name", changed, motion_time=59.96)
+    bar = time_bar.time_bar("name", changed, motion_time=59.96)
     assert "1:00.0 from first to last target, 0:02.0 ways from and to home and changes of setup" in bar
-    assert "first to last" not in replay.time_bar("name", run([0, 1], ["cut", "cut"]), motion_time=1.0)
+    assert "first to last" not in time_bar.time_bar("name", run([0, 1], ["cut", "cut"]), motion_time=1.0)

@@ -12,6 +12,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from planner import pipeline
 from planner.cell import plant
@@ -323,3 +324,30 @@ def test_a_robot_of_a_users_file_is_drawn_where_it_says(here: InProcess) -> None
     for link in links:
         one, other = matrices(found["poses"][link]), matrices(usual["poses"][link])
         assert one == pytest.approx(other, abs=0.02)
+
+
+def test_reach_over_the_block_is_that_of_the_wrist(here: InProcess, tmp_path: Path) -> None:
+    """One pose at each place, so what is out of reach follows from the wrist's centre alone: the shells about
+    shoulder and elbow of an arm with a spherical wrist (Brandstoetter et al. 2014), with the lengths of the
+    IRB 140's data sheet (70, 352, 360, 380, 65 mm)."""
+    text = small_problem.PROBLEM.replace("size_mm: [100, 100, 100]", "size_mm: [700, 900, 900]")
+    found = here.post(text, path="/v1/cell?targets=4&reach=true").json()["reach"]
+    points = np.array(found["points_mm"])
+    assert 300 < len(points) <= 700 and found["targets"] == len(small_problem.ROWS)
+    state = np.array(found["states"]["left"])
+    pose = np.tile(np.eye(4), (len(points), 1, 1))
+    pose[:, :3, :3] = Rotation.from_quat([-0.5, 0.5, 0.5, 0.5]).as_matrix()
+    pose[:, :3, 3] = points
+    tcp = pipeline.load(small_problem.write(tmp_path, text)).cell.arms[0].tool.tcp.copy()
+    tcp[:3, 3] *= 1000.0
+    flange = pose @ np.linalg.inv(tcp)
+    wrist = flange[:, :3, 3] - 65.0 * flange[:, :3, 2]
+    reached = np.zeros(len(points), dtype=bool)
+    for way in (-70.0, 70.0):  # with the shoulder before and behind the axis
+        far = np.hypot(np.hypot(wrist[:, 0], wrist[:, 1]) + way, wrist[:, 2] - 352.0)
+        reached |= (far <= 360.0 + 380.0) & (far >= 380.0 - 360.0)
+    assert ((state == found["codes"].index("motion.no_reach")) == ~reached).all()
+    assert 20 < reached.sum() < len(points) - 20
+    near = np.linalg.norm(points - [450.0, 0.0, 500.0], axis=1).argmin()
+    assert state[near] == 0  # beside targets that have postures
+    assert "reach" not in here.post(text, path="/v1/cell?targets=4").json()

@@ -15,7 +15,8 @@ void main() {
 const ANGLE = 0.5;
 const HOME = { turn: -0.9, lift: 0.5 };
 
-// Who extends it sets `whole`, the two corners of what is to be seen, and has a method paint().
+// Who extends it sets `whole`, the two corners of what is to be seen, and has a method paint(). `depth`: how
+// far behind it something can be seen, `least` the least zoom, where there is more than that.
 export class Orbit {
   // near: the zoom at first; scrolls: the wheel moves the page unless the canvas has the focus.
   constructor(canvas, near = 1, scrolls = false) {
@@ -98,7 +99,7 @@ export class Orbit {
     const far = (size * 0.5) / Math.sin(ANGLE / 2) / Math.min(1, aspect) / this.zoom;
     const way = [Math.cos(this.lift) * Math.cos(this.turn), Math.cos(this.lift) * Math.sin(this.turn), Math.sin(this.lift)];
     const eye = plus(middle, scaled(way, far));
-    return { view: lookAt(eye, middle, [0, 0, 1]), lens: perspective(ANGLE, aspect, far * 0.02, far + size * 4), far, way };
+    return { view: lookAt(eye, middle, [0, 0, 1]), lens: perspective(ANGLE, aspect, far * 0.02, far + (this.depth ?? size * 4)), far, way };
   }
 
   // Clears the canvas; whether there is room to draw in.
@@ -172,7 +173,7 @@ export class Orbit {
   }
 
   nearer(factor) {
-    this.zoom = Math.min(Math.max(this.zoom * factor, 0.2), 40);
+    this.zoom = Math.min(Math.max(this.zoom * factor, this.least ?? 0.2), 40);
     this.draw();
   }
 

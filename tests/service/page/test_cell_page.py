@@ -171,6 +171,28 @@ def test_bases_and_obstacles_are_moved_by_numbers(page: Page, server: str, tmp_p
     expect(page.locator('[data-path="cell.arms.0.base.rpy_deg"] input').nth(2)).to_have_value("15")
 
 
+def test_reach_is_drawn_over_the_block_and_says_what_was_looked_at(
+    page: Page, server: str, tmp_path: Path
+) -> None:
+    looked(page, server, tmp_path, IN_STOCK, ROWS)
+    canvas = page.locator("#cell-canvas")
+    before = pixels(canvas)
+    with page.expect_response(re.compile("reach=true")) as caught:
+        page.select_option("#cell-reach", "left")
+    made = caught.value.json()["reach"]
+    told = page.locator("#cell-reach-told")
+    expect(told).to_contain_text(f"{len(made['points_mm'])} places, every ")
+    states = np.array(made["states"]["left"])
+    expect(told).to_contain_text(f"within reach {round(100 * float((states == 0).mean()))} %")
+    page.wait_for_timeout(300)
+    free = tuple(int(c) for c in re.findall(r"\d+", page.evaluate(COLOUR, "--map-free"))[:3])
+    assert share(pixels(canvas), free, 25) > share(before, free, 25) + 0.001
+    page.select_option("#cell-reach", "")
+    expect(told).to_be_hidden()
+    page.wait_for_timeout(300)
+    assert (np.abs(pixels(canvas) - before).max(axis=-1) > 30).mean() < 0.002
+
+
 def test_a_map_shows_what_fails_and_a_click_moves_the_block(page: Page, server: str, tmp_path: Path) -> None:
     looked(page, server, tmp_path, IN_STOCK, ROWS)
     with page.expect_response(re.compile("freedom=place")) as caught:

@@ -88,13 +88,15 @@ def test_scripts_make_no_markup_of_text_and_fetch_nothing_from_elsewhere() -> No
 
 
 def test_vendored_scripts_have_their_licence_beside_them() -> None:
-    for path in (STATIC / "vendor").glob("*.*js"):
+    vendored = [path for folder in (STATIC, view3d.FOLDER) for path in (folder / "vendor").glob("*.*js")]
+    assert len(vendored) == 3
+    for path in vendored:
         licence = path.with_name(f"{path.name.partition('.')[0]}.LICENSE.txt")
         assert "Permission is hereby granted" in licence.read_text("utf-8")
 
 
 def test_what_draws_cells_imports_nothing_but_its_own_files() -> None:
-    for path in (STATIC / "vendor").glob("three.*.js"):
+    for path in (view3d.FOLDER / "vendor").glob("three.*.js"):
         text = path.read_text("utf-8")
         for name in re.findall(r"""(?:\bfrom|\bimport)\s*\(?["']([\w./:@-]+)["']""", text):
             assert (path.parent / name).is_file(), f"{path.name}: {name}"
@@ -233,6 +235,6 @@ def test_templates_styles_and_scripts_travel_in_the_wheel(tmp_path: Path) -> Non
     (made,) = builder.WheelBuilder(str(REPOSITORY)).build(directory=str(tmp_path), versions=["standard"])
     with zipfile.ZipFile(made) as wheel:
         inside = set(wheel.namelist())
-    for path in (*(PAGE_FOLDER / "templates").iterdir(), *STATIC.rglob("*"), *view3d.FOLDER.glob("*.js")):
-        if path.is_file():
+    for path in (*(PAGE_FOLDER / "templates").iterdir(), *STATIC.rglob("*"), *view3d.FOLDER.rglob("*")):
+        if path.is_file() and path.suffix != ".pyc":
             assert path.relative_to(REPOSITORY).as_posix() in inside

@@ -2,8 +2,8 @@
 import { h } from "./dom.js";
 import { number } from "./words.js";
 
-const WORDS = { "": "nothing fails", "motion.no_reach": "out of reach", "motion.joint_limit": "joint limit", "motion.singular": "singular posture", "motion.collision": "too near" };
-const STYLES = { "": "--map-free", "motion.no_reach": "--map-reach", "motion.joint_limit": "--map-limit", "motion.singular": "--map-singular", "motion.collision": "--map-near" };
+export const WORDS = { "": "nothing fails", "motion.no_reach": "out of reach", "motion.joint_limit": "joint limit", "motion.singular": "singular posture", "motion.collision": "too near" };
+export const STYLES = { "": "--map-free", "motion.no_reach": "--map-reach", "motion.joint_limit": "--map-limit", "motion.singular": "--map-singular", "motion.collision": "--map-near" };
 const LAYERS = { limit_deg: ["room to joint limits", 45, "°"], singular_deg: ["distance to singular postures", 45, "°"], clearance_mm: ["clearance", 100, " mm"] };
 const [LEFT, TOP, HEIGHT, GAP, BELOW] = [64, 20, 118, 26, 20]; // pixels
 

@@ -1,6 +1,6 @@
 // The cell beside the form: drawn as the service has it, walked through target by target, moved by hand or by numbers.
 import { post, upload } from "./api.js";
-import { AxisMap } from "./axis_map.js";
+import { AxisMap, STYLES, WORDS } from "./axis_map.js";
 import { CellView } from "./cell_view.js";
 import { $, h, show } from "./dom.js";
 import { goTo } from "./issues.js";
@@ -28,6 +28,7 @@ export class CellPanel {
     $("cell-next").onclick = () => this.next();
     $("cell-operation").onchange = $("map-freedom").onchange = () => this.again();
     $("map-layer").onchange = () => this.map.layer($("map-layer").value);
+    $("cell-reach").onchange = () => ($("cell-reach").value && !this.data?.reach ? this.again() : this.reach());
     $("cell-move").onchange = () => this.choose($("cell-move").value || null);
   }
 
@@ -63,10 +64,11 @@ export class CellPanel {
   async look(signal) {
     this.ready = true;
     const freedom = this.tab === "map" ? $("map-freedom").value || "?" : "";
-    if (!this.open || this.looked === (freedom || this.looked || "none")) return;
-    this.looked = freedom || "none";
+    const reach = this.tab === "cell" && $("cell-reach").value ? "&reach=true" : "";
+    if (!this.open || (this.looked === (freedom || this.looked || "none") && !(reach && !this.data?.reach && this.looked !== "reach"))) return;
+    this.looked = freedom || (reach ? "reach" : "none");
     this.note("Looking at the targets …");
-    await this.ask(`&targets=${TARGETS}${freedom ? `&freedom=${encodeURIComponent(freedom)}` : ""}${freedom && this.state.job ? `&job=${this.state.job}` : ""}`, signal);
+    await this.ask(`&targets=${TARGETS}${freedom ? `&freedom=${encodeURIComponent(freedom)}` : ""}${freedom && this.state.job ? `&job=${this.state.job}` : ""}${reach}`, signal);
   }
 
   again() {
@@ -118,8 +120,35 @@ export class CellPanel {
     const bad = all.filter((target) => target.posture === undefined).length;
     $("cell-canvas").setAttribute("aria-label", `3D view of the cell: ${data.arms.map((arm) => `${arm.name}, ${arm.robot}`).join("; ")}${all.length ? `; ${bad} of ${all.length} targets cannot be worked at` : ""}`);
     $("cell-note").textContent = !data.placed ? "The block is not drawn: no place for it is known yet." : all.length ? `${number(all.length)} of ${number(data.of)} targets looked at${bad ? `, ${bad} without a posture (red)` : ", all have a posture"}` : "";
+    this.reach();
     this.freedoms(data);
     if (all.length) this.go(Math.min(this.number, all.length));
+  }
+
+  // What the arms can do over the block, one of them or all together: where one fails, what fails first.
+  reach() {
+    const { arms, reach } = this.data;
+    const select = $("cell-reach");
+    const names = arms.filter((arm) => arm.works).map((arm) => arm.name);
+    const ways = names.length > 1 ? [...names, "all arms"] : names;
+    const wanted = ways.includes(select.value) ? select.value : select.value ? ways.at(-1) : "";
+    select.replaceChildren(h("option", { value: "" }, "not shown"), ...ways.map((name) => h("option", { value: name, selected: name === wanted }, name)));
+    const told = $("cell-reach-told");
+    show(told, Boolean(wanted));
+    if (!wanted || !reach) {
+      if (this.view.works) this.view.field([], [], 0);
+      if (wanted) told.textContent = this.data.targets ? "Nothing is known over the block: it has no place yet, an arm holds it, or no target works." : "";
+      return;
+    }
+    const rows = wanted in reach.states ? [reach.states[wanted]] : Object.values(reach.states);
+    const states = rows[0].map((_, i) => Math.max(...rows.map((row) => row[i])) && Math.min(...rows.map((row) => row[i] || 9)));
+    if (this.view.works) this.view.field(reach.points_mm, states.map((state) => STYLES[reach.codes[state]]), 0.6 * Math.min(...reach.pitch_mm.filter((v) => v > 3)));
+    const counts = reach.codes.map((code, state) => [code, states.filter((one) => one === state).length]).filter(([, count]) => count);
+    const each = Math.round(Math.max(...reach.pitch_mm));
+    told.replaceChildren(
+      ...counts.map(([code, count]) => h("span", {}, h("i", { class: `swatch ${STYLES[code].slice(2)}` }), `${code ? WORDS[code] : "within reach"} ${Math.round((100 * count) / states.length)} %`)),
+      h("span", {}, `${number(states.length)} places, every ${each} mm; tool turned as at the nearest of ${reach.targets} targets, ${reach.samples} samples of what is free, all branches; bodies are not held apart.`),
+    );
   }
 
   // Whether a field is in the problem as the page has it: a cell in a file of its own is changed there.
@@ -212,6 +241,7 @@ export class CellPanel {
   drag(move, pose) {
     if (!pose) return this.poseOf(move);
     this.hand = { move, pose };
+    if (this.view.works && this.data.reach) this.view.field([], [], 0); // of the place that it had
     if (this.view.works) this.view.carry(move, pose);
     for (const input of $("cell-numbers").querySelectorAll("input")) if (document.activeElement !== input) input.value = round(pose[input.dataset.key][input.dataset.i]);
     return pose;

@@ -1,12 +1,12 @@
 // The cell in 3D: bodies where the service says they are, targets, and what can be moved by hand.
 import * as THREE from "./vendor/three.module.min.js";
 import { h } from "./dom.js";
-import { Orbit } from "./orbit.js";
+import { Stage, snapped } from "./stage.js";
 
 const SNAP = { mm: 5, deg: 15 };
 const NEAR = 14; // pixels from the pointer at which a target is meant
 const DEG = Math.PI / 180;
-export const snapped = (value, step) => Math.round(value / step) * step;
+const SCENE_SIZE = 3.9; // makes a dot's size one in the scene: one over the tangent of half the lens' angle
 
 // The matrix of a pose {xyz_mm, rpy_deg}; roll, pitch, yaw are about x, y, z of the frame outside, in this order.
 export function matrixOf({ xyz_mm, rpy_deg }) {
@@ -14,34 +14,14 @@ export function matrixOf({ xyz_mm, rpy_deg }) {
   return new THREE.Matrix4().makeRotationFromEuler(turn).setPosition(...xyz_mm);
 }
 
-// Light from the sky and from one side, worked out at the corners: without a graphics card each pixel counts.
-const SHADED = {
-  vertexShader: `varying float lit;
-    void main() {
-      vec3 n = normalize(mat3(modelMatrix) * normal);
-      lit = 0.72 + 0.16 * n.z + 0.2 * dot(n, vec3(0.31, -0.55, 0.78));
-      gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
-    }`,
-  fragmentShader: `uniform vec3 paint; uniform float opacity; varying float lit;
-    void main() { gl_FragColor = vec4(paint * lit, opacity); }`,
-};
 const fromRows = (rows) => new THREE.Matrix4().set(...rows, 0, 0, 0, 1);
 
-export class CellView extends Orbit {
+export class CellView extends Stage {
   // meant(target number or null): the pointer is at it; moved(move, pose): the hand is at a body; dropped(): it lets go.
   constructor(canvas, labels, { meant, picked, moved, dropped }) {
     super(canvas, 1.25);
-    Object.assign(this, { labels, meant, picked, moved, dropped, bodies: [], moves: [], chosen: null, posture: 0, shown: 0 });
+    Object.assign(this, { labels, meant, picked, moved, dropped, moves: [], chosen: null, posture: 0 });
     if (!this.works) return;
-    this.three = new THREE.WebGLRenderer({ canvas, context: this.gl, antialias: true });
-    this.three.setPixelRatio(1);
-    this.three.outputColorSpace = THREE.LinearSRGBColorSpace; // colours as the style sheet has them
-    this.lens = new THREE.Camera();
-    this.stage = new THREE.Scene();
-    this.round = disc();
-    this.cell = this.stage.add(new THREE.Group()).children.at(-1);
-    this.marks = this.stage.add(new THREE.Group()).children.at(-1);
-    addEventListener("themechange", () => this.recolour());
     this.hold();
   }
 
@@ -62,38 +42,10 @@ export class CellView extends Orbit {
     this.recolour();
     this.stand(Math.min(posture, (data.joints_deg?.[this.arms[0]]?.length ?? 1) - 1));
     this.whole = this.extent();
-    this.floor();
+    this.floor(this.whole);
     this.near = this.canvas.clientWidth > 1.2 * this.canvas.clientHeight ? 1.25 : 1.15;
     if (keep) this.draw();
     else this.home();
-  }
-
-  clear(group) {
-    for (const one of [...group.children]) {
-      one.geometry?.dispose();
-      one.material?.dispose();
-      group.remove(one);
-    }
-  }
-
-  body(one) {
-    const shape = new THREE.BufferGeometry();
-    shape.setAttribute("position", new THREE.Float32BufferAttribute(one.vertices, 3));
-    shape.setIndex(one.faces);
-    shape.computeVertexNormals();
-    const clear = one.kind === "stock";
-    const uniforms = { paint: { value: new THREE.Color() }, opacity: { value: clear ? 0.34 : 1 } };
-    const mesh = new THREE.Mesh(shape, new THREE.ShaderMaterial({ ...SHADED, uniforms, transparent: clear, depthWrite: !clear, side: one.kind === "part" ? THREE.DoubleSide : THREE.FrontSide }));
-    Object.assign(mesh, { matrixAutoUpdate: false, renderOrder: clear ? 2 : 0, userData: { body: one.body, kind: one.kind, paint: one.color } });
-    this.cell.add(mesh);
-    return mesh;
-  }
-
-  line(points, name) {
-    const made = new THREE.Line(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial());
-    made.userData = { style: name };
-    this.cell.add(made);
-    return made;
   }
 
   // Points of the targets, those without a posture in another colour, and a line through them, for each arm.
@@ -117,11 +69,7 @@ export class CellView extends Orbit {
         this.marks.add(dots);
       }
     }
-    this.here = new THREE.Points(new THREE.BufferGeometry(), new THREE.PointsMaterial({ size: 13, sizeAttenuation: false, depthTest: false, map: this.round, alphaTest: 0.5 }));
-    this.here.userData = { style: "--view-hot" };
-    this.here.renderOrder = 5;
-    this.here.frustumCulled = false;
-    this.marks.add(this.here);
+    this.here = this.dots([], 13, "--view-hot");
     this.point(null);
   }
 
@@ -132,6 +80,22 @@ export class CellView extends Orbit {
     this.here.geometry = new THREE.BufferGeometry().setFromPoints(some);
     this.here.visible = some.length > 0;
     this.draw();
+  }
+
+  // Dots in place of block and part in the colours of what the arms can do there; styles: of each place the name of a colour.
+  field(places, styles, size) {
+    this.grid ??= this.stage.add(new THREE.Group()).children.at(-1);
+    this.clear(this.grid);
+    for (const style of new Set(styles)) {
+      const some = places.filter((_, i) => styles[i] === style).map((place) => new THREE.Vector3(...place));
+      const dots = new THREE.Points(new THREE.BufferGeometry().setFromPoints(some), new THREE.PointsMaterial({ size: size * SCENE_SIZE, map: this.round, alphaTest: 0.5 }));
+      dots.userData = { style };
+      dots.renderOrder = 1;
+      this.grid.add(dots);
+    }
+    // what is not drawn can be taken hold of all the same
+    for (const mesh of this.bodies) mesh.material.visible = !places.length || !["stock", "part"].includes(mesh.userData.kind);
+    this.recolour();
   }
 
   // All bodies as in one of the postures that the service knows.
@@ -159,44 +123,13 @@ export class CellView extends Orbit {
     this.stand(this.posture);
   }
 
-  extent() {
-    const box = new THREE.Box3();
-    for (const mesh of this.bodies) {
-      if (mesh.userData.kind === "obstacle") continue;
-      mesh.geometry.computeBoundingBox();
-      box.union(mesh.geometry.boundingBox.clone().applyMatrix4(mesh.matrix));
-    }
-    if (box.isEmpty()) box.set(new THREE.Vector3(-500, -500, 0), new THREE.Vector3(500, 500, 500));
-    return [box.min.toArray(), box.max.toArray()];
-  }
-
-  floor() {
-    const [low, high] = this.whole;
-    const size = Math.max(high[0] - low[0], high[1] - low[1]) * 1.5;
-    const step = size > 4000 ? 500 : size > 1500 ? 250 : 100;
-    const count = Math.ceil(size / step);
-    const grid = new THREE.GridHelper(count * step, count);
-    grid.rotation.x = Math.PI / 2;
-    grid.position.set(snapped((low[0] + high[0]) / 2, step), snapped((low[1] + high[1]) / 2, step), Math.min(low[2], 0) - 2);
-    grid.material.vertexColors = false;
-    grid.userData = { style: "--view-grid" };
-    this.cell.add(grid);
-    this.recolour();
-  }
-
   recolour() {
-    if (!this.stage) return;
-    const style = (name) => new THREE.Color(...this.colour(name));
-    const own = { part: "--view-part", stock: "--view-stock", edge: "--view-hot", obstacle: "--view-body", support: "--view-body" };
-    for (const mesh of this.bodies) {
-      const { kind, paint } = mesh.userData;
-      const { value } = mesh.material.uniforms.paint;
-      value.copy(own[kind] ? style(own[kind]) : new THREE.Color(...(paint ?? [0.7, 0.7, 0.7])));
-      const glows = this.chosen && this.moves.find((one) => one.name === this.chosen)?.bodies.includes(mesh.userData.body);
-      if (glows) value.lerp(style("--accent"), 0.6);
-    }
-    for (const one of [...this.cell.children, ...this.marks.children]) if (one.userData.style) one.material.color.copy(style(one.userData.style));
-    this.draw();
+    super.recolour();
+    for (const one of this.grid?.children ?? []) one.material.color.setRGB(...this.colour(one.userData.style));
+  }
+
+  glows(mesh) {
+    return this.chosen && this.moves.find((one) => one.name === this.chosen)?.bodies.includes(mesh.userData.body);
   }
 
   // Names what can be dragged now, or nothing.
@@ -205,52 +138,14 @@ export class CellView extends Orbit {
     this.recolour();
   }
 
-  paint() {
-    const { canvas } = this;
-    const scale = Math.min(devicePixelRatio || 1, 2);
-    const size = [Math.round(canvas.clientWidth * scale), Math.round(canvas.clientHeight * scale)];
-    if (!size[0] || !size[1] || !this.whole) return;
-    if (canvas.width !== size[0] || canvas.height !== size[1]) this.three.setSize(...size, false);
-    const { view, lens } = this.camera();
-    this.lens.matrixWorldInverse.fromArray(view);
-    this.lens.matrixWorld.copy(this.lens.matrixWorldInverse).invert();
-    this.lens.matrixAutoUpdate = this.lens.matrixWorldAutoUpdate = false;
-    this.lens.projectionMatrix.fromArray(lens);
-    this.lens.projectionMatrixInverse.copy(this.lens.projectionMatrix).invert();
-    this.three.render(this.stage, this.lens);
-    this.name();
-    this.shown += 1;
-  }
-
   // Names of the arms below their bases.
-  name() {
+  after() {
     for (const [i, name] of this.arms.entries()) {
       const base = this.bodies.find((mesh) => mesh.userData.body === `${name}/base_link`);
       const mark = this.labels.children[i];
       if (!base || !mark) continue;
-      const { x, y, z } = new THREE.Vector3().setFromMatrixPosition(base.matrix).project(this.lens);
-      mark.hidden = Math.abs(x) > 1 || Math.abs(y) > 1 || z > 1;
-      mark.style.left = `${(50 * (x + 1)).toFixed(2)}%`;
-      mark.style.top = `${(50 * (1 - y)).toFixed(2)}%`;
+      this.pin(mark, new THREE.Vector3().setFromMatrixPosition(base.matrix));
     }
-  }
-
-  spot(event) {
-    const box = this.canvas.getBoundingClientRect();
-    return new THREE.Vector2((2 * (event.clientX - box.left)) / box.width - 1, 1 - (2 * (event.clientY - box.top)) / box.height);
-  }
-
-  ray(event) {
-    const caster = new THREE.Raycaster();
-    const at = this.spot(event);
-    caster.ray.origin.setFromMatrixPosition(this.lens.matrixWorld);
-    caster.ray.direction.set(at.x, at.y, 0.5).unproject(this.lens).sub(caster.ray.origin).normalize();
-    return caster;
-  }
-
-  // The body under the pointer, with the place where it is met.
-  hit(event) {
-    return this.whole ? this.ray(event).intersectObjects(this.bodies, false)[0] ?? null : null;
   }
 
   // The number of the target that the pointer is at, or null.
@@ -274,7 +169,7 @@ export class CellView extends Orbit {
     let pressed = null;
     const begin = (event) => {
       pressed = [event.clientX, event.clientY];
-      const hit = this.chosen && this.hit(event);
+      const hit = this.chosen && this.hit(this.spot(event));
       const move = hit && this.moves.find((one) => one.name === this.chosen && one.bodies.includes(hit.object.userData.body));
       if (!move || event.button) return;
       event.stopImmediatePropagation();
@@ -290,7 +185,7 @@ export class CellView extends Orbit {
         const turn = snapped(start.rpy_deg[2] + (event.clientX - held.x) * 0.6, SNAP.deg);
         return this.moved(move, { ...start, rpy_deg: [start.rpy_deg[0], start.rpy_deg[1], turn] });
       }
-      const { origin, direction } = this.ray(event).ray;
+      const { origin, direction } = this.ray(this.spot(event)).ray;
       if (Math.abs(direction.z) < 1e-3) return;
       const go = origin.clone().addScaledVector(direction, (from.z - origin.z) / direction.z).sub(from);
       if (go.length() > 1e5) return;
@@ -307,7 +202,7 @@ export class CellView extends Orbit {
       if (!still) return;
       const number = this.target(event);
       if (number !== null) return this.meant(number, true);
-      const hit = this.hit(event);
+      const hit = this.hit(this.spot(event));
       this.picked(hit ? this.moves.find((one) => one.bodies.includes(hit.object.userData.body))?.name ?? null : null);
     };
     canvas.addEventListener("pointerdown", begin, true);
@@ -315,19 +210,6 @@ export class CellView extends Orbit {
     canvas.addEventListener("pointerup", end, true);
     canvas.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && this.meant(null));
   }
-}
-
-// A round dot, for points that are squares otherwise.
-function disc() {
-  const size = 32;
-  const alpha = new Uint8Array(4 * size * size);
-  for (let i = 0; i < size * size; i++) {
-    const far = Math.hypot((i % size) - 15.5, Math.floor(i / size) - 15.5);
-    alpha.set([255, 255, 255, far < 15.5 ? 255 : 0], 4 * i);
-  }
-  const made = new THREE.DataTexture(alpha, size, size);
-  made.needsUpdate = true;
-  return made;
 }
 
 const good = (all, number) => all[number].posture !== undefined;

@@ -165,10 +165,19 @@ function open(name, remember = true, closer = false) {
   if (remember) history.replaceState(null, "", `#${name}`);
 }
 
+const theme = () => (getComputedStyle(document.documentElement).colorScheme === "light dark" ? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light") : getComputedStyle(document.documentElement).colorScheme);
+const retheme = () => {
+  const inside = $("panel-replay").querySelector("iframe");
+  if (inside) inside.src = `${fileOf(id, "replay.html")}#theme=${theme()}`; // which loads nothing anew
+};
+addEventListener("themechange", retheme);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", retheme);
+
 // Report and replay hold what users wrote, and scripts of their own: they run apart from this page.
 function frame(name, moment = "") {
   const place = $(`panel-${name}`);
-  const address = `${fileOf(id, `${name}.html`)}${moment && `#${moment}`}`;
+  const hash = name === "replay" ? `#${[moment, `theme=${theme()}`].filter(Boolean).join("&")}` : "";
+  const address = `${fileOf(id, `${name}.html`)}${hash}`;
   let inside = place.querySelector("iframe");
   if (!inside) {
     const title = name === "replay" ? `Replay of ${job.name} with a time bar` : `Report on ${job.name}`;

@@ -1,0 +1,117 @@
+"""Frames of the cell in 3D: what the page draws of each bundled problem's cell, in a browser without a head.
+
+Drawn in software, 600 x 430 pixels, as the page has it; the view turns a little with each frame, and a pixel
+is read back, so that nothing is left to be drawn. Wall time: run it where nothing else does. The note has the
+processor time of all of the browser for a frame, which other work on the machine changes little.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import planner
+from planner.catalogue import robots
+from planner.report import view3d
+from planner.service import app, cell_view
+
+GOAL_S = 0.03
+"""Wanted time [s] of a frame."""
+SIZE = (600, 430)
+FRAMES = 40
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+_SCRIPT = """
+const data = JSON.parse(document.getElementById("data").textContent);
+const canvas = document.querySelector("canvas");
+const nothing = () => null;
+const hooks = { meant: nothing, picked: nothing, moved: nothing, dropped: nothing };
+const view = new CellView(canvas, document.querySelector("div"), hooks);
+view.show(data, false);
+globalThis.frames_ms = (count) => {
+  const out = [];
+  for (let i = 0; i < count; i++) {
+    view.turn += 0.02;
+    const begin = performance.now();
+    view.paint();
+    view.gl.readPixels(0, 0, 1, 1, view.gl.RGBA, view.gl.UNSIGNED_BYTE, new Uint8Array(4));
+    out.push(performance.now() - begin);
+  }
+  return out;
+};
+"""
+
+
+def run() -> list[dict[str, Any]]:
+    """Rows of median and spread [s] of a frame by problem."""
+    from playwright.sync_api import sync_playwright
+
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        return []
+    folder = robots.data_dir("problems")
+    rows = []
+    with sync_playwright() as driver:
+        shown = driver.chromium.launch(executable_path=browser, args=FLAGS)
+        for name in sorted(path.parent.name for path in folder.glob("*/problem.yaml")):
+            data, _ = cell_view.view(planner.load(name))
+            tab = shown.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+            tab.set_content(page(data))
+            tab.evaluate("frames_ms(5)")
+            before = _spent_s(os.getpid())
+            times = np.array(tab.evaluate(f"frames_ms({FRAMES})")) / 1000.0
+            spent = (_spent_s(os.getpid()) - before) / FRAMES
+            cost = f"{1000.0 * spent:.0f} ms of processor time; wanted {GOAL_S:g} s"
+            triangles = sum(len(body["faces"]) // 3 for body in data["bodies"])
+            tab.close()
+            rows.append(
+                {
+                    "name": f"a frame, {name}",
+                    "median_s": float(np.median(times)),
+                    "spread": float(np.ptp(np.percentile(times, [10, 90]))),
+                    "ratio": None,
+                    "note": f"{triangles:,} triangles, {cost}",
+                }
+            )
+        shown.close()
+    return rows
+
+
+def _spent_s(root: int) -> float:
+    """Processor time [s] so far of the processes that descend from one, without its own."""
+    parents, spent = {}, {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue  # it has ended
+        pid = int(path.parent.name)
+        parents[pid] = int(fields[1])
+        spent[pid] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    total = 0.0
+    for pid, own in spent.items():
+        above = parents[pid]
+        while above not in (0, 1, root):
+            above = parents.get(above, 0)
+        total += own if above == root else 0.0
+    return total
+
+
+def page(data: dict[str, Any]) -> str:
+    """A page that shows nothing but the cell, by the page's own scripts."""
+    own = "\n".join(_text(app.STATIC / name) for name in ("dom.js", "cell_view.js")) + _SCRIPT
+    packed = json.dumps(data).replace("<", "\\u003c")
+    return (
+        f"<!doctype html><style>{_text(app.STATIC / 'tandem.css')} body {{ margin: 0 }} "
+        "canvas { width: 600px; height: 430px }</style><div></div><canvas></canvas>"
+        f"<script type='application/json' id='data'>{packed}</script><script>{view3d.three()}</script>"
+        f"<script>{view3d.script(own, view3d.THREE_MODULES)}</script>"
+    )
+
+
+def _text(path: Path) -> str:
+    return path.read_text("utf-8")
