@@ -258,7 +258,7 @@ def audit(asked: Audit) -> None:
     """List what was done in a store; raises ``TandemError``."""
     try:
         from planner.service import audit as log
-        from planner.service.models import Database, default_url
+        from planner.service.models import Database, default_url, moment
     except ImportError as error:
         raise TandemError(not_installed(error)) from error
     if asked.database is None and not (asked.data / "tandem.db").is_file():
@@ -273,7 +273,7 @@ def audit(asked: Audit) -> None:
         else:
             told = [one.about.get(key) for key in ("name", "file", "release", "reason", "note")]
             said = ", ".join(" ".join(str(text).split()) for text in told if text)
-            at = one.at.strftime("%Y-%m-%d %H:%M:%S UTC")
+            at = moment(one.at)
             _tell(f"{at}  {one.by}{f' ({one.team})' if one.team else ''}  {one.act}  {one.job}  {said}")
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
-import datetime as dt
 import json
 import secrets
 import time
@@ -16,7 +15,20 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence, Set
 from typing import Any, Final, NamedTuple
 
 import anyio.to_thread
-from sqlalchemy import Connection, RowMapping, Select, and_, delete, func, insert, not_, or_, select, update
+from sqlalchemy import (
+    Connection,
+    RowMapping,
+    Select,
+    and_,
+    delete,
+    func,
+    insert,
+    not_,
+    or_,
+    select,
+    union,
+    update,
+)
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
@@ -28,6 +40,7 @@ from planner.service.logs import about
 from planner.service.models import (
     CANCELLED,
     DELETED,
+    DRAFTS,
     ELEMENT_JOBS,
     EVENTS,
     FILES,
@@ -44,6 +57,7 @@ from planner.service.models import (
     Release,
     Role,
     Withdrawal,
+    utc,
 )
 from planner.service.security import LOCAL, Auth, Limits, RefusedError, issue_json, unknown_job
 from planner.service.storage import Blob
@@ -133,7 +147,7 @@ class Jobs:
         return [job_out(job_row(db, job), self._ahead(db, job)) for job in known]
 
     def _created(self, db: Connection, new: NewJob) -> JobOut:
-        job = new.id
+        job, now = new.id, time.time()
         row = {
             "id": job,
             "owner": new.owner,
@@ -142,7 +156,8 @@ class Jobs:
             "key": new.key,
             "processes": json.dumps(new.processes),
             "state": "queued",
-            "created": time.time(),
+            "created": now,
+            "turn": now,
             "timeout_s": new.timeout_s,
             "memory_mb": new.memory_mb,
             "issues": issues_json(new.issues),
@@ -249,7 +264,8 @@ class Jobs:
             fresh = {"state": "queued", "stage": "", "fraction": 0.0, "issues": "[]", "metrics": "{}"}
             none = dict.fromkeys(("started", "finished", "seconds", "host", "lease"))
             zero = dict.fromkeys(("attempts", "cancel", "from_store"), 0)
-            values = {**fresh, **none, **zero, "created": time.time()}
+            now = time.time()
+            values = {**fresh, **none, **zero, "created": now, "turn": now}
             db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
             record_event(db, job, "issues", {"issues": [], "all": True})
             record_event(db, job, "state", {"state": "queued"})
@@ -271,12 +287,14 @@ class Jobs:
             return set(db.execute(select(FILES.c.sha).where(FILES.c.sha.in_(shas)).distinct()).scalars())
 
     def owned(self, owner: str) -> dict[str, int]:
-        """The content that an owner's jobs name: sizes [bytes] by SHA-256."""
-        query = (
+        """The content that an owner's jobs and drafts name: sizes [bytes] by SHA-256."""
+        named = (
             select(FILES.c.sha, FILES.c.size)
-            .join_from(FILES, JOBS, FILES.c.job == JOBS.c.id)
-            .where(JOBS.c.owner == owner)
+            .join_from(FILES, table, FILES.c.job == table.c.id)
+            .where(table.c.owner == owner)
+            for table in (JOBS, DRAFTS)
         )
+        query = union(*named)
         with self._database.read() as db:
             return dict(row.tuple() for row in db.execute(query).all())
 
@@ -298,7 +316,7 @@ class Jobs:
         row = job_row(db, job)
         if row["state"] != "queued":
             return None
-        earlier = and_(JOBS.c.state == "queued", JOBS.c.created < row["created"])
+        earlier = and_(JOBS.c.state == "queued", JOBS.c.turn < row["turn"])
         return int(db.execute(select(func.count()).select_from(JOBS).where(earlier)).scalar_one())
 
     def _allow(self, db: Connection, new: Sequence[NewJob]) -> None:
@@ -420,9 +438,9 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
         processes=json.loads(row["processes"]),
         by=row["made_by"],
         digest=row["digest"],
-        created=_utc(row["created"]),
-        started=None if row["started"] is None else _utc(row["started"]),
-        finished=None if row["finished"] is None else _utc(row["finished"]),
+        created=utc(row["created"]),
+        started=None if row["started"] is None else utc(row["started"]),
+        finished=None if row["finished"] is None else utc(row["finished"]),
         seconds=row["seconds"],
         attempts=row["attempts"],
         from_store=bool(row["from_store"]),
@@ -444,14 +462,10 @@ def _release(row: RowMapping) -> Release | None:
         return None
     withdrawn = None
     if row["release_withdrawn"] is not None:
-        at = _utc(row["release_withdrawn"])
+        at = utc(row["release_withdrawn"])
         withdrawn = Withdrawal(by=row["release_withdrawn_who"], at=at, reason=row["release_reason"])
-    at, note = _utc(row["release_at"]), row["release_note"]
+    at, note = utc(row["release_at"]), row["release_note"]
     return Release(by=row["release_who"], at=at, note=note, withdrawn=withdrawn)
-
-
-def _utc(seconds: float) -> dt.datetime:
-    return dt.datetime.fromtimestamp(seconds, dt.UTC)
 
 
 _LAST: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOBS.c.releases)

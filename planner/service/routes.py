@@ -31,6 +31,7 @@ from planner.files import RELEASE
 from planner.issues import Issue, has_errors
 from planner.service import audit, idempotency, metrics, releases
 from planner.service.answers import HEAD, MadeFile, is_known, packed, stored_file, tagged
+from planner.service.cell_models import CellOut
 from planner.service.finding import Wanted
 from planner.service.jobs import Stream
 from planner.service.logs import about
@@ -39,7 +40,6 @@ from planner.service.models import (
     OLDEST_API,
     OPEN,
     Catalogue,
-    CellOut,
     CheckOut,
     FileList,
     FileOut,

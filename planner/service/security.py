@@ -58,6 +58,7 @@ class Limits:
     check_memory_mb: float = 4096.0
     streams: int = 100
     requests_per_s: float | None = 50.0
+    drafts: int = 500
     keep_days: float | None = None
     audit_days: float | None = 1095.0
 

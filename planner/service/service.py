@@ -26,6 +26,7 @@ from starlette.requests import Request
 
 from planner.batch.job import PROBLEM, all_versions
 from planner.issues import Issue, TandemError
+from planner.service.drafts import Drafts
 from planner.service.elements import Elements
 from planner.service.idempotency import Once
 from planner.service.jobs import Hub, Jobs, NewJob, OfElement
@@ -122,6 +123,7 @@ class Service:
             on_newer=self._sender.stop,
         )
         self.elements = Elements(self)
+        self.drafts = Drafts(self.database, self.limits)
         self.releases = Releases(self.database, self.files)
         self._turns: dict[str, anyio.Semaphore] = {}
         self._readers = anyio.CapacityLimiter(options.examiners)
