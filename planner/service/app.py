@@ -39,6 +39,7 @@ from planner.service import (
     finding_routes,
     logs,
     metrics,
+    queue_routes,
     release_routes,
     routes,
     webhook_routes,
@@ -264,6 +265,7 @@ ROUTERS: Final = (
     element_routes.router,
     webhook_routes.router,
     draft_routes.router,
+    queue_routes.router,
     routes.about_router,
     page_router,
 )

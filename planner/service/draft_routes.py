@@ -231,8 +231,8 @@ def _told(row: RowMapping, response: Response | None = None) -> DraftOut:
     known: dict[str, Any] = {name: row[name] for name in ("id", "kind", "title", "version")}
     if response is not None:
         response.headers["ETag"] = tag_of(row)
-    times = {"created": utc(row["created"]), "changed": utc(row["changed"])}
-    return DraftOut(**known, **times, by=row["made_by"])
+    known |= {"created": utc(row["created"]), "changed": utc(row["changed"]), "by": row["made_by"]}
+    return DraftOut(**known)
 
 
 def _version(row: RowMapping) -> VersionOut:

@@ -11,6 +11,7 @@ import dataclasses
 import json
 import secrets
 import time
+from bisect import bisect_left
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence, Set
 from typing import Any, Final, NamedTuple
 
@@ -95,6 +96,8 @@ class NewJob:
     memory_mb: float
     issues: tuple[Issue, ...] = ()
     of: OfElement | None = None
+    title: str = ""
+    tags: tuple[str, ...] = ()
     id: str = dataclasses.field(default_factory=lambda: secrets.token_hex(16))
 
 
@@ -161,7 +164,7 @@ class Jobs:
             "timeout_s": new.timeout_s,
             "memory_mb": new.memory_mb,
             "issues": issues_json(new.issues),
-            **finding.described(new.name, "", (), ""),
+            **finding.described(new.name, new.title, new.tags, ""),
         }
         db.execute(insert(JOBS).values(row))
         put_files(db, job, new.files)
@@ -202,8 +205,11 @@ class Jobs:
             query = query.where(JOBS.c.id.in_(of.where(ELEMENT_JOBS.c.role == role)))
         with self._database.read() as db:
             rows = db.execute(finding.chosen(query, wanted).limit(count + 1)).mappings().all()
+            turns = select(JOBS.c.turn).where(JOBS.c.state == "queued").order_by(JOBS.c.turn)
+            waiting = db.execute(turns).scalars().all() if any(r["state"] == "queued" for r in rows) else ()
         last = finding.cursor(wanted.sort, rows[count - 1]) if len(rows) > count else None
-        return [job_out(row) for row in rows[:count]], last
+        places = [bisect_left(waiting, row["turn"]) if row["state"] == "queued" else None for row in rows]
+        return [job_out(*one) for one in zip(rows[:count], places, strict=False)], last
 
     def describe(self, job: str, change: Mapping[str, Any]) -> JobOut:
         """Give a job the ``title``, ``tags`` and ``notes`` of a change; what it does not have stays. Raises
@@ -244,6 +250,24 @@ class Jobs:
         if row["state"] == "queued" and done.state == "cancelled":
             metrics.ended("cancelled")
         return done
+
+    def first(self, job: str) -> JobOut:
+        """Let a job take the first turn of those of its owner that wait; each of those before it takes the
+        next one's. Raises :class:`RefusedError`, 404, 409 where it does not wait."""
+        with self._database.write() as db:
+            owner = job_row(db, job)["owner"]
+            self._database.one_at_a_time(db, f"turns {owner}")
+            row = job_row(db, job)
+            if row["state"] != "queued":
+                what = f"job {job}: it is {row['state']}; only jobs that wait can come first"
+                raise RefusedError(409, Issue("service.state", what, field="state"))
+            waits = (JOBS.c.owner == owner, JOBS.c.state == "queued", JOBS.c.turn <= row["turn"])
+            query = select(JOBS.c.id, JOBS.c.turn).where(*waits).order_by(JOBS.c.turn, JOBS.c.id)
+            rows = db.execute(query).all()
+            before = [one.id for one in rows if one.id != job]
+            for one, turn in zip([job, *before], [row.turn for row in rows], strict=True):
+                db.execute(update(JOBS).where(JOBS.c.id == one).values(turn=turn))
+            return job_out(job_row(db, job), self._ahead(db, job))
 
     def retry(self, job: str, by: str) -> JobOut:
         """Let a job wait again as if it had come now, its results gone, as the token ``by`` asks. Raises

@@ -467,7 +467,7 @@ TokenRole = Literal["view", "plan", "release"]
 TOKEN_ROLES: Final[tuple[TokenRole, ...]] = ("view", "plan", "release")
 """Roles of tokens, each of which includes the former: to look at everything; to make, change and delete
 jobs, and to hand links out; to release programs."""
-Sort = Literal["newest", "oldest", "title"]
+Sort = Literal["newest", "oldest", "title", "turn"]
 Mark = Literal["cut", "glued", "broken"]
 Act = Literal[
     "submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked", "unlinked"

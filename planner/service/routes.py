@@ -572,7 +572,7 @@ def page(
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
     search: Annotated[Line, Query(description="all of these words in name, title, tags or notes")] = "",
     tag: Annotated[list[Tag] | None, Query(max_length=10, description="with all of these tags")] = None,
-    sort: Annotated[Sort, Query(description="by when they were made, or by title, or name")] = "newest",
+    sort: Annotated[Sort, Query(description="when made, title or name, whose turn")] = "newest",
 ) -> Response:
     """Yours and those of your team, a page at a time; 304 for who asks again with
     ``If-None-Match`` and has it as it is."""

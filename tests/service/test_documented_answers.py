@@ -32,6 +32,10 @@ GOOD: Final[Mapping[str, dict[str, Any]]] = {
     "PATCH /v1/jobs/{job}": {"json": {"title": "Gewölbe 3"}},
     "POST /v1/jobs/delete": {"json": {"jobs": [NOBODY]}},
     "POST /v1/cell": {"files": [("problem", ("p.yaml", named("drawn"))), FILES[1]]},
+    "POST /v1/sweeps": {
+        "files": [("problem", ("p.yaml", named("swept"))), FILES[1]],
+        "params": {"field": "name", "value": ["swept_a", "swept_b"]},
+    },
     "POST /v1/jobs/{job}/links": {"params": {"name": "report.html"}},
     "POST /v1/jobs/{job}/release": {"json": {"note": "cut of Tuesday"}},
     "POST /v1/jobs/{job}/withdraw": {"json": {"reason": "the clamp moved"}},
@@ -168,11 +172,11 @@ def provoked(
         if parameter["in"] == "header" and "maxLength" in str(parameter["schema"]):
             out.add(status(headers={parameter["name"]: "~" * 300}))
     if way == "PUT":
-        out.add(status(headers={}))
+        out |= {status(headers={}), status(headers={"If-Match": '"0"'})}
     if "requestBody" in about:
         for content in (b"\xff{", b" " * int(UPLOAD_MB * 1e6 + 1)):
             out.add(status(content=content, files=None, json=None))
-    if "{name}" in path or path.endswith(".zip"):
+    if "{name}" in path or path.endswith((".zip", "/problem")):
         out.add(status(headers={"Range": "bytes=999999-"}))
     with limited(here, readings=0, open_jobs=0, kept_jobs=0, streams=0):
         out.add(upload())
