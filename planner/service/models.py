@@ -259,19 +259,6 @@ DRAFT_VERSIONS: Final = Table(
 )
 """What a draft was: SHA-256 of its ``problem``, and of its ``files`` by name."""
 
-LOOKS: Final = Table(
-    "tandem_looks",
-    METADATA,
-    Column("id", String(32), primary_key=True),
-    Column("job", String(32), nullable=False, index=True),
-    Column("token", String(32), nullable=False),
-    Column("note", String(200), nullable=False),
-    Column("created", Float, nullable=False),
-    Column("expires", Float, nullable=False),
-    Column("revoked", Float),
-)
-"""Links by which anybody looks at a job, and who made them."""
-
 SCHEMA: Final = Table(
     "tandem_schema", METADATA, Column("version", Integer, primary_key=True, autoincrement=False)
 )
@@ -439,7 +426,7 @@ API: Final = 13
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
 log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks like, maps of a freedom.
-13: drafts, links to look, the order of the queue, sweeps, estimates of what is left."""
+13: drafts, the order of the queue, sweeps, estimates of what is left."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -469,9 +456,7 @@ TOKEN_ROLES: Final[tuple[TokenRole, ...]] = ("view", "plan", "release")
 jobs, and to hand links out; to release programs."""
 Sort = Literal["newest", "oldest", "title", "turn"]
 Mark = Literal["cut", "glued", "broken"]
-Act = Literal[
-    "submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked", "unlinked"
-]
+Act = Literal["submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked"]
 
 
 class Sent(BaseModel):

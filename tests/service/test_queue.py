@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -148,7 +149,6 @@ def test_what_is_left_is_the_median_of_like_jobs(tmp_path: Path) -> None:
         assert found["like"] == 3
         assert {one["stage"]: one["seconds"] for one in found["stages"]} == {"motion": 20.0, "proof": 4.0}
         assert (found["whole_s"], "left_s" in found, "elapsed_s" in found) == (24.0, False, False)
-        import time
 
         for stage, fraction, ago, least, most in (
             ("motion", 0.0, 5.0, 18.0, 19.1),

@@ -101,6 +101,7 @@ export class Draft {
     $("undo").disabled = !this.past.length;
     $("redo").disabled = !this.future.length;
     show($("history"), Boolean(this.id));
+    $("draft-bar").dataset.kept = String(this.kept()); // whether all of it is on the server
   }
 
   say(words) {
@@ -118,7 +119,8 @@ export class Draft {
     if (this.saving || this.waits || !this.dirty) return;
     this.saving = true;
     this.dirty = false;
-    const { text: body, files } = this.now;
+    const saved = this.now;
+    const { text: body, files } = saved;
     const own = this.past; // another start has another list
     const news = [...files].filter(([name, file]) => this.sent.get(name) !== file);
     try {
@@ -148,7 +150,8 @@ export class Draft {
       } else throw error;
     } finally {
       this.saving = false;
-      if (own === this.past && this.dirty && this.now.text !== body) this.soon();
+      if (this.dirty && this.now !== saved) this.soon();
+      this.buttons();
     }
   }
 

@@ -12,6 +12,7 @@ import { goneRobots, Keeping } from "./keeping.js";
 import { boxOf } from "./mesh.js";
 import { at, differences, put, Schema } from "./schema.js";
 import { drawExamples, drawProcesses, fromExample, fromFiles, fromJob } from "./start.js";
+import { setUpSweep } from "./sweep.js";
 import { Viewer } from "./viewer.js";
 import { number } from "./words.js";
 
@@ -405,6 +406,7 @@ async function start() {
   }
 }
 
+setUpSweep(state, () => wanted(state), (error) => (error instanceof Refused ? tellIssues(error.issues, false) : tell(error)));
 $("go").addEventListener("click", start);
 $("form").addEventListener("submit", (event) => event.preventDefault());
 $("choose").addEventListener("click", () => $("files").click());
