@@ -93,6 +93,7 @@ PAGES: Final = {
     "new": "New job",
     "drafts": "Drafts, cells, tools, templates",
     "compare": "Compare two jobs",
+    "audit": "Audit log",
     "elements": "Building elements",
     "login": "Log in",
 }

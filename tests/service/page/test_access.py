@@ -104,6 +104,7 @@ def served(
         "elements": f"{server}/ui/elements",
         "element": element,
         "element: missing": f"{server}/ui/elements/{'0' * 32}",
+        "audit": f"{server}/ui/audit",
         "login": f"{server}/ui/login",
     }
 
@@ -161,6 +162,7 @@ PAGES: Final = (
     "elements",
     "element",
     "element: missing",
+    "audit",
     "login",
 )
 

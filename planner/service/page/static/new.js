@@ -25,6 +25,7 @@ let form = null;
 let draft = null;
 let keeping = null;
 let catalogue = [];
+let drawSweep = null;
 let examples = {};
 let cells = {};
 let checking = null;
@@ -61,6 +62,7 @@ async function begin() {
     $("go").disabled = true;
     check();
   });
+  drawSweep = setUpSweep(state, () => wanted(state), (error) => (error instanceof Refused ? tellIssues(error.issues, false) : tell(error)));
   keeping = new Keeping(state, putIn);
   await keeping.load();
   $("kept").addEventListener("change", chooseKept);
@@ -157,6 +159,7 @@ function afterwards() {
     changed([]);
   });
   keeping.draw();
+  drawSweep();
   drawChanges();
   atFields(state.issues ?? []);
 }
@@ -406,7 +409,6 @@ async function start() {
   }
 }
 
-setUpSweep(state, () => wanted(state), (error) => (error instanceof Refused ? tellIssues(error.issues, false) : tell(error)));
 $("go").addEventListener("click", start);
 $("form").addEventListener("submit", (event) => event.preventDefault());
 $("choose").addEventListener("click", () => $("files").click());

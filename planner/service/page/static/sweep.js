@@ -12,6 +12,7 @@ export function numbers(data, path = []) {
 
 const MOST_FIELDS = 400; // of tables nobody sweeps a single number
 
+// Gives back what draws the fields anew.
 export function setUpSweep(state, files, refused) {
   const draw = () => {
     const chosen = $("sweep-field").value;
@@ -23,7 +24,12 @@ export function setUpSweep(state, files, refused) {
     $("sweep-go").disabled = !values().length || !$("sweep-field").value;
     $("sweep-go").textContent = values().length > 1 ? `Make ${values().length} jobs` : "Make the jobs";
   };
-  $("sweep").addEventListener("toggle", () => $("sweep").open && (draw(), ready()));
+  const redraw = () => {
+    if (!$("sweep").open) return;
+    draw();
+    ready();
+  };
+  $("sweep").addEventListener("toggle", redraw);
   $("sweep-values").addEventListener("input", ready);
   $("sweep-go").addEventListener("click", async () => {
     $("sweep-go").disabled = true;
@@ -38,4 +44,5 @@ export function setUpSweep(state, files, refused) {
       ready();
     }
   });
+  return redraw;
 }
