@@ -7,11 +7,11 @@ import json
 import statistics
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from pydantic import Field
-from sqlalchemy import select
+from sqlalchemy import RowMapping, select
 
 from planner.service.models import EVENTS, JOBS, Database, JobOut, Sent
 
@@ -52,7 +52,7 @@ class Estimates:
         told = [StageTime(stage=name, seconds=round(s, 3)) for name, s in stages.items()]
         whole = round(sum(stages.values()), 3) if like else None
         if job.state != "running" or job.started is None:
-            return EstimateOut(like=like, stages=told, whole_s=whole)
+            return EstimateOut(elapsed_s=None, left_s=None, whole_s=whole, like=like, stages=told)
         elapsed = round(max(now - job.started.timestamp(), 0.0), 3)  # clocks may have been set back
         left = None
         if like:
@@ -95,7 +95,7 @@ class Estimates:
         return len(taken), {name: seconds for name, seconds in medians.items() if seconds}
 
 
-def _count(taken: dict[str, dict[str, float]], event: Mapping[str, object], seconds: float) -> None:
+def _count(taken: dict[str, dict[str, float]], event: RowMapping, seconds: float) -> None:
     """Add the time from an event to the next one to the stage that it tells; a job that is begun anew, as
     after a restart, is counted from there."""
     told, own = json.loads(str(event["data"])), taken[str(event["job"])]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from typing import Annotated, Any, Final
 
@@ -104,4 +105,4 @@ def _value(text: str) -> Any:
         found = json.loads(text)
     except (ValueError, RecursionError):
         return text
-    return found if isinstance(found, (bool, int, float)) else text
+    return found if isinstance(found, (bool, int, float)) and math.isfinite(found) else text

@@ -295,9 +295,9 @@ class Service:
                 raise RefusedError(refused.status, issues, refused.headers) from refused
         files = self.stored(owner, read, upload.files, PROBLEM)
         jobs = []
-        for (number, one), value in zip(read.items(), values, strict=True):
+        for (name, one), value in zip(read.items(), values, strict=True):
             title = f"{one.name}: {field} = {value if isinstance(value, str) else json.dumps(value)}"[:200]
-            new = self.new_job(owner, one.name, one, files[number])
+            new = self.new_job(owner, one.name, one, files[name])
             jobs.append(dataclasses.replace(new, title=title, tags=(tag,)))
         return self.jobs.create_all(jobs, once)
 

@@ -98,6 +98,7 @@ def test_a_sweep_makes_a_job_of_each_value_or_none(tmp_path: Path) -> None:
         assert {one["id"] for one in found} == {one["id"] for one in jobs}
         for bad, field in (
             ({"value": ["20", "-1"]}, "operations.0.feed_mm_s"),
+            ({"value": ["20", "1e999"]}, "operations.0.feed_mm_s"),
             ({"value": ["20", "20"]}, "value"),
             ({"field": "operations.7.feed_mm_s"}, "operations.7.feed_mm_s"),
             ({"field": "operations..x"}, "operations..x"),
