@@ -15,13 +15,12 @@ const MOST_FIELDS = 400; // of tables nobody sweeps a single number
 // Gives back what draws the fields anew.
 export function setUpSweep(state, files, refused) {
   const draw = () => {
-    const chosen = $("sweep-field").value;
     const found = [...numbers(state.problem.operations, ["operations"]), ...numbers(state.problem.stock, ["stock"]), ...numbers(state.problem.settings, ["settings"])].slice(0, MOST_FIELDS);
-    $("sweep-field").replaceChildren(...found.map((path) => h("option", { value: path.join("."), selected: path.join(".") === chosen }, fieldName(path.join(".")))));
+    $("sweep-fields").replaceChildren(...found.map((path) => h("option", { value: path.join("."), label: fieldName(path.join(".")) })));
   };
   const values = () => $("sweep-values").value.split(/[\s;]+/).filter(Boolean);
   const ready = () => {
-    $("sweep-go").disabled = !values().length || !$("sweep-field").value;
+    $("sweep-go").disabled = !values().length || !$("sweep-field").value.trim();
     $("sweep-go").textContent = values().length > 1 ? `Make ${values().length} jobs` : "Make the jobs";
   };
   const redraw = () => {
@@ -30,10 +29,10 @@ export function setUpSweep(state, files, refused) {
     ready();
   };
   $("sweep").addEventListener("toggle", redraw);
-  $("sweep-values").addEventListener("input", ready);
+  for (const name of ["sweep-field", "sweep-values"]) $(name).addEventListener("input", ready);
   $("sweep-go").addEventListener("click", async () => {
     $("sweep-go").disabled = true;
-    const asked = new URLSearchParams({ field: $("sweep-field").value, tag: $("sweep-tag").value });
+    const asked = new URLSearchParams({ field: $("sweep-field").value.trim(), tag: $("sweep-tag").value });
     for (const one of values()) asked.append("value", one);
     try {
       await post(`/v1/sweeps?${asked}`, { body: upload(state.problem, files()) });
