@@ -759,6 +759,7 @@ CODES: Final[dict[str, Code]] = {
     "service.webhook": Code("an address cannot be told of jobs that end, or there is no such webhook"),
     "service.state": Code("a job is in a state in which what is asked of it cannot be done"),
     "service.release": Code("programs cannot be released, or a release not be withdrawn"),
+    "service.draft": Code("a draft is not there, or was saved by somebody else meanwhile"),
     "service.gave_up": Code("the service stopped several times while it worked on a job"),
     "service.answer": Code("an address does not answer as this service does"),
     "service.timeout": Code("the service did not answer, or a job did not end, in the time that was given"),

@@ -15,8 +15,8 @@ from rich.table import Table
 from planner.issues import Issue, TandemError
 
 if TYPE_CHECKING:
+    from planner.service.models import Database
     from planner.service.oidc import Oidc
-    from planner.service.security import Auth
 
 DATA_FOLDER: Final = Path("tandem-data")
 """Where the service keeps its data, unless told otherwise."""
@@ -239,7 +239,10 @@ def _oidc(asked: Serve, issuer: str) -> Oidc:
 
 def token(asked: Add | List | Revoke) -> None:
     """Make, list or end tokens; raises ``TandemError``."""
-    auth = _auth(asked)
+    database = _opened(asked, make=True)
+    from planner.service.security import Auth
+
+    auth = Auth(database)
     if isinstance(asked, Add):
         lasts_s = None if asked.expires is None else _lasts(asked.expires)
         sys.stdout.write(f"{auth.make(asked.name, asked.role, asked.team, lasts_s)}\n")
@@ -258,22 +261,17 @@ def audit(asked: Audit) -> None:
     """List what was done in a store; raises ``TandemError``."""
     try:
         from planner.service import audit as log
-        from planner.service.models import Database, default_url
+        from planner.service.models import moment
     except ImportError as error:
         raise TandemError(not_installed(error)) from error
-    if asked.database is None and not (asked.data / "tandem.db").is_file():
-        what = f"data folder {asked.data}: there is no store in it; give --data as the service has it"
-        raise TandemError(Issue("service.start", what, field="data"))
-    found = log.everything(
-        Database(asked.database or default_url(asked.data)), asked.job, asked.act, max(asked.most, 1)
-    )
+    found = log.everything(_opened(asked), asked.job, asked.act, max(asked.most, 1))
     for one in found:
         if asked.json:
             sys.stdout.write(f"{one.model_dump_json(exclude_none=True)}\n")
         else:
             told = [one.about.get(key) for key in ("name", "file", "release", "reason", "note")]
             said = ", ".join(" ".join(str(text).split()) for text in told if text)
-            at = one.at.strftime("%Y-%m-%d %H:%M:%S UTC")
+            at = moment(one.at)
             _tell(f"{at}  {one.by}{f' ({one.team})' if one.team else ''}  {one.act}  {one.job}  {said}")
 
 
@@ -306,19 +304,22 @@ def not_installed(error: ImportError) -> Issue:
     return Issue("service.install", f"the service needs {error.name or error}", hint=INSTALL)
 
 
-def _auth(asked: Add | List | Revoke) -> Auth:
+def _opened(asked: _Store, make: bool = False) -> Database:
+    """The store that a command works on, made where there is none and that is asked for."""
     try:
         from planner.service.models import Database, default_url
-        from planner.service.security import Auth
     except ImportError as error:
         raise TandemError(not_installed(error)) from error
-    if asked.database is None:
+    if asked.database is None and make:
         try:
             asked.data.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError as error:
             message = f"data folder {asked.data}: cannot be written ({error.strerror}); give another one"
             raise TandemError(Issue("service.start", message, field="data")) from error
-    return Auth(Database(asked.database or default_url(asked.data)))
+    elif asked.database is None and not (asked.data / "tandem.db").is_file():
+        what = f"data folder {asked.data}: there is no store in it; give --data as the service has it"
+        raise TandemError(Issue("service.start", what, field="data"))
+    return Database(asked.database or default_url(asked.data))
 
 
 def _lasts(text: str) -> float:

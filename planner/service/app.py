@@ -34,10 +34,12 @@ from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
 from planner.service import (
     bundled,
+    draft_routes,
     element_routes,
     finding_routes,
     logs,
     metrics,
+    queue_routes,
     release_routes,
     routes,
     webhook_routes,
@@ -89,7 +91,9 @@ LOG_IN_COOKIE: Final = "tandem_log_in"
 """Name of the cookie of a browser that is at the provider."""
 PAGES: Final = {
     "new": "New job",
+    "drafts": "Drafts, cells, tools, templates",
     "compare": "Compare two jobs",
+    "audit": "Audit log",
     "elements": "Building elements",
     "login": "Log in",
 }
@@ -261,6 +265,8 @@ ROUTERS: Final = (
     release_routes.router,
     element_routes.router,
     webhook_routes.router,
+    draft_routes.router,
+    queue_routes.router,
     routes.about_router,
     page_router,
 )

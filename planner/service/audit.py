@@ -8,14 +8,13 @@ the same file, token and release: parts of a file are asked for one by one.
 
 from __future__ import annotations
 
-import datetime as dt
 import json
 from collections.abc import Mapping
 from typing import Any, Final
 
 from sqlalchemy import Connection, RowMapping, delete, func, insert, select
 
-from planner.service.models import AUDIT, JOBS, TOKENS, Act, AuditOut, Database
+from planner.service.models import AUDIT, JOBS, TOKENS, Act, AuditOut, Database, utc
 from planner.service.security import LOCAL, Who
 
 SAME_S: Final = 3600.0
@@ -101,11 +100,10 @@ def _rows(
 
 
 def _out(row: RowMapping) -> AuditOut:
-    at = dt.datetime.fromtimestamp(row["at"], dt.UTC)
     about = json.loads(row["about"])
     return AuditOut(
         number=row["number"],
-        at=at,
+        at=utc(row["at"]),
         by=row["who"],
         team=row["team"],
         act=row["act"],

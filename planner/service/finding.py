@@ -74,6 +74,8 @@ def chosen(query: Select[Any], wanted: Wanted) -> Select[Any]:
         return query.order_by(JOBS.c.label, JOBS.c.id)
     if wanted.sort == "oldest":
         return query.order_by(JOBS.c.created, JOBS.c.id)
+    if wanted.sort == "turn":
+        return query.order_by(JOBS.c.turn, JOBS.c.id)
     return query.order_by(JOBS.c.created.desc(), JOBS.c.id.desc())
 
 
@@ -81,7 +83,7 @@ def cursor(sort: Sort, row: RowMapping) -> str:
     """What the page ends with whose last job is ``row``."""
     if sort == "title":
         return f"{base64.urlsafe_b64encode(row['label'].encode()).decode().rstrip('=')}~{row['id']}"
-    return f"{row['created']!r}-{row['id']}"
+    return f"{row['turn' if sort == 'turn' else 'created']!r}-{row['id']}"
 
 
 def _behind(sort: Sort, cursor: str) -> ColumnElement[bool]:
@@ -99,6 +101,8 @@ def _behind(sort: Sort, cursor: str) -> ColumnElement[bool]:
             label = label.replace("\0", "")
         return or_(JOBS.c.label > label, and_(JOBS.c.label == label, JOBS.c.id > job))
     made, job = float(cursor.split("-")[0]), cursor.split("-")[1]
+    if sort == "turn":
+        return or_(JOBS.c.turn > made, and_(JOBS.c.turn == made, JOBS.c.id > job))
     if sort == "oldest":
         return or_(JOBS.c.created > made, and_(JOBS.c.created == made, JOBS.c.id > job))
     return or_(JOBS.c.created < made, and_(JOBS.c.created == made, JOBS.c.id < job))

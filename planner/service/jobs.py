@@ -8,15 +8,28 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
-import datetime as dt
 import json
 import secrets
 import time
+from bisect import bisect_left
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence, Set
 from typing import Any, Final, NamedTuple
 
 import anyio.to_thread
-from sqlalchemy import Connection, RowMapping, Select, and_, delete, func, insert, not_, or_, select, update
+from sqlalchemy import (
+    Connection,
+    RowMapping,
+    Select,
+    and_,
+    delete,
+    func,
+    insert,
+    not_,
+    or_,
+    select,
+    union,
+    update,
+)
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
@@ -28,6 +41,7 @@ from planner.service.logs import about
 from planner.service.models import (
     CANCELLED,
     DELETED,
+    DRAFTS,
     ELEMENT_JOBS,
     EVENTS,
     FILES,
@@ -44,6 +58,7 @@ from planner.service.models import (
     Release,
     Role,
     Withdrawal,
+    utc,
 )
 from planner.service.security import LOCAL, Auth, Limits, RefusedError, issue_json, unknown_job
 from planner.service.storage import Blob
@@ -81,6 +96,8 @@ class NewJob:
     memory_mb: float
     issues: tuple[Issue, ...] = ()
     of: OfElement | None = None
+    title: str = ""
+    tags: tuple[str, ...] = ()
     id: str = dataclasses.field(default_factory=lambda: secrets.token_hex(16))
 
 
@@ -133,7 +150,7 @@ class Jobs:
         return [job_out(job_row(db, job), self._ahead(db, job)) for job in known]
 
     def _created(self, db: Connection, new: NewJob) -> JobOut:
-        job = new.id
+        job, now = new.id, time.time()
         row = {
             "id": job,
             "owner": new.owner,
@@ -142,11 +159,12 @@ class Jobs:
             "key": new.key,
             "processes": json.dumps(new.processes),
             "state": "queued",
-            "created": time.time(),
+            "created": now,
+            "turn": now,
             "timeout_s": new.timeout_s,
             "memory_mb": new.memory_mb,
             "issues": issues_json(new.issues),
-            **finding.described(new.name, "", (), ""),
+            **finding.described(new.name, new.title, new.tags, ""),
         }
         db.execute(insert(JOBS).values(row))
         put_files(db, job, new.files)
@@ -187,8 +205,11 @@ class Jobs:
             query = query.where(JOBS.c.id.in_(of.where(ELEMENT_JOBS.c.role == role)))
         with self._database.read() as db:
             rows = db.execute(finding.chosen(query, wanted).limit(count + 1)).mappings().all()
+            turns = select(JOBS.c.turn).where(JOBS.c.state == "queued").order_by(JOBS.c.turn)
+            waiting = db.execute(turns).scalars().all() if any(r["state"] == "queued" for r in rows) else ()
         last = finding.cursor(wanted.sort, rows[count - 1]) if len(rows) > count else None
-        return [job_out(row) for row in rows[:count]], last
+        places = [bisect_left(waiting, row["turn"]) if row["state"] == "queued" else None for row in rows]
+        return [job_out(*one) for one in zip(rows[:count], places, strict=False)], last
 
     def describe(self, job: str, change: Mapping[str, Any]) -> JobOut:
         """Give a job the ``title``, ``tags`` and ``notes`` of a change; what it does not have stays. Raises
@@ -230,6 +251,24 @@ class Jobs:
             metrics.ended("cancelled")
         return done
 
+    def first(self, job: str) -> JobOut:
+        """Let a job take the first turn of those of its owner that wait; each of those before it takes the
+        next one's. Raises :class:`RefusedError`, 404, 409 where it does not wait."""
+        with self._database.write() as db:
+            owner = job_row(db, job)["owner"]
+            self._database.one_at_a_time(db, f"turns {owner}")
+            row = job_row(db, job)
+            if row["state"] != "queued":
+                what = f"job {job}: it is {row['state']}; only jobs that wait can come first"
+                raise RefusedError(409, Issue("service.state", what, field="state"))
+            waits = (JOBS.c.owner == owner, JOBS.c.state == "queued", JOBS.c.turn <= row["turn"])
+            query = select(JOBS.c.id, JOBS.c.turn).where(*waits).order_by(JOBS.c.turn, JOBS.c.id)
+            rows = db.execute(query).all()
+            before = [one.id for one in rows if one.id != job]
+            for one, turn in zip([job, *before], [row.turn for row in rows], strict=True):
+                db.execute(update(JOBS).where(JOBS.c.id == one).values(turn=turn))
+            return job_out(job_row(db, job), self._ahead(db, job))
+
     def retry(self, job: str, by: str) -> JobOut:
         """Let a job wait again as if it had come now, its results gone, as the token ``by`` asks. Raises
         :class:`RefusedError`, 404, 409 where its state is not one of `AGAIN`, 429 as :meth:`create`."""
@@ -249,7 +288,8 @@ class Jobs:
             fresh = {"state": "queued", "stage": "", "fraction": 0.0, "issues": "[]", "metrics": "{}"}
             none = dict.fromkeys(("started", "finished", "seconds", "host", "lease"))
             zero = dict.fromkeys(("attempts", "cancel", "from_store"), 0)
-            values = {**fresh, **none, **zero, "created": time.time()}
+            now = time.time()
+            values = {**fresh, **none, **zero, "created": now, "turn": now}
             db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
             record_event(db, job, "issues", {"issues": [], "all": True})
             record_event(db, job, "state", {"state": "queued"})
@@ -271,12 +311,14 @@ class Jobs:
             return set(db.execute(select(FILES.c.sha).where(FILES.c.sha.in_(shas)).distinct()).scalars())
 
     def owned(self, owner: str) -> dict[str, int]:
-        """The content that an owner's jobs name: sizes [bytes] by SHA-256."""
-        query = (
+        """The content that an owner's jobs and drafts name: sizes [bytes] by SHA-256."""
+        named = (
             select(FILES.c.sha, FILES.c.size)
-            .join_from(FILES, JOBS, FILES.c.job == JOBS.c.id)
-            .where(JOBS.c.owner == owner)
+            .join_from(FILES, table, FILES.c.job == table.c.id)
+            .where(table.c.owner == owner)
+            for table in (JOBS, DRAFTS)
         )
+        query = union(*named)
         with self._database.read() as db:
             return dict(row.tuple() for row in db.execute(query).all())
 
@@ -298,7 +340,7 @@ class Jobs:
         row = job_row(db, job)
         if row["state"] != "queued":
             return None
-        earlier = and_(JOBS.c.state == "queued", JOBS.c.created < row["created"])
+        earlier = and_(JOBS.c.state == "queued", JOBS.c.turn < row["turn"])
         return int(db.execute(select(func.count()).select_from(JOBS).where(earlier)).scalar_one())
 
     def _allow(self, db: Connection, new: Sequence[NewJob]) -> None:
@@ -420,9 +462,9 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
         processes=json.loads(row["processes"]),
         by=row["made_by"],
         digest=row["digest"],
-        created=_utc(row["created"]),
-        started=None if row["started"] is None else _utc(row["started"]),
-        finished=None if row["finished"] is None else _utc(row["finished"]),
+        created=utc(row["created"]),
+        started=None if row["started"] is None else utc(row["started"]),
+        finished=None if row["finished"] is None else utc(row["finished"]),
         seconds=row["seconds"],
         attempts=row["attempts"],
         from_store=bool(row["from_store"]),
@@ -444,14 +486,10 @@ def _release(row: RowMapping) -> Release | None:
         return None
     withdrawn = None
     if row["release_withdrawn"] is not None:
-        at = _utc(row["release_withdrawn"])
+        at = utc(row["release_withdrawn"])
         withdrawn = Withdrawal(by=row["release_withdrawn_who"], at=at, reason=row["release_reason"])
-    at, note = _utc(row["release_at"]), row["release_note"]
+    at, note = utc(row["release_at"]), row["release_note"]
     return Release(by=row["release_who"], at=at, note=note, withdrawn=withdrawn)
-
-
-def _utc(seconds: float) -> dt.datetime:
-    return dt.datetime.fromtimestamp(seconds, dt.UTC)
 
 
 _LAST: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOBS.c.releases)

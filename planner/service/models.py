@@ -104,12 +104,14 @@ JOBS: Final = Table(
     Column("notes", Text, nullable=False, default=""),
     Column("label", String(200), nullable=False, default=""),
     Column("sought", Text, nullable=False, default=""),
+    Column("turn", Float, nullable=False, default=0.0),
     Index("tandem_jobs_by_owner", "owner", "created", "id"),
 )
 """``key``: what the answer depends on, the problem's digest and the versions. ``host`` works on the job until
 ``lease``. ``seq`` is the number of the job's last event. ``cancel``: 1 cancelled, 2 deleted too. ``releases``
 is the number of the job's last release. ``tags`` are framed by line ends. Without capitals, ``label`` is the
-title, or name, by which jobs are sorted, and ``sought`` all words by which they are found."""
+title, or name, by which jobs are sorted, and ``sought`` all words by which they are found. Jobs that wait
+are planned in the order of ``turn``, which is when they came unless their owner has changed it."""
 
 CANCELLED: Final = 1
 """In a job's column `cancel`: its owner wants it to end."""
@@ -231,6 +233,32 @@ AUDIT: Final = Table(
 )
 """Who did what, in the order of ``number``; it outlives jobs and tokens."""
 
+DRAFTS: Final = Table(
+    "tandem_drafts",
+    METADATA,
+    Column("id", String(32), primary_key=True),
+    Column("owner", String(32), nullable=False, index=True),
+    Column("kind", String(16), nullable=False),
+    Column("title", String(200), nullable=False),
+    Column("version", Integer, nullable=False),
+    Column("created", Float, nullable=False),
+    Column("changed", Float, nullable=False),
+)
+"""Problems in the making, and cells, tools and templates that people keep, by ``kind``; the number of the
+last ``version``. Their content is in `FILES`, by its hash, under the draft's id."""
+
+DRAFT_VERSIONS: Final = Table(
+    "tandem_draft_versions",
+    METADATA,
+    Column("draft", String(32), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("at", Float, nullable=False),
+    Column("who", String(200), nullable=False),
+    Column("problem", String(64), nullable=False),
+    Column("files", Text, nullable=False),
+)
+"""What a draft was: SHA-256 of its ``problem``, and of its ``files`` by name."""
+
 SCHEMA: Final = Table(
     "tandem_schema", METADATA, Column("version", Integer, primary_key=True, autoincrement=False)
 )
@@ -312,6 +340,16 @@ class Database:
         self._engine.dispose()
 
 
+def utc(seconds: float) -> dt.datetime:
+    """A time of the store as it is sent."""
+    return dt.datetime.fromtimestamp(seconds, dt.UTC)
+
+
+def moment(at: dt.datetime) -> str:
+    """A time as people are told it."""
+    return f"{at:%Y-%m-%d %H:%M:%S UTC}"
+
+
 def default_url(data: Path) -> str:
     """The URL of the SQLite file in the data folder."""
     return f"sqlite:///{data.resolve() / 'tandem.db'}"
@@ -383,11 +421,12 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 12
+API: Final = 13
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
-log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks like, maps of a freedom."""
+log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks like, maps of a freedom.
+13: drafts, the order of the queue, sweeps, estimates of what is left."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -415,7 +454,7 @@ TokenRole = Literal["view", "plan", "release"]
 TOKEN_ROLES: Final[tuple[TokenRole, ...]] = ("view", "plan", "release")
 """Roles of tokens, each of which includes the former: to look at everything; to make, change and delete
 jobs, and to hand links out; to release programs."""
-Sort = Literal["newest", "oldest", "title"]
+Sort = Literal["newest", "oldest", "title", "turn"]
 Mark = Literal["cut", "glued", "broken"]
 Act = Literal["submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked"]
 
@@ -683,128 +722,6 @@ class SessionOut(Sent):
     team: str | None = Field(None, description="those of its tokens see one another's jobs")
     tokens: bool = Field(description="whether this service asks for tokens")
     expires: dt.datetime | None = Field(None, description="end of the token")
-
-
-Rows = list[list[float | None]]
-"""Figures by target and value, nothing where there are none."""
-
-
-class CellField(Sent):
-    """A field of the problem that says where something stands, with the pose that it states or has got."""
-
-    field: str
-    xyz_mm: list[float]
-    rpy_deg: list[float]
-
-
-class CellMove(Sent):
-    """What stands where ``fields`` say, and the bodies that go along with it."""
-
-    name: str
-    kind: Literal["stock", "arm", "obstacle"]
-    bodies: list[str]
-    fields: list[CellField]
-
-
-class CellBody(Sent):
-    """Triangles in the frame of a body: ``vertices`` [mm], three numbers each, and ``faces``, three indices
-    each. ``color``: red, green, blue, opacity in 0..1."""
-
-    body: str
-    kind: Literal["link", "tool", "edge", "stock", "support", "obstacle", "part"]
-    color: list[float] | None = None
-    vertices: list[float]
-    faces: list[int]
-
-
-class CellArm(Sent):
-    """An arm and its joints; ``works``: whether it takes part in the operation."""
-
-    name: str
-    robot: str
-    works: bool
-    home_deg: list[float]
-    lower_deg: list[float]
-    upper_deg: list[float]
-
-
-class CellTarget(Sent):
-    """A target that was looked at: where its tool points are in the world, the number of its ``posture``, and
-    the ``faults`` where there is none."""
-
-    index: int
-    name: str
-    points_mm: dict[str, list[float]]
-    posture: int | None = None
-    faults: list[Issue]
-
-
-class FreedomOut(Sent):
-    """What there is a map of: a freedom of the targets, or a way of the block's place (``place x``)."""
-
-    name: str
-    unit: Literal["deg", "mm", ""]
-
-
-class FreedomMap(Sent):
-    """A map of one freedom over the targets that were looked at: ``values`` by target. ``states`` by arm are
-    numbers of ``codes``, 0 where nothing fails; distances to joint limits and to singular postures are those
-    of the best state, ``clearance_mm`` is between bodies where nothing fails, at most 100. ``pairs``: bodies
-    that are too near each other."""
-
-    freedom: str
-    unit: Literal["deg", "mm", ""]
-    values: list[list[float]]
-    states: dict[str, list[list[int]]]
-    codes: list[str]
-    limit_deg: dict[str, Rows]
-    singular_deg: dict[str, Rows]
-    clearance_mm: Rows
-    pairs: list[list[str]]
-    path: list[float | None] | None = Field(
-        default=None, description="values of a plan of the same targets, nothing at those that it left out"
-    )
-
-
-class ReachOut(Sent):
-    """What each arm can do over a standing block, at places on a grid that is ``pitch_mm`` apart along its
-    edges: ``states`` by arm are numbers of ``codes``, 0 where it reaches within its limits. At a place the
-    tool is turned as at the nearest of so many working ``targets``; ``samples`` of what the process leaves
-    free were looked at, bodies were not held apart."""
-
-    points_mm: list[list[float]]
-    pitch_mm: list[float]
-    states: dict[str, list[int]]
-    codes: list[str]
-    targets: int
-    samples: int
-
-
-class CellOut(Sent):
-    """What a cell looks like to an operation. ``poses``: of each body at home, then in every posture, twelve
-    numbers each: the upper rows of its matrix in the world, places in mm. ``joints_deg``: the joints of these
-    postures. ``placed``: whether the block's place is stated or found. ``of``: targets that there are."""
-
-    name: str
-    digest: str
-    issues: list[Issue]
-    operation: int
-    operations: list[str]
-    setup: int
-    placed: bool
-    arms: list[CellArm]
-    moves: list[CellMove]
-    bodies: list[CellBody]
-    poses: dict[str, list[list[float]]]
-    of: int | None = None
-    targets: list[CellTarget] | None = None
-    joints_deg: dict[str, list[list[float]]] | None = None
-    wires_mm: list[list[list[float]]] | None = Field(
-        default=None, description="the bent wire between the arms in each posture but home"
-    )
-    freedoms: list[FreedomOut] | None = None
-    map: FreedomMap | None = None
-    reach: ReachOut | None = None
 
 
 class Health(Sent):

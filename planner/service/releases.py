@@ -7,7 +7,6 @@ the one that the proof names. A release holds until it is withdrawn, and belongs
 
 from __future__ import annotations
 
-import datetime as dt
 import hashlib
 import json
 from collections.abc import Mapping
@@ -18,7 +17,17 @@ from sqlalchemy import Connection, RowMapping, insert, select, update
 from planner.issues import Issue
 from planner.service import audit
 from planner.service.jobs import job_files, job_row
-from planner.service.models import JOBS, RELEASES, Database, JobOut, Release, ReleaseOut, Withdrawal
+from planner.service.models import (
+    JOBS,
+    RELEASES,
+    Database,
+    JobOut,
+    Release,
+    ReleaseOut,
+    Withdrawal,
+    moment,
+    utc,
+)
 from planner.service.security import LOCAL, RefusedError, Who
 from planner.service.storage import Blob, Files
 
@@ -56,7 +65,7 @@ class Releases:
             row = _held(db, job)
             last = _last(db, job)
             if last is not None and last["withdrawn"] is None:
-                what = f"job {job}: {last['who']} released it, {_moment(last['at'])}; withdraw that first"
+                what = f"job {job}: {last['who']} released it, {moment(utc(last['at']))}; withdraw that first"
                 raise RefusedError(409, Issue("service.release", what))
             if job_files(db, job) != files:  # whatever made them others, it was not looked at
                 raise _not_releasable(job, "its files were changed meanwhile", "look at it again")
@@ -105,9 +114,9 @@ class Releases:
             said |= {"digest": job.digest, "programs": _programs(files), "release": None}
         for one in known:
             withdrawn = one.withdrawn
-            taken = withdrawn and f"; withdrawn by {withdrawn.by}, {_moment(withdrawn.at.timestamp())}"
+            taken = withdrawn and f"; withdrawn by {withdrawn.by}, {moment(withdrawn.at)}"
             said["released"] = withdrawn is None
-            said["says"] = f"released by {one.by}, {_moment(one.at.timestamp())}{taken or ''}"
+            said["says"] = f"released by {one.by}, {moment(one.at)}{taken or ''}"
             said |= {"digest": one.digest, "proof": one.proof, "programs": one.programs}
             said["release"] = one.model_dump(mode="json", include={"by", "at", "note", "withdrawn"})
         content = (json.dumps(said, indent=1, ensure_ascii=False) + "\n").encode()
@@ -212,11 +221,11 @@ def _not_releasable(job: str, what: str, way: str) -> RefusedError:
 def _out(job: RowMapping, row: RowMapping) -> ReleaseOut:
     withdrawn = None
     if row["withdrawn"] is not None:
-        at = dt.datetime.fromtimestamp(row["withdrawn"], dt.UTC)
+        at = utc(row["withdrawn"])
         withdrawn = Withdrawal(by=row["withdrawn_who"], at=at, reason=row["reason"])
     return ReleaseOut(
         by=row["who"],
-        at=dt.datetime.fromtimestamp(row["at"], dt.UTC),
+        at=utc(row["at"]),
         note=row["note"],
         withdrawn=withdrawn,
         job=row["job"],
@@ -225,7 +234,3 @@ def _out(job: RowMapping, row: RowMapping) -> ReleaseOut:
         proof=row["proof"],
         programs=json.loads(row["programs"]),
     )
-
-
-def _moment(seconds: float) -> str:
-    return dt.datetime.fromtimestamp(seconds, dt.UTC).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -31,6 +31,7 @@ from planner.files import RELEASE
 from planner.issues import Issue, has_errors
 from planner.service import audit, idempotency, metrics, releases
 from planner.service.answers import HEAD, MadeFile, is_known, packed, stored_file, tagged
+from planner.service.cell_models import CellOut
 from planner.service.finding import Wanted
 from planner.service.jobs import Stream
 from planner.service.logs import about
@@ -39,7 +40,6 @@ from planner.service.models import (
     OLDEST_API,
     OPEN,
     Catalogue,
-    CellOut,
     CheckOut,
     FileList,
     FileOut,
@@ -575,7 +575,7 @@ def page(
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
     search: Annotated[Line, Query(description="all of these words in name, title, tags or notes")] = "",
     tag: Annotated[list[Tag] | None, Query(max_length=10, description="with all of these tags")] = None,
-    sort: Annotated[Sort, Query(description="by when they were made, or by title, or name")] = "newest",
+    sort: Annotated[Sort, Query(description="when made, title or name, whose turn")] = "newest",
 ) -> Response:
     """Yours and those of your team, a page at a time; 304 for who asks again with
     ``If-None-Match`` and has it as it is."""

@@ -65,8 +65,8 @@ class Work:
         """The next job that waits, now held by this host; None where there is none.
 
         Owners with fewer running jobs come first, then elements to divide or to report on, which somebody
-        looks at, then the older job. A job whose like is running waits, and one whose like is done gets that
-        answer. A panel waits for the one beside it that it is planned like.
+        looks at, then the job whose turn is earlier. A job whose like is running waits, and one whose like is
+        done gets that answer. A panel waits for the one beside it that it is planned like.
         """
         waiting = select(JOBS.c.id).where(JOBS.c.state == "queued").limit(1)
         while True:
@@ -121,7 +121,7 @@ class Work:
         return (
             select(JOBS)
             .where(JOBS.c.state == "queued", JOBS.c.key.not_in(same), JOBS.c.id.not_in(after))
-            .order_by(running, case((JOBS.c.id.in_(seen), 0), else_=1), JOBS.c.created, JOBS.c.id)
+            .order_by(running, case((JOBS.c.id.in_(seen), 0), else_=1), JOBS.c.turn, JOBS.c.id)
             .limit(1)
             .with_for_update(of=JOBS, skip_locked=True)
         )

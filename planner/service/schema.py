@@ -13,7 +13,7 @@ from typing import Final
 
 from sqlalchemy import Connection, MetaData, inspect, text
 
-VERSION: Final = 5
+VERSION: Final = 6
 """Version of the tables that this program reads and writes."""
 UNNUMBERED: Final = 1
 """Version of a store that has jobs and does not say which it is."""
@@ -68,6 +68,17 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
         "ALTER TABLE tandem_jobs ADD COLUMN label VARCHAR(200) NOT NULL DEFAULT ''",
         "ALTER TABLE tandem_jobs ADD COLUMN sought TEXT NOT NULL DEFAULT ''",
         "UPDATE tandem_jobs SET label = lower(name), sought = lower(name)",  # names are plain letters
+    ),
+    5: (
+        "ALTER TABLE tandem_jobs ADD COLUMN turn FLOAT NOT NULL DEFAULT 0",
+        "UPDATE tandem_jobs SET turn = created",
+        "CREATE TABLE tandem_drafts (id VARCHAR(32) NOT NULL, owner VARCHAR(32) NOT NULL, "
+        "kind VARCHAR(16) NOT NULL, title VARCHAR(200) NOT NULL, version INTEGER NOT NULL, "
+        "created FLOAT NOT NULL, changed FLOAT NOT NULL, PRIMARY KEY (id))",
+        "CREATE INDEX ix_tandem_drafts_owner ON tandem_drafts (owner)",
+        "CREATE TABLE tandem_draft_versions (draft VARCHAR(32) NOT NULL, number INTEGER NOT NULL, "
+        "at FLOAT NOT NULL, who VARCHAR(200) NOT NULL, problem VARCHAR(64) NOT NULL, files TEXT NOT NULL, "
+        "PRIMARY KEY (draft, number))",
     ),
 }
 """What brings a store of each version to the next one."""

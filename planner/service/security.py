@@ -27,6 +27,7 @@ from sqlalchemy.exc import IntegrityError
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+import planner
 from planner.issues import Issue, TandemError
 from planner.service.models import SECRETS, SESSIONS, TOKEN_ROLES, TOKENS, Database, TokenRole
 
@@ -58,6 +59,7 @@ class Limits:
     check_memory_mb: float = 4096.0
     streams: int = 100
     requests_per_s: float | None = 50.0
+    drafts: int = 500
     keep_days: float | None = None
     audit_days: float | None = 1095.0
 
@@ -412,8 +414,10 @@ HEADERS: Final = {
     "X-Frame-Options": "SAMEORIGIN",
     "Referrer-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
+    "Tandem-Version": planner.__version__,
 }
-"""Headers of every answer: nothing is guessed, framed or told to other sites."""
+"""Headers of every answer: nothing is guessed, framed or told to other sites; a page that was left open sees
+by the version that the service was updated."""
 
 
 PROBES: Final = frozenset({"/v1/health", "/v1/ready"})

@@ -26,7 +26,9 @@ from starlette.requests import Request
 
 from planner.batch.job import PROBLEM, all_versions
 from planner.issues import Issue, TandemError
+from planner.service.drafts import Drafts
 from planner.service.elements import Elements
+from planner.service.estimates import Estimates
 from planner.service.idempotency import Once
 from planner.service.jobs import Hub, Jobs, NewJob, OfElement
 from planner.service.models import Database, JobOut, default_url
@@ -122,6 +124,8 @@ class Service:
             on_newer=self._sender.stop,
         )
         self.elements = Elements(self)
+        self.estimates = Estimates(self.database)
+        self.drafts = Drafts(self.database, self.limits)
         self.releases = Releases(self.database, self.files)
         self._turns: dict[str, anyio.Semaphore] = {}
         self._readers = anyio.CapacityLimiter(options.examiners)
@@ -226,15 +230,17 @@ class Service:
         reading: Reading | None = None,
         targets: int | None = None,
         cell: Mapping[str, Any] | None = None,
+        fields: Mapping[str, Any] | None = None,
     ) -> Examined:
-        """Read an upload; one that was read is known again. Raises :class:`RefusedError`, 413, 422, or 499
-        where ``reading`` is broken off."""
+        """Read an upload, with ``fields`` in place of its own; one that was read is known again. Raises
+        :class:`RefusedError`, 413, 422, or 499 where ``reading`` is broken off."""
         rows = [
             upload.problem.sha,
             reach,
             draw,
             targets,
             sorted((cell or {}).items()),
+            sorted((fields or {}).items()),
             sorted((name, blob.sha) for name, blob in upload.files.items()),
         ]
         key = hashlib.sha256(json.dumps(rows).encode()).hexdigest()
@@ -243,7 +249,9 @@ class Service:
         if known is None:
             uploads = {name: self.files.path(blob.sha) for name, blob in upload.files.items()}
             problem = self.files.path(upload.problem.sha)
-            known = _readable(self._examiners.examine(problem, uploads, reach, draw, reading, targets, cell))
+            known = _readable(
+                self._examiners.examine(problem, uploads, reach, draw, reading, targets, cell, fields)
+            )
             if draw or cell:  # pictures are large, and asked for once
                 return known
             with self._read_lock:
@@ -265,6 +273,33 @@ class Service:
         read = self.examine(upload, reading=reading)
         files = self.stored(owner, {PROBLEM: read}, upload.files)[PROBLEM]
         return self.jobs.create(self.new_job(owner, read.name, read, files, timeout_s, memory_mb), once)
+
+    def sweep(
+        self,
+        owner: str,
+        upload: Upload,
+        field: str,
+        values: Sequence[Any],
+        tag: str,
+        reading: Reading,
+        once: Once | None = None,
+    ) -> list[JobOut]:
+        """A job for each value of a field, all or none; raises as :meth:`create`."""
+        read: dict[str, Examined] = {}
+        for number, value in enumerate(values):
+            try:
+                read[str(number)] = self.examine(upload, reading=reading, fields={field: value})
+            except RefusedError as refused:
+                said = f"{field} = {json.dumps(value, ensure_ascii=False)[:80]}: "
+                issues = [dataclasses.replace(one, message=said + one.message) for one in refused.issues]
+                raise RefusedError(refused.status, issues, refused.headers) from refused
+        files = self.stored(owner, read, upload.files, PROBLEM)
+        jobs = []
+        for (name, one), value in zip(read.items(), values, strict=True):
+            title = f"{one.name}: {field} = {value if isinstance(value, str) else json.dumps(value)}"[:200]
+            new = self.new_job(owner, one.name, one, files[name])
+            jobs.append(dataclasses.replace(new, title=title, tags=(tag,)))
+        return self.jobs.create_all(jobs, once)
 
     def examine_element(
         self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: Reading

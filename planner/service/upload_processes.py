@@ -177,11 +177,12 @@ class Examiners:
         reading: Reading | None = None,
         targets: int | None = None,
         cell: Mapping[str, Any] | None = None,
+        fields: Mapping[str, Any] | None = None,
     ) -> Examined:
         """As :func:`planner.service.upload_reader.examine`, in a process of its own; raises
         :class:`RefusedError`, 503, where the service stops meanwhile, 499 where ``reading`` is broken off."""
         more = {"problem": str(problem), "reach": reach, "draw": draw, "facets": self._facets}
-        more |= {"targets": targets, "kept": str(self._kept), "cell": cell}
+        more |= {"targets": targets, "kept": str(self._kept), "cell": cell, "fields": fields}
         return self._asked("examine", uploads, more, reading)[0]
 
     def examine_element(
@@ -388,7 +389,7 @@ def _read_on(answers: TextIO) -> None:
             else:
                 given = (folder, Path(asked["problem"]), files, asked["facets"])
                 more = (asked["reach"], asked["draw"], asked["targets"], Path(asked["kept"]))
-                found = [examine(*given, *more, cell=asked["cell"])]
+                found = [examine(*given, *more, cell=asked["cell"], fields=asked["fields"])]
             answer = json.dumps([_to_json(one) for one in found])
         except MemoryError:
             os._exit(1)  # who asked says what it means

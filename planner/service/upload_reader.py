@@ -501,6 +501,7 @@ def examine(
     targets: int | None = None,
     kept: Path | None = None,
     cell: Mapping[str, Any] | None = None,
+    fields: Mapping[str, Any] | None = None,
 ) -> Examined:
     """Read the problem in the file ``problem``; ``uploads`` {name that the user gave: stored file}.
 
@@ -508,6 +509,7 @@ def examine(
     With ``reach`` the targets are made and reach is tested, at about so many ``targets`` where they are
     given; those made are kept in the folder ``kept``. With ``draw`` there are ``shapes`` for the page, with
     ``cell`` there is what :func:`planner.service.cell_view.view` draws for these arguments.
+    ``fields`` take the place of those that the problem has.
     """
     faults = [*_archives(uploads), *_large_meshes(uploads, facets)]
     if faults:
@@ -515,7 +517,10 @@ def examine(
     uploaded = Uploaded(folder, uploads)
     shutil.copyfile(problem, folder / PROBLEM)
     try:
-        document, faults = uploaded.inside(strict_yaml.read(folder / PROBLEM))
+        document = strict_yaml.read(folder / PROBLEM)
+        wrong = [*_replaced(document.data, fields or {})]
+        document, faults = uploaded.inside(document)
+        faults = [*wrong, *faults]
         if faults:
             return Examined(uploaded.in_user_names([*faults, *_other_faults(document)]))
         read = problem_file.build(document, processes.readers())

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from typing import Annotated, Any, Final
 
 import anyio.to_thread
 from fastapi import APIRouter, Path, Request, Response
 
-from planner.service.models import NewWebhook, WebhookList, WebhookMade, WebhookOut
+from planner.service.models import NewWebhook, WebhookList, WebhookMade, WebhookOut, utc
 from planner.service.routes import ASKED, Caller, Here, refusals
 from planner.service.texts import described, read_body
 
@@ -54,8 +53,6 @@ def remove(webhook: Number, owner: Caller, here: Here) -> Response:
 
 
 def _told(row: Any) -> dict[str, Any]:
-    def moment(name: str) -> dt.datetime | None:
-        return None if row[name] is None else dt.datetime.fromtimestamp(row[name], dt.UTC)
-
     known = {name: row[name] for name in ("id", "url", "outcome")}
-    return known | {name: moment(name) for name in ("created", "told", "off")}
+    times = {name: row[name] for name in ("created", "told", "off")}
+    return known | {name: at if at is None else utc(at) for name, at in times.items()}

@@ -264,6 +264,7 @@ NONE: Final = {
             "service.timeout", "service.version", "service.backup", "service.idempotency", "service.webhook",
             "output.disk_full", "service.state", "service.not_planning",
             "upload.not_looked_at", "service.role", "service.release", "service.log_in", "service.damaged",
+            "service.draft",
         ),
         STATE,
     ),

@@ -32,11 +32,18 @@ GOOD: Final[Mapping[str, dict[str, Any]]] = {
     "PATCH /v1/jobs/{job}": {"json": {"title": "Gewölbe 3"}},
     "POST /v1/jobs/delete": {"json": {"jobs": [NOBODY]}},
     "POST /v1/cell": {"files": [("problem", ("p.yaml", named("drawn"))), FILES[1]]},
+    "POST /v1/sweeps": {
+        "files": [("problem", ("p.yaml", named("swept"))), FILES[1]],
+        "params": {"field": "name", "value": ["swept_a", "swept_b"]},
+    },
     "POST /v1/jobs/{job}/links": {"params": {"name": "report.html"}},
     "POST /v1/jobs/{job}/release": {"json": {"note": "cut of Tuesday"}},
     "POST /v1/jobs/{job}/withdraw": {"json": {"reason": "the clamp moved"}},
     "POST /v1/elements/{element}/divide": {"json": {"fields": {"panels.hexagons.count": 26}}},
     "POST /v1/elements/{element}/plan": {"json": {"panels": ["A02"]}},
+    "POST /v1/drafts": {"files": FILES, "params": {"title": "Gewölbe 3"}},
+    "PUT /v1/drafts/{draft}": {"files": FILES, "headers": {"If-Match": "*"}},
+    "PATCH /v1/drafts/{draft}": {"json": {"title": "Gewölbe 4"}},
     "POST /v1/webhooks": {"json": {"url": "http://127.0.0.1:9/told"}},
     "POST /v1/elements/{element}/mark": {"json": {"panel": "A01", "state": "cut"}},
 }
@@ -81,7 +88,9 @@ def ids(here: Elements, tmp_path_factory: pytest.TempPathFactory) -> dict[str, s
     for one in here.http.post(f"/v1/elements/{element}/plan", json={"panels": ["A01"]}).json()["jobs"]:
         here.ended(one["id"])  # there is something to report on
     hook = here.http.post("/v1/webhooks", **GOOD["POST /v1/webhooks"]).json()["id"]
-    return {"job": job, "element": element, "name": "targets", "kind": "robots", "webhook": hook}
+    draft = here.http.post("/v1/drafts", **GOOD["POST /v1/drafts"]).json()["id"]
+    own = {"job": job, "element": element, "draft": draft, "number": "1", "webhook": hook}
+    return {**own, "name": "targets", "kind": "robots"}
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +120,8 @@ def limited(here: InProcess, **limits: float) -> Iterator[None]:
 
 def address(path: str, ids: Mapping[str, str]) -> str:
     own = {**ids, "name": "report.html"} if "/files/" in path else ids
+    if "/versions/" in path:
+        own["name"] = "targets.csv"
     return re.sub(r"{(\w+)}", lambda found: own[found[1]], path)
 
 
@@ -160,10 +171,12 @@ def provoked(
             out.add(status(params={"job": NOBODY}))
         if parameter["in"] == "header" and "maxLength" in str(parameter["schema"]):
             out.add(status(headers={parameter["name"]: "~" * 300}))
+    if way == "PUT":
+        out |= {status(headers={}), status(headers={"If-Match": '"0"'})}
     if "requestBody" in about:
         for content in (b"\xff{", b" " * int(UPLOAD_MB * 1e6 + 1)):
             out.add(status(content=content, files=None, json=None))
-    if "{name}" in path or path.endswith(".zip"):
+    if "{name}" in path or path.endswith((".zip", "/problem")):
         out.add(status(headers={"Range": "bytes=999999-"}))
     with limited(here, readings=0, open_jobs=0, kept_jobs=0, streams=0):
         out.add(upload())

@@ -100,9 +100,11 @@ def served(
         "job: missing": f"{server}/ui/jobs/{'0' * 32}",
         "compare": f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}",
         "compare: none": f"{server}/ui/compare",
+        "drafts": f"{server}/ui/drafts",
         "elements": f"{server}/ui/elements",
         "element": element,
         "element: missing": f"{server}/ui/elements/{'0' * 32}",
+        "audit": f"{server}/ui/audit",
         "login": f"{server}/ui/login",
     }
 
@@ -156,9 +158,11 @@ PAGES: Final = (
     "job: missing",
     "compare",
     "compare: none",
+    "drafts",
     "elements",
     "element",
     "element: missing",
+    "audit",
     "login",
 )
 

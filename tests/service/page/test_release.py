@@ -127,3 +127,29 @@ def test_who_releases_says_so_where_no_tokens_are_asked_for(page: Page, server: 
     taken = client.withdraw(job, "a test", name="Ann")
     assert taken["withdrawn"]["by"] == "Ann"
     assert [one["by"] for one in client.releases(job)] == ["רות 3"]
+
+
+def test_who_may_release_sees_what_was_done(page: Page, shop: tuple[str, str, dict[str, str]]) -> None:
+    url, job, tokens = shop
+    login(page, url, tokens["ann"])
+    page.goto(url)
+    page.get_by_role("link", name="Audit", exact=True).click()
+    expect(page.locator("#rows")).to_contain_text("submitted")
+    page.get_by_label("What was done").select_option("submitted")
+    expect(page.locator("#rows tr")).to_have_count(1)
+    expect(page.locator("#rows tr")).to_contain_text("bob")
+    page.get_by_label("Of the job").fill("0" * 32)
+    expect(page.get_by_text("Nothing of this was done.")).to_be_visible()
+    page.get_by_label("Of the job").fill("<b>x</b>")
+    expect(page.locator("#banner")).to_contain_text("job")
+    page.get_by_label("Of the job").fill(job)
+    expect(page.locator("#rows tr")).to_have_count(1)
+    page.get_by_label("Of the job").fill("")  # a long one is moved in its field
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
+    page.context.clear_cookies()
+    login(page, url, tokens["bob"])
+    page.goto(f"{url}/ui/audit")
+    expect(page.locator("#banner")).to_contain_text("the role release")
+    expect(page.get_by_role("link", name="Audit", exact=True)).to_be_hidden()

@@ -1,5 +1,19 @@
 // The service's HTTP API. A refusal becomes a Refused error with its issues.
 
+import { h } from "./dom.js";
+
+const version = document.querySelector(".version")?.textContent;
+let told = false;
+
+// A page that was left open while the service was updated says so, once.
+function compare(answer) {
+  const now = answer.headers.get("Tandem-Version");
+  if (told || !now || !version || now === version) return;
+  told = true;
+  const again = h("button", { type: "button", class: "small", onclick: () => location.reload() }, "Load it anew");
+  document.querySelector("main").prepend(h("p", { class: "banner warn", id: "outdated", role: "alert" }, `The service was updated to ${now}, and this page is of ${version}. What a draft has stays. `, again));
+}
+
 export class Refused extends Error {
   constructor(status, issues) {
     super(issues.map((issue) => issue.message).join("; "));
@@ -18,6 +32,7 @@ async function ask(path, options = {}) {
     if (error.name === "AbortError") throw error;
     throw new Unreachable("the service cannot be reached");
   }
+  compare(answer);
   if (answer.ok) return answer;
   let issues = [];
   try {
@@ -37,6 +52,7 @@ export const json = async (path, options) => (await ask(path, options)).json();
 export const text = async (path, options) => (await ask(path, options)).text();
 export const blob = async (path, options) => (await ask(path, options)).blob();
 export const post = (path, options = {}) => ask(path, { method: "POST", ...options });
+export const put = (path, options = {}) => ask(path, { method: "PUT", ...options });
 export const remove = (path) => ask(path, { method: "DELETE" });
 
 // The body of a job: the problem as JSON, or as the file that the user gave, and the files that it names.

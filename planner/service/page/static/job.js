@@ -2,6 +2,7 @@
 import { fileOf, job as path, json, post, remove } from "./api.js";
 import { badge, banner, me, tell } from "./common.js";
 import { drawDescription, setUpDescription } from "./describe.js";
+import { Estimate } from "./estimate.js";
 import { $, announce, h, icon, show } from "./dom.js";
 import { errors, issueItem, issueList, sorted } from "./issues.js";
 import { outcomeOf } from "./outcome.js";
@@ -13,6 +14,7 @@ const MOST = 3;
 const AGAIN = ["crashed", "timeout", "memory", "cancelled"]; // the service tries no others
 const STAGES = ["waiting", "targets", "cell", "placement", "motion", "programs", "proof", "report"];
 let job = null;
+const estimate = new Estimate(id, () => job);
 let issues = [];
 let stage = "";
 let seen = 0;
@@ -32,6 +34,7 @@ function drawHead() {
   ];
   $("facts").textContent = facts.filter(Boolean).join(" · ");
   show($("cancel"), isOpen(job.state));
+  show($("first"), job.state === "queued" && job.ahead > 0);
   show($("retry"), AGAIN.includes(job.state));
   $("again").href = `/ui/new?job=${id}`;
   $("compare").href = `/ui/compare?a=${id}`;
@@ -202,6 +205,7 @@ function draw() {
   show($("job"), true);
   drawHead();
   drawProgress();
+  estimate.follow();
   drawFigures();
   drawOutcome();
   drawIssues();
@@ -299,6 +303,7 @@ $("compare").prepend(icon("swap"));
 setUpDescription(id, () => job, () => refresh().catch(tell));
 setUpRelease(id, () => refresh().catch(tell), await me);
 $("retry").prepend(icon("again"));
+$("first").addEventListener("click", () => post(`${path(id)}/first`).then(refresh).catch(tell));
 $("retry").addEventListener("click", retry);
 $("cancel").addEventListener("click", () => post(`${path(id)}/cancel`).then(refresh).catch(tell));
 $("delete").addEventListener("click", () => $("sure").showModal());

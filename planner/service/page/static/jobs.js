@@ -8,10 +8,12 @@ import { ago, bytes, duration, isOpen, number, processName } from "./words.js";
 const GROUPS = [
   ["All", []],
   ["Under way", ["queued", "running"]],
+  ["Queue", ["queued"]],
   ["Verified", ["verified"]],
   ["No plan", ["infeasible", "bad_input", "unproven"]],
   ["Stopped", ["crashed", "timeout", "memory", "cancelled"]],
 ];
+const AGAIN = ["crashed", "timeout", "memory", "cancelled"]; // the service tries no others
 const EVERY = 1500;
 const SELDOM = 5000; // where nothing is under way: somebody else may send a job
 let drawn = "";
@@ -25,7 +27,7 @@ const marked = [];
 const own = (await me)?.name; // jobs of others say whose they are
 
 function query(cursor) {
-  const given = new URLSearchParams({ limit: 50, sort: $("sort").value });
+  const given = new URLSearchParams({ limit: 50, sort: GROUPS[group][0] === "Queue" ? "turn" : $("sort").value });
   for (const state of GROUPS[group][1]) given.append("state", state);
   for (const tag of tags) given.append("tag", tag);
   if ($("search").value.trim()) given.append("search", $("search").value.trim());
@@ -71,13 +73,24 @@ function row(one) {
     {},
     h("td", {}, box),
     h("td", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.by && one.by !== own ? `of ${one.by}` : null, one.from_store ? "answered from the store" : one.id.slice(0, 8)].filter(Boolean).join(", "))),
-    h("td", {}, badge(one.state), h("span", { class: "sub" }, running ? `${one.stage}, ${Math.round(100 * one.fraction)} %` : [one.released && "released", count].filter(Boolean).join(", "))),
+    h("td", {}, badge(one.state), AGAIN.includes(one.state) ? h("button", { type: "button", class: "small plans", data: { key: `again-${one.id}` }, "aria-label": `Try ${one.title || one.name} again`, onclick: () => act(one, "retry", "waits again") }, "Try again") : null, h("span", { class: "sub" }, running ? `${one.stage}, ${Math.round(100 * one.fraction)} %` : one.state === "queued" ? place(one) : [one.released && "released", count].filter(Boolean).join(", "))),
     h("td", { class: "wide" }, one.processes.map(processName).join(", ")),
     h("td", { class: "n" }, figure("cycle_s", duration)),
     h("td", { class: "n wider" }, figure("clearance_mm", (v) => `${number(v, 3)} mm`)),
     h("td", { class: "n wider" }, one.seconds ? duration(one.seconds) : ""),
     h("td", {}, h("time", { dateTime: one.created, title: new Date(one.created).toLocaleString("en-GB") }, ago(one.created))),
   );
+}
+
+// Where it stands among all that wait, and the way to the front of one's own.
+function place(one) {
+  const first = GROUPS[group][0] === "Queue" && one.ahead > 0;
+  return [`place ${(one.ahead ?? 0) + 1} of the queue`, first ? h("button", { type: "button", class: "small plans", data: { key: `first-${one.id}` }, "aria-label": `Plan ${one.title || one.name} next`, onclick: () => act(one, "first", "comes first among its owner's jobs") }, "Plan it next") : null];
+}
+
+async function act(one, what, said) {
+  await post(`/v1/jobs/${one.id}/${what}`).then(() => announce(`${one.title || one.name} ${said}`), tell);
+  await load().catch(tell);
 }
 
 function mark(id, on) {

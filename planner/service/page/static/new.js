@@ -3,13 +3,16 @@ import { json, post, Refused, upload } from "./api.js";
 import { ask } from "./ask.js";
 import { drawCells, takeCell } from "./cell.js";
 import { banner, tell } from "./common.js";
+import { Draft, fromDraft } from "./draft.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { assign, drawFiles, drawUnits, fieldOfFile, inUnit, partMesh, sizeText, wanted } from "./files.js";
 import { Form } from "./form.js";
 import { atFields, errors, fieldName, goTo, issueItem, sorted } from "./issues.js";
+import { goneRobots, Keeping } from "./keeping.js";
 import { boxOf } from "./mesh.js";
 import { at, differences, put, Schema } from "./schema.js";
 import { drawExamples, drawProcesses, fromExample, fromFiles, fromJob } from "./start.js";
+import { setUpSweep } from "./sweep.js";
 import { Viewer } from "./viewer.js";
 import { number } from "./words.js";
 
@@ -19,6 +22,10 @@ const asked = new URLSearchParams(location.search);
 const state = { problem: {}, origin: {}, files: new Map(), given: new Map(), cell: {}, process: "", example: "", shown: "" };
 const viewer = new Viewer($("canvas"), $("labels"));
 let form = null;
+let draft = null;
+let keeping = null;
+let catalogue = [];
+let drawSweep = null;
 let examples = {};
 let cells = {};
 let checking = null;
@@ -36,6 +43,7 @@ async function begin() {
     json("/ui/examples"),
   ]);
   cells = found.entries;
+  catalogue = Object.keys(robots.entries);
   examples = bundled;
   const titled = (kind) => Object.entries(materials.entries).filter(([, one]) => one.kind === kind).map(([name, one]) => [name, one.title, name]);
   const lists = {
@@ -49,7 +57,18 @@ async function begin() {
   form = new Form(new Schema(schema), state, changed, (name) => (BY_ARM.includes(name) ? arms() : lists[name]));
   form.drawn = () => afterwards();
   if (!viewer.works) $("view-empty").textContent = "This browser draws no 3D (WebGL 2); sizes are shown all the same.";
+  draft = new Draft(state, () => {
+    draw();
+    $("go").disabled = true;
+    check();
+  });
+  drawSweep = setUpSweep(state, () => wanted(state), (error) => (error instanceof Refused ? tellIssues(error.issues, false) : tell(error)));
+  keeping = new Keeping(state, putIn);
+  await keeping.load();
+  $("kept").addEventListener("change", chooseKept);
   drawProcesses("", chooseProcess);
+  if (asked.has("draft")) return takeKept(asked.get("draft"), true);
+  if (asked.has("template")) return takeKept(asked.get("template"), false);
   if (asked.has("job")) take({ ...(await fromJob(asked.get("job"))), job: asked.get("job") });
   else if (asked.has("example")) await begun(asked.get("example"));
   else if (asked.has("process")) await chooseProcess(asked.get("process"));
@@ -66,7 +85,8 @@ function unsent() {
 // Whether another start may take the place of this one.
 async function mayLeave(yes) {
   const lost = unsent();
-  return !lost || (await ask(`${lost.charAt(0).toUpperCase()}${lost.slice(1)} would be lost; nothing of it has been sent yet.`, yes));
+  const what = draft.kept() ? "stays in the draft, and the page begins anew" : "would be lost; nothing of it has been sent yet";
+  return !lost || (await ask(`${lost.charAt(0).toUpperCase()}${lost.slice(1)} ${what}.`, yes));
 }
 
 // The choices as they are, after one that was taken back.
@@ -114,6 +134,8 @@ function take({ problem, files, source, job = "" }) {
   show($("rest"), true);
   show($("check-card"), true);
   draw();
+  draft.begin();
+  if (new URLSearchParams(location.search).has("draft")) history.replaceState(null, "", "/ui/new");
   banner("");
   check();
 }
@@ -136,8 +158,44 @@ function afterwards() {
     draw();
     changed([]);
   });
+  keeping.draw();
+  drawSweep();
   drawChanges();
   atFields(state.issues ?? []);
+}
+
+// What was kept, as the draft that goes on, or as the start of a new one.
+async function takeKept(id, goesOn) {
+  const found = await fromDraft(id);
+  state.example = "";
+  take(found);
+  if (goesOn) {
+    draft.begin(found.about);
+    history.replaceState(null, "", `/ui/new?draft=${id}`);
+  }
+  const gone = goneRobots(found.problem, catalogue);
+  if (gone) banner(gone, "warn");
+}
+
+async function chooseKept() {
+  const id = $("kept").value;
+  $("kept").value = "";
+  if (!id || !(await mayLeave("Drop them and go on with what was kept"))) return;
+  await takeKept(id, keeping.kept.some((one) => one.id === id && one.kind === "draft")).catch(tell);
+}
+
+// A kept cell, or a kept tool of an arm.
+function putIn(content, arm, title) {
+  if (arm) arm.tool = structuredClone(content);
+  else {
+    takeCell(state.problem, content);
+    state.cell = structuredClone(content);
+  }
+  draw();
+  changed();
+  announce(`${title} is put in`);
+  const gone = goneRobots(state.problem, catalogue);
+  if (gone) banner(gone, "warn");
 }
 
 const fieldOf = (issue) => fieldOfFile(state.problem, issue);
@@ -154,6 +212,7 @@ async function chooseCell(name) {
 
 function changed() {
   drawChanges();
+  draft.changed();
   cell?.follow();
   $("go").disabled = true;
   soon();
@@ -211,7 +270,7 @@ async function check() {
     present(found.shapes, box ?? found.summary.stock_mm, "", found.summary.stock_mm);
     Object.assign(seen, { signal: own.signal, looked: false });
     cell?.draw(own.signal);
-    banner("");
+    if (!goneRobots(state.problem, catalogue)) banner("");
     if (errors(found.issues).length) return tellIssues(found.issues, true);
     say("busy", "Nothing is wrong with the file. Looking at the reach and the clearance of some targets …");
     const some = await (await post(`/v1/check?targets=${FIRST_TARGETS}`, { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
@@ -363,7 +422,7 @@ for (const name of ["dragover", "drop"])
     if (name === "drop" && form && !$("rest").hidden) addFiles([...event.dataTransfer.files]);
     else if (name === "drop" && form) openProblem([...event.dataTransfer.files]);
   });
-addEventListener("beforeunload", (event) => !state.sent && unsent() && event.preventDefault());
+addEventListener("beforeunload", (event) => !state.sent && !draft?.kept() && unsent() && event.preventDefault());
 addEventListener("dragleave", () => $("drop").classList.remove("over"));
 
 drawTabs();

@@ -1,0 +1,198 @@
+"""Drafts: problems in the making, and cells, tools and templates that people keep for later.
+
+A draft is kept as it was sent, right or wrong, with the last `VERSIONS` that it was before, by whom and when.
+Who saves says which version he has: one that somebody else has saved over meanwhile is not lost. Content lies
+with the files of jobs, so it is stored once, charged, swept and backed up as theirs.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Sequence
+from typing import Any, Final
+
+from sqlalchemy import Connection, RowMapping, delete, func, insert, select, update
+
+from planner.issues import Issue
+from planner.reading.strict_yaml import MAX_YAML_BYTES
+from planner.service import audit
+from planner.service.jobs import put_files
+from planner.service.models import DRAFT_VERSIONS, DRAFTS, FILES, TOKENS, Database, moment, utc
+from planner.service.security import LOCAL, MB, Limits, RefusedError, Who, too_large
+from planner.service.storage import Blob, Upload
+
+VERSIONS: Final = 100
+"""So many versions of a draft are kept, the newest."""
+UNTITLED: Final = "Draft"
+"""What a draft is called whose title is empty."""
+
+
+class Drafts:
+    """The drafts of one database."""
+
+    def __init__(self, database: Database, limits: Limits) -> None:
+        self._database, self._limits = database, limits
+
+    def create(self, who: Who, kind: str, title: str, upload: Upload) -> RowMapping:
+        """A new draft; raises :class:`RefusedError`, 413, or 429 where its owner has too many."""
+        _check_size(upload)
+        draft = secrets.token_hex(16)
+        with self._database.write() as db:
+            self._database.one_at_a_time(db, f"drafts {who.token}")
+            mine = select(func.count()).select_from(DRAFTS).where(DRAFTS.c.owner == who.token)
+            most, have = self._limits.drafts, int(db.execute(mine).scalar_one())
+            if have >= most:
+                what = f"{have} drafts, cells, tools and templates are kept, at most {most} may be; "
+                issue = Issue("service.too_many", f"{what}delete some", limit=most)
+                raise RefusedError(429, issue, {"Retry-After": "60"})
+            now = self._database.clock()
+            row = {"id": draft, "owner": who.token, "kind": kind, "title": title or UNTITLED, "version": 1}
+            db.execute(insert(DRAFTS).values(**row, created=now, changed=now))
+            self._add_version(db, draft, 1, who, upload.problem, upload.files)
+            return draft_row(db, draft)
+
+    def save(
+        self, draft: str, who: Who, tags: Sequence[str], upload: Upload, without: Sequence[str]
+    ) -> RowMapping:
+        """The next version of a draft, for who has the one that is the last: the upload, and files of before
+        that it does not send anew, but ``without`` those. What is there already makes no version. Raises
+        :class:`RefusedError`: 404, 412 where it was saved meanwhile, 413, 422."""
+        _check_size(upload)
+        with self._database.write() as db:
+            self._database.one_at_a_time(db, draft)
+            row = draft_row(db, draft)
+            last = version_row(db, draft, row["version"])
+            if "*" not in tags and tag_of(row) not in tags:
+                when = moment(utc(last["at"]))
+                what = f"draft {draft}: {last['who']} saved version {row['version']} of it meanwhile, {when}"
+                way = "nothing was overwritten: open that version, or keep yours as another draft"
+                raise RefusedError(412, Issue("service.draft", f"{what}; {way}", field="If-Match"))
+            known = {one["name"]: one["sha"] for one in json.loads(last["files"])}
+            files = {name: sha for name, sha in known.items() if name not in without}
+            kept = {name: Blob(sha, _size(db, draft, sha)) for name, sha in files.items()}
+            kept |= upload.files
+            if len(kept) > self._limits.files:
+                what = f"the draft has {len(kept)} files with these, at most {self._limits.files} may be"
+                raise RefusedError(422, Issue("service.request", f"{what}; take some away", field="files"))
+            if upload.problem.sha != last["problem"] or {n: b.sha for n, b in kept.items()} != known:
+                number = row["version"] + 1
+                self._add_version(db, draft, number, who, upload.problem, kept)
+                values = {"version": number, "changed": self._database.clock()}
+                db.execute(update(DRAFTS).where(DRAFTS.c.id == draft).values(**values))
+                _forget(db, draft, number - VERSIONS)
+            return draft_row(db, draft)
+
+    def rename(self, draft: str, title: str) -> RowMapping:
+        """Call it otherwise; raises :class:`RefusedError`, 404."""
+        with self._database.write() as db:
+            db.execute(update(DRAFTS).where(DRAFTS.c.id == draft).values(title=title or UNTITLED))
+            return draft_row(db, draft)
+
+    def delete(self, draft: str, by: str) -> None:
+        """Delete a draft with its versions; raises :class:`RefusedError`, 404."""
+        with self._database.write() as db:
+            self._database.one_at_a_time(db, draft)
+            row = draft_row(db, draft)
+            db.execute(delete(DRAFT_VERSIONS).where(DRAFT_VERSIONS.c.draft == draft))
+            db.execute(delete(FILES).where(FILES.c.job == draft))
+            db.execute(delete(DRAFTS).where(DRAFTS.c.id == draft))
+            said = {"name": row["title"], "kind": row["kind"]}
+            audit.note(self._database, db, by, "deleted", draft, said)
+
+    def get(self, draft: str) -> tuple[RowMapping, list[RowMapping]]:
+        """A draft and its versions, the newest first; raises :class:`RefusedError`, 404."""
+        query = select(DRAFT_VERSIONS).where(DRAFT_VERSIONS.c.draft == draft)
+        with self._database.read() as db:
+            row = draft_row(db, draft)
+            rows = db.execute(query.order_by(DRAFT_VERSIONS.c.number.desc())).mappings().all()
+        return row, list(rows)
+
+    def version(self, draft: str, number: int) -> tuple[Blob, dict[str, Blob]]:
+        """Problem and files of a version; raises :class:`RefusedError`, 404."""
+        with self._database.read() as db:
+            row = version_row(db, draft, number)
+            files = {one["name"]: one["sha"] for one in json.loads(row["files"])}
+            sizes = {sha: _size(db, draft, sha) for sha in {row["problem"], *files.values()}}
+        blobs = {name: Blob(sha, sizes[sha]) for name, sha in files.items()}
+        return Blob(row["problem"], sizes[row["problem"]]), blobs
+
+    def list(self, owners: Sequence[str], kinds: Sequence[str], most: int) -> Sequence[RowMapping]:
+        """Drafts of the owners, what was changed last first."""
+        query = _with_names().where(DRAFTS.c.owner.in_(owners))
+        if kinds:
+            query = query.where(DRAFTS.c.kind.in_(kinds))
+        query = query.order_by(DRAFTS.c.changed.desc(), DRAFTS.c.id).limit(most)
+        with self._database.read() as db:
+            return db.execute(query).mappings().all()
+
+    def owner(self, draft: str) -> str | None:
+        """Whose draft it is; None where there is none."""
+        with self._database.read() as db:
+            found: str | None = db.execute(select(DRAFTS.c.owner).where(DRAFTS.c.id == draft)).scalar()
+        return found
+
+    def _add_version(
+        self, db: Connection, draft: str, number: int, who: Who, problem: Blob, files: Any
+    ) -> None:
+        blobs = {blob.sha: blob for blob in (problem, *files.values())}
+        put_files(db, draft, blobs)
+        named = [{"name": name, "sha": blob.sha} for name, blob in sorted(files.items())]
+        row = {"draft": draft, "number": number, "who": who.name, "problem": problem.sha}
+        text = json.dumps(named, ensure_ascii=False)
+        db.execute(insert(DRAFT_VERSIONS).values(**row, at=self._database.clock(), files=text))
+
+
+def unknown_draft(draft: str) -> RefusedError:
+    """404."""
+    what = f"draft {draft[:40]!r}: there is none; it was deleted, or belongs to others: list the drafts"
+    return RefusedError(404, Issue("service.draft", what))
+
+
+def tag_of(row: RowMapping) -> str:
+    """The entity tag of a draft: of its last version."""
+    return f'"{row["version"]}"'
+
+
+def draft_row(db: Connection, draft: str) -> RowMapping:
+    """A draft as the store has it; raises :class:`RefusedError`, 404."""
+    row = db.execute(_with_names().where(DRAFTS.c.id == draft)).mappings().first()
+    if row is None:
+        raise unknown_draft(draft)
+    return row
+
+
+def version_row(db: Connection, draft: str, number: int) -> RowMapping:
+    """A version as the store has it; raises :class:`RefusedError`, 404."""
+    own = (DRAFT_VERSIONS.c.draft == draft, DRAFT_VERSIONS.c.number == number)
+    row = db.execute(select(DRAFT_VERSIONS).where(*own)).mappings().first()
+    if row is None:
+        what = f"draft {draft[:40]}: it has no version {number}, or no more; list its versions"
+        raise RefusedError(404, Issue("service.draft", what, field="number"))
+    return row
+
+
+def _with_names() -> Any:
+    more = func.coalesce(TOKENS.c.name, LOCAL).label("made_by")
+    return select(DRAFTS, more).outerjoin_from(DRAFTS, TOKENS, DRAFTS.c.owner == TOKENS.c.id)
+
+
+def _size(db: Connection, draft: str, sha: str) -> int:
+    query = select(FILES.c.size).where(FILES.c.job == draft, FILES.c.name == sha)
+    return int(db.execute(query).scalar_one())
+
+
+def _forget(db: Connection, draft: str, last: int) -> None:
+    """Remove the versions up to ``last``, and what they alone named."""
+    own = DRAFT_VERSIONS.c.draft == draft
+    if not db.execute(delete(DRAFT_VERSIONS).where(own, DRAFT_VERSIONS.c.number <= last)).rowcount:
+        return
+    wanted: set[str] = set()
+    for row in db.execute(select(DRAFT_VERSIONS).where(own)).mappings():
+        wanted |= {row["problem"], *(one["sha"] for one in json.loads(row["files"]))}
+    db.execute(delete(FILES).where(FILES.c.job == draft, FILES.c.name.not_in(sorted(wanted))))
+
+
+def _check_size(upload: Upload) -> None:
+    if upload.problem.size > MAX_YAML_BYTES:
+        raise too_large("the problem", MAX_YAML_BYTES / MB, "problem")

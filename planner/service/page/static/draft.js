@@ -1,0 +1,185 @@
+// The problem that is edited, kept on the server as a draft: saved after changes, stepped back and forth, with its history.
+import { blob, json, post, put, Refused, text, Unreachable, upload } from "./api.js";
+import { tell } from "./common.js";
+import { $, announce, h, later, show } from "./dom.js";
+import { ago } from "./words.js";
+import { readYaml } from "./yaml.js";
+
+const SAVE_MS = 1500;
+const STEP_MS = 800; // changes that come so soon after one another are one step
+const MOST_STEPS = 100;
+const MOST_CHARACTERS = 2e7;
+const drafts = "/v1/drafts";
+const pathOf = (id) => `${drafts}/${encodeURIComponent(id)}`;
+
+// What is kept, and of which version: {problem, files, source} for the page, and how it is called.
+export async function fromDraft(id, number = null) {
+  const about = await json(pathOf(id));
+  const version = number ?? about.version;
+  const base = `${pathOf(id)}/versions/${version}`;
+  const [listed, body] = await Promise.all([json(base), text(`${base}/problem`)]);
+  const files = await Promise.all(listed.files.map(async ({ name }) => [name, await blob(`${base}/files/${name.split("/").map(encodeURIComponent).join("/")}`)]));
+  return { problem: readYaml(body), files: new Map(files), cell: "", source: `from ${about.kind === "draft" ? "the draft" : `the ${about.kind}`} ${about.title}`, about };
+}
+
+// Keeps a problem, a cell, a tool or a template under a title.
+export async function keep(kind, title, content, files) {
+  return (await post(`${drafts}?${new URLSearchParams({ kind, title })}`, { body: upload(content, files) })).json();
+}
+
+export class Draft {
+  // state: {problem, files} of the page; restored() draws it anew
+  constructor(state, restored) {
+    Object.assign(this, { state, restored });
+    this.soon = later(SAVE_MS, () => this.save());
+    this.begin();
+    $("undo").addEventListener("click", () => this.step(this.past, this.future, "Taken back"));
+    $("redo").addEventListener("click", () => this.step(this.future, this.past, "Done again"));
+    $("history").addEventListener("click", () => this.showHistory().catch(tell));
+    $("draft-theirs").addEventListener("click", () => this.open(this.id).catch(tell));
+    $("draft-mine").addEventListener("click", () => {
+      this.id = null;
+      this.sent = new Map();
+      this.wait(false);
+      this.save();
+    });
+    addEventListener("keydown", (event) => {
+      if (!(event.ctrlKey || event.metaKey) || event.altKey || event.key.toLowerCase() !== "z" || event.target.matches("input, textarea, select")) return;
+      event.preventDefault();
+      $(event.shiftKey ? "redo" : "undo").click();
+    });
+  }
+
+  // A new start: what was the draft stays what it is; this one is made with the first change.
+  begin(about = null) {
+    Object.assign(this, { id: about?.id ?? null, tag: about && `"${about.version}"`, sent: new Map(about ? this.state.files : []), past: [], future: [], dirty: false, at: 0 });
+    this.now = this.snapshot();
+    this.wait(false);
+    show($("draft-bar"), Boolean(Object.keys(this.state.problem).length));
+    this.say(about ? `Kept as the draft ${about.title}` : "");
+    this.buttons();
+  }
+
+  snapshot() {
+    return { text: JSON.stringify(this.state.problem), files: new Map(this.state.files) };
+  }
+
+  changed() {
+    const now = this.snapshot();
+    const same = now.text === this.now.text && now.files.size === this.now.files.size && [...now.files].every(([name, file]) => this.now.files.get(name) === file);
+    if (same) return;
+    if (Date.now() - this.at > STEP_MS || !this.past.length) this.past.push(this.now);
+    while (this.past.length > 1 && (this.past.length > MOST_STEPS || this.past.reduce((sum, one) => sum + one.text.length, 0) > MOST_CHARACTERS)) this.past.shift();
+    Object.assign(this, { now, future: [], at: Date.now(), dirty: true });
+    this.buttons();
+    this.soon();
+  }
+
+  step(from, to, said) {
+    const found = from.pop();
+    if (!found) return;
+    to.push(this.now);
+    this.take(found);
+    announce(said);
+  }
+
+  take(found) {
+    Object.assign(this, { now: found, at: 0, dirty: true });
+    this.state.problem = JSON.parse(found.text);
+    this.state.files = new Map(found.files);
+    this.buttons();
+    this.restored();
+    this.soon();
+  }
+
+  // Whether the service has all of it.
+  kept() {
+    return Boolean(this.id) && !this.dirty && !this.saving;
+  }
+
+  buttons() {
+    $("undo").disabled = !this.past.length;
+    $("redo").disabled = !this.future.length;
+    show($("history"), Boolean(this.id));
+    $("draft-bar").dataset.kept = String(this.kept()); // whether all of it is on the server
+  }
+
+  say(words) {
+    if ($("draft-state").textContent !== words) $("draft-state").textContent = words;
+  }
+
+  // Whether somebody else's version has to be settled first.
+  wait(on, words = "") {
+    this.waits = on;
+    show($("draft-conflict"), on);
+    $("draft-conflict-text").textContent = words;
+  }
+
+  async save() {
+    if (this.saving || this.waits || !this.dirty) return;
+    this.saving = true;
+    this.dirty = false;
+    const saved = this.now;
+    const { text: body, files } = saved;
+    const own = this.past; // another start has another list
+    const news = [...files].filter(([name, file]) => this.sent.get(name) !== file);
+    try {
+      const content = new Blob([body], { type: "application/json" });
+      const without = new URLSearchParams([...this.sent.keys()].filter((name) => !files.has(name)).map((name) => ["without", name]));
+      const answer = this.id
+        ? await put(`${pathOf(this.id)}?${without}`, { body: upload(content, news), headers: { "If-Match": this.tag } })
+        : await post(`${drafts}?${new URLSearchParams({ title: String(JSON.parse(body).name ?? "").slice(0, 200) })}`, { body: upload(content, news) });
+      const about = await answer.json();
+      if (own !== this.past) return;
+      Object.assign(this, { id: about.id, tag: `"${about.version}"`, sent: files });
+      history.replaceState(null, "", `/ui/new?draft=${about.id}${location.hash}`);
+      this.say(`Kept as the draft ${about.title}, version ${about.version}`);
+      this.buttons();
+    } catch (error) {
+      if (own !== this.past) return;
+      this.dirty = true;
+      if (error instanceof Unreachable) {
+        this.say("Not kept yet: the service cannot be reached; it is tried again");
+        setTimeout(() => this.save(), 3000);
+      } else if (error instanceof Refused) {
+        const words = error.issues.map((issue) => issue.message).join("; ");
+        if (error.status === 412) this.wait(true, words);
+        if (error.status === 404) this.id = null; // deleted elsewhere: the next change makes another one
+        this.say(error.status === 404 ? "The draft was deleted elsewhere; with your next change what you have here is kept as a new one" : error.status === 412 ? "Not kept" : `Not kept: ${words}`);
+        if (error.status === 404) this.sent = new Map();
+      } else throw error;
+    } finally {
+      this.saving = false;
+      if (this.dirty && this.now !== saved) this.soon();
+      this.buttons();
+    }
+  }
+
+  // The draft as it is on the server, or one of its versions, as another step.
+  async open(id, number = null) {
+    const found = await fromDraft(id, number);
+    this.tag = `"${found.about.version}"`;
+    this.wait(false);
+    const text = JSON.stringify(found.problem);
+    if (number === null) this.sent = found.files;
+    this.past.push(this.now);
+    this.future = [];
+    this.take({ text, files: found.files });
+    if (number === null) this.dirty = false;
+    this.say(`Kept as the draft ${found.about.title}, version ${found.about.version}`);
+  }
+
+  async showHistory() {
+    const about = await json(pathOf(this.id));
+    const take = (one) => async () => {
+      $("history-ask").close();
+      await this.open(this.id, one.number).catch(tell);
+      announce(`Version ${one.number} is taken`);
+    };
+    $("history-list").replaceChildren(
+      ...about.versions.map((one, i) =>
+        h("li", {}, h("span", {}, h("b", {}, `Version ${one.number}`), " ", h("time", { dateTime: one.at, title: new Date(one.at).toLocaleString("en-GB") }, ago(one.at)), ", ", h("bdi", {}, one.by)), i ? h("button", { type: "button", class: "small", "aria-label": `Take version ${one.number}`, onclick: take(one) }, "Take it") : h("span", { class: "soft" }, "the last one"))),
+    );
+    $("history-ask").showModal();
+  }
+}

@@ -1,0 +1,56 @@
+// What people keep: drafts, cells, tools, templates; opened, called otherwise, deleted.
+import { json, post, remove } from "./api.js";
+import { ask } from "./ask.js";
+import { banner, me, tell } from "./common.js";
+import { $, announce, h, icon, show } from "./dom.js";
+import { ago } from "./words.js";
+
+const KINDS = { draft: "Draft", cell: "Cell", tool: "Tool", template: "Template" };
+const own = (await me)?.name;
+const path = (id) => `/v1/drafts/${encodeURIComponent(id)}`;
+let named = null;
+
+function row(one) {
+  const opens = { draft: `/ui/new?draft=${one.id}`, template: `/ui/new?template=${one.id}` }[one.kind];
+  const title = h("bdi", {}, one.title);
+  return h("tr", {},
+    h("td", {}, opens ? h("a", { href: opens, class: "job-name" }, title) : h("b", {}, title), h("span", { class: "sub" }, [one.by !== own ? `of ${one.by}` : null, `version ${one.version}`].filter(Boolean).join(", "))),
+    h("td", {}, KINDS[one.kind]),
+    h("td", { class: "wide" }, h("time", { dateTime: one.changed, title: new Date(one.changed).toLocaleString("en-GB") }, ago(one.changed))),
+    h("td", { class: "n" }, h("span", { class: "actions plans" },
+      h("button", { type: "button", class: "small", "aria-label": `Call ${one.title} otherwise`, onclick: () => rename(one) }, "Rename"),
+      h("button", { type: "button", class: "small danger", "aria-label": `Delete ${one.title}`, onclick: () => drop(one) }, icon("bin")))));
+}
+
+async function load() {
+  const { drafts } = await json("/v1/drafts?limit=1000");
+  show($("table"), drafts.length > 0);
+  show($("empty"), !drafts.length);
+  $("rows").replaceChildren(...drafts.map(row));
+}
+
+function rename(one) {
+  named = one;
+  $("rename-name").value = one.title;
+  $("rename-ask").returnValue = "";
+  $("rename-ask").showModal();
+}
+
+async function drop(one) {
+  if (!(await ask(`${one.title} and its ${one.version > 1 ? "versions are" : "content is"} gone then, for all of the team.`, "Delete it"))) return;
+  await remove(path(one.id)).catch(tell);
+  announce("Deleted");
+  await load().catch(tell);
+}
+
+$("rename-ask").addEventListener("close", async () => {
+  if ($("rename-ask").returnValue !== "yes") return;
+  try {
+    await post(path(named.id), { method: "PATCH", body: JSON.stringify({ title: $("rename-name").value }), headers: { "Content-Type": "application/json" } });
+    banner("");
+    await load();
+  } catch (error) {
+    tell(error);
+  }
+});
+await load().catch(tell);

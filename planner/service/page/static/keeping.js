@@ -1,0 +1,95 @@
+// Cells, tools and templates that people keep for later, in the form of a new job.
+import { json } from "./api.js";
+import { tell } from "./common.js";
+import { $, announce, h, show } from "./dom.js";
+import { fromDraft, keep } from "./draft.js";
+import { naming } from "./files.js";
+
+const WORDS = { cell: "cell", tool: "tool", template: "template" };
+const filesOf = (data, files) => {
+  const last = (name) => String(name).split(/[/\\]/).pop();
+  const names = new Set(naming(data).map(([, one]) => last(one.file)));
+  return [...files].filter(([name]) => names.has(last(name)));
+};
+
+export class Keeping {
+  // state of the page; took(what) draws it anew after a cell or a tool was put in
+  constructor(state, took) {
+    Object.assign(this, { state, took, kept: [] });
+    $("keep-cell").addEventListener("click", () => this.ask("cell", this.state.problem.cell));
+    $("keep-tool").addEventListener("click", () => this.ask("tool", this.arm()?.tool));
+    $("keep-template").addEventListener("click", () => this.ask("template", this.state.problem));
+    $("kept-cell").addEventListener("change", () => this.putCell().catch(tell));
+    $("kept-tool").addEventListener("change", () => this.putTool().catch(tell));
+    $("keep-ask").addEventListener("close", () => $("keep-ask").returnValue === "yes" && this.save().catch(tell));
+  }
+
+  arm() {
+    const arms = this.state.problem.cell?.arms ?? [];
+    return arms.find((arm) => arm.name === $("tool-arm").value) ?? arms[0];
+  }
+
+  async load() {
+    this.kept = (await json("/v1/drafts?kind=draft&kind=cell&kind=tool&kind=template")).drafts;
+    const options = (kind) => this.kept.filter((one) => one.kind === kind).map((one) => h("option", { value: one.id, dir: "auto" }, one.title));
+    for (const kind of ["cell", "tool"]) {
+      $(`kept-${kind}`).replaceChildren(h("option", { value: "" }, "choose one"), ...options(kind));
+      show($(`kept-${kind}-line`), options(kind).length > 0);
+    }
+    const groups = [["template", "Templates"], ["draft", "Drafts"]].filter(([kind]) => options(kind).length);
+    $("kept").replaceChildren(h("option", { value: "" }, "choose one"), ...groups.map(([kind, label]) => h("optgroup", { label }, options(kind))));
+    show($("kept-line"), groups.length > 0);
+  }
+
+  draw() {
+    const arms = Array.isArray(this.state.problem.cell?.arms) ? this.state.problem.cell.arms : [];
+    const chosen = $("tool-arm").value;
+    $("tool-arm").replaceChildren(...arms.map((arm) => h("option", { value: String(arm?.name ?? ""), selected: arm?.name === chosen }, String(arm?.name ?? ""))));
+    show($("keeping"), arms.length > 0);
+  }
+
+  ask(kind, content) {
+    if (!content) return;
+    this.asked = { kind, content };
+    $("keep-title").textContent = `Keep this ${WORDS[kind]} for later`;
+    $("keep-name").value = kind === "template" ? String(content.name ?? "") : "";
+    $("keep-ask").returnValue = "";
+    $("keep-ask").showModal();
+  }
+
+  async save() {
+    const { kind, content } = this.asked;
+    const files = kind === "template" ? this.state.files : filesOf(content, this.state.files);
+    const made = await keep(kind, $("keep-name").value, content, files);
+    announce(`The ${WORDS[kind]} ${made.title} is kept`);
+    $("draft-state").textContent = `The ${WORDS[kind]} ${made.title} is kept`;
+    await this.load();
+  }
+
+  async chosen(kind) {
+    const id = $(`kept-${kind}`).value;
+    $(`kept-${kind}`).value = "";
+    if (!id) return null;
+    const found = await fromDraft(id);
+    for (const [name, file] of found.files) this.state.files.set(name, file);
+    return found;
+  }
+
+  async putCell() {
+    const found = await this.chosen("cell");
+    if (found) this.took(found.problem, null, found.about.title);
+  }
+
+  async putTool() {
+    const arm = this.arm();
+    const found = arm && (await this.chosen("tool"));
+    if (found) this.took(found.problem, arm, found.about.title);
+  }
+}
+
+// Robots that a problem names and the catalogue has no more, in words; nothing where all are there.
+export function goneRobots(problem, robots) {
+  const arms = Array.isArray(problem.cell?.arms) ? problem.cell.arms : [];
+  const gone = arms.filter((arm) => typeof arm?.robot === "string" && !robots.includes(arm.robot));
+  return gone.map((arm) => `The robot ${arm.robot} of the arm ${arm.name} is not in the catalogue any more: choose another one under Cell.`).join(" ");
+}

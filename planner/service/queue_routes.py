@@ -1,0 +1,108 @@
+"""The API's routes of the queue: whose turn it is, a sweep of a field, how long a job may still take."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from typing import Annotated, Any, Final
+
+import anyio.to_thread
+from fastapi import APIRouter, Query, Request
+
+from planner.issues import Issue
+from planner.service import idempotency
+from planner.service.estimates import EstimateOut
+from planner.service.models import JobList, JobOut
+from planner.service.routes import (
+    ASKED,
+    UPLOADED,
+    UPLOADS,
+    Asker,
+    Caller,
+    Here,
+    Key,
+    OwnJob,
+    Tag,
+    refusals,
+)
+from planner.service.security import RefusedError
+from planner.service.storage import take_upload
+
+router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=ASKED)
+MOST_VALUES: Final = 50
+"""Values of a sweep."""
+Scalar = Annotated[str, Query(max_length=200)]
+
+
+@router.post(
+    "/jobs/{job}/first",
+    responses=refusals(404, 409),
+    response_model_exclude_none=True,
+    summary="Let a job come first",
+)
+def first(found: OwnJob, here: Here) -> JobOut:
+    """Of the jobs of its owner that wait, this one is planned first; the others keep their order, and jobs of
+    other owners their turn. 409 for one that does not wait."""
+    return here.jobs.first(found.id)
+
+
+@router.get(
+    "/jobs/{job}/estimate",
+    responses=refusals(404),
+    response_model_exclude_none=True,
+    summary="How long a job may still take",
+)
+def estimate(found: OwnJob, owner: Caller, who: Asker, here: Here) -> EstimateOut:
+    """By medians of the stages of like jobs that were proven: of the same processes, yours or your team's.
+    Where there are none, nothing is estimated."""
+    del owner
+    return here.estimates.of(found, here.auth.owners(who), time.time())
+
+
+@router.post(
+    "/sweeps",
+    status_code=201,
+    response_model_exclude_none=True,
+    responses=UPLOADED,
+    openapi_extra=UPLOADS,
+    summary="Plan a problem with a field at several values",
+)
+async def sweep(
+    request: Request,
+    owner: Caller,
+    here: Here,
+    key: Key,
+    field: Annotated[
+        str, Query(min_length=1, max_length=200, description="its place, such as operations.0.feed_mm_s")
+    ],
+    value: Annotated[
+        list[Scalar],
+        Query(min_length=1, max_length=MOST_VALUES, description="numbers, true, false, or words"),
+    ],
+    tag: Annotated[Tag, Query(description="a tag that all of them get")] = "sweep",
+) -> JobList:
+    """A job for each value, all or none, with a common tag, and a title that says the value. A value with
+    which the problem cannot be read is refused with what is wrong."""
+    values = [_value(one) for one in value]
+    doubled = sorted({str(one) for one in values if values.count(one) > 1})
+    if doubled:
+        what = f"value: got {', '.join(doubled)[:80]} more than once; give each value once"
+        raise RefusedError(422, Issue("service.request", what, field="value"))
+    upload = await take_upload(request, here.storage, owner, here.limits)
+    once = idempotency.once(owner, key, "sweeps", upload.content, field, values, tag)
+    jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
+    if not jobs:
+        jobs = await here.in_turn(
+            request, owner, lambda reading: here.sweep(owner, upload, field, values, tag, reading, once)
+        )
+    return JobList(jobs=jobs)
+
+
+def _value(text: str) -> Any:
+    """A value as JSON has it, or a word."""
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+    return found if isinstance(found, (bool, int, float)) and math.isfinite(found) else text

@@ -1,0 +1,159 @@
+"""Drafts on the page: kept while one edits, stepped back, opened elsewhere, saved by two, kept for later."""
+
+from __future__ import annotations
+
+import json
+import re
+import urllib.request
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, Route, expect
+
+from tests.service.page.test_access import CUT_OFF, NAMELESS
+
+KEPT = re.compile("Kept as the draft .*, version")
+
+
+def begun(page: Page, server: str, name: str = "engrave") -> None:
+    page.goto(f"{server}/ui/new?example={name}")
+    expect(page.locator("#f-name")).to_be_attached()
+    expect(page.locator("#draft-bar")).to_be_visible()
+
+
+def called(page: Page, name: str) -> None:
+    """Change the name of the problem."""
+    page.locator("#f-name").fill(name)
+    page.locator("#f-name").blur()
+
+
+def asked(server: str, path: str, method: str = "GET", body: Any = None, kind: str = "json") -> Any:
+    data = None if body is None else json.dumps(body).encode()
+    request = urllib.request.Request(f"{server}{path}", data, {"Content-Type": f"application/{kind}"})
+    request.method = method
+    with urllib.request.urlopen(request) as answer:
+        text = answer.read()
+    return json.loads(text) if text else None
+
+
+def settled(page: Page, server: str, name: str) -> int:
+    """The version in which the name of the problem is kept, when all of it is."""
+    expect(page.locator("#f-name")).to_have_value(name)
+    expect(page.locator("#draft-bar[data-kept=true]")).to_be_visible()
+    draft = draft_of(page)
+    number = int(asked(server, f"/v1/drafts/{draft}")["version"])
+    assert asked(server, f"/v1/drafts/{draft}/versions/{number}/problem")["name"] == name
+    return number
+
+
+def draft_of(page: Page) -> str:
+    expect(page).to_have_url(re.compile(r"draft=[0-9a-f]{32}"))
+    return page.url.partition("draft=")[2][:32]
+
+
+def test_what_is_edited_is_kept_and_opened_on_another_machine(
+    page: Page, browser: Browser, server: str
+) -> None:
+    begun(page, server)
+    expect(page.get_by_role("button", name="Undo", exact=True)).to_be_disabled()
+    called(page, "first")
+    expect(page.locator("#draft-state")).to_have_text(KEPT)
+    draft = draft_of(page)
+    called(page, "second")
+    assert settled(page, server, "second") > 1
+    page.get_by_role("button", name="Undo", exact=True).click()
+    expect(page.locator("#f-name")).to_have_value("first")
+    page.get_by_role("button", name="Redo", exact=True).click()
+    expect(page.locator("#f-name")).to_have_value("second")
+    page.get_by_role("button", name="Undo", exact=True).click()
+    page.get_by_role("button", name="Undo", exact=True).click()
+    last = settled(page, server, "engrave")
+
+    other = browser.new_context().new_page()
+    other.set_default_timeout(90_000)
+    other.goto(f"{server}/ui/drafts")
+    other.get_by_role("link", name="first").first.click()
+    expect(other.locator("#f-name")).to_have_value("engrave")
+    assert draft_of(other) == draft
+    other.get_by_role("button", name="History").click()
+    expect(other.locator("#history-list li")).to_have_count(last)
+    other.set_viewport_size({"width": 390, "height": 844})
+    assert (other.evaluate(CUT_OFF), other.evaluate(NAMELESS)) == ([], [])
+    other.get_by_role("button", name="Take version 1").click()
+    expect(other.locator("#f-name")).to_have_value("first")
+    assert settled(other, server, "first") == last + 1
+
+    called(page, "mine")  # in the first window, of the version before
+    conflict = page.locator("#draft-conflict")
+    expect(conflict).to_contain_text(f"saved version {last + 1} of it meanwhile")
+    assert asked(server, f"/v1/drafts/{draft}")["version"] == last + 1
+    page.get_by_role("button", name="Keep mine as another draft").click()
+    expect(page.locator("#draft-state")).to_have_text("Kept as the draft mine, version 1")
+    assert draft_of(page) != draft
+    other.context.close()
+
+
+def test_a_draft_that_was_deleted_is_told(page: Page, server: str) -> None:
+    begun(page, server)
+    called(page, "gone")
+    draft = draft_of(page)
+    asked(server, f"/v1/drafts/{draft}", "DELETE")
+    called(page, "gone_2")
+    expect(page.locator("#draft-state")).to_contain_text("was deleted elsewhere")
+    called(page, "gone_3")
+    expect(page.locator("#draft-state")).to_have_text("Kept as the draft gone_3, version 1")
+    page.goto(f"{server}/ui/new?draft={draft}")
+    expect(page.locator("#banner")).to_contain_text("it was deleted, or belongs to others")
+
+
+@pytest.mark.parametrize("title", ["Gewölbe ٣ <b>x</b>", "لوحة القبو"])
+def test_cells_tools_and_templates_are_kept_and_used_again(page: Page, server: str, title: str) -> None:
+    begun(page, server)
+    names = {"cell": "Keep the cell", "tool": "Keep its tool", "template": "Keep as a template"}
+    for kind, name in names.items():
+        page.get_by_role("button", name=name).click()
+        page.get_by_label("Title, in any language").fill("a\u202eb")
+        page.get_by_role("dialog").get_by_role("button", name="Keep", exact=True).click()
+        expect(page.locator("#banner")).to_contain_text("right-to-left override")
+        page.get_by_role("button", name=name).click()
+        page.get_by_label("Title, in any language").fill(title)
+        page.get_by_role("dialog").get_by_role("button", name="Keep", exact=True).click()
+        expect(page.locator("#draft-state")).to_have_text(f"The {kind} {title} is kept")
+    begun(page, server, "flank_wall")
+    page.get_by_label("Take a kept cell").select_option(label=title)
+    expect(page.locator("#draft-state")).to_have_text(KEPT)
+    page.get_by_label("Put on a kept tool").select_option(label=title)
+    page.locator("#kept").select_option(label=title)
+    page.get_by_role("dialog").get_by_role("button", name="Drop them").click()
+    expect(page.locator("#source")).to_have_text(f"from the template {title}")
+    expect(page.locator("#f-name")).to_have_value("engrave")
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
+
+
+def test_a_template_whose_robot_left_the_catalogue_says_so(page: Page, server: str) -> None:
+    problem = asked(server, "/ui/example?name=engrave")["problem"]
+    problem["cell"]["arms"][0]["robot"] = "irb_1"
+    made = asked(server, "/v1/drafts?kind=template&title=Old", "POST", problem)
+    page.goto(f"{server}/ui/new?template={made['id']}")
+    expect(page.locator("#banner")).to_contain_text("The robot irb_1 of the arm")
+    expect(page.locator("#banner")).to_contain_text("choose another one")
+    expect(page.locator("#verdict")).to_contain_text("to correct")
+    expect(page.locator("#banner")).to_contain_text("irb_1")
+
+
+def test_a_page_that_was_left_open_over_an_update_says_so(page: Page, server: str) -> None:
+    begun(page, server)
+
+    def newer(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(response=answer, headers={**answer.headers, "tandem-version": "99.0"})
+
+    page.route("**/v1/drafts*", newer)
+    called(page, "over")
+    expect(page.locator("#outdated")).to_contain_text("was updated to 99.0")
+    page.unroute("**/v1/drafts*")
+    draft_of(page)
+    page.get_by_role("button", name="Load it anew").click()
+    expect(page.locator("#f-name")).to_have_value("over")

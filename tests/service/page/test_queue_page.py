@@ -1,0 +1,78 @@
+"""The queue on the page: places, the way to the front, what is left, trying again, a sweep."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+import planner
+from tests import small_problem
+from tests.service.page.test_access import CUT_OFF, NAMELESS
+from tests.service.support import Process, named
+
+
+@pytest.fixture
+def held(tmp_path: Path) -> Iterator[Process]:
+    """A service whose jobs stay at the stage motion until there is a file."""
+    data = tmp_path / "data"
+    process = Process(data, module="tests.service.page.held", arguments=(str(data),)).wait()
+    yield process
+    process.stop()
+
+
+def test_places_the_front_what_is_left_and_again(page: Page, held: Process, tmp_path: Path) -> None:
+    client, ids = planner.Client(held.url), {}
+    for name in ("one", "two", "three", "four"):
+        (tmp_path / name).mkdir()
+        ids[name] = client.submit(planner.load(small_problem.write(tmp_path / name, named(name))))
+    page.goto(f"{held.url}/ui/jobs/{ids['one']}")
+    expect(page.locator("#estimate")).to_contain_text("so far; no like job was proven yet")
+    page.goto(held.url)
+    page.get_by_role("button", name="Queue").click()
+    names = page.locator(".job-name")
+    expect(names).to_have_text(["two", "three", "four"])
+    expect(page.locator("#rows tr").nth(2)).to_contain_text("place 3 of the queue")
+    page.get_by_role("button", name="Plan four next").click()
+    expect(names).to_have_text(["four", "two", "three"])
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
+    page.goto(f"{held.url}/ui/jobs/{ids['three']}")
+    page.get_by_role("button", name="Plan it next").click()
+    expect(page.get_by_role("button", name="Plan it next")).to_be_hidden()
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.locator("#state")).to_have_text("Cancelled")
+    page.goto(f"{held.url}/?show=Stopped")
+    page.get_by_role("button", name="Try three again").click()
+    page.get_by_role("button", name="Queue").click()
+    expect(names).to_have_text(["four", "two", "three"])
+    (tmp_path / "data" / "go").touch()
+    expect(page.get_by_text("No job is so.")).to_be_visible()
+    (tmp_path / "data" / "go").unlink()
+    (tmp_path / "five").mkdir()
+    last = client.submit(planner.load(small_problem.write(tmp_path / "five", named("five"))))
+    page.goto(f"{held.url}/ui/jobs/{last}")
+    expect(page.locator("#estimate")).to_contain_text(re.compile("left, an estimate by|longer than the"))
+
+
+def test_a_field_is_swept_on_the_page(page: Page, held: Process, small: list[Path]) -> None:
+    page.goto(f"{held.url}/ui/new")
+    page.get_by_text("Sheet forming").wait_for()
+    page.locator("#problem-file").set_input_files(small)
+    page.get_by_text("Sweep a field over values").click()
+    page.get_by_label("Field", exact=True).fill("operations.0.feed_mm_s")
+    page.get_by_label("Values, with spaces between").fill("20 -1")
+    page.get_by_label("Tag", exact=True).fill("Vorschub ٣")
+    page.get_by_role("button", name="Make 2 jobs").click()
+    expect(page.locator("#check-issues")).to_contain_text("operations.0.feed_mm_s = -1: ")
+    page.get_by_label("Values, with spaces between").fill("20 30; 40.5")
+    page.set_viewport_size({"width": 390, "height": 900})
+    assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
+    page.get_by_role("button", name="Make 3 jobs").click()
+    expect(page.locator(".job-name")).to_have_count(3)
+    expect(page.locator(".job-name").first).to_contain_text("operations.0.feed_mm_s = 40.5")
+    expect(page.get_by_role("button", name="Without the tag Vorschub ٣")).to_be_visible()

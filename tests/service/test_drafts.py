@@ -1,0 +1,228 @@
+"""Drafts on the server: kept, saved by many at once, opened elsewhere, limited, deleted."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from planner.service import backup, drafts
+from tests.service import postgres
+from tests.service.support import TABLE, codes
+from tests.service.test_roles import Shop, opened
+
+ODD: Final = {
+    "<img src=x onerror=alert(1)>": 201,
+    "لوحة القبو ٣": 201,
+    "W" * 200: 201,
+    "ﷺ" * 100: 201,
+    "a\u202eb": 422,
+    "a\u200fb": 422,
+    "a\x00b": 422,
+    "W" * 10_000: 422,
+}
+"""Titles, and what is answered."""
+
+
+@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+def shop(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
+    folder = tmp_path_factory.mktemp("drafts")
+    database = postgres.fresh(folder) if request.param == "postgresql" else None
+    with opened(folder / "data", database) as here:
+        yield Shop(here)
+
+
+def body(text: str, *names: str) -> dict[str, Any]:
+    """An upload of a problem, right or wrong, with files."""
+    files = [("files", (name, TABLE + name.encode())) for name in names]
+    return {"files": [("problem", ("problem.json", text)), *files]}
+
+
+def kept(shop: Shop, by: str = "ann", text: str = "{}", *names: str, **query: str) -> str:
+    answer = shop.ask(by, "POST", "/v1/drafts", params={"title": "Vault", **query}, **body(text, *names))
+    assert answer.status_code == 201, answer.text
+    assert answer.headers["ETag"] == '"1"'
+    return str(answer.json()["id"])
+
+
+def save(shop: Shop, draft: str, tag: str, text: str, *names: str, by: str = "ann", **query: Any) -> Any:
+    token = {"Authorization": f"Bearer {shop.tokens[by]}", "If-Match": tag}
+    url = f"/v1/drafts/{draft}"
+    return shop.here.http.put(url, headers=token, params=query, **body(text, *names))
+
+
+def content(shop: Shop, draft: str, number: int, by: str = "ann") -> tuple[str, dict[str, bytes]]:
+    url = f"/v1/drafts/{draft}/versions/{number}"
+    names = [one["name"] for one in shop.ask(by, "GET", url).json()["files"]]
+    files = {name: shop.ask(by, "GET", f"{url}/files/{name}").content for name in names}
+    return shop.ask(by, "GET", f"{url}/problem").text, files
+
+
+def test_a_draft_is_saved_and_opened_again_as_it_was_at_any_time(shop: Shop) -> None:
+    draft = kept(shop, "ann", '{"a": [not a problem', "dome.stl", "Gewölbe ٣.csv")
+    assert save(shop, draft, '"1"', "{}", "dome.stl").headers["ETag"] == '"2"'  # the other file stays
+    assert save(shop, draft, 'W/"2"', "{}").headers["ETag"] == '"2"'  # nothing is new
+    again = save(shop, draft, '"2"', '{"b": 1}', "more.csv", by="bob", without=["dome.stl"])
+    assert (again.status_code, again.json()["version"]) == (200, 3)
+    first, second, third = (content(shop, draft, n, "bob") for n in (1, 2, 3))
+    assert first[0] == '{"a": [not a problem'
+    assert first[1] == {name: TABLE + name.encode() for name in ("dome.stl", "Gewölbe ٣.csv")}
+    assert (second[0], second[1]) == ("{}", first[1])
+    assert (third[0], set(third[1])) == ('{"b": 1}', {"Gewölbe ٣.csv", "more.csv"})
+    told = shop.ask("lea", "GET", f"/v1/drafts/{draft}").json()
+    assert [(one["number"], one["by"]) for one in told["versions"]] == [(3, "bob"), (2, "ann"), (1, "ann")]
+    assert told["versions"][0]["at"] >= told["versions"][2]["at"]
+
+
+def test_who_saves_over_another_is_told_and_nothing_is_lost(shop: Shop) -> None:
+    draft = kept(shop)
+    assert save(shop, draft, '"1"', "theirs", by="bob").status_code == 200
+    refused = save(shop, draft, '"1"', "mine")
+    assert (refused.status_code, codes(refused)) == (412, [("service.draft", "If-Match")])
+    assert "bob saved version 2" in refused.json()["detail"]
+    assert "keep yours as another draft" in refused.json()["detail"]
+    assert content(shop, draft, 2)[0] == "theirs"
+    token = {"Authorization": f"Bearer {shop.tokens['ann']}"}
+    without = shop.here.http.put(f"/v1/drafts/{draft}", headers=token, **body("mine"))
+    assert (without.status_code, codes(without)) == (428, [("service.draft", "If-Match")])
+    for tag in ("x" * 101, '"9"', "2", "", '"1", "3"'):
+        assert save(shop, draft, tag, "mine").status_code in (412, 422), tag
+    assert save(shop, draft, '"1", "2"', "mine").json()["version"] == 3
+
+
+def test_of_many_who_save_the_same_version_at_once_one_does(shop: Shop) -> None:
+    draft = kept(shop)
+    with ThreadPoolExecutor(6) as pool:
+        asked = [pool.submit(save, shop, draft, '"1"', f'"{n}"') for n in range(6)]
+        answers = [one.result() for one in asked]
+    assert sorted(one.status_code for one in answers) == [200, *[412] * 5]
+    (won,) = (n for n, one in enumerate(answers) if one.status_code == 200)
+    assert content(shop, draft, 2)[0] == f'"{won}"'
+
+
+def test_old_versions_go_with_what_they_alone_named(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drafts, "VERSIONS", 3)
+    draft = kept(shop, "ann", "0", "first.csv")
+    save(shop, draft, '"1"', "1", without=["first.csv"])
+    for number in range(2, 6):
+        assert save(shop, draft, f'"{number}"', str(number)).status_code == 200
+    told = shop.ask("ann", "GET", f"/v1/drafts/{draft}").json()
+    assert [one["number"] for one in told["versions"]] == [6, 5, 4]
+    gone = shop.ask("ann", "GET", f"/v1/drafts/{draft}/versions/1/problem")
+    assert (gone.status_code, codes(gone)) == (404, [("service.draft", "number")])
+    assert "or no more" in gone.json()["detail"]
+    with shop.here.service.database.read() as db:
+        query = drafts.select(drafts.FILES.c.name).where(drafts.FILES.c.job == draft)
+        assert len(db.execute(query).all()) == 3
+
+
+@pytest.mark.parametrize(("title", "status"), ODD.items(), ids=map(ascii, ODD))
+def test_titles_in_any_language(shop: Shop, title: str, status: int) -> None:
+    asked = {"params": {"title": title}, **body("{}")}
+    made = shop.ask("ann", "POST", "/v1/drafts", **asked)
+    assert made.status_code == status, made.text
+    draft = kept(shop)
+    named = shop.ask("ann", "PATCH", f"/v1/drafts/{draft}", json={"title": title})
+    assert named.status_code == {201: 200}.get(status, status)
+    if status == 201:
+        assert made.json()["title"] == named.json()["title"] == title
+        assert named.headers["ETag"] == '"1"'
+
+
+def test_drafts_are_those_of_the_team_and_of_nobody_else(shop: Shop) -> None:
+    draft = kept(shop, "ann", "{}", "dome.stl", kind="cell")
+    addresses = [
+        ("GET", ""),
+        ("GET", "/versions/1"),
+        ("GET", "/versions/1/problem"),
+        ("GET", "/versions/1/files/dome.stl"),
+        ("PUT", ""),
+        ("PATCH", ""),
+        ("DELETE", ""),
+    ]
+    for other in ("eve", "dan"):
+        for way, path in addresses:
+            more = {"json": {"title": "x"}} if way == "PATCH" else {}
+            if way == "PUT":
+                answer = save(shop, draft, "*", "{}", by=other)
+            else:
+                answer = shop.ask(other, way, f"/v1/drafts/{draft}{path}", **more)
+            assert (answer.status_code, codes(answer)) == (404, [("service.draft", None)]), (way, path)
+        listed = shop.ask(other, "GET", "/v1/drafts").json()["drafts"]
+        assert draft not in [one["id"] for one in listed]
+    cells = shop.ask("lea", "GET", "/v1/drafts?kind=cell").json()["drafts"]
+    assert [one["id"] for one in cells] == [draft]
+    assert cells[0]["by"] == "ann"
+    for way in ("PUT", "PATCH", "DELETE", "POST"):
+        url = "/v1/drafts" if way == "POST" else f"/v1/drafts/{draft}"
+        assert shop.ask("lea", way, url, content=b"{}").status_code == 403
+
+
+def test_a_link_to_a_deleted_draft_has_a_sentence(shop: Shop) -> None:
+    draft = kept(shop)
+    assert shop.ask("bob", "DELETE", f"/v1/drafts/{draft}").status_code == 204
+    for answer in (
+        shop.ask("ann", "GET", f"/v1/drafts/{draft}"),
+        shop.ask("ann", "DELETE", f"/v1/drafts/{draft}"),
+        save(shop, draft, '"1"', "{}"),
+    ):
+        assert answer.status_code == 404
+        assert "it was deleted, or belongs to others" in answer.json()["detail"]
+    acts = shop.ask("bob", "GET", f"/v1/audit?job={draft}").json()["acts"]
+    assert [(one["by"], one["act"], one["about"]["kind"]) for one in acts] == [("bob", "deleted", "draft")]
+
+
+def test_count_and_size_are_limited_and_room_is_charged(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
+    limits = shop.here.service.limits
+    have = len(shop.ask("dan", "GET", "/v1/drafts").json()["drafts"])
+    draft = kept(shop, "dan", json.dumps("w" * 300_000))
+    used = shop.ask("dan", "GET", "/v1/storage").json()["used_mb"]
+    object.__setattr__(limits, "drafts", have + 1)
+    answer = shop.ask("dan", "POST", "/v1/drafts", **body("{}"))
+    object.__setattr__(limits, "drafts", 500)
+    assert (answer.status_code, codes(answer)) == (429, [("service.too_many", None)])
+    monkeypatch.setattr(drafts, "MAX_YAML_BYTES", 1000)
+    for long in (
+        shop.ask("dan", "POST", "/v1/drafts", **body("w" * 1001)),
+        save(shop, draft, '"1"', "w" * 1001, by="dan"),
+    ):
+        assert (long.status_code, codes(long)) == (413, [("service.too_large", "problem")])
+    most = save(shop, draft, '"1"', "{}", *(f"{n}.csv" for n in range(limits.files)), by="dan")
+    assert most.status_code == 200
+    more = save(shop, draft, '"2"', "{}", "more.csv", by="dan")
+    assert (more.status_code, codes(more)) == (422, [("service.request", "files")])
+    assert used > 0.3
+
+
+def test_clocks_that_jump_do_not_lose_a_draft(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not shop.here.service.database.sqlite:
+        pytest.skip("PostgreSQL has its own clock")
+    draft = kept(shop)
+    real = time.time
+    for years in (10, -10):
+        monkeypatch.setattr(time, "time", lambda years=years: real() + years * 3e7)
+        number = shop.ask("ann", "GET", f"/v1/drafts/{draft}").json()["version"]
+        assert save(shop, draft, f'"{number}"', str(years)).status_code == 200
+    monkeypatch.setattr(time, "time", real)
+    assert content(shop, draft, 3)[0] == "-10"
+
+
+def test_files_of_drafts_are_neither_swept_nor_left_out_of_backups(tmp_path: Path) -> None:
+    with opened(tmp_path / "data", None) as here:
+        made = Shop(here)
+        draft = kept(made, "ann", '"kept"', "dome.stl")
+        copy = backup.back_up(tmp_path / "data", None, tmp_path / "copy")
+        assert (copy.jobs, copy.files) == (0, 2)
+        assert here.service.files.sweep(here.service.jobs.shas) == 0
+        for path in here.service.files.root.glob("??/*"):
+            path.touch()
+            assert here.service.jobs.shas([path.name]) == {path.name}
+    backup.restore(tmp_path / "copy", tmp_path / "new", None)
+    with sqlite3.connect(tmp_path / "new" / "tandem.db") as db:
+        assert db.execute("SELECT id, title FROM tandem_drafts").fetchall() == [(draft, "Vault")]
