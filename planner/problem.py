@@ -594,8 +594,8 @@ class Problem:
     codes of errors that the user takes upon himself. ``notes``: what was chosen on the way from the file.
     ``forces`` {index of an operation: {arm: force}}: what the work exerts on tools; those of operations of
     one setup are alike. ``stations`` {index of an operation: {arm: value [m] of its track, :data:`STOCK`:
-    value [rad] of the turntable, :data:`TILT`: of its tilt}}: where arms on tracks and the block stand in it; where nothing is said they
-    stay, at first at home.
+    value [rad] of the turntable, :data:`TILT`: of its tilt}}: where arms on tracks and the block stand in it;
+    where nothing is said they stay, at first at home.
     """
 
     name: str

@@ -1,5 +1,5 @@
-"""A small job of a block on a tilt-turn positioner: poses over one end of it, and against the rim of its
-underside, which no turn alone brings in reach."""
+"""A small job of a block on a tilt-turn positioner: poses over its near end, and against the underside of its
+far end, which no turn alone brings in reach."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 import planner
-from planner.geometry.arrays import from_parts, to_quaternion
+from planner.geometry.arrays import to_quaternion
 from planner.pipeline import Outcome
 from tests import table_job
 from tests.track_job import COLUMNS
@@ -21,7 +21,7 @@ TILT: dict[str, Any] = {
     "external_axis": 1,
     "centre_mm": [900, 0, 470],
     "axis": [0, 1, 0],
-    "range_deg": [-100, 100],
+    "range_deg": [-20, 70],
     "speed_deg_s": 15,
     "acceleration_deg_s2": 30,
     "bracket": ["cradle"],
@@ -31,6 +31,7 @@ POSITIONER: dict[str, Any] = {
     "external_axis": 2,
     "centre_mm": [900, 0, 500],
     "range_deg": [-180, 180],
+    "home_deg": 180,
     "speed_deg_s": 20,
     "acceleration_deg_s2": 40,
     "load_kg": 250,
@@ -55,11 +56,11 @@ STOCK: dict[str, Any] = {
 
 
 def rows(up: bool) -> str:
-    """Five poses at one end of the block, in its frame: the ball's axis down from above, or up from below."""
+    """Five poses in the block's frame: the ball's axis down above its near end, or up below its far end."""
     out = [COLUMNS]
-    turn = to_quaternion(from_parts(np.diag([1.0, 1.0, 1.0] if up else [1.0, -1.0, -1.0]), np.zeros(3))[:3, :3])
+    turn = to_quaternion(np.diag([1.0, 1.0, 1.0] if up else [1.0, -1.0, -1.0]))
     for k in range(5):
-        x, y, z = -190.0, -40.0 + 20.0 * k, -40.0 if up else 90.0
+        x, y, z = 190.0 if up else -190.0, -40.0 + 20.0 * k, -40.0 if up else 90.0
         out.append(",".join(str(round(float(v), 9)) for v in (x, y, z, *turn, 50.0)) + ",move")
     return "\n".join(out) + "\n"
 
@@ -72,7 +73,7 @@ def problem(
     arms: Any = (table_job.ARM,),
     **changes: Any,
 ) -> planner.Problem:
-    """Poses over the block's end in operation ``a`` and against its underside in ``b``."""
+    """Poses over the block's near end in operation ``a`` and below its far end in ``b``."""
     cell: dict[str, Any] = {"name": "positioner", "arms": list(arms), "obstacles": list(obstacles)}
     if positioner is not None:
         cell["positioner"] = positioner

@@ -171,9 +171,9 @@ def rim(setup: Setup, place: FloatArray, table: Turntable, name: str = STOCK) ->
 
 
 def travel_speeds(problem: Problem, places: Sequence[FloatArray]) -> dict[str, float]:
-    """Speeds [m/s, rad/s] of tracks and of axes under the block on the way to stations as programs have them, by what
-    they carry, which goes at most at :data:`planner.problem.BLIND_SPEED`; ``places`` (4, 4) of the block in
-    each setup. In KRL they are whole percents of the axis' own."""
+    """Speeds [m/s, rad/s] of tracks and of axes under the block on the way to stations as programs have them,
+    by their names among stations; what they carry goes at most at :data:`planner.problem.BLIND_SPEED`.
+    ``places`` (4, 4) of the block in each setup. In KRL they are whole percents of the axis' own."""
     out: dict[str, float] = {}
     for arm in problem.cell.arms:
         if arm.track is not None:

@@ -19,7 +19,6 @@ from planner.issues import Issue, TandemError
 from planner.problem import (
     BLIND_SPEED,
     PLATE,
-    STOCK,
     Arm,
     Controller,
     LinearTrack,
@@ -37,6 +36,8 @@ UPRIGHT: Final = 1e-9
 """Axes whose unit vectors are off the vertical by no more stand upright."""
 LANGUAGES: Final = ("ABB", "KUKA")
 """Families of arms in whose language external axes are written."""
+TILT_LANGUAGES: Final = ("ABB",)
+"""Those in whose language positioners are."""
 LEAST_SHARE: Final = 0.01
 """Least speed of an external axis in KRL, as a share of its own: $VEL_EXTAX takes whole percents."""
 HOME_DECIMALS: Final = 4
@@ -259,14 +260,15 @@ def turntable(
     for name, what in faults:
         told(name, what)
     names = {arm.name: arm for arm in arms}
+    known = LANGUAGES if kind == "turntable" else TILT_LANGUAGES
     mover = names.get(arms[0].name if spec.arm is None else spec.arm)
     if mover is None:
         what = f"{spec.arm!r} is not an arm of the cell; it has {', '.join(names)}"
         told("arm", what, "problem.unknown_arm")
-    elif any(arm.data.family not in LANGUAGES for arm in arms):
-        other = next(arm for arm in arms if arm.data.family not in LANGUAGES)
+    elif any(arm.data.family not in known for arm in arms):
+        other = next(arm for arm in arms if arm.data.family not in known)
         what = f"arm {other.name} is of {other.data.family}; {kind}s are written for "
-        what += f"{' and '.join(LANGUAGES)} controllers alone; take the {kind} out, or take such arms"
+        what += f"{' and '.join(known)} controllers alone; take the {kind} out, or take such arms"
         told("arm", what, "problem.turntable")
     if controller.sync == "handshake" and len(arms) > 1:
         what = f"with two controllers (handshake) a {kind} is not written yet; use one (sync: multimove)"
@@ -365,11 +367,11 @@ def turntable_faults(problem: Problem) -> list[Issue]:
             at = ", ".join(f"{v / MM:g}" for v in table.centre)
             told(f"{what}plate, whose top is at [{at}] mm; put the block on it", f"{field}.place")
         break
-    for setup in problem.setups if table.load is not None else ():
+    for setup in problem.setups:
         mass = setup.stock.mass
-        if mass is not None and mass > table.load:
-            what = f"the block weighs {mass:.1f} kg, and the {kind} {table.unit} carries {table.load:g} kg; take "
-            told(f"{what}a smaller block, or a {kind} for it", f"cell.{kind}.load_kg")
+        if mass is not None and table.load is not None and mass > table.load:
+            what = f"the block weighs {mass:.1f} kg, and the {kind} {table.unit} carries {table.load:g} kg; "
+            told(f"{what}take a smaller block, or a {kind} for it", f"cell.{kind}.load_kg")
             break
     mover = next(arm for arm in problem.cell.arms if arm.name == table.arm)
     if not out and mover.data.family == "KUKA":
@@ -378,28 +380,19 @@ def turntable_faults(problem: Problem) -> list[Issue]:
 
 
 def _fast(problem: Problem, table: Turntable) -> list[Issue]:
-    """An axis that at the least speed of KRL takes what it carries faster than people may be near."""
+    """A turntable that at the least speed of KRL takes what stands on it faster than people may be near."""
     from planner.cell import axis_way
 
-    out = []
     places = [(setup, setup.stock.place) for setup in problem.setups]
-    for name, axis in table.axes.items():
-        rim = max(
-            (axis_way.rim(setup, place, table, name) for setup, place in places if place is not None),
-            default=0.0,
-        )
-        if LEAST_SHARE * axis.speed * rim <= BLIND_SPEED:
-            continue
-        most = BLIND_SPEED / (LEAST_SHARE * rim) / DEG
-        what = (
-            f"what {axis.label} carries reaches {rim / MM:.0f} mm from its axis, and a KUKA controller turns "
-        )
-        what += (
-            f"it at {LEAST_SHARE * axis.speed / DEG:g} deg/s at least, one percent of its own, faster there "
-        )
-        what += (
-            f"than {BLIND_SPEED / MM:g} mm/s; make its own speed {most:.0f} deg/s or less in the machine data"
-        )
-        field = f"cell.{table.kind}.{'' if name == STOCK else 'tilt.'}speed_deg_s"
-        out.append(Issue("problem.turntable", what, field=field))
-    return out
+    rim = max(
+        (axis_way.rim(setup, place, table) for setup, place in places if place is not None), default=0.0
+    )
+    if LEAST_SHARE * table.speed * rim <= BLIND_SPEED:
+        return []
+    most = BLIND_SPEED / (LEAST_SHARE * rim) / DEG
+    what = f"the block reaches {rim / MM:.0f} mm from the turntable's axis, and a KUKA controller turns it "
+    what += (
+        f"at {LEAST_SHARE * table.speed / DEG:g} deg/s at least, one percent of its own, faster there than "
+    )
+    what += f"{BLIND_SPEED / MM:g} mm/s; make its own speed {most:.0f} deg/s or less in the machine data"
+    return [Issue("problem.turntable", what, field="cell.turntable.speed_deg_s")]

@@ -31,8 +31,8 @@ def text(problem: Problem, plan: Plan) -> str:
     all targets ``time_s`` from there, ``names`` and ``segments``, and by arm ``tcp``, ``joints_deg``,
     ``entry_deg`` and ``exit_deg``; ``block`` is the plane of the block's frame, or of a held one its holder
     and the plane in the holder's TCP; ``stations_mm`` by arm are values of tracks, whose ``base`` is that of
-    value 0, and ``turntable_deg`` is that of a turntable, to which the block is turned, ``tilt_deg`` that of a
-    positioner's tilt axis, by which it is tilted then. Joint angles are
+    value 0, and ``turntable_deg`` is that of a turntable, to which the block is turned, ``tilt_deg``
+    that of a positioner's tilt axis, by which it is tilted then. Joint angles are
     those of the arms' URDFs.
     """
     arms = {

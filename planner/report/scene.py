@@ -194,6 +194,14 @@ def standing(setup: Setup) -> dict[str, FloatArray]:
     return {arm.name: arm.base for arm in setup.cell.arms if arm.track is not None}
 
 
+def leaning(model: CellModel, setup: Setup) -> FloatArray:
+    """The motion (4, 4) of what a positioner tilts, from where a model has it to where it is in a setup."""
+    table = model.cell.turntable
+    if table is None or table.tilt is None:
+        return np.eye(4)
+    return table.tilt.turned(np.eye(4), (setup.stock.tilt or 0.0) - (model.stock.tilt or 0.0))
+
+
 def ridden(
     scene: Scene,
     setups: Sequence[Setup],
@@ -233,6 +241,9 @@ def stand(
         out[f"{arm}/edge"] = out[f"{arm}/tool"]
     stock = block_pose(setup, place, scene.model.bases, q)
     out["stock"] = out["support"] = np.broadcast_to(stock, (count, 4, 4))
+    table = scene.model.cell.turntable
+    for name in table.tilted_bodies if table is not None else ():
+        out[name] = leaning(scene.model, setup) @ out[name]
     return out
 
 

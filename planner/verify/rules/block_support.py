@@ -37,7 +37,8 @@ def rests(context: Context) -> Outcome:
     """A block that an arm holds lies flat on a gripper whose face is within its own, which holds it firmly
     enough and is with it within the payload; any other one stands on the floor, on a body of the cell or on
     a support that is under its middle and stands there itself, with a positioner's tilt at 0, unless the
-    problem accepts that it does not. What is made for a block is of sizes in stock and in no body of the cell, whatever is accepted."""
+    problem accepts that it does not. What is made for a block is of sizes in stock and in no body of the
+    cell, whatever is accepted."""
     issues: list[Issue] = []
     told = 0
     for index, setup in enumerate(context.setups):

@@ -1,5 +1,5 @@
-"""Rules on tracks under arms and a turntable or positioner under the block: who moves them, where targets have them stand,
-and the way between.
+"""Rules on tracks under arms and a turntable or positioner under the block: who moves them, where targets
+have them stand, and the way between.
 
 verify.external_axes: units, values and folded arms, from the text, and the place of the block that follows.
 verify.track_way: what comes near on the way from station to station. Where arms and the block stand in all
@@ -383,7 +383,7 @@ def _goes(
     for arm in setup.cell.arms:
         for axis in outer_axes(arm, table):
             own = setup.stock.stands
-            value = own[axis.carries] if axis.carries in own else arm.station
+            value = own.get(axis.carries, arm.station)
             if value is not None and abs(value - at[axis.carries]) > SAME_VALUE:
                 yield axis, (at[axis.carries], value)
 
