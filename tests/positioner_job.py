@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 import planner
+from planner.cell import plant
 from planner.geometry.arrays import to_quaternion
 from planner.pipeline import Outcome
 from tests import table_job
@@ -97,3 +98,10 @@ FOLDER = tempfile.TemporaryDirectory()
 def planned() -> Outcome:
     """The job, planned and proven."""
     return planner.plan(problem(Path(FOLDER.name)))
+
+
+def model() -> plant.CellModel:
+    """The cell as the first setup of the planned job has it."""
+    setup = planned().problem.setups[0]
+    assert setup.stock.place is not None
+    return plant.build(setup.cell, setup.stock, setup.stock.place)

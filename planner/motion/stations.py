@@ -44,7 +44,7 @@ FEW_TARGETS: Final = 24
 GOOD_SHARE: Final = 0.6
 """Values with this share of the best margin are good: of them the nearest comes first."""
 MOST_PATHS: Final = 8
-"""Values for which a path is searched at most."""
+"""Values for which a path is searched at most, for each axis of a unit."""
 APART_M: Final = 0.2
 """These are so far [m] apart,"""
 APART_RAD: Final = 10.0 * DEG
@@ -264,7 +264,7 @@ def _station(
     tried: list[FloatArray] = []
     first = ""
     for k in _order(grid, score, before):
-        if len(tried) >= MOST_PATHS:
+        if len(tried) >= MOST_PATHS * len(axis.names):
             break
         near = any(np.abs(grid[k] - other).max() < axis.apart for other in tried)
         if near and (grid[k] != before).any():
@@ -287,7 +287,8 @@ def _named(axis: _Axis, row: FloatArray) -> dict[str, float]:
 
 def _order(grid: FloatArray, score: FloatArray, before: FloatArray) -> list[int]:
     """Values (K, A) with a margin: the good ones by their way from ``before`` (A,), then the others, best
-    first."""
+    first. Of a positioner's two values there are many near ones, so what is nearest and what is best take
+    turns."""
     reached = np.flatnonzero(score > 0.0)
     if not len(reached):
         return []
@@ -295,7 +296,11 @@ def _order(grid: FloatArray, score: FloatArray, before: FloatArray) -> list[int]
     far = np.abs(grid - before).sum(axis=1)
     near = sorted((k for k in reached if good[k]), key=lambda k: (far[k], -score[k]))
     rest = sorted((k for k in reached if not good[k]), key=lambda k: -score[k])
-    return [int(k) for k in (*near, *rest)]
+    ordered = (*near, *rest)
+    if grid.shape[1] > 1:
+        best = sorted(reached, key=lambda k: (-score[k], far[k]))
+        ordered = tuple(dict.fromkeys(k for pair in zip(ordered, best, strict=True) for k in pair))
+    return [int(k) for k in ordered]
 
 
 def _scene(problem: Problem, index: int, targets: Targets, model: plant.CellModel | None = None) -> Scene:

@@ -156,8 +156,8 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
     """What is wrong with the values of external axes, and with their moves."""
     before: MoveStep | None = None
     last = {axis.column: axis.home for axis in axes}
-    came = -1
-    gone: list[OuterAxis] = []  # axes that moved since people were told to keep off, and nothing else since
+    came, here, off = -1, -1, False
+    gone: list[OuterAxis] = []  # axes that moved in a setup, in order
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
         for move in stage.moves(task.name):
@@ -167,10 +167,10 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
                 return  # where things stand from here on is not known
             values = {axis: axis.scale * float(move.target.external[axis.column]) for axis in axes}
             going = [axis for axis in axes if abs(values[axis] - last[axis.column]) > SAME_VALUE]
-            asked = any(came < place.stage < number for place in context.spans.asked[index])
-            gone = [] if asked else gone
-            in_turn = asked or (bool(gone) and all(axes.index(gone[-1]) < axes.index(one) for one in going))
-            gone = [*gone, *going] if going and in_turn else []
+            gone, off, here = (gone, off, here) if index == here else ([], False, index)
+            off |= any(came < place.stage < number for place in context.spans.asked[index])
+            in_turn = off and (not gone or all(axes.index(gone[-1]) < axes.index(one) for one in going))
+            gone, off = [*gone, *going], off and bool(going)  # nothing comes between question and axes
             if len(going) > 1:
                 what = f"{' and '.join(axis.unit for axis in going)} move at once, not one after the other"
                 yield at_step(_CODE, what, task, move)

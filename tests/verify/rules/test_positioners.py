@@ -20,11 +20,13 @@ from planner.verify.rules import external_axes
 from tests import positioner_job
 from tests.verify.rules.test_turntables import broken, first
 
-TILT, TURN = "66.0000", "180.0000"
+TILT, TURN = "70.0000", "-145.0000"
 """The second station as the text has it: eax_a and eax_b."""
 STAND = f"[{TILT},{TURN},9E9"
-LEG = f"[-18.0000,{TURN},9E9"
+LEG = f"[-20.0000,{TURN},9E9"
 """Between both stations: turned, and not tilted yet."""
+BEFORE = "[-20.0000,40.0000,9E9"
+"""The first station."""
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +76,7 @@ def cuts(text: str, old: str, new: str) -> str:
 
 def tilted_first(text: str) -> str:
     """Between the stations the tilt goes before the turn."""
-    return first(text, LEG, "[66.0000,0.0000,9E9")
+    return first(text, LEG, "[70.0000,40.0000,9E9")
 
 
 def out_of_home(text: str) -> str:
@@ -94,17 +96,18 @@ MUTANTS = {
     ),
     "no tilt": ("external_axes", lambda t: cuts(t, STAND, f"[9E9,{TURN},9E9")),
     "no turn": ("external_axes", lambda t: cuts(t, STAND, f"[{TILT},9E9,9E9")),
-    "another tilt in the cut": ("external_axes", lambda t: cuts(t, STAND, f"[65.0000,{TURN},9E9")),
+    "another tilt in the cut": ("external_axes", lambda t: cuts(t, STAND, f"[69.0000,{TURN},9E9")),
     "another tilt all along": ("external_axes", lambda t: t.replace(f"[{TILT},", "[60.0000,")),
-    "another turn all along": ("external_axes", lambda t: t.replace(f",{TURN},", ",170.0000,")),
-    "a tilt off by a tenth": ("work_object", lambda t: t.replace(f"[{TILT},", "[66.1000,")),
+    "another turn all along": ("external_axes", lambda t: t.replace(f",{TURN},", ",-140.0000,")),
+    "a tilt off by a tenth": ("work_object", lambda t: t.replace(f"[{TILT},", "[69.9000,")),
     "both exchanged": ("external_axes", lambda t: t.replace(STAND, f"[{TURN},{TILT},9E9")),
     "both exchanged, within their ranges": (
         "external_axes",
-        lambda t: t.replace(STAND, f"[90.0000,{TILT},9E9").replace(LEG, f"[-18.0000,{TILT},9E9"),
+        lambda t: t.replace(BEFORE, "[40.0000,-20.0000,9E9"),
     ),
-    "the other sense of the tilt": ("external_axes", lambda t: t.replace(f"[{TILT},", f"[-{TILT},")),
-    "beyond the tilt's range": ("external_axes", lambda t: t.replace(f"[{TILT},", "[120.0000,")),
+    "the other sense of the tilt": ("external_axes", lambda t: t.replace("[-20.0000,", "[20.0000,")),
+    "the other sense of the turn": ("external_axes", lambda t: t.replace(f",{TURN},", ",145.0000,")),
+    "beyond the tilt's range": ("external_axes", lambda t: t.replace(f"[{TILT},", "[80.0000,")),
     "a third axis": ("external_axes", lambda t: t.replace(STAND, f"[{TILT},{TURN},10")),
     "another frame": ("work_object", lambda t: frame(t, lambda d: re.sub(r"\[\[(\d)", r"[[1\1", d, count=1))),
     "the frame of before": ("external_axes", lambda t: t.replace("WObj:=w_stock_2", "WObj:=w_stock")),
@@ -124,7 +127,7 @@ MUTANTS = {
         lambda t: re.sub(r' *check_axis "Axis STN_1 tilt"[^\n]*\n', "", t, count=1),
     ),
     "a look at the other column": ("cell_check", lambda t: first(t, "extax.eax_a", "extax.eax_b")),
-    "told another tilt": ("setup", lambda t: first(t, TILT, "60.0000")),
+    "told another tilt": ("setup", lambda t: first(t, f"{TILT} deg.", "60.0000 deg.")),
 }
 
 
@@ -176,7 +179,7 @@ def test_the_way_of_the_tilt_is_looked_at(prover: Prover, height: float, clear: 
     from planner.geometry.arrays import Shape
 
     pose = np.eye(4)
-    pose[:3, 3] = 1.15, 0.0, 0.5e-3 * height
+    pose[:3, 3] = 1.05, 0.0, 0.5e-3 * height
     here = Obstacle("box", (Shape("box", (0.2, 0.2, 1e-3 * height), pose),))
     cell = dataclasses.replace(prover.problem.cell, obstacles=(*prover.problem.cell.obstacles, here))
     there = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
