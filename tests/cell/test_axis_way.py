@@ -72,7 +72,9 @@ def test_the_plate_and_what_stands_on_it_do_not_come_nearer(tmp_path: Path) -> N
     assert way.clear and "turntable" not in way.pair
 
 
-@pytest.mark.parametrize(("x", "z", "clear"), [(1080.0, 140.0, True), (1080.0, 258.0, True), (1080.0, 300.0, False)])
+@pytest.mark.parametrize(
+    ("x", "z", "clear"), [(1080.0, 140.0, True), (1080.0, 258.0, True), (1080.0, 300.0, False)]
+)
 def test_a_tilting_block_is_no_nearer_than_the_bound(tmp_path: Path, x: float, z: float, clear: bool) -> None:
     """All bodies are upright to the plane of the tilt, so shapely's turned outlines there are the truth."""
     box = {"kind": "box", "size_mm": [60, 100, z], "pose": {"xyz_mm": [x, 0, 0.5 * z]}}

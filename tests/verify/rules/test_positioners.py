@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,7 @@ def test_where_the_block_is_follows_from_the_text_within_a_micrometre(prover: Pr
     lean = Rotation.from_euler("y", float(TILT), degrees=True).as_matrix()
     middle, below = np.array([0.9, 0.0, 0.5]), np.array([0.9, 0.0, 0.47])
     turned = middle + turn @ (stated[:3, 3] - middle)
-    np.testing.assert_allclose(place[:3, :3], lean @ turn @ stated[:3, :3], atol=1e-8)
+    np.testing.assert_allclose(place[:3, :3], lean @ turn @ stated[:3, :3], atol=5e-8)
     np.testing.assert_allclose(place[:3, 3], below + lean @ (turned - below), atol=1e-7)
     for index, setup in enumerate(out.problem.setups):
         made, planned = out.plan.operations[index], setup.cell.arm("left")
@@ -131,7 +132,31 @@ MUTANTS = {
 }
 
 
-@pytest.mark.parametrize("name", MUTANTS)
+KIN = (
+    "switched on twice",
+    "another tilt in the cut",
+    "another turn all along",
+    "both exchanged",
+    "beyond the tilt's range",
+    "a third axis",
+    "the frame of before",
+    "a frame of the unit",
+    "the other sense of the turn",
+    "told another tilt",
+    "another axis",
+    "range",
+    "home",
+    "speed",
+)
+"""Those that are much like others."""
+
+
+def some(names: Iterable[str]) -> list[Any]:
+    """All names, those of :data:`KIN` as long tests."""
+    return [pytest.param(one, marks=pytest.mark.long) if one in KIN else one for one in names]
+
+
+@pytest.mark.parametrize("name", some(MUTANTS))
 def test_a_wrong_positioner_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]
     proof = prover.prove(broken(positioner_job.planned(), change))
@@ -150,7 +175,7 @@ OTHERS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("name", some(OTHERS))
 def test_programs_of_another_tilt_axis_are_refused(prover: Prover, name: str) -> None:
     """The same text for a cell whose tilt axis is another one."""
     table = prover.problem.cell.turntable
