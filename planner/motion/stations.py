@@ -35,7 +35,7 @@ STEP_RAD: Final = 5.0 * DEG
 """Values of a turntable are so far apart [rad],"""
 MOST_ANGLES: Final = 721
 """at most so many,"""
-MOST_TURNS, MOST_TILTS = 73, 37
+MOST_TURNS, MOST_TILTS = 73, 19
 """of a positioner's axes,"""
 ANGLE_DECIMALS: Final = 1
 """in degrees with so many decimals."""
@@ -258,7 +258,8 @@ def _station(
 ) -> dict[str, float]:
     setup = problem.setup_of(index)
     grid = axis.values()
-    few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), FEW_TARGETS, False)
+    count = FEW_TARGETS // len(axis.names)  # a positioner has many more values
+    few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), count, False)
     score = margin(few, *axis.placed(problem, setup, grid), problem.settings)
     before = np.array([at[name] for name in axis.names])
     tried: list[FloatArray] = []
@@ -287,8 +288,8 @@ def _named(axis: _Axis, row: FloatArray) -> dict[str, float]:
 
 def _order(grid: FloatArray, score: FloatArray, before: FloatArray) -> list[int]:
     """Values (K, A) with a margin: the good ones by their way from ``before`` (A,), then the others, best
-    first. Of a positioner's two values there are many near ones, so what is nearest and what is best take
-    turns."""
+    first. Of a positioner's two values there are many near ones, so the nearest and those farthest from
+    what comes before take turns."""
     reached = np.flatnonzero(score > 0.0)
     if not len(reached):
         return []
@@ -296,11 +297,18 @@ def _order(grid: FloatArray, score: FloatArray, before: FloatArray) -> list[int]
     far = np.abs(grid - before).sum(axis=1)
     near = sorted((k for k in reached if good[k]), key=lambda k: (far[k], -score[k]))
     rest = sorted((k for k in reached if not good[k]), key=lambda k: -score[k])
-    ordered = (*near, *rest)
-    if grid.shape[1] > 1:
-        best = sorted(reached, key=lambda k: (-score[k], far[k]))
-        ordered = tuple(dict.fromkeys(k for pair in zip(ordered, best, strict=True) for k in pair))
-    return [int(k) for k in ordered]
+    ordered = [*near, *rest]
+    if grid.shape[1] == 1:
+        return [int(k) for k in ordered]
+    out: list[int] = []
+    while ordered and len(out) < MOST_PATHS * grid.shape[1]:
+        k = ordered[0]
+        if len(out) % 2:
+            apart = np.abs(grid[ordered][:, None] - grid[out]).max(axis=2).min(axis=1)
+            k = ordered[int(np.argmax(apart))]
+        out.append(int(k))
+        ordered = [one for one in ordered if np.abs(grid[one] - grid[k]).max() >= APART_RAD]
+    return out
 
 
 def _scene(problem: Problem, index: int, targets: Targets, model: plant.CellModel | None = None) -> Scene:

@@ -361,6 +361,11 @@ class Context:
         """:meth:`based` of each setup."""
         return tuple(self.based(index) for index in range(len(self.setups)))
 
+    @property
+    def tilts(self) -> tuple[float, ...]:
+        """The values [rad] of a positioner's tilt axis in the setups, 0 without one."""
+        return tuple(setup.stock.tilt or 0.0 for setup in self.setups)
+
     @cached_property
     def bases(self) -> dict[str, FloatArray]:
         """Base poses (4, 4) of all arms, on a track of value 0: from the text, else from the problem."""

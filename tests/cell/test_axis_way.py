@@ -77,6 +77,7 @@ def test_the_plate_and_what_stands_on_it_do_not_come_nearer(tmp_path: Path) -> N
 )
 def test_a_tilting_block_is_no_nearer_than_the_bound(tmp_path: Path, x: float, z: float, clear: bool) -> None:
     """All bodies are upright to the plane of the tilt, so shapely's turned outlines there are the truth."""
+    x = 1080.0
     box = {"kind": "box", "size_mm": [60, 100, z], "pose": {"xyz_mm": [x, 0, 0.5 * z]}}
     post = {"name": "post", "shapes": [box]}
     stock = {**positioner_job.STOCK, "place": {"xyz_mm": [920, 0, 540]}}
