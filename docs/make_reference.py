@@ -105,6 +105,8 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`cell.arms`, each", "", cell.ArmFile),
     ("`track` of an arm", "", axes.TrackFile),
     ("`turntable` of a cell", "", axes.TurntableFile),
+    ("`positioner` of a cell", "", axes.PositionerFile),
+    ("`tilt` of a positioner", "", axes.TiltFile),
     ("`plate` of a turntable", "", axes.TurntablePlateFile),
     ("`robot` of an arm, one of your own", "", robot_file.OwnRobotFile),
     ("`meshes` of `robot`, each", "", robot_file.LinkMeshFile),

@@ -16,7 +16,7 @@ import numpy as np
 from planner.catalogue.materials import Foam, SheetMetal
 from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.claims.claim import ForceFrame
-from planner.claims.vocabulary import CLOSED, KEEP_OFF, KEEP_OFF_TABLE, Handshake
+from planner.claims.vocabulary import CLOSED, KEEP_OFF, KEEP_OFF_POSITIONER, KEEP_OFF_TABLE, Handshake
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape, exp_rotation
 from planner.geometry.units import DEG
 from planner.issues import Issue
@@ -78,18 +78,20 @@ class LinearTrack:
 
 STOCK: Final = "stock"
 """What a turntable carries, by the name that it has among stations: no arm can be called so."""
+TILT: Final = "stock/tilt"
+"""The value of a positioner's tilt axis among stations: no arm can be called so."""
 PLATE: Final = "turntable"
 """Name of the body of the cell that is a turntable's plate."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Turntable:
-    """A rotary axis that the block, and what is clamped under it, stand on: with its value v [rad] they are
-    turned by v about the unit vector ``axis`` (3,), which is vertical, through ``centre`` (3,) [m] of the
-    world. ``low`` to ``high`` [rad] is its range, ``speed`` [rad/s] its own; ``unit`` is its mechanical
-    unit's name, moved by the program of ``arm`` as external axis number ``column`` [from 0]; ``home`` [rad]
-    where it stands before a program begins. Its plate, round about the axis, is the body :data:`PLATE` of the
-    cell."""
+class RotaryAxis:
+    """An axis that turns the block: with its value v [rad] what it carries is turned by v, by the right hand,
+    about the unit vector ``axis`` (3,) through ``centre`` (3,) [m] of the world. ``low`` to ``high`` [rad] is
+    its range, ``speed`` [rad/s] and ``acceleration`` [rad/s2] are its own, infinite where none is stated;
+    ``unit`` is its mechanical unit's name, moved by the program of ``arm`` as external axis number ``column``
+    [from 0]; ``home`` [rad] where it stands before a program begins. ``word`` tells two axes of one unit
+    apart."""
 
     arm: str
     unit: str
@@ -100,6 +102,13 @@ class Turntable:
     high: float
     speed: float
     home: float
+    acceleration: float = float("inf")
+    word: str = ""
+
+    @property
+    def label(self) -> str:
+        """The axis' name in texts: its unit's, and which axis of it."""
+        return f"{self.unit} {self.word}".strip()
 
     def turned(self, place: FloatArray, value: float) -> FloatArray:
         """A pose (4, 4) of value 0, or of any other from which it is turned, turned by a value [rad]."""
@@ -108,6 +117,53 @@ class Turntable:
         out[:3, :3] = turn @ out[:3, :3]
         out[:3, 3] = self.centre + turn @ (out[:3, 3] - self.centre)
         return out
+
+
+@dataclasses.dataclass(frozen=True)
+class Turntable(RotaryAxis):
+    """What the block, and what is clamped under it, stand on: a rotary axis, vertical with all values 0,
+    whose plate, round about it, is the body :data:`PLATE` of the cell. A positioner has a ``tilt`` axis, too,
+    fixed in the world, which tilts the turn axis, the plate and the bodies ``bracket`` of the cell. ``load``
+    [kg] is the most that it carries, None where none is stated."""
+
+    tilt: RotaryAxis | None = None
+    bracket: tuple[str, ...] = ()
+    load: float | None = None
+
+    @property
+    def kind(self) -> str:
+        """What it is called in texts."""
+        return "turntable" if self.tilt is None else "positioner"
+
+    @property
+    def axes(self) -> dict[str, RotaryAxis]:
+        """The axes by the names of their values among stations, in the order in which they move."""
+        return {STOCK: self} if self.tilt is None else {STOCK: self, TILT: self.tilt}
+
+    @property
+    def tilted_bodies(self) -> tuple[str, ...]:
+        """Bodies of the cell that go along with the tilt axis."""
+        return () if self.tilt is None else (PLATE, *self.bracket)
+
+    def pivot(self, name: str, tilt: float) -> RotaryAxis:
+        """The axis of a name of :attr:`axes` where it lies in the world at a value ``tilt`` [rad]."""
+        if name == TILT or self.tilt is None:
+            return self.axes[name]
+        seat = np.eye(4)
+        seat[:3, 3] = self.centre
+        seat = self.tilt.turned(seat, tilt)
+        return dataclasses.replace(self, centre=seat[:3, 3], axis=seat[:3, :3] @ self.axis)
+
+    def placed(
+        self, place: FloatArray, there: Mapping[str, float], here: Mapping[str, float] | None = None
+    ) -> FloatArray:
+        """A pose (4, 4), of the values ``here`` by the names of :attr:`axes`, of 0 unless stated, where the
+        values are ``there``: Rot(tilt axis) Rot(turn axis) pose."""
+        here = here or {}
+        if self.tilt is not None:
+            place = self.tilt.turned(place, -here.get(TILT, 0.0))
+        place = self.turned(place, there.get(STOCK, 0.0) - here.get(STOCK, 0.0))
+        return place if self.tilt is None else self.tilt.turned(place, there.get(TILT, 0.0))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,6 +208,11 @@ class Obstacle:
     name: str
     shapes: tuple[Shape, ...]
 
+    def moved(self, motion: FloatArray) -> Obstacle:
+        """The body moved by a motion (4, 4) of the world."""
+        shapes = tuple(dataclasses.replace(one, pose=motion @ one.pose) for one in self.shapes)
+        return dataclasses.replace(self, shapes=shapes)
+
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
@@ -174,6 +235,17 @@ class Cell:
             if arm.name == name:
                 return arm
         raise KeyError(name)
+
+    def tilted(self, way: float) -> Cell:
+        """The cell with what a positioner tilts tilted by a way [rad]."""
+        table = self.turntable
+        if table is None or table.tilt is None or way == 0.0:
+            return self
+        goes = table.tilt.turned(np.eye(4), way)
+        bodies = tuple(
+            body.moved(goes) if body.name in table.tilted_bodies else body for body in self.obstacles
+        )
+        return dataclasses.replace(self, obstacles=bodies)
 
 
 def output_of(request: str) -> str:
@@ -368,7 +440,7 @@ class Stock:
     clamped along its rim; z runs through its thickness, and ``support`` is its clamp. ``pedestal``: what
     stands under the block is made, as high as its place wants it (``planner.cell.support``), in place of
     ``support``. On a turntable the stock of a problem has the ``place`` of value 0, one of a setup that of
-    the ``station`` [rad] where it stands.
+    the ``station`` [rad] where it stands, and of the ``tilt`` [rad] of a positioner.
     """
 
     size: FloatArray
@@ -384,14 +456,23 @@ class Stock:
     pedestal: Pedestal | None = None
     sheet: Sheet | None = None
     station: float | None = None
+    tilt: float | None = None
 
-    def at_station(self, table: Turntable, value: float) -> Stock:
-        """The block of a problem where its turntable has this value [rad]; raises ``ValueError`` for one
-        whose place is not known."""
+    @property
+    def stands(self) -> dict[str, float]:
+        """The values [rad] of the axes of its turntable by their names among stations, none where it stands
+        on none."""
+        both = {STOCK: self.station, TILT: self.tilt}
+        return {name: value for name, value in both.items() if value is not None}
+
+    def at_station(self, table: Turntable, values: Mapping[str, float]) -> Stock:
+        """The block where its turntable has these values [rad], by the names of its axes; raises
+        ``ValueError`` for one whose place is not known."""
         if self.place is None:
             raise ValueError("the place of a block on a turntable is not known")
-        place = table.turned(self.place, value)
-        return dataclasses.replace(self, place=place, attitude=place[:3, :3], station=value)
+        place = table.placed(self.place, values, self.stands)
+        own = (values[STOCK], values.get(TILT))
+        return dataclasses.replace(self, place=place, attitude=place[:3, :3], station=own[0], tilt=own[1])
 
     @property
     def lower(self) -> FloatArray:
@@ -434,6 +515,12 @@ class Operation(Protocol):
 
     def leaves(self, stock: Stock) -> Stock:
         """The block as the next operation finds it."""
+
+
+def any_lean(operation: Operation) -> bool:
+    """Whether targets and claims of an operation are the same however the block leans: only where its process
+    says so (``any_lean = True`` of its schema)."""
+    return bool(getattr(operation, "any_lean", False))
 
 
 @runtime_checkable
@@ -517,6 +604,15 @@ class Setup:
             return CLOSED
         return f"Setup {self.number} done as told, nobody in the cell?"
 
+    @property
+    def upright(self) -> Setup:
+        """The same with a positioner's tilt at 0, where the block stands on its plate."""
+        table, tilt = self.cell.turntable, self.stock.tilt
+        if table is None or not tilt:
+            return self
+        stock = self.stock.at_station(table, {**self.stock.stands, TILT: 0.0})
+        return dataclasses.replace(self, cell=self.cell.tilted(-tilt), stock=stock)
+
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
@@ -528,8 +624,8 @@ class Problem:
     codes of errors that the user takes upon himself. ``notes``: what was chosen on the way from the file.
     ``forces`` {index of an operation: {arm: force}}: what the work exerts on tools; those of operations of
     one setup are alike. ``stations`` {index of an operation: {arm: value [m] of its track, :data:`STOCK`:
-    value [rad] of the turntable}}: where arms on tracks and the block stand in it; where nothing is said they
-    stay, at first at home.
+    value [rad] of the turntable, :data:`TILT`: of its tilt}}: where arms on tracks and the block stand in it;
+    where nothing is said they stay, at first at home.
     """
 
     name: str
@@ -553,10 +649,11 @@ class Problem:
 
     @property
     def homes(self) -> dict[str, float]:
-        """Values [m, rad] of tracks and the turntable before anything moves, by what they carry as
+        """Values [m, rad] of tracks and of axes under the block before anything moves, by what they carry as
         :attr:`stations` has it."""
         out = {arm.name: arm.track.home for arm in self.cell.arms if arm.track is not None}
-        return out if self.cell.turntable is None else {**out, STOCK: self.cell.turntable.home}
+        table = self.cell.turntable
+        return out | ({} if table is None else {name: axis.home for name, axis in table.axes.items()})
 
     def force_on(self, arm: str, setup: Setup) -> Force | None:
         """What the work of a setup exerts on the tool of an arm, None where nothing is stated."""
@@ -582,10 +679,11 @@ class Problem:
                 stock, steps = left, change.steps if change else ()
                 tracked |= self.stations.get(index, {})
                 stands = dataclasses.replace(cell, arms=tuple(_standing(arm, tracked) for arm in cell.arms))
+                stands = stands.tilted(tracked.get(TILT, 0.0))
                 steps += tuple(_keep_off(arm) for arm in stands.arms if arm.track is not None)
                 if table is not None and stock.place is not None:
-                    stock = stock.at_station(table, tracked[STOCK])
-                    steps += (_keep_off_table(table, tracked[STOCK]),)
+                    stock = stock.at_station(table, {name: tracked[name] for name in table.axes})
+                    steps += (_keep_off_table(table, stock.stands),)
                 out.append(Setup(len(out) + 1, stands, stock, (index,), steps))
             else:
                 out[-1] = dataclasses.replace(out[-1], operations=(*out[-1].operations, index))
@@ -603,11 +701,12 @@ class Problem:
         steps = tuple(_keep_off(arm) for arm in arms if arm.track is not None)
         stock, table = last.stock, self.cell.turntable
         if table is not None and stock.place is not None:
-            here = table.home if stock.station is None else stock.station
-            place = table.turned(stock.place, table.home - here)
-            stock = dataclasses.replace(stock, place=place, attitude=place[:3, :3], station=table.home)
-            steps += (_keep_off_table(table, table.home),)
+            homes = {name: axis.home for name, axis in table.axes.items()}
+            stock = stock.at_station(table, homes)
+            steps += (_keep_off_table(table, homes),)
         cell = dataclasses.replace(last.cell, arms=arms)
+        if stock.tilt is not None and last.stock.tilt is not None:
+            cell = cell.tilted(stock.tilt - last.stock.tilt)
         return Setup(last.number + 1, cell, stock, (), steps)
 
     def setup_of(self, index: int) -> Setup:
@@ -651,6 +750,9 @@ def _keep_off(arm: Arm) -> str:
     return KEEP_OFF.filled(arm=arm.name, unit=unit, value=f"{1e3 * (arm.station or 0.0):.3f}")
 
 
-def _keep_off_table(table: Turntable, value: float) -> str:
-    """What the operator does before a turntable goes to a station."""
-    return KEEP_OFF_TABLE.filled(unit=table.unit, value=f"{np.rad2deg(value):.4f}")
+def _keep_off_table(table: Turntable, values: Mapping[str, float]) -> str:
+    """What the operator does before a turntable or positioner goes to a station."""
+    turn, tilt = (f"{np.rad2deg(values.get(name, 0.0)):.4f}" for name in (STOCK, TILT))
+    if table.tilt is None:
+        return KEEP_OFF_TABLE.filled(unit=table.unit, value=turn)
+    return KEEP_OFF_POSITIONER.filled(unit=table.unit, turn=turn, tilt=tilt)

@@ -37,7 +37,9 @@ CODES: Final[dict[str, Code]] = {
     "problem.field": Code("a field of the problem file is missing, unknown or out of range", given=True),
     "problem.duplicate_name": Code("two things of the same kind have the same name", given=True),
     "problem.track": Code("a track where none is written yet", given=True),
-    "problem.turntable": Code("a turntable where none is written yet, or a block beside it", given=True),
+    "problem.turntable": Code(
+        "turntable or positioner: none is written yet, or a block beside it", given=True
+    ),
     "problem.too_large": Code("a file is larger than what is read", given=True),
     "problem.unknown_robot": Code("a robot that the catalogue does not have", given=True),
     # robots from files
@@ -366,8 +368,10 @@ CODES: Final[dict[str, Code]] = {
     "verify.rests": Code("a block is not held or borne as it must be"),
     "verify.base_frames": Code("the base frame that a program states is not the problem's"),
     "verify.move_kinds": Code("a move whose path is not known, or ConfL is not as the arm needs it"),
-    "verify.external_axes": Code("unit, value or moves of a track or turntable are not as they must be"),
-    "verify.track_way": Code("bodies come too near on the way of a track or turntable to its station"),
+    "verify.external_axes": Code(
+        "unit, value or moves of a track, table or positioner are not as they must be"
+    ),
+    "verify.track_way": Code("bodies come too near on the way of a track, table or positioner to a station"),
     "verify.zone_size": Code("a zone takes more than half of the shorter move beside it"),
     "verify.zero_length": Code("a move goes nowhere"),
     "verify.wire_mount": Code("nobody confirms that the wire is mounted, or that it is taken off"),
@@ -678,7 +682,9 @@ CODES: Final[dict[str, Code]] = {
     "gcode.skipped": Code("a code of a G-code file is passed over, as the problem says", given=True),
     # motion
     "motion.no_reach": Code("an arm cannot reach a target"),
-    "motion.station": Code("no value of a track or turntable has a path for an operation", given=True),
+    "motion.station": Code(
+        "no value of a track, table or positioner has a path for an operation", given=True
+    ),
     "motion.joint_limit": Code("an arm passes a joint limit at a target whatever its freedoms"),
     "motion.singular": Code("an arm comes too near a singular posture at a target whatever its freedoms"),
     "motion.no_path": Code("no choice of branches carries the arms past a target without a jump"),

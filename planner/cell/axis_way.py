@@ -1,8 +1,8 @@
 """How near bodies come to each other while a track takes an arm, folded, from one station to another, or a
-turntable the block.
+turntable or positioner the block.
 
 What rides moves at most by the way of its farthest point: that of the carriage, or the arc about the
-table's axis. So a distance changes by no more than that: looks lie as far apart as the distance found leaves
+axis. So a distance changes by no more than that: looks lie as far apart as the distance found leaves
 room, and between two of them a bound holds.
 """
 
@@ -18,10 +18,13 @@ import numpy as np
 from planner.cell import clearance, distance
 from planner.cell.bodies import Solid, own_shapes
 from planner.cell.plant import CellModel
+from planner.cell.support import Ground
 from planner.geometry.arrays import FloatArray, Shape, corners, transform
 from planner.geometry.units import DEG
-from planner.problem import BLIND_SPEED, PLATE, STOCK, Arm, Problem, Setup, Turntable
+from planner.problem import BLIND_SPEED, PLATE, STOCK, TILT, Arm, Problem, RotaryAxis, Setup, Turntable
 
+LEVEL: Final = 1e-12
+"""Axes whose unit vectors' heights are off 1 by less stand upright."""
 LEAST_STEP_M: Final = 1e-3
 """Looks are no nearer [m]."""
 STANDING_GAP_M: Final = 5e-3
@@ -32,6 +35,8 @@ ABB_TURN_RAD_S: Final = 45.0 * DEG
 """Highest turning [rad/s] in joint moves of RAPID programs."""
 RIDERS: Final = ("stock", "support")
 """Bodies that a turntable turns."""
+FLOOR: Final = "the floor"
+"""What tilted bodies may come near to that is no body of the cell."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,52 +90,90 @@ def along(
 def turning(
     model: CellModel,
     table: Turntable,
+    name: str,
+    tilt: float,
     ends: tuple[float, float],
     q: Mapping[str, FloatArray],
     enough: float,
 ) -> AxisWay:
-    """The way of a turntable from one value [rad] to the other; ``model`` has the block where it begins,
-    ``q`` {arm: (6,)} [rad] are all arms' joints meanwhile. It ends at a distance below ``enough`` [m].
+    """The way of a turntable, or of one axis of a positioner by its ``name`` among stations, from one value
+    [rad] to the other. ``model`` has the block, and what is tilted with it, where the way begins, with the
+    tilt axis at ``tilt`` [rad]; ``q`` {arm: (6,)} [rad] are all arms' joints meanwhile. It ends at a distance
+    below ``enough`` [m].
 
-    The plate is round about the axis, so nothing comes nearer to it by its turning, and what it carries stays
-    as far from it as it is. Heights stay as the axis is vertical, and so does the way to the floor.
+    The plate is round about the turn axis, so nothing comes nearer to it by its turning, and what it carries
+    stays as far from it as it is. The tilt axis takes plate and bracket along; what these are within
+    :data:`STANDING_GAP_M` of with the tilt at 0 bears them. What leans as it goes keeps off the floor, too.
     """
-    riders = [solid for solid in model.solids if solid.body in RIDERS]
+    pivot = table.pivot(name, tilt)
+    tilts = name == TILT
+    riding = (*RIDERS, *table.tilted_bodies) if tilts else RIDERS
+    riders = [solid for solid in model.solids if solid.body in riding]
     still = [f"{arm}/base_link" for arm in model.arms]
-    still += [obstacle.name for obstacle in model.cell.obstacles if obstacle.name != PLATE]
+    still += [body.name for body in model.cell.obstacles if body.name not in (*riding, PLATE)]
     fixed = [solid for solid in model.solids if solid.body in still]
+    floor = Ground.of(model.cell).floor
+    level = abs(pivot.axis[2]) > 1.0 - LEVEL
 
     def at(value: float) -> CellModel:
-        return model.with_stock(table.turned(model.stock_pose, value - ends[0]))
+        goes = pivot.turned(np.eye(4), value - ends[0])
+        moved = model.with_stock(goes @ model.stock_pose)
+        return moved.with_tilted(goes @ model.tilted) if tilts else moved
+
+    begun = _apart(at(0.0), riders, fixed) if tilts else {}
+    bearing = {pair for pair, gap in begun.items() if gap < STANDING_GAP_M and pair[0] not in RIDERS}
 
     def beside(placed: CellModel) -> dict[tuple[str, str], float]:
-        return _apart(placed, riders, fixed)
+        out = {pair: gap for pair, gap in _apart(placed, riders, fixed).items() if pair not in bearing}
+        if level:  # heights stay, and so does the way to the floor
+            return out
+        poses = placed.poses({})
+        for solid in riders:
+            low = float(transform(poses[solid.body][0] @ solid.shape.pose, corners(solid.shape))[:, 2].min())
+            pair = (solid.body, FLOOR)
+            out[pair] = min(out.get(pair, np.inf), low - floor)
+        return out
 
-    lever = swing([solid.shape for solid in riders], model.stock_pose, table)
-    others = sorted({solid.body for solid in model.solids} - set(RIDERS))
+    poses = model.poses({})
+    lever = max((swing([s.shape], poses[s.body][0], pivot) for s in riders), default=0.0)
+    others = sorted({solid.body for solid in model.solids} - set(riding))
     aside = frozenset(
         map(frozenset, itertools.combinations(others, 2))
-    )  # the turn changes nothing between them
+    )  # the way changes nothing between them
     return _looked(at, beside, lever, ends, q, enough, aside)
 
 
-def swing(shapes: Sequence[Shape], place: FloatArray, table: Turntable) -> float:
-    """How far [m] the farthest point of shapes in the block's frame is from a turntable's axis, with the
-    block at ``place`` (4, 4)."""
-    far = [transform(place @ shape.pose, corners(shape)) - table.centre for shape in shapes]
-    return max((float(np.hypot(points[:, 0], points[:, 1]).max()) for points in far), default=0.0)
+def stood(
+    model: CellModel, table: Turntable, there: Mapping[str, float], here: Mapping[str, float]
+) -> CellModel:
+    """The model, in which axes under the block have the values ``here`` [rad], where they have ``there``, by
+    their names among stations."""
+    moved = model.with_stock(table.placed(model.stock_pose, there, here))
+    if table.tilt is None:
+        return moved
+    return moved.with_tilted(table.tilt.turned(model.tilted, there[TILT] - here[TILT]))
 
 
-def rim(setup: Setup, place: FloatArray, table: Turntable) -> float:
-    """How far [m] what a turntable turns in a setup, with the block at ``place`` (4, 4), reaches from its
-    axis."""
-    return swing((*own_shapes(setup.cell, setup.stock)["stock"], *setup.stock.support), place, table)
+def swing(shapes: Sequence[Shape], place: FloatArray, axis: RotaryAxis) -> float:
+    """How far [m] the farthest point of shapes is from an axis, with their frame at ``place`` (4, 4)."""
+    far = [transform(place @ shape.pose, corners(shape)) - axis.centre for shape in shapes]
+    return max((float(np.linalg.norm(np.cross(p, axis.axis), axis=1).max()) for p in far), default=0.0)
+
+
+def rim(setup: Setup, place: FloatArray, table: Turntable, name: str = STOCK) -> float:
+    """How far [m] what an axis under the block carries in a setup, by its ``name`` among stations, reaches
+    from it, with the block at ``place`` (4, 4), where the setup's values have it."""
+    stock = setup.stock
+    block = (*own_shapes(setup.cell, stock)["stock"], *stock.support)
+    pivot = table.pivot(name, stock.tilt or 0.0)
+    tilted = [body for body in setup.cell.obstacles if name == TILT and body.name in table.tilted_bodies]
+    return max(swing(block, place, pivot), *(swing(body.shapes, np.eye(4), pivot) for body in tilted), 0.0)
 
 
 def travel_speeds(problem: Problem, places: Sequence[FloatArray]) -> dict[str, float]:
-    """Speeds [m/s, rad/s] of tracks and the turntable on the way to stations as programs have them, by what
-    they carry, which goes at most at :data:`planner.problem.BLIND_SPEED`; ``places`` (4, 4) of the block in
-    each setup. In KRL they are whole percents of the axis' own."""
+    """Speeds [m/s, rad/s] of tracks and of axes under the block on the way to stations as programs have them,
+    by their names among stations; what they carry goes at most at :data:`planner.problem.BLIND_SPEED`.
+    ``places`` (4, 4) of the block in each setup. In KRL they are whole percents of the axis' own."""
     out: dict[str, float] = {}
     for arm in problem.cell.arms:
         if arm.track is not None:
@@ -138,12 +181,17 @@ def travel_speeds(problem: Problem, places: Sequence[FloatArray]) -> dict[str, f
             out[arm.name] = _in_percents(most, arm.track.speed, arm)
     table = problem.cell.turntable
     if table is not None:
-        rows = zip(problem.setups, places, strict=False)
-        far = max(rim(setup, np.asarray(place), table) for setup, place in rows)
         mover = problem.cell.arm(table.arm)
-        most = min(table.speed, BLIND_SPEED / far)
-        most = min(most, ABB_TURN_RAD_S) if mover.data.family == "ABB" else most
-        out[STOCK] = _in_percents(most, table.speed, mover)
+        rows = list(zip(problem.setups, places, strict=False))
+        if (end := problem.closing) is not None and end.stock.place is not None:
+            rows.append((end, end.stock.place))
+        own: dict[str, float] = {}
+        for name, axis in table.axes.items():
+            far = max(rim(setup, np.asarray(place), table, name) for setup, place in rows)
+            own[name] = min(axis.speed, BLIND_SPEED / far)
+        if mover.data.family == "ABB":  # one figure of speeddata for all of them
+            own = dict.fromkeys(own, min(*own.values(), ABB_TURN_RAD_S))
+        out |= {name: _in_percents(own[name], axis.speed, mover) for name, axis in table.axes.items()}
     return out
 
 
@@ -154,20 +202,23 @@ def _in_percents(most: float, own: float, mover: Arm) -> float:
 
 
 def travels(problem: Problem, places: Sequence[FloatArray]) -> tuple[dict[str, Travel], ...]:
-    """Ways of tracks and the turntable before each operation, and home behind the last one, by what they
-    carry; those that stay have none. Ramps are at a track's own acceleration, and none is stated of a
-    turntable."""
+    """Ways of tracks and of axes under the block before each operation, and home behind the last one, by
+    their names among stations, in the order in which they go; those that stay have none. Ramps are at an
+    axis' own acceleration, where one is stated."""
     if not problem.homes or not problem.operations:
         return ()
     speeds, here, out = travel_speeds(problem, places), problem.homes, list[dict[str, Travel]]()
     ramps = {arm.name: arm.track.acceleration for arm in problem.cell.arms if arm.track is not None}
+    if (table := problem.cell.turntable) is not None:
+        ramps |= {name: axis.acceleration for name, axis in table.axes.items()}
     for index in range(len(problem.operations) + 1):
         there = problem.homes if index == len(problem.operations) else problem.stations.get(index, here)
         own: dict[str, Travel] = {}
-        for name, value in there.items():
+        for name in here:
+            value = there.get(name, here[name])
             way = abs(value - here[name])
             if way > 0.0:
-                ramp = ramps.get(name, np.inf)
+                ramp = ramps[name]
                 top = min(speeds[name], float(np.sqrt(way * ramp)))
                 own[name] = Travel(here[name], value, way / top + top / ramp)
         out.append(own)

@@ -182,6 +182,7 @@ class CellModel:
 
     Models made by :meth:`with_stock` and :meth:`with_bases` share one diagram, whose contexts are set to a
     model's placement when that model is asked; a model is therefore not for use by several threads at once.
+    What a positioner tilts stands as the cell has it, moved by ``tilted`` (4, 4).
     q is the concatenation of six serial joint angles [rad] per arm, in the order of ``cell.arms``. Bodies
     are named "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_6", "<arm>/tool", "<arm>/edge" (a tool's own
     edge, if it has one), "stock", "support", "<obstacle>". A held stock moves with its holder;
@@ -196,10 +197,11 @@ class CellModel:
     robots: Mapping[str, RobotData]
     _shared: _Shared
     easing: Easing = NOT_EASED
+    tilted: FloatArray = dataclasses.field(default_factory=lambda: np.eye(4))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For another process, which builds it again: Drake's part of it does not travel."""
-        return _again, (self.cell, self.stock, self.stock_pose, dict(self.bases), self.easing)
+        return _again, (self.cell, self.stock, self.stock_pose, dict(self.bases), self.easing, self.tilted)
 
     @property
     def arms(self) -> tuple[str, ...]:
@@ -325,6 +327,7 @@ class CellModel:
         """World poses of all bodies by name: (B, 4, 4) of moving bodies of named arms, (1, 4, 4) of all
         others."""
         out = {obstacle.name: np.eye(4)[None] for obstacle in self.cell.obstacles}
+        out.update((name, self.tilted[None]) for name in _tilted_bodies(self.cell))
         out["stock"] = out["support"] = self.stock_pose[None]
         for arm in self.cell.arms:
             rows = np.atleast_2d(q.get(arm.name, arm.home))
@@ -355,6 +358,10 @@ class CellModel:
         """The same cell with the named arms' bases at other poses (4, 4) in the world; nothing is rebuilt."""
         return dataclasses.replace(self, bases={**self.bases, **bases})
 
+    def with_tilted(self, motion: FloatArray) -> CellModel:
+        """The same cell with what a positioner tilts moved by a motion (4, 4); nothing is rebuilt."""
+        return dataclasses.replace(self, tilted=np.asarray(motion))
+
     def with_easing(self, easing: Easing) -> CellModel:
         """The same cell, in which pairs of bodies count as farther apart than they are."""
         return dataclasses.replace(self, easing=easing)
@@ -367,7 +374,8 @@ class CellModel:
         def write(_model: object, context: Any) -> None:
             plant_context = context.plant_context()
             for name, frame in self._shared.mounts.items():
-                pose = self.stock_pose if name == "stock" else self.bases[name]
+                own = {"stock": self.stock_pose, _TILTED: self.tilted}
+                pose = own[name] if name in own else self.bases[name]
                 frame.SetPoseInParentFrame(plant_context, rigid(pose))
 
         self._shared.checker.PerformOperationAgainstAllModelContexts(write)
@@ -396,9 +404,14 @@ def build(
 
 
 def _again(
-    cell: Cell, stock: Stock, stock_pose: FloatArray, bases: Mapping[str, FloatArray], easing: Easing
+    cell: Cell,
+    stock: Stock,
+    stock_pose: FloatArray,
+    bases: Mapping[str, FloatArray],
+    easing: Easing,
+    tilted: FloatArray,
 ) -> CellModel:
-    return build(cell, stock, stock_pose, bases).with_easing(easing)
+    return build(cell, stock, stock_pose, bases).with_easing(easing).with_tilted(tilted)
 
 
 def _new(
@@ -441,8 +454,12 @@ def _new(
         _fixed(plant, "stock", mounts["stock"], own["stock"], STOCK_COLOUR)
     if stock.support:
         _fixed(plant, "support", mounts["stock"], own["support"], SUPPORT_COLOUR)
+    tilted = _tilted_bodies(cell)
+    if tilted:
+        mounts[_TILTED] = _mount(plant, _TILTED, np.eye(4))
     for obstacle in cell.obstacles:
-        _fixed(plant, obstacle.name, plant.world_frame(), obstacle.shapes, OBSTACLE_COLOUR)
+        mount = mounts[_TILTED] if obstacle.name in tilted else plant.world_frame()
+        _fixed(plant, obstacle.name, mount, obstacle.shapes, OBSTACLE_COLOUR)
     plant.Finalize()
     if meshcat is not None:
         parameters = MeshcatVisualizerParams()
@@ -557,6 +574,14 @@ def _check_names(cell: Cell) -> None:
 
 def _mount(plant: MultibodyPlant, name: str, pose: FloatArray) -> FixedOffsetFrame:
     return plant.AddFrame(FixedOffsetFrame(name, plant.world_frame(), rigid(pose)))
+
+
+_TILTED: Final = "tilt/mount"
+"""Frame in the world of what a positioner tilts."""
+
+
+def _tilted_bodies(cell: Cell) -> tuple[str, ...]:
+    return () if cell.turntable is None else cell.turntable.tilted_bodies
 
 
 def _fixed(

@@ -180,6 +180,7 @@ def issues(problem: Problem) -> list[Issue]:
 
 def stood(setup: Setup) -> list[Issue]:
     """What is wrong with how the block of one setup stands, as far as it is known before its place is."""
+    setup = setup.upright
     stock, cell = setup.stock, setup.cell
     if stock.held_by is not None or stock.sheet is not None:
         return []

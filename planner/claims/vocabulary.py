@@ -194,6 +194,11 @@ KEEP_OFF_TABLE: Final = Sentence(
     "Keep off the turntable {unit} and what stands on it: it turns to {value} deg once this is confirmed."
 )
 """Told before a turntable goes to a station."""
+KEEP_OFF_POSITIONER: Final = Sentence(
+    "Keep off the positioner {unit} and what stands on it: once this is confirmed it turns to {turn} deg, "
+    "then tilts to {tilt} deg."
+)
+"""Told before a positioner goes to a station."""
 CLOSED: Final = "All work done, nobody in the cell?"
 """Asked before tracks and turntables go home behind the last operation."""
 KRL_AXIS_AWAY: Final = Sentence("{unit} is %1 {sign} off home, {home}: jog it there, reset")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, ClassVar, Final, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -357,6 +357,9 @@ class Milling(Strict):
     def segments(self) -> tuple[str, ...]:
         """Names of the cuts in order."""
         return tuple(cut_name(cut) for cut in self.cuts)
+
+    any_lean: ClassVar[bool] = True
+    """Its targets and claims are the same however the block leans."""
 
     def leaves(self, stock: Stock) -> Stock:
         """The block as it was: what milling takes away only makes room."""

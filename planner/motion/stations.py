@@ -24,7 +24,7 @@ from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.path_search import find_path, with_aims
 from planner.motion.search.subsampling import few_of
-from planner.problem import STOCK, LinearTrack, Problem, Setup, Turntable
+from planner.problem import STOCK, TILT, LinearTrack, Problem, RotaryAxis, Setup, Turntable, any_lean
 from planner.targets import Targets
 
 STEP_M: Final = 0.1
@@ -35,6 +35,8 @@ STEP_RAD: Final = 5.0 * DEG
 """Values of a turntable are so far apart [rad],"""
 MOST_ANGLES: Final = 721
 """at most so many,"""
+MOST_TURNS, MOST_TILTS = 73, 19
+"""of a positioner's axes,"""
 ANGLE_DECIMALS: Final = 1
 """in degrees with so many decimals."""
 FEW_TARGETS: Final = 24
@@ -42,7 +44,7 @@ FEW_TARGETS: Final = 24
 GOOD_SHARE: Final = 0.6
 """Values with this share of the best margin are good: of them the nearest comes first."""
 MOST_PATHS: Final = 8
-"""Values for which a path is searched at most."""
+"""Values for which a path is searched at most, for each axis of a unit."""
 APART_M: Final = 0.2
 """These are so far [m] apart,"""
 APART_RAD: Final = 10.0 * DEG
@@ -70,26 +72,39 @@ class _Track:
     def what(self) -> str:
         return f"arm {self.name}"
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its values among stations."""
+        return (self.name,)
+
+    @property
+    def ranges(self) -> str:
+        return f"{self.track.low / MM:g} to {self.track.high / MM:g}"
+
     def values(self) -> FloatArray:
-        return values(self.track)
+        """Values (K, 1) at which it may stand."""
+        return values(self.track)[:, None]
 
     def placed(
         self, problem: Problem, setup: Setup, grid: FloatArray
     ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-        """Places of the block (K, 1, 4, 4) and bases for values (K,)."""
+        """Places of the block (K, 1, 4, 4) and bases for values (K, 1)."""
         base = problem.cell.arm(self.name).base
-        bases = {self.name: np.stack([self.track.moved(base, value) for value in grid])[:, None]}
+        bases = {self.name: np.stack([self.track.moved(base, value) for (value,) in grid])[:, None]}
         return np.tile(_place(setup), (len(grid), 1, 1, 1)), bases
 
-    def way(self, setup: Setup, ends: tuple[float, float], enough: float) -> AxisWay:
+    def way(
+        self, setup: Setup, here: Mapping[str, float], there: Mapping[str, float], enough: float
+    ) -> AxisWay:
         model = _model(setup)
         within = own_clearance.own_pairs(model)  # a way of the base changes nothing within an arm
+        ends = (here[self.name], there[self.name])
         return axis_way.along(model, self.name, self.track.axis, ends, _homes(setup), enough, within)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Table:
-    """The turntable of a cell, as an axis among others."""
+    """The turntable or positioner of a cell, as an axis among others."""
 
     track: Turntable
     name: str = STOCK
@@ -105,18 +120,49 @@ class _Table:
     def what(self) -> str:
         return "the block"
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its values among stations."""
+        return tuple(self.track.axes)
+
+    @property
+    def ranges(self) -> str:
+        spans = (
+            f"{axis.word} {axis.low / DEG:g} to {axis.high / DEG:g}" for axis in self.track.axes.values()
+        )
+        return ", ".join(spans).strip()
+
     def values(self) -> FloatArray:
-        return angles(self.track)
+        """Values (K, A) at which it may stand: of the turn, and with it of the tilt."""
+        if self.track.tilt is None:
+            return angles(self.track)[:, None]
+        both = np.meshgrid(angles(self.track, MOST_TURNS), angles(self.track.tilt, MOST_TILTS), indexing="ij")
+        return np.stack([one.ravel() for one in both], axis=1)
 
     def placed(
         self, problem: Problem, setup: Setup, grid: FloatArray
     ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-        """Places of the block (K, 1, 4, 4) for values (K,), and no bases."""
-        place, here = _place(setup), setup.stock.station or 0.0
-        return np.stack([self.track.turned(place, value - here) for value in grid])[:, None], {}
+        """Places of the block (K, 1, 4, 4) for values (K, A), and no bases."""
+        place, here = _place(setup), setup.stock.stands
+        rows = [self.track.placed(place, dict(zip(self.names, row, strict=True)), here) for row in grid]
+        return np.stack(rows)[:, None], {}
 
-    def way(self, setup: Setup, ends: tuple[float, float], enough: float) -> AxisWay:
-        return axis_way.turning(_model(setup), self.track, ends, _homes(setup), enough)
+    def way(
+        self, setup: Setup, here: Mapping[str, float], there: Mapping[str, float], enough: float
+    ) -> AxisWay:
+        """The way of one axis after the other, to where the first one comes too near to anything."""
+        model, at = _model(setup), {name: here[name] for name in self.names}
+        way = AxisWay(axis_way.REACH_M, 0.0, ("", ""), 0, True)
+        for name in self.names:
+            if there[name] != at[name]:
+                ends = (at[name], there[name])
+                tilt = at.get(TILT, 0.0)
+                way = axis_way.turning(model, self.track, name, tilt, ends, _homes(setup), enough)
+                if not way.clear:
+                    return way
+                gone = {**at, name: there[name]}
+                model, at = axis_way.stood(model, self.track, gone, at), gone
+        return way
 
 
 _Axis = _Track | _Table
@@ -148,7 +194,7 @@ def stationed(problem: Problem, targets: Sequence[Targets], passes: Passes | Non
         for name in (*own.arms, STOCK):
             if name in axes:
                 there = problem.stationed({**out, index: at})
-                at = {**at, name: _station(there, index, own, axes[name], at, passes)}
+                at = {**at, **_station(there, index, own, axes[name], at, passes)}
         out[index] = at
     made = problem.stationed(out)
     if passes is None:
@@ -160,10 +206,11 @@ def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str
     """Raise an issue (``motion.station``) where axes cannot go home behind the last operation."""
     index = len(problem.operations) - 1
     enough = problem.settings.clearance + WAY_ROOM_M
-    for name, axis in axes.items():
-        if at[name] == axis.track.home:
+    homes = problem.homes
+    for axis in axes.values():
+        if all(at[name] == homes[name] for name in axis.names):
             continue
-        way = axis.way(problem.setup_of(index), (at[name], axis.track.home), enough)
+        way = axis.way(problem.setup_of(index), at, homes, enough)
         if not way.clear:
             what = f"operation {problem.operations[index].name}: on the way of {axis.unit} home behind it "
             what += f"{' and '.join(way.pair)} come as near as {way.least / MM:.1f} mm"
@@ -178,10 +225,10 @@ def values(track: LinearTrack) -> FloatArray:
     return np.unique(np.append(np.round(np.linspace(track.low, track.high, count), 4), track.home))
 
 
-def angles(table: Turntable) -> FloatArray:
-    """The values (K,) [rad] at which a turntable may stand, whole tenths of a degree within its range, about
-    its home."""
-    step = max(STEP_RAD / DEG, np.ceil((table.high - table.low) / DEG / (MOST_ANGLES - 1)))
+def angles(table: RotaryAxis, most: int = MOST_ANGLES) -> FloatArray:
+    """The values (K,) [rad] at which an axis under the block may stand, whole tenths of a degree within its
+    range, about its home, about ``most`` of them at most."""
+    step = max(STEP_RAD / DEG, np.ceil((table.high - table.low) / DEG / (most - 1)))
     low, high, home = (value / DEG for value in (table.low, table.high, table.home))
     steps = np.arange(np.ceil((low - home) / step - 1e-9), np.floor((high - home) / step + 1e-9) + 1.0)
     grid = np.round(home + step * steps, ANGLE_DECIMALS)
@@ -208,38 +255,60 @@ def _station(
     axis: _Axis,
     at: Mapping[str, float],
     passes: Passes | None,
-) -> float:
+) -> dict[str, float]:
     setup = problem.setup_of(index)
     grid = axis.values()
-    few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), FEW_TARGETS, False)
+    count = FEW_TARGETS // len(axis.names)  # a positioner has many more values
+    few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), count, False)
     score = margin(few, *axis.placed(problem, setup, grid), problem.settings)
-    tried: list[float] = []
+    before = np.array([at[name] for name in axis.names])
+    tried: list[FloatArray] = []
     first = ""
-    for k in _order(grid, score, at[axis.name]):
-        value = float(grid[k])
-        if len(tried) >= MOST_PATHS:
+    for k in _order(grid, score, before):
+        if len(tried) >= MOST_PATHS * len(axis.names):
             break
-        if any(abs(value - other) < axis.apart for other in tried) and value != at[axis.name]:
+        near = any(np.abs(grid[k] - other).max() < axis.apart for other in tried)
+        if near and (grid[k] != before).any():
             continue
-        tried.append(value)
+        tried.append(grid[k])
+        value = _named(axis, grid[k])
         fault = _fault(problem, index, targets, axis, at, value, passes)
         if not fault:
             return value
         first = first or fault  # of the value that was thought best
     if first == NO_PATH:
-        first = _in_the_way(*_there(problem, index, targets, axis, at, tried[0]))
+        first = _in_the_way(*_there(problem, index, targets, at, _named(axis, tried[0])))
     raise TandemError(_nowhere(problem, index, axis, grid, score, tried, first))
 
 
-def _order(grid: FloatArray, score: FloatArray, before: float) -> list[int]:
-    """Values with a margin: the good ones by their way from ``before``, then the others, best first."""
+def _named(axis: _Axis, row: FloatArray) -> dict[str, float]:
+    """Values (A,) of an axis by their names among stations."""
+    return dict(zip(axis.names, row.tolist(), strict=True))
+
+
+def _order(grid: FloatArray, score: FloatArray, before: FloatArray) -> list[int]:
+    """Values (K, A) with a margin: the good ones by their way from ``before`` (A,), then the others, best
+    first. Of a positioner's two values there are many near ones, so the nearest and those farthest from
+    what comes before take turns."""
     reached = np.flatnonzero(score > 0.0)
     if not len(reached):
         return []
     good = score >= GOOD_SHARE * score.max()
-    near = sorted((k for k in reached if good[k]), key=lambda k: (abs(grid[k] - before), -score[k]))
+    far = np.abs(grid - before).sum(axis=1)
+    near = sorted((k for k in reached if good[k]), key=lambda k: (far[k], -score[k]))
     rest = sorted((k for k in reached if not good[k]), key=lambda k: -score[k])
-    return [int(k) for k in (*near, *rest)]
+    ordered = [*near, *rest]
+    if grid.shape[1] == 1:
+        return [int(k) for k in ordered]
+    out: list[int] = []
+    while ordered and len(out) < MOST_PATHS * grid.shape[1]:
+        k = ordered[0]
+        if len(out) % 2:
+            apart = np.abs(grid[ordered][:, None] - grid[out]).max(axis=2).min(axis=1)
+            k = ordered[int(np.argmax(apart))]
+        out.append(int(k))
+        ordered = [one for one in ordered if np.abs(grid[one] - grid[k]).max() >= APART_RAD]
+    return out
 
 
 def _scene(problem: Problem, index: int, targets: Targets, model: plant.CellModel | None = None) -> Scene:
@@ -253,25 +322,29 @@ def _fault(
     targets: Targets,
     axis: _Axis,
     at: Mapping[str, float],
-    value: float,
+    value: Mapping[str, float],
     passes: Passes | None,
 ) -> str:
     """Why an axis cannot stand at a value; empty where it can."""
-    if value != at[axis.name] and passes is None:
+    if any(value[name] != at[name] for name in axis.names) and passes is None:
         enough = problem.settings.clearance + WAY_ROOM_M
-        way = axis.way(problem.setup_of(index), (at[axis.name], value), enough)
+        way = axis.way(problem.setup_of(index), at, value, enough)
         if not way.clear:
             return f"on the way there {' and '.join(way.pair)} come as near as {way.least / MM:.1f} mm"
-    scene, own = _there(problem, index, targets, axis, at, value)
+    scene, own = _there(problem, index, targets, at, value)
     free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, index)
     return "" if free else NO_PATH
 
 
 def _there(
-    problem: Problem, index: int, targets: Targets, axis: _Axis, at: Mapping[str, float], value: float
+    problem: Problem,
+    index: int,
+    targets: Targets,
+    at: Mapping[str, float],
+    value: Mapping[str, float],
 ) -> tuple[Scene, Targets]:
     """The scene, and the targets, where an axis stands at a value and all others ``at`` theirs."""
-    there = problem.stationed({**problem.stations, index: {**at, axis.name: value}})
+    there = problem.stationed({**problem.stations, index: {**at, **value}})
     scene = _scene(there, index, targets, _model(there.setup_of(index)))
     return scene, with_aims(scene, targets)
 
@@ -289,18 +362,22 @@ def _nowhere(
     axis: _Axis,
     grid: FloatArray,
     score: FloatArray,
-    tried: Sequence[float],
+    tried: Sequence[FloatArray],
     reasons: str,
 ) -> Issue:
     name, table = problem.operations[index].name, axis.name == STOCK
-    low, high = axis.track.low / axis.scale, axis.track.high / axis.scale
+
+    def shown(row: FloatArray) -> str:
+        return " and ".join(f"{value / axis.scale:g}" for value in row)
+
     reach = "the arms reach all of it" if table else f"{axis.what} reaches all of it"
-    what = f"operation {name}: {reach} from no value of {axis.unit}, {low:g} to {high:g} {axis.sign}"
+    what = f"operation {name}: {reach} from no value of {axis.unit}, {axis.ranges} {axis.sign}"
     if tried:
-        shown = ", ".join(f"{value / axis.scale:g}" for value in tried)
-        what = f"operation {name}: no value of {axis.unit} has a path; tried {shown} {axis.sign}; "
-        what += f"at {tried[0] / axis.scale:g} {axis.sign}: {reasons}"
-    best = f"{grid[int(np.argmax(score))] / axis.scale:g} {axis.sign} is nearest to it"
+        which = " (turn and tilt)" if len(axis.names) > 1 else ""
+        all_of = ", ".join(shown(row) for row in tried)
+        what = f"operation {name}: no value of {axis.unit} has a path; tried {all_of} {axis.sign}{which}; "
+        what += f"at {shown(tried[0])} {axis.sign}: {reasons}"
+    best = f"{shown(grid[int(np.argmax(score))])} {axis.sign} is nearest to it"
     if table:
         hint = f"split the operation, as the table stands while an arm works ({best}), or put the table "
         hint += "elsewhere, where the arms reach one side of the block and leave it room to turn"
@@ -336,11 +413,9 @@ def advice(problem: Problem, targets: Sequence[Targets]) -> str:
     )
 
 
-def _stands(
-    problem: Problem, targets: Sequence[Targets], grid: FloatArray, axis: _Axis
-) -> list[float] | None:
-    """For each operation the least value (of ``grid``) from which all of it is reached; None where one has
-    none."""
+def _stands(problem: Problem, targets: Sequence[Targets], grid: FloatArray, axis: _Axis) -> FloatArray | None:
+    """For each operation the least values (N, A) of ``grid`` (K, A) from which all of it is reached; None
+    where one has none."""
     out = []
     for index, own in enumerate(targets):
         few = few_of(problem.cell, with_aims(_scene(problem, index, own), own), FEW_TARGETS, False)
@@ -348,13 +423,13 @@ def _stands(
         reached = grid[score > 0.0]
         if not len(reached):
             return None
-        out.append(float(reached[np.argmin(np.abs(reached))]))
-    return out
+        out.append(reached[np.argmin(np.abs(reached).sum(axis=1))])
+    return np.array(out)
 
 
 def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
     """A turntable under the middle of the block, from which every operation is reached; its home is where the
-    block stands now."""
+    block stands now. Where none does, a positioner is looked for, whose tilt axis lies across the plate."""
     setup = problem.setups[0]
     bottom = [transform(_place(setup) @ s.pose, corners(s)) for s in setup.stock.support]
     bottom = bottom or [transform(_place(setup), support.block_corners(setup.stock))]
@@ -364,15 +439,35 @@ def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
     far = float(np.linalg.norm(centre[:2] - setup.cell.arms[0].base[:2, 3]))
     if axis_way.rim(setup, _place(setup), table) + BASE_ROOM_M > far:
         return ""
-    stands = _stands(problem, targets, angles(table), _Table(table))
+    stands = _stands(problem, targets, _Table(table).values(), _Table(table))
+    at = ", ".join(f"{v:.0f}" for v in centre / MM)
+    if stands is None and all(map(any_lean, problem.operations)):
+        return _tilt_advice(problem, targets, table, at)
     if stands is None or not np.abs(stands).max() > ANGLE_NOISE:
         return ""
-    at = ", ".join(f"{v:.0f}" for v in centre / MM)
     what = (
         "put the block on a turntable under its middle, at which each operation is reached from a station of "
     )
     what += f"its own (cell: turntable: {{centre_mm: [{at}], range_deg: [-180, 180], unit: ..., "
     return what + "speed_deg_s: ..., plate: {diameter_mm: ..., height_mm: ...}})"
+
+
+def _tilt_advice(problem: Problem, targets: Sequence[Targets], table: Turntable, at: str) -> str:
+    """The positioner that tilts the block the least, about x or y through the middle of its plate."""
+    found: list[tuple[float, str]] = []
+    for axis in AXES.values():
+        tilt = RotaryAxis("", "", 1, table.centre, np.array(axis), -0.5 * np.pi, 0.5 * np.pi, 1.0, 0.0)
+        both = _Table(dataclasses.replace(table, tilt=tilt))
+        stands = _stands(problem, targets, both.values(), both)
+        if stands is None:
+            continue
+        listed = ", ".join(f"{v:g}" for v in axis)
+        low, high = min(0.0, stands[:, 1].min()) / DEG, max(0.0, stands[:, 1].max()) / DEG
+        what = "put the block on a positioner under its middle, at which each operation is reached from a "
+        what += f"station of its own (cell: positioner: {{centre_mm: [{at}], range_deg: [-180, 180], tilt: "
+        what += f"{{centre_mm: [{at}], axis: [{listed}], range_deg: [{low:.0f}, {high:.0f}], ...}}, "
+        found.append((float(np.abs(stands[:, 1]).max()), what + "unit: ..., plate: ...})"))
+    return min(found)[1] if found else ""
 
 
 def _track_advice(problem: Problem, targets: Sequence[Targets]) -> str:
@@ -382,10 +477,10 @@ def _track_advice(problem: Problem, targets: Sequence[Targets]) -> str:
     grid = np.arange(-RAIL_M, RAIL_M + 0.5 * STEP_M, 2.0 * STEP_M)
     for name, axis in AXES.items():
         rail = LinearTrack(np.array(axis), -RAIL_M, RAIL_M, 1.0, 1.0, "", 0.0)
-        stands = _stands(problem, targets, grid, _Track(arm.name, rail))
+        stands = _stands(problem, targets, grid[:, None], _Track(arm.name, rail))
         if stands is None:
             continue
-        low, high = min([0.0, *stands]) / MM, max([0.0, *stands]) / MM
+        low, high = min(0.0, stands.min()) / MM, max(0.0, stands.max()) / MM
         axes = f"[{', '.join(f'{v:g}' for v in axis)}]"
         what = f"put arm {arm.name} on a track along {name}, which reaches each operation from a station "
         what += f"of its own (track: {{axis: {axes}, range_mm: [{low:.0f}, {high:.0f}], unit: ..., "

@@ -44,7 +44,7 @@ from planner.post.program import (
     TaskProgram,
     Track,
 )
-from planner.problem import STOCK, Arm, Cell, Problem, Settings, Setup, Turntable
+from planner.problem import Arm, Cell, Problem, Settings, Setup, Turntable
 from planner.targets import Action, Targets
 
 LEAST_MASS = 0.001
@@ -270,13 +270,15 @@ class _Builder:
         }
 
     def _stations(self, stands: Mapping[str, Outer | None], arms: Mapping[str, Arm], cell: Cell) -> None:
-        """External axes that stand elsewhere go to where they are to stand, arm after arm, folded."""
+        """External axes that stand elsewhere go to where they are to stand, arm after arm, folded, those of a
+        positioner one after the other."""
         for arm in self.arms:
-            station = stands[arm]
-            if station is not None and station != self.stands[arm]:
-                there = Joints(arms[arm].home, "station", station=station)
-                what = arm if _table(arms[arm], cell) is None else "the block"
-                self._alone(arm, [there], f"{what} stands at its station")
+            station, before, table = stands[arm], self.stands[arm], _table(arms[arm], cell)
+            if station is not None and before is not None and station != before:
+                legs = _legs(before, station, table)
+                steps = [Joints(arms[arm].home, "station", station=leg) for leg in legs]
+                what = arm if table is None else "the block"
+                self._alone(arm, steps, f"{what} stands at its station")
                 self.stands[arm] = station
 
     def _setup(self, setup: Setup, reached: str = "") -> None:
@@ -376,14 +378,25 @@ def outer_speeds(task: TaskProgram, plan: Plan, problem: Problem) -> dict[int, O
     if (track := task.arm.track) is not None:
         out[TRACK_COLUMN] = OuterSpeed(speeds[task.arm.name], track.speed)
     if (table := task.table) is not None:
-        out[table.column] = OuterSpeed(speeds[STOCK], table.speed)
+        for name, axis in table.axes.items():
+            out[axis.column] = OuterSpeed(speeds[name], axis.speed)
+    return out
+
+
+def outer_names(task: TaskProgram) -> dict[int, tuple[str, str]]:
+    """Names of the external axes that a task moves, and the units of their values in texts, by column."""
+    out: dict[int, tuple[str, str]] = {}
+    if (track := task.arm.track) is not None:
+        out[TRACK_COLUMN] = (track.unit, "mm")
+    if (table := task.table) is not None:
+        out |= {axis.column: (axis.label, "deg") for axis in table.axes.values()}
     return out
 
 
 def _values(setup: Setup) -> dict[str, float]:
-    """Where tracks [m] and the turntable [rad] stand in a setup, by what they carry."""
-    out = {arm.name: arm.station for arm in setup.cell.arms}
-    return {name: value for name, value in {**out, STOCK: setup.stock.station}.items() if value is not None}
+    """Where tracks [m] and axes under the block [rad] stand in a setup, by their names among stations."""
+    out = {arm.name: arm.station for arm in setup.cell.arms if arm.station is not None}
+    return out | setup.stock.stands
 
 
 def _outer(arm: Arm, cell: Cell, values: Mapping[str, float]) -> Outer | None:
@@ -394,8 +407,20 @@ def _outer(arm: Arm, cell: Cell, values: Mapping[str, float]) -> Outer | None:
         out[TRACK_COLUMN] = values[arm.name] / MM
     table = _table(arm, cell)
     if table is not None:
-        out[table.column] = values[STOCK] / DEG
+        out |= {axis.column: values[name] / DEG for name, axis in table.axes.items()}
     return tuple((column, round(value, OUTER_DECIMALS)) for column, value in sorted(out.items())) or None
+
+
+def _legs(before: Outer, station: Outer, table: Turntable | None) -> list[Outer]:
+    """The stands that external axes go through from one to the other: the turn of a positioner before its
+    tilt."""
+    out, at, there = list[Outer](), dict(before), dict(station)
+    columns = [] if table is None else [axis.column for axis in table.axes.values()]
+    for column in columns or there:
+        if at[column] != there[column]:
+            at[column] = there[column]
+            out.append(tuple(sorted(at.items())))
+    return out
 
 
 def _at_station(step: Step, station: Outer | None) -> Step:

@@ -1,11 +1,12 @@
-"""Axes beyond an arm in a cell file: a linear track under its base, a turntable under the block, with what
-cannot be one told.
+"""Axes beyond an arm in a cell file: a linear track under its base, a turntable or a tilt-turn positioner
+under the block, with what cannot be one told.
 
-Gantries, tables that tilt and axes that move while an arm works are not written yet.
+Gantries and axes that move while an arm works are not written yet.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Annotated, Final
 
@@ -15,7 +16,18 @@ from pydantic import Field
 from planner.geometry.arrays import Shape, from_parts
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.problem import BLIND_SPEED, PLATE, Arm, Controller, LinearTrack, Obstacle, Problem, Turntable
+from planner.problem import (
+    BLIND_SPEED,
+    PLATE,
+    Arm,
+    Controller,
+    LinearTrack,
+    Obstacle,
+    Problem,
+    RotaryAxis,
+    Turntable,
+    any_lean,
+)
 from planner.reading.strict_yaml import Name, Positive, Strict, Vector
 
 LEAST_AXIS: Final = 1e-9
@@ -24,6 +36,8 @@ UPRIGHT: Final = 1e-9
 """Axes whose unit vectors are off the vertical by no more stand upright."""
 LANGUAGES: Final = ("ABB", "KUKA")
 """Families of arms in whose language external axes are written."""
+TILT_LANGUAGES: Final = ("ABB",)
+"""Those in whose language positioners are."""
 LEAST_SHARE: Final = 0.01
 """Least speed of an external axis in KRL, as a share of its own: $VEL_EXTAX takes whole percents."""
 HOME_DECIMALS: Final = 4
@@ -130,22 +144,105 @@ class TurntableFile(Strict):
     plate: TurntablePlateFile
 
 
+class TiltFile(Strict):
+    """The tilt axis of a positioner, fixed in the world: it tilts the turn axis, the plate and the bracket.
+    With value 0 the plate lies flat."""
+
+    external_axis: Annotated[
+        int, Field(ge=1, le=6, description="which of the targets' external axes it is: 1 is eax_a or E1")
+    ] = 1
+    centre_mm: Annotated[
+        Vector,
+        Field(description="any point of it, in the world; it need not meet the turn axis"),
+    ]
+    axis: Annotated[
+        Vector, Field(description="growing values tilt by the right hand about it; any but upright")
+    ]
+    range_deg: Annotated[tuple[float, float], Field(description="least and largest value, with 0 in it")]
+    speed_deg_s: Annotated[float, Field(gt=0, le=720, description="its highest")]
+    acceleration_deg_s2: Annotated[float, Field(gt=0, le=10_000, description="its highest")]
+    home_deg: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
+    bracket: Annotated[
+        tuple[Name, ...],
+        Field(max_length=20, description="bodies of `obstacles`, where they are at 0, that it tilts"),
+    ] = ()
+
+
+class PositionerFile(TurntableFile):
+    """A tilt-turn positioner under the block: a turntable on a tilt axis, two axes of one mechanical unit,
+    which take the block from station to station between operations. `place` of the block is that of both
+    values 0."""
+
+    external_axis: Annotated[
+        int, Field(ge=1, le=6, description="of the turn axis among the targets' external axes")
+    ] = 2
+    acceleration_deg_s2: Annotated[float, Field(gt=0, le=10_000, description="highest of the turn axis")]
+    load_kg: Annotated[Positive | None, Field(description="the most that it carries")] = None
+    tilt: TiltFile
+
+
 MOST_TURNS: Final = 3600.0
 """Largest value of a turntable [deg], ten turns: beyond, a figure is taken for a mistake."""
+LEAST_SLANT: Final = np.sin(5.0 * DEG)
+"""Sine of the least angle between a tilt axis and the vertical."""
+
+
+def _range_faults(spec: TurntableFile | TiltFile) -> list[tuple[str, str]]:
+    """What is wrong with range and home of an axis, by field."""
+    low, high = spec.range_deg
+    out = []
+    if not low < high:
+        what = f"it goes from {low:g} to {high:g}; give the least value first, then a larger one"
+        out.append(("range_deg", what))
+    elif not low <= spec.home_deg <= high:
+        out.append(("home_deg", f"{spec.home_deg:g} is outside the range of {low:g} to {high:g}"))
+    if not max(abs(low), abs(high)) <= MOST_TURNS:
+        out.append(("range_deg", f"got {low:g} to {high:g}; allowed: up to {MOST_TURNS:g} either way"))
+    return out
+
+
+def _tilt_faults(spec: PositionerFile, bodies: Sequence[str]) -> list[tuple[str, str]]:
+    """What is wrong with the tilt axis of a positioner, by field; ``bodies``: names of obstacles."""
+    tilt = spec.tilt
+    out = _range_faults(tilt)
+    low, high = tilt.range_deg
+    length = float(np.linalg.norm(tilt.axis))
+    if not length > LEAST_AXIS:
+        out.append(("axis", "its length is 0; give its direction, such as [0, 1, 0]"))
+    elif float(np.hypot(tilt.axis[0], tilt.axis[1])) < LEAST_SLANT * length:
+        what = (
+            "it is upright, as the turn axis is, within 5 degrees; give the axis that tilts the plate, such "
+        )
+        out.append(("axis", what + "as [0, 1, 0]"))
+    if low < high and not low <= 0.0 <= high:
+        what = f"0, where the plate lies flat, is outside of {low:g} to {high:g}; count the values from there"
+        out.append(("range_deg", what))
+    if max(abs(low), abs(high)) > 180.0:
+        out.append(("range_deg", f"got {low:g} to {high:g}; allowed: up to 180 either way"))
+    if tilt.external_axis == spec.external_axis:
+        letter = "abcdef"[tilt.external_axis - 1]
+        what = f"it is {tilt.external_axis} (eax_{letter}), as that of the turn axis; each axis has its own"
+        out.append(("external_axis", what))
+    for name in tilt.bracket:
+        if name not in bodies:
+            what = f"{name!r} is no body of the cell's obstacles; they are {', '.join(bodies) or 'none'}"
+            out.append(("bracket", what))
+    return [(f"tilt.{name}", what) for name, what in out]
 
 
 def turntable(
-    spec: TurntableFile | None, arms: Sequence[Arm], controller: Controller
+    spec: TurntableFile | None, arms: Sequence[Arm], controller: Controller, bodies: Sequence[str] = ()
 ) -> tuple[Turntable | None, tuple[Obstacle, ...]]:
-    """The turntable of a cell in SI units and its plate as a body of the cell. Raises ``TandemError``
-    (``problem.field``, ``problem.unknown_arm``, ``problem.duplicate_name``, ``problem.turntable``) with all
-    that is wrong."""
+    """The turntable or positioner of a cell in SI units and its plate as a body of the cell; ``bodies``:
+    names of its obstacles. Raises ``TandemError`` (``problem.field``, ``problem.unknown_arm``,
+    ``problem.duplicate_name``, ``problem.turntable``) with all that is wrong."""
     if spec is None:
         return None, ()
     wrong = list[Issue]()
+    kind = "positioner" if isinstance(spec, PositionerFile) else "turntable"
 
     def told(name: str, what: str, code: str = "problem.field") -> None:
-        wrong.append(Issue(code, f"{name}: {what}", field=f"turntable.{name}"))
+        wrong.append(Issue(code, f"{name}: {what}", field=f"{kind}.{name}"))
 
     low, high = spec.range_deg
     length = float(np.linalg.norm(spec.axis))
@@ -153,34 +250,34 @@ def turntable(
     if not length > LEAST_AXIS:
         told("axis", "its length is 0; give [0, 0, 1], or [0, 0, -1] where values grow the other way round")
     elif float(np.hypot(axis[0], axis[1])) > UPRIGHT:
-        what = (
-            "it leans; turntables that tilt the block are not written yet; allowed: [0, 0, 1] and [0, 0, -1]"
-        )
+        what = "it leans; allowed: [0, 0, 1] and [0, 0, -1]"
+        if kind == "turntable":
+            what += "; what tilts the block as well is a positioner (positioner: tilt)"
         told("axis", what, "problem.turntable")
-    if not low < high:
-        told("range_deg", f"it goes from {low:g} to {high:g}; give the least value first, then a larger one")
-    elif not low <= spec.home_deg <= high:
-        told("home_deg", f"{spec.home_deg:g} is outside the range of {low:g} to {high:g}")
-    if not max(abs(low), abs(high)) <= MOST_TURNS:
-        told("range_deg", f"got {low:g} to {high:g}; allowed: up to {MOST_TURNS:g} either way")
+    faults = _range_faults(spec)
+    if isinstance(spec, PositionerFile):
+        faults += _tilt_faults(spec, bodies)
+    for name, what in faults:
+        told(name, what)
     names = {arm.name: arm for arm in arms}
+    known = LANGUAGES if kind == "turntable" else TILT_LANGUAGES
     mover = names.get(arms[0].name if spec.arm is None else spec.arm)
     if mover is None:
         what = f"{spec.arm!r} is not an arm of the cell; it has {', '.join(names)}"
         told("arm", what, "problem.unknown_arm")
-    elif any(arm.data.family not in LANGUAGES for arm in arms):
-        other = next(arm for arm in arms if arm.data.family not in LANGUAGES)
-        what = f"arm {other.name} is of {other.data.family}; turntables are written for "
-        what += f"{' and '.join(LANGUAGES)} controllers alone; take the turntable out, or take such arms"
+    elif any(arm.data.family not in known for arm in arms):
+        other = next(arm for arm in arms if arm.data.family not in known)
+        what = f"arm {other.name} is of {other.data.family}; {kind}s are written for "
+        what += f"{' and '.join(known)} controllers alone; take the {kind} out, or take such arms"
         told("arm", what, "problem.turntable")
     if controller.sync == "handshake" and len(arms) > 1:
-        what = "with two controllers (handshake) a turntable is not written yet; use one (sync: multimove)"
+        what = f"with two controllers (handshake) a {kind} is not written yet; use one (sync: multimove)"
         told("unit", what, "problem.turntable")
     if any(arm.track is not None for arm in arms):
-        what = "a turntable together with an arm on a track is not written yet; state one of them"
+        what = f"a {kind} together with an arm on a track is not written yet; state one of them"
         told("unit", what, "problem.turntable")
     if spec.unit.lower() in {unit.lower() for unit in controller.units[: len(arms)]}:
-        what = f"the unit {spec.unit} is that of a robot, too; give the turntable its own"
+        what = f"the unit {spec.unit} is that of a robot, too; give the {kind} its own"
         told("unit", what, "problem.duplicate_name")
     if wrong or mover is None:
         raise TandemError(wrong)
@@ -198,36 +295,64 @@ def turntable(
         speed=spec.speed_deg_s * DEG,
         home=round(spec.home_deg, HOME_DECIMALS) * DEG,
     )
+    if isinstance(spec, PositionerFile):
+        tilt = spec.tilt
+        slant = RotaryAxis(
+            arm=mover.name,
+            unit=spec.unit,
+            column=tilt.external_axis - 1,
+            centre=np.array(tilt.centre_mm) * MM,
+            axis=np.array(tilt.axis) / float(np.linalg.norm(tilt.axis)),
+            low=tilt.range_deg[0] * DEG,
+            high=tilt.range_deg[1] * DEG,
+            speed=tilt.speed_deg_s * DEG,
+            home=round(tilt.home_deg, HOME_DECIMALS) * DEG,
+            acceleration=tilt.acceleration_deg_s2 * DEG,
+            word="tilt",
+        )
+        most = spec.acceleration_deg_s2 * DEG
+        made = dataclasses.replace(
+            made, acceleration=most, word="turn", tilt=slant, bracket=tilt.bracket, load=spec.load_kg
+        )
     return made, (Obstacle(PLATE, (Shape("cylinder", (radius, height), pose),)),)
 
 
 def turntable_faults(problem: Problem) -> list[Issue]:
-    """What speaks against the block of a problem on the turntable of its cell (``problem.turntable``)."""
+    """What speaks against the block of a problem on the turntable or positioner of its cell
+    (``problem.turntable``)."""
     table = problem.cell.turntable
     if table is None:
         return []
     from planner.cell import support  # what reads a problem without a turntable loads nothing of the cell
 
     out = []
+    kind = table.kind
 
     def told(what: str, field: str) -> None:
         out.append(Issue("problem.turntable", what, field=field))
 
     if all(table.arm not in operation.arms for operation in problem.operations):
         told(
-            f"the turntable {table.unit} is moved by the program of arm {table.arm}, which has none, as it "
-            "works in no operation; name another one (turntable: arm)",
-            "cell.turntable.arm",
+            f"the {kind} {table.unit} is moved by the program of arm {table.arm}, which has none, as it "
+            f"works in no operation; name another one ({kind}: arm)",
+            f"cell.{kind}.arm",
         )
-    for setup in problem.setups:
+    for number, operation in enumerate(problem.operations if table.tilt is not None else ()):
+        if not any_lean(operation):
+            what = (
+                f"operation {operation.name}: {operation.process} counts on how its block lies to gravity, "
+            )
+            what += "which a positioner tilts; milling and targets take a tilted block; take a turntable "
+            told(f"{what}(cell: turntable) for the others", f"operations.{number}")
+    for setup in (one.upright for one in problem.setups):
         stock, first = setup.stock, setup.operations[0]
         field = "stock" if first == 0 else f"operations.{first}.setup"
         if stock.sheet is not None:
-            told("a clamped sheet on a turntable is not written yet; take the turntable out", "sheet")
+            told(f"a clamped sheet on a {kind} is not written yet; take the {kind} out", "sheet")
         elif stock.held_by is not None:
-            told("a block that an arm holds does not turn; take the turntable out of the cell", field)
+            told(f"a block that an arm holds does not turn; take the {kind} out of the cell", field)
         elif stock.place is None:
-            what = "the block stands on a turntable and its place is searched; both together are not written "
+            what = f"the block stands on a {kind} and its place is searched; both together are not written "
             told(f"{what}yet; state stock.place", f"{field}.place")
         elif stock.pedestal is not None:
             what = f"a {stock.pedestal.kind} that is made reaches to the floor and does not turn; state the "
@@ -237,11 +362,17 @@ def turntable_faults(problem: Problem) -> list[Issue]:
             if name == PLATE and abs(gap) <= support.FOOT_HEIGHT:
                 continue
             under = "the plate" if name == PLATE else f"{name or 'the floor'}, which does not turn"
-            what = "the block does not stand on the turntable: what is lowest of it and its support is "
+            what = f"the block does not stand on the {kind}: what is lowest of it and its support is "
             what += f"{gap / MM:.0f} mm above {under}; allowed are {support.FOOT_HEIGHT / MM:g} mm above the "
             at = ", ".join(f"{v / MM:g}" for v in table.centre)
             told(f"{what}plate, whose top is at [{at}] mm; put the block on it", f"{field}.place")
         break
+    for setup in problem.setups:
+        mass = setup.stock.mass
+        if mass is not None and table.load is not None and mass > table.load:
+            what = f"the block weighs {mass:.1f} kg, and the {kind} {table.unit} carries {table.load:g} kg; "
+            told(f"{what}take a smaller block, or a {kind} for it", f"cell.{kind}.load_kg")
+            break
     mover = next(arm for arm in problem.cell.arms if arm.name == table.arm)
     if not out and mover.data.family == "KUKA":
         out += _fast(problem, table)

@@ -353,6 +353,9 @@ class CellFile(Strict):
         Field(min_length=1, max_length=50, description="bent wires at hand, from which one is chosen"),
     ] = None
     turntable: Annotated[axes.TurntableFile | None, Field(description="none: the block stands still")] = None
+    positioner: Annotated[
+        axes.PositionerFile | None, Field(description="in place of a turntable: one that tilts, too")
+    ] = None
     controller: ControllerFile = ControllerFile.model_validate({})
 
 
@@ -391,7 +394,11 @@ def build(spec: CellFile, folder: Path) -> Cell:
     controller = controllers(spec.controller, [arm.name for arm in spec.arms])
     axes.check_units(arms, controller)
     wires = wires_at_hand(spec.wires or ())
-    table, plate = axes.turntable(spec.turntable, arms, controller)
+    if spec.turntable is not None and spec.positioner is not None:
+        what = "a turntable and a positioner under one block; state the one on which it stands"
+        raise TandemError(Issue("problem.field", what, field="positioner"))
+    under = spec.turntable if spec.positioner is None else spec.positioner
+    table, plate = axes.turntable(under, arms, controller, [body.name for body in obstacles])
     return Cell(spec.name, tuple(arms), (*obstacles, *plate), controller, _grippers(spec), wires, table)
 
 

@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -95,6 +95,9 @@ class Posed(Strict):
     def _from_the_problem_file(cls, value: Path, info: ValidationInfo) -> Path:
         folder: Path = (info.context or {}).get("folder", Path())
         return folder / value
+
+    any_lean: ClassVar[bool] = True
+    """Its targets and claims are the same however the block leans."""
 
     def leaves(self, stock: Stock) -> Stock:
         """The block as it was: what is cut stays in its place."""

@@ -218,7 +218,8 @@ def setup_pictures(model: CellModel, problem: Problem, plan: Plan | None) -> tup
     for setup, place in zip(setups, plan.places, strict=True):
         names = ", ".join(plan.operations[i].name for i in setup.operations)
         title = f"Setup {setup.number}: {names}" if len(setups) > 1 else ""
-        here = dataclasses.replace(seen, model=seen.model.with_bases(scene.standing(setup)))
+        there = seen.model.with_bases(scene.standing(setup)).with_tilted(scene.leaning(seen.model, setup))
+        here = dataclasses.replace(seen, model=there)
         out.append((title, picture(here, _moment(problem, plan, setup, place))))
     return tuple(out)
 

@@ -14,7 +14,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
-from planner.problem import STOCK, Arm, Problem, Setup
+from planner.problem import STOCK, TILT, Arm, Problem, Setup
 from planner.report import scene
 
 FORMAT: Final = 1
@@ -31,7 +31,8 @@ def text(problem: Problem, plan: Plan) -> str:
     all targets ``time_s`` from there, ``names`` and ``segments``, and by arm ``tcp``, ``joints_deg``,
     ``entry_deg`` and ``exit_deg``; ``block`` is the plane of the block's frame, or of a held one its holder
     and the plane in the holder's TCP; ``stations_mm`` by arm are values of tracks, whose ``base`` is that of
-    value 0, and ``turntable_deg`` is that of a turntable, to which the block is turned. Joint angles are
+    value 0, and ``turntable_deg`` is that of a turntable, to which the block is turned, ``tilt_deg``
+    that of a positioner's tilt axis, by which it is tilted then. Joint angles are
     those of the arms' URDFs.
     """
     arms = {
@@ -57,10 +58,11 @@ def text(problem: Problem, plan: Plan) -> str:
         "operations": operations,
     }
     for index, stands in plan.stations.items():
-        arms_on = {arm: round(value / MM, DIGITS) for arm, value in stands.items() if arm != STOCK}
+        turned = {STOCK: "turntable_deg", TILT: "tilt_deg"}
+        arms_on = {arm: round(value / MM, DIGITS) for arm, value in stands.items() if arm not in turned}
         operations[index] |= {"stations_mm": arms_on} if arms_on else {}
-        if STOCK in stands:
-            operations[index]["turntable_deg"] = round(stands[STOCK] / DEG, DIGITS)
+        shown = {word: round(stands[name] / DEG, DIGITS) for name, word in turned.items() if name in stands}
+        operations[index] |= shown
     return json.dumps(data, separators=(",", ":")) + "\n"
 
 

@@ -24,7 +24,7 @@ from planner.cell.support import with_support
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Shape, axis_ends, inverse, transform
 from planner.plans import OperationPlan, Plan
-from planner.problem import STOCK, Arm, Problem, Setup
+from planner.problem import TILT, Arm, Problem, Setup
 from planner.report import raster, scene
 from planner.report.raster import Solid
 from planner.tooling import Bow, Mill, working_solid
@@ -194,6 +194,14 @@ def standing(setup: Setup) -> dict[str, FloatArray]:
     return {arm.name: arm.base for arm in setup.cell.arms if arm.track is not None}
 
 
+def leaning(model: CellModel, setup: Setup) -> FloatArray:
+    """The motion (4, 4) of what a positioner tilts, from where a model has it to where it is in a setup."""
+    table = model.cell.turntable
+    if table is None or table.tilt is None:
+        return np.eye(4)
+    return table.tilt.turned(np.eye(4), (setup.stock.tilt or 0.0) - (model.stock.tilt or 0.0))
+
+
 def ridden(
     scene: Scene,
     setups: Sequence[Setup],
@@ -201,9 +209,16 @@ def ridden(
     poses: Mapping[str, FloatArray],
     values: Mapping[str, FloatArray] | None = None,
 ) -> dict[str, FloatArray]:
-    """World poses {body: (T, 4, 4)} of a scene with arms on tracks where they stand in the setups (T,) that
-    are in force, or at ``values`` (T,) [m] of their tracks."""
+    """World poses {body: (T, 4, 4)} of a scene with arms on tracks, and what a positioner tilts, where they
+    stand in the setups (T,) that are in force, or at ``values`` (T,) [m, rad] of their axes."""
     out = dict(poses)
+    table = setups[0].cell.turntable
+    if table is not None and table.tilt is not None:
+        leans = np.array([one.stock.tilt or 0.0 for one in setups])[setup]
+        leans = values[TILT] if values else leans
+        here = scene.model.stock.tilt or 0.0
+        goes = np.stack([table.tilt.turned(np.eye(4), lean - here) for lean in leans])
+        out |= {name: goes @ poses[name] for name in table.tilted_bodies if name in poses}
     for arm in standing(setups[0]):
         stands = np.array([one.cell.arm(arm).base[:3, 3] for one in setups])[setup]
         first = setups[0].cell.arm(arm)
@@ -226,6 +241,9 @@ def stand(
         out[f"{arm}/edge"] = out[f"{arm}/tool"]
     stock = block_pose(setup, place, scene.model.bases, q)
     out["stock"] = out["support"] = np.broadcast_to(stock, (count, 4, 4))
+    table = scene.model.cell.turntable
+    for name in table.tilted_bodies if table is not None else ():
+        out[name] = leaning(scene.model, setup) @ out[name]
     return out
 
 
@@ -398,7 +416,7 @@ def _setup_pause(rows: _Rows, setup: Setup, index: int, here: Mapping[str, Float
 
 
 def _travel(rows: _Rows, own: Mapping[str, Travel], index: int, here: Mapping[str, FloatArray]) -> None:
-    """Tracks and the turntable go where they are to stand, one after the other, in their time."""
+    """Tracks and axes under the block go where they are to stand, one after the other, in their time."""
     q = {arm: v[None] for arm, v in here.items()}
     for name, travel in own.items():
         # keyframes are rounded to hundredths
@@ -538,9 +556,10 @@ def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, problem: Problem, 
     stands = {name: mix(np.concatenate(parts)) for name, parts in rows.stands.items()}
     table = problem.cell.turntable
     if table is not None:
-        station = np.array([one.stock.station or 0.0 for one in problem.setups])[setup]
-        turns = stands[STOCK] - station
-        block = np.stack([table.turned(pose, turn) for pose, turn in zip(block, turns, strict=True)])
+        here = [problem.setups[k].stock.stands for k in setup]
+        there = [{name: stands[name][k] for name in table.axes} for k in range(len(pick))]
+        both = zip(block, there, here, strict=True)
+        block = np.stack([table.placed(pose, wanted, at) for pose, wanted, at in both])
     wire = mix(np.concatenate(rows.wire))
     shown = np.asarray(np.isfinite(wire).all(axis=(1, 2)), dtype=np.bool_)
     sweeps = _sweeps(problem, plan, q, segments, operation, wire, block)

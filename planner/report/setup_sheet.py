@@ -16,7 +16,7 @@ from planner.claims.forming import SinksHolder
 from planner.geometry.arrays import FloatArray, inverse, to_quaternion, to_rpy, transform
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, LinearTrack, Problem, Setup, Stock, Turntable
+from planner.problem import Arm, LinearTrack, Problem, RotaryAxis, Setup, Stock, Turntable
 from planner.report import exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import kerf_shown, operation_starts
@@ -105,18 +105,21 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
         items.append(
             (
                 "stands on",
-                support.support_note(setup.cell, stock, np.asarray(plan.places[setup.number - 1])),
+                _stands_on(setup, np.asarray(plan.places[setup.number - 1])),
             )
         )
         items += _from_bases(setup, plan)
     chosen = "the problem" if stock.place is not None else "the placement search"
     table = setup.cell.turntable
     if table is not None and stock.station is not None:
-        zero = table.turned(np.asarray(plan.places[setup.number - 1]), -stock.station)
+        zero = table.placed(np.asarray(plan.places[setup.number - 1]), {}, stock.stands)
         at, lean, _ = pose_cells(zero)
         items.append((f"clamped so that it is, with {table.unit} at 0 deg, at x, y, z [mm]", at))
         items.append((f"and its roll, pitch, yaw with {table.unit} at 0 deg [deg]", lean))
-        name = f"place once {table.unit} is at {stock.station / DEG:g} deg: x, y, z in the world [mm]"
+        if stock.tilt is not None:
+            leans = f"it is tilted by {stock.tilt / DEG:g} deg here, and leans as it goes there and home"
+            items.append(("bolted or clamped to the plate", leans))
+        name = f"place once {table.unit} is at {_stand(table, stock)}: x, y, z in the world [mm]"
     items += [
         (name, place),
         ("place: roll, pitch, yaw [deg]", turn),
@@ -124,6 +127,20 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
         ("place chosen by", chosen),
     ]
     return Facts(tuple(items))
+
+
+def _stand(table: Turntable, stock: Stock) -> str:
+    """The values of the axes under a block, in words."""
+    words = (f"{axis.word} {stock.stands[name] / DEG:g}".strip() for name, axis in table.axes.items())
+    return f"{', '.join(words)} deg"
+
+
+def _stands_on(setup: Setup, place: FloatArray) -> str:
+    """What the block stands on, where a positioner's tilt is at 0."""
+    table, up = setup.cell.turntable, setup.upright
+    if table is not None and setup.stock.stands:
+        place = table.placed(place, up.stock.stands, setup.stock.stands)
+    return support.support_note(up.cell, setup.stock, place)
 
 
 def _from_bases(setup: Setup, plan: Plan) -> list[tuple[object, object]]:
@@ -177,7 +194,7 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> Table:
     frame = stock.grip if held else np.asarray(plan.places[setup.number - 1])
     where = f"TCP frame of {stock.held_by}" if held else "world"
     if setup.cell.turntable is not None and stock.station is not None:
-        where = f"world, {setup.cell.turntable.unit} at {stock.station / DEG:g} deg"
+        where = f"world, {setup.cell.turntable.unit} at {_stand(setup.cell.turntable, stock)}"
     for label, (i, j, k) in _CORNERS:
         corner = np.array([ends[i, 0], ends[j, 1], ends[k, 2], 1.0])
         rows.append((f"block, {label}, {where}", _point((frame @ corner)[:3]), "", "", _FILL))
@@ -403,7 +420,9 @@ def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
     sense = "counter-clockwise" if table.axis[2] > 0.0 else "clockwise"
     place, turn, _ = pose_cells(np.asarray(problem.stock.place))
     mover = problem.cell.arm(table.arm)
+    tilt = table.tilt
     root = f"its axis goes upright through {_point(table.centre)} mm of the world"
+    root += "" if tilt is None else f", with {tilt.label} at 0 deg"
     if mover.data.family == "KUKA":
         n = table.column + 1
         seen = transform(inverse(mover.base), table.centre)
@@ -418,14 +437,44 @@ def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
         column = f"number {table.column + 1} (eax_{'abcdef'[table.column]})"
         task = f"external axis {column} of the task of arm {table.arm}"
         first = [(f"mechanical unit {table.unit}", f"there, one rotary axis, {task}, in deg")]
+        if tilt is not None:
+            columns = f"tilt number {tilt.column + 1} (eax_{'abcdef'[tilt.column]}), turn {column}"
+            what = (
+                f"there, two rotary axes of one unit, external axes of the task of arm {table.arm}: {columns}"
+            )
+            first = [(f"mechanical unit {table.unit}", f"{what}, in deg")]
         start = f"{table.unit} before PP to main"
+    home = ", ".join(f"{axis.word} {axis.home / DEG:g}".strip() for axis in table.axes.values())
+    fast = f", {table.acceleration / DEG:g} deg/s²" if np.isfinite(table.acceleration) else ""
     return [
         *first,
-        (f"{table.unit}: base frame", root),
-        (f"{table.unit}: sense", f"seen from above, growing values turn it {sense}"),
-        (f"{table.unit}: joint", f"{ends}; home {table.home / DEG:g} deg"),
-        (start, _jogged(f"{table.home / DEG:g} deg")),
+        *([] if tilt is None else _tilt(problem, table, tilt)),
+        (f"{table.label}: base frame", root),
+        (f"{table.label}: sense", f"seen from above, growing values turn it {sense}"),
+        (f"{table.label}: joint", f"{ends}{fast}; home {table.home / DEG:g} deg"),
+        (start, _jogged(f"{home} deg")),
         (f"block with {table.unit} at 0 deg", f"at {place} mm, roll, pitch, yaw {turn} deg"),
+    ]
+
+
+def _tilt(problem: Problem, table: Turntable, tilt: RotaryAxis) -> list[tuple[str, str]]:
+    """What the controller's configuration must say of a positioner's tilt axis and of its load."""
+    along = ", ".join(markup.fixed(float(v), 6) for v in tilt.axis)
+    ends = f"{tilt.low / DEG:g} to {tilt.high / DEG:g} deg, at most {tilt.speed / DEG:g} deg/s, "
+    ends += f"{tilt.acceleration / DEG:g} deg/s²; home {tilt.home / DEG:g} deg"
+    masses = [setup.stock.mass for setup in problem.setups if setup.stock.mass is not None]
+    most = "not stated" if table.load is None else f"{table.load:g} kg"
+    block = f"the block weighs {max(masses):.1f} kg" if masses else "weigh the block"
+    carried = f"carries: {most}; {block}, with its support, and tell the controller (MechUnitLoad)"
+    return [
+        (
+            f"{tilt.label}: base frame",
+            f"it goes along ({along}) of the world, {_point(tilt.centre)} mm is on it",
+        ),
+        (f"{tilt.label}: zero", "with 0 deg the plate lies flat, its top upwards: measure with a level"),
+        (f"{tilt.label}: sense", "growing values tilt it by the right hand about that direction"),
+        (f"{tilt.label}: joint", ends),
+        (f"{table.unit}: load", carried),
     ]
 
 

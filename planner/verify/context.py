@@ -28,7 +28,7 @@ from planner.claims.claim import (
 )
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
-from planner.problem import STOCK, Arm, Problem, Setup, Stock, Turntable
+from planner.problem import STOCK, TILT, Arm, Problem, Setup, Stock, Turntable
 from planner.verify import job as job_text
 from planner.verify import job as setup_text
 from planner.verify.job import JobText, SetupClaims, Spans, Stage, TaskText
@@ -49,12 +49,14 @@ MOST_OUTER = 1e6
 
 @dataclasses.dataclass(frozen=True)
 class OuterAxis:
-    """An external axis that a task of the text moves: what it ``carries``, an arm by its name or
-    :data:`STOCK`; its ``unit``, its ``column`` [from 0] in targets, whose values times ``scale`` are in m or
+    """An external axis that a task of the text moves: what it ``carries``, by the name of its value among
+    stations, an arm's, :data:`STOCK` or :data:`TILT`; its ``unit``, of the mechanical unit of that name or
+    one of its two axes; its ``column`` [from 0] in targets, whose values times ``scale`` are in m or
     rad, as ``low``, ``high``, ``home``, ``speed`` and ``acceleration`` are, which is infinite where none is
-    stated; ``sign`` is the unit of values in texts."""
+    stated; ``sign`` is the unit of values in texts. ``mechanism``: name of its mechanical unit."""
 
     carries: str
+    mechanism: str
     unit: str
     column: int
     scale: float
@@ -69,7 +71,7 @@ class OuterAxis:
         """The speed [m/s, rad/s] that the text gives the axis in a move."""
         if move.speed.outer is not None:  # KRL: a share of the axis' own
             return move.speed.outer[self.column] * self.speed
-        return move.speed.rotary if self.carries == STOCK else move.speed.linear
+        return move.speed.rotary if self.carries in (STOCK, TILT) else move.speed.linear
 
     def shown(self, value: float) -> str:
         """A value [m, rad] for messages."""
@@ -77,14 +79,16 @@ class OuterAxis:
 
 
 def outer_axes(arm: Arm, table: Turntable | None) -> tuple[OuterAxis, ...]:
-    """The external axes that the task of an arm moves: its track, the first one, and the turntable."""
+    """The external axes that the task of an arm moves, in the order in which they go to a station: its track,
+    the first one, the turntable or the turn axis of a positioner, the tilt axis of one."""
     out = []
     if (track := arm.track) is not None:
         ends = (track.low, track.high, track.home, track.speed, track.acceleration)
-        out.append(OuterAxis(arm.name, track.unit, 0, 1e-3, "mm", *ends))
-    if table is not None and table.arm == arm.name:
-        ends = (table.low, table.high, table.home, table.speed, np.inf)
-        out.append(OuterAxis(STOCK, table.unit, table.column, np.pi / 180.0, "deg", *ends))
+        out.append(OuterAxis(arm.name, track.unit, track.unit, 0, 1e-3, "mm", *ends))
+    for name, axis in table.axes.items() if table is not None and table.arm == arm.name else ():
+        ends = (axis.low, axis.high, axis.home, axis.speed, axis.acceleration)
+        known = (axis.unit, axis.label, axis.column)
+        out.append(OuterAxis(name, *known, np.pi / 180.0, "deg", *ends))
     return tuple(out)
 
 
@@ -329,7 +333,7 @@ class Context:
 
     @cached_property
     def stations(self) -> dict[int, dict[str, float]]:
-        """{index of an operation: {arm, or STOCK: value [m, rad] of its track or the turntable}}, as targets
+        """{index of an operation: {arm, STOCK or TILT: value [m, rad] of its track or axis}}, as targets
         of the text have them: those of the last move of each setup, whose others
         :mod:`planner.verify.rules.external_axes` compares."""
         out: dict[int, dict[str, float]] = {}
@@ -356,6 +360,11 @@ class Context:
     def bases_by_setup(self) -> tuple[dict[str, FloatArray], ...]:
         """:meth:`based` of each setup."""
         return tuple(self.based(index) for index in range(len(self.setups)))
+
+    @property
+    def tilts(self) -> tuple[float, ...]:
+        """The values [rad] of a positioner's tilt axis in the setups, 0 without one."""
+        return tuple(setup.stock.tilt or 0.0 for setup in self.setups)
 
     @cached_property
     def bases(self) -> dict[str, FloatArray]:

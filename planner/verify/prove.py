@@ -307,17 +307,25 @@ class Prover:
         return {**vars(self), "begin": at_once, "_models": {}}
 
     def model(self, context: Context, index: int = 0) -> CellModel:
-        """The cell of a setup, by its index, with block and bases where the text has them."""
-        return self._model(context.places, context.bases_by_setup, index)
+        """The cell of a setup, by its index, with block, bases and what is tilted where the text has them."""
+        return self._model(context.places, context.bases_by_setup, context.tilts, index)
 
     def _model(
-        self, places: Sequence[FloatArray | None], based: Sequence[Mapping[str, FloatArray]], index: int
+        self,
+        places: Sequence[FloatArray | None],
+        based: Sequence[Mapping[str, FloatArray]],
+        tilts: Sequence[float],
+        index: int,
     ) -> CellModel:
         setup, place, bases = setups_of(self.problem)[index], places[index], based[index]
         place = np.eye(4) if place is None else place
         if index not in self._models:
             self._models[index] = build(setup.cell, setup.stock, place, bases)
-        return self._models[index].with_stock(place).with_bases(bases)
+        model, table = self._models[index].with_stock(place).with_bases(bases), setup.cell.turntable
+        if table is None or table.tilt is None:
+            return model
+        here = model.stock.tilt or 0.0
+        return model.with_tilted(table.tilt.turned(np.eye(4), tilts[index] - here))
 
     def _steps(self, context: Context, run: _Run) -> Iterator[None]:
         """Runs the rules one after the other and hands control back behind each."""
@@ -365,12 +373,13 @@ class Prover:
         self,
         places: Sequence[FloatArray | None],
         based: Sequence[Mapping[str, FloatArray]],
+        tilts: Sequence[float],
         looks: Sequence[clearance.Looks],
         settings: Settings,
     ) -> Iterator[Measured | None]:
         """What is measured at looks at clearance, with blocks and bases there; ``settings``: those of the
         context, which may ask for more than the problem's."""
-        models = functools.cache(functools.partial(self._model, places, based))
+        models = functools.cache(functools.partial(self._model, places, based, tilts))
         yield from clearance.measured(models, looks, settings)
 
     def _of_wires(self, context: Context, wires: tuple[Wire, ...]) -> Iterator[Any]:
@@ -386,7 +395,12 @@ class Prover:
         else:
             begin, looks = at_once, clearance.looks(context)
             found = self.begin(
-                self._measured, context.places, context.bases_by_setup, looks, context.problem.settings
+                self._measured,
+                context.places,
+                context.bases_by_setup,
+                context.tilts,
+                looks,
+                context.problem.settings,
             )
             of_bodies = self._of_bodies(context, (looks, found))
         forming = run.forming = Forming(context, self.begin, left)

@@ -1,4 +1,4 @@
-"""The ways of tracks and turntables: their bounds against plain trials, and where they end."""
+"""The ways of tracks, turntables and positioners: their bounds against plain trials, and where they end."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import shapely
 from shapely.affinity import rotate
 
 from planner.cell import axis_way, clearance, plant
-from tests import table_job, track_job
+from tests import positioner_job, table_job, track_job
 
 
 @pytest.mark.parametrize(("side", "clear"), [(1500.0, True), (-450.0, True), (150.0, False)])
@@ -46,7 +46,7 @@ def test_a_turning_block_is_no_nearer_than_the_bound(
     assert setup.stock.place is not None and table is not None
     model = plant.build(setup.cell, setup.stock, setup.stock.place)
     homes = {arm.name: arm.home for arm in setup.cell.arms}
-    way = axis_way.turning(model, table, (0.0, np.deg2rad(end)), homes, 0.01)
+    way = axis_way.turning(model, table, "stock", 0.0, (0.0, np.deg2rad(end)), homes, 0.01)
     assert way.clear == clear
     block = rotate(shapely.box(630, -180, 1230, 220), 10.0, origin=(930, 20))
     corner = np.sign(end) * side
@@ -68,5 +68,60 @@ def test_the_plate_and_what_stands_on_it_do_not_come_nearer(tmp_path: Path) -> N
     assert setup.stock.place is not None and table is not None
     model = plant.build(setup.cell, setup.stock, setup.stock.place)
     homes = {arm.name: arm.home for arm in setup.cell.arms}
-    way = axis_way.turning(model, table, (0.0, np.pi), homes, 0.01)
+    way = axis_way.turning(model, table, "stock", 0.0, (0.0, np.pi), homes, 0.01)
     assert way.clear and "turntable" not in way.pair
+
+
+@pytest.mark.parametrize(
+    ("x", "z", "clear"), [(1080.0, 140.0, True), (1080.0, 258.0, True), (1080.0, 300.0, False)]
+)
+def test_a_tilting_block_is_no_nearer_than_the_bound(tmp_path: Path, x: float, z: float, clear: bool) -> None:
+    """All bodies are upright to the plane of the tilt, so shapely's turned outlines there are the truth."""
+    x = 1080.0
+    box = {"kind": "box", "size_mm": [60, 100, z], "pose": {"xyz_mm": [x, 0, 0.5 * z]}}
+    post = {"name": "post", "shapes": [box]}
+    stock = {**positioner_job.STOCK, "place": {"xyz_mm": [920, 0, 540]}}
+    problem = positioner_job.problem(tmp_path, obstacles=(positioner_job.CRADLE, post), stock=stock)
+    start = problem.stationed({0: {"stock": 0.0, "stock/tilt": 0.0}})
+    setup, table = start.setups[0], start.cell.turntable
+    assert setup.stock.place is not None and table is not None
+    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    homes = {arm.name: arm.home for arm in setup.cell.arms}
+    way = axis_way.turning(model, table, "stock/tilt", 0.0, (0.0, np.deg2rad(70.0)), homes, 0.01)
+    assert way.clear == clear
+    riding = shapely.union_all(
+        [
+            shapely.box(720, 540, 1120, 590),  # block
+            shapely.box(820, 500, 1020, 540),  # support
+            shapely.box(790, 480, 1010, 500),  # plate
+            shapely.box(850, 420, 950, 460),  # cradle
+        ]
+    )
+    fixed = shapely.box(x - 30, 0, x + 30, z)
+    least = min(
+        rotate(riding, -angle, origin=(900, 470)).distance(fixed)
+        for angle in np.linspace(0.0, 70.0 if clear else np.rad2deg(way.at), 401)
+    )
+    assert way.least <= 1e-3 * least + 1e-9
+    if clear:
+        assert way.least > 0.01 and way.looks < 200
+
+
+def test_what_is_tilted_keeps_off_the_floor(tmp_path: Path) -> None:
+    low = {**positioner_job.TILT, "centre_mm": [900, 0, 130]}
+    given = {**positioner_job.POSITIONER, "centre_mm": [900, 0, 160], "tilt": low}
+    stock = {**positioner_job.STOCK, "place": {"xyz_mm": [920, 0, 200]}}
+    cradle = {"name": "cradle", "shapes": [{"kind": "box", "size_mm": [100, 500, 20]}]}
+    cradle["shapes"][0]["pose"] = {"xyz_mm": [900, 0, 110]}
+    arm = {**table_job.ARM, "base": {"xyz_mm": [0, 0, 0]}}
+    problem = positioner_job.problem(tmp_path, given, [cradle], stock, arms=(arm,))
+    setup, table = problem.setups[0], problem.cell.turntable
+    assert setup.stock.place is not None and table is not None
+    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    homes = {arm.name: arm.home for arm in setup.cell.arms}
+    way = axis_way.turning(model, table, "stock/tilt", 0.0, (0.0, np.deg2rad(70.0)), homes, 0.01)
+    assert not way.clear and way.pair[1] == axis_way.FLOOR
+    # the block's far lower corner: 180 mm (turned home, so on the other side) and 70 mm above the axis
+    angle = np.rad2deg(way.at)
+    outline = rotate(shapely.box(680, 200, 1080, 250), -angle, origin=(900, 130))
+    assert outline.bounds[1] < 11.5

@@ -1,4 +1,4 @@
-"""Tracks and turntables in a cell file: what is read, and what cannot be one."""
+"""Tracks, turntables and positioners in a cell file: what is read, and what cannot be one."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 import planner
 from planner.issues import TandemError
 from planner.reading import axes
-from tests import table_job
+from tests import positioner_job, table_job
 from tests.track_job import ARM, TRACK, problem
 
 
@@ -164,3 +165,104 @@ def test_axes_beyond_arms_without_rapid_or_krl_are_refused(tmp_path: Path) -> No
     with pytest.raises(TandemError, match="written for ABB and KUKA controllers alone") as refused:
         axes.turntable(axes.TurntableFile.model_validate(table_job.TABLE), [arm], cell.controller)
     assert {issue.code for issue in refused.value.issues} == {"problem.turntable"}
+
+
+# ---- positioners ----
+
+
+def test_a_positioner_is_read_and_tilts_what_the_turn_has_turned(tmp_path: Path) -> None:
+    made = positioner_job.problem(tmp_path)
+    table = made.cell.turntable
+    assert table is not None and table.tilt is not None
+    assert (table.label, table.column, table.tilt.label, table.tilt.column) == (
+        "STN_1 turn",
+        1,
+        "STN_1 tilt",
+        0,
+    )
+    np.testing.assert_allclose(np.rad2deg([table.tilt.low, table.tilt.high]), [-20, 70])
+    assert table.load == 250.0 and np.rad2deg(table.tilt.acceleration) == pytest.approx(30.0)
+    stood = made.stationed({0: {"stock": np.deg2rad(-60.0), "stock/tilt": np.deg2rad(40.0)}}).setups[0]
+    turn = Rotation.from_euler("z", -60.0, degrees=True).as_matrix()  # scipy's
+    lean = Rotation.from_euler("y", 40.0, degrees=True).as_matrix()
+    middle, below = np.array([0.9, 0.0, 0.5]), np.array([0.9, 0.0, 0.47])
+    place, stated = stood.stock.place, made.stock.place
+    assert place is not None and stated is not None
+    seen = below + lean @ (middle + turn @ (stated[:3, 3] - middle) - below)
+    np.testing.assert_allclose(place[:3, 3], seen, atol=1e-12)
+    np.testing.assert_allclose(place[:3, :3], lean @ turn @ stated[:3, :3], atol=1e-12)
+    bodies = {body.name: body.shapes[0].pose for body in stood.cell.obstacles}
+    np.testing.assert_allclose(bodies["cradle"][:3, 3], below + lean @ [0.0, 0.0, -0.03], atol=1e-12)
+    np.testing.assert_allclose(
+        bodies["turntable"][:3, 2], lean[:, 2], atol=1e-12
+    )  # the plate, round about it
+    np.testing.assert_allclose(bodies["posts"], made.cell.obstacles[1].shapes[0].pose)
+    assert "turns to -60.0000 deg" in stood.steps[-1] and "tilts to 40.0000 deg" in stood.steps[-1]
+    level = stood.upright
+    np.testing.assert_allclose(level.cell.obstacles[0].shapes[0].pose[:3, 3], [0.9, 0.0, 0.44], atol=1e-12)
+    assert level.stock.place is not None and level.stock.place[2, 3] == pytest.approx(0.54)
+
+
+TILTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
+    ({"axis": [0, 0, 0]}, {}, "tilt.axis: its length is 0"),
+    ({"axis": [0, 0.05, 1]}, {}, "tilt.axis: it is upright"),
+    ({"range_deg": [30, 30]}, {}, "tilt.range_deg: it goes from 30 to 30"),
+    ({"range_deg": [10, 90], "home_deg": 20}, {}, "0, where the plate lies flat, is outside of 10 to 90"),
+    ({"range_deg": [-200, 90]}, {}, "up to 180 either way"),
+    ({"home_deg": 120}, {}, "tilt.home_deg: 120 is outside the range"),
+    ({"external_axis": 2}, {}, "it is 2 (eax_b), as that of the turn axis"),
+    ({"bracket": ["arm"]}, {}, "'arm' is no body of the cell's obstacles; they are cradle, posts"),
+    ({"speed_deg_s": 0}, {}, "speed_deg_s"),
+    ({}, {"range_deg": [180, -180]}, "the least value first"),
+    ({}, {"axis": [0, 1, 1]}, "it leans; allowed"),
+    ({}, {"centre_mm": [900, 0, 400]}, "does not stand on the positioner"),
+    ({}, {"load_kg": 0.1}, "carries 0.1 kg"),
+]
+
+
+@pytest.mark.parametrize(("tilt", "table", "words"), TILTS, ids=[words for _, _, words in TILTS])
+def test_what_cannot_be_a_positioner_is_told(
+    tmp_path: Path, tilt: dict[str, Any], table: dict[str, Any], words: str
+) -> None:
+    given = {**positioner_job.POSITIONER, **table, "tilt": {**positioner_job.TILT, **tilt}}
+    stock = {**positioner_job.STOCK, "foam": "xps_30"}
+    with pytest.raises(TandemError) as refused:
+        positioner_job.problem(tmp_path, given, stock=stock)
+    found = [str(issue) for issue in refused.value.issues]
+    assert [text for text in found if words in text], found
+
+
+def test_axes_that_do_not_meet_and_lean_otherwise_are_taken(tmp_path: Path) -> None:
+    tilt = {**positioner_job.TILT, "centre_mm": [860, 0, 450], "axis": [0, 1, 1]}
+    assert positioner_job.problem(tmp_path, {**positioner_job.POSITIONER, "tilt": tilt}).cell.turntable
+
+
+def test_a_positioner_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    kuka = {**table_job.ARM, "robot": "kr16_2"}
+    with pytest.raises(TandemError, match="positioners are written for ABB controllers alone"):
+        positioner_job.problem(tmp_path, arms=(kuka,))
+    with pytest.raises(TandemError, match="together with an arm on a track"):
+        positioner_job.problem(tmp_path, arms=({**table_job.ARM, "track": TRACK},))
+    cell = positioner_job.problem(tmp_path).path
+    data = yaml.safe_load(cell.read_text())
+    data["cell"]["turntable"] = table_job.TABLE
+    cell.write_text(yaml.safe_dump(data))
+    with pytest.raises(TandemError, match="a turntable and a positioner under one block"):
+        planner.load(cell)
+
+
+def test_work_that_counts_on_gravity_takes_no_tilted_block(tmp_path: Path) -> None:
+    made = positioner_job.problem(tmp_path)
+    weighing = dataclasses.replace(made, operations=(made.operations[0], _Weighed()))
+    (issue,) = axes.turntable_faults(weighing)
+    assert issue.code == "problem.turntable" and issue.field == "operations.1"
+    assert "operation cut: straight_wire counts on how its block lies to gravity" in issue.message
+
+
+class _Weighed:
+    """An operation whose process says nothing of how its block may lean."""
+
+    name, process, arms = "cut", "straight_wire", ("left",)
+
+    def leaves(self, stock: Any) -> Any:
+        return stock

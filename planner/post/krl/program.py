@@ -58,7 +58,7 @@ from planner.post.program import (
     parts,
     short,
 )
-from planner.post.steps import TRACK_COLUMN, outer_speeds
+from planner.post.steps import outer_names, outer_speeds
 from planner.problem import Controller, KrlDialect, Problem
 from planner.targets import Action
 
@@ -219,7 +219,7 @@ class Main:
             case Joints():
                 return self._ptp(step, index, operation)
             case AxesLook(station):
-                names = self._units()
+                names = outer_names(self.task)
                 looks = (syntax.axis_check(names[c], c, value, self.dialect) for c, value in station)
                 return [line for look in looks for line in look]
             case Meet(number, reached, seconds) if self.partner is not None:
@@ -252,15 +252,6 @@ class Main:
 
     def _look(self) -> list[str]:
         return syntax.robroot_check(self.task.arm.name, self.dialect, self.along)
-
-    def _units(self) -> dict[int, tuple[str, str]]:
-        """Names of the external axes, and the units of their values in texts, by column."""
-        out: dict[int, tuple[str, str]] = {}
-        if (track := self.task.arm.track) is not None:
-            out[TRACK_COLUMN] = (track.unit, "mm")
-        if (table := self.task.table) is not None:
-            out[table.column] = (table.unit, "deg")
-        return out
 
     def _outer_speeds(self) -> list[str]:
         """Speeds of the external axes, whole percents of their own; they move to stations alone."""

@@ -28,7 +28,7 @@ from planner.post.program import (
     short,
 )
 from planner.post.rapid.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
-from planner.post.steps import LEAST_MASS, TRACK_COLUMN, outer_speeds
+from planner.post.steps import LEAST_MASS, TRACK_COLUMN, outer_names, outer_speeds
 from planner.problem import BLIND_SPEED, Problem
 from planner.tooling import Tool
 
@@ -142,7 +142,8 @@ def data_lines(
     if task.arm.track is not None:
         outer = short(moved[TRACK_COLUMN].most * 1e3, 3)
     if task.table is not None:
-        rate = min(np.rad2deg(moved[task.table.column].most), _ENTRY_TURN_RATE)
+        most = min(moved[axis.column].most for axis in task.table.axes.values())
+        rate = min(np.rad2deg(most), _ENTRY_TURN_RATE)
         turning = short(np.floor(rate * 1e3) / 1e3, 3)
     out += ["! on the way to the first target and home again"]
     out += [
@@ -277,9 +278,8 @@ def axes_checks(task: TaskProgram) -> list[str]:
         return []
     out = ["VAR jointtarget cfg_here;", "cfg_here:=CJointT();"]
     for column, home in task.home_station:
-        track = task.arm.track if column == TRACK_COLUMN else None
-        one, sign = (task.table, "deg") if track is None else (track, "mm")
-        name = quoted(vocabulary.axis_of("" if one is None else one.unit))
+        label, sign = outer_names(task)[column]
+        name = quoted(vocabulary.axis_of(label))
         value = f"cfg_here.extax.eax_{'abcdef'[column]}"
         out.append(f"check_axis {name},{value},{number(home, OUTER_DECIMALS)},{AXIS_AWAY[sign]};")
     return out

@@ -36,8 +36,9 @@ FEET_HEIGHT: Final = 0.025
 def rests(context: Context) -> Outcome:
     """A block that an arm holds lies flat on a gripper whose face is within its own, which holds it firmly
     enough and is with it within the payload; any other one stands on the floor, on a body of the cell or on
-    a support that is under its middle and stands there itself, unless the problem accepts that it does
-    not. What is made for a block is of sizes in stock and in no body of the cell, whatever is accepted."""
+    a support that is under its middle and stands there itself, with a positioner's tilt at 0, unless the
+    problem accepts that it does not. What is made for a block is of sizes in stock and in no body of the
+    cell, whatever is accepted."""
     issues: list[Issue] = []
     told = 0
     for index, setup in enumerate(context.setups):
@@ -48,7 +49,10 @@ def rests(context: Context) -> Outcome:
             place = stock.place if context.places[index] is None else context.places[index]
             stated = bool(stock.support) or stock.pedestal is not None
             taken = ("stock.support" if stated else "stock.hangs") in context.problem.accept
-            faults = [] if place is None else list(_stands(setup.cell, stock, place, taken))
+            table = setup.cell.turntable
+            if table is not None and table.tilt is not None and place is not None:
+                place = table.tilt.turned(place, -(stock.tilt or 0.0))
+            faults = [] if place is None else list(_stands(setup.upright.cell, stock, place, taken))
         else:
             continue
         told += 1

@@ -466,7 +466,7 @@ def _axes_parts(rest: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
 def _axes_wanted(axes: Sequence[OuterAxis]) -> list[str]:
     """What that procedure has to look at."""
     text = "VAR jointtarget cfg_here; cfg_here:=CJointT();" if axes else ""
-    for axis in axes:
+    for axis in sorted(axes, key=lambda one: one.column):
         here, name = f"cfg_here.extax.eax_{'abcdef'[axis.column]}", vocabulary.axis_of(axis.unit)
         home = f"{axis.home / axis.scale:.4f}"
         home = home.removeprefix("-") if float(home) == 0.0 else home

@@ -1,5 +1,5 @@
-"""Rules on tracks under arms and a turntable under the block: who moves them, where targets have them stand,
-and the way between.
+"""Rules on tracks under arms and a turntable or positioner under the block: who moves them, where targets
+have them stand, and the way between.
 
 verify.external_axes: units, values and folded arms, from the text, and the place of the block that follows.
 verify.track_way: what comes near on the way from station to station. Where arms and the block stand in all
@@ -18,7 +18,7 @@ from planner.cell.plant import CellModel
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
-from planner.problem import STOCK, Setup, Stock, Turntable
+from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
 from planner.verify.context import (
     MOST_OUTER,
     Context,
@@ -62,10 +62,11 @@ def standing(context: Context) -> Context:
 
 @rule("verify.external_axes")
 def external_axes(context: Context) -> Outcome:
-    """A track or turntable is switched on once (RAPID), before anything moves, and looked at right before the
-    first move, which nothing follows unless it is at home; each target has a value of it, within its range;
-    it moves as the first thing of a setup, alone, what it carries at most at 250 mm/s, all arms folded at
-    home, and is at home at the end; a turned block is where the value has it."""
+    """A track, turntable or positioner is switched on once (RAPID), before anything moves, and looked at
+    right before the first move, which nothing follows unless it is at home; each target has a value of each
+    axis, within its range; it moves as the first thing of a setup, alone, a positioner's turn axis before its
+    tilt axis, what it carries at most at 250 mm/s, all arms folded at home, and is at home at the end; the
+    block is where the values have it."""
     issues: list[Issue] = []
     told = []
     table = context.problem.cell.turntable
@@ -89,14 +90,16 @@ def external_axes(context: Context) -> Outcome:
 def _stations(context: Context, axis: OuterAxis) -> list[float]:
     """Where an axis stands in the setups [m, rad]."""
     on = axis.carries
-    found = [s.stock.station if on == STOCK else s.cell.arm(on).station for s in context.setups]
+    found = [
+        s.stock.stands.get(on) if on in (STOCK, TILT) else s.cell.arm(on).station for s in context.setups
+    ]
     return [value for value in found if value is not None]
 
 
 def _units(task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
     """What is wrong with the units that a task switches."""
-    on, moved = dict.fromkeys((axis.unit.lower() for axis in axes), 0), False
-    names = {axis.unit.lower(): axis.unit for axis in axes}
+    on, moved = dict.fromkeys((axis.mechanism.lower() for axis in axes), 0), False
+    names = {axis.mechanism.lower(): axis.mechanism for axis in axes}
     for step in task.steps:
         moved |= isinstance(step, MoveStep)
         if not isinstance(step, SettingStep) or step.kind not in ("ActUnit", "DeactUnit"):
@@ -153,7 +156,8 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
     """What is wrong with the values of external axes, and with their moves."""
     before: MoveStep | None = None
     last = {axis.column: axis.home for axis in axes}
-    came = -1
+    came, here, off = -1, -1, False
+    gone: list[OuterAxis] = []  # axes that moved in a setup, in order
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
         for move in stage.moves(task.name):
@@ -161,12 +165,20 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
             if wrong:
                 yield at_step(_CODE, wrong, task, move)
                 return  # where things stand from here on is not known
+            values = {axis: axis.scale * float(move.target.external[axis.column]) for axis in axes}
+            going = [axis for axis in axes if abs(values[axis] - last[axis.column]) > SAME_VALUE]
+            gone, off, here = (gone, off, here) if index == here else ([], False, index)
+            off |= any(came < place.stage < number for place in context.spans.asked[index])
+            in_turn = off and (not gone or all(axes.index(gone[-1]) < axes.index(one) for one in going))
+            gone, off = [*gone, *going], off and bool(going)  # nothing comes between question and axes
+            if len(going) > 1:
+                what = f"{' and '.join(axis.unit for axis in going)} move at once, not one after the other"
+                yield at_step(_CODE, what, task, move)
             for axis in axes:
-                value = axis.scale * float(move.target.external[axis.column])
-                goes = abs(value - last[axis.column]) > SAME_VALUE
+                value = values[axis]
+                goes = axis in going
                 if before is None or goes:
-                    asked = [place.stage for place in context.spans.asked[index]]
-                    told = before is None or any(came < at < number for at in asked)
+                    told = before is None or in_turn
                     for what in _move_faults(context, task, axis, before, move):
                         yield at_step(_CODE, what, task, move)
                     if stage.synchronised:
@@ -175,6 +187,7 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
                         what = (
                             f"{axis.unit} moves within setup {index + 1}, where nobody was told to keep off"
                         )
+                        what += ", or not in its order" if len(axes) > 1 else ""
                         yield at_step(_CODE, what, task, move)
                 if goes:
                     for other in _not_home(context, task, number):
@@ -198,8 +211,8 @@ def _move_faults(
     if not all(at_home(m, task.arm.data, task.arm.home) for m in folded):
         yield f"{axis.unit} moves while {task.arm.name} is not at home"
     table = context.problem.cell.turntable
-    if axis.carries == STOCK and table is not None:
-        rim = max((_rim(s.stock, s.stock.place, table) for s in context.setups), default=0.0)
+    if axis.carries in (STOCK, TILT) and table is not None:
+        rim = max((_rim(s, table, axis.carries) for s in context.setups), default=0.0)
         most = min(BLIND_SPEED / max(rim, 1e-3), axis.speed)
     else:
         most = min(BLIND_SPEED, axis.speed)
@@ -252,54 +265,95 @@ def _moved(context: Context, table: Turntable) -> Iterator[Issue]:
 
 
 def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
-    """Blocks that are not where the text's values have the turntable's stated axis take them: by a turn of
-    its own, in the plane, of what the problem says of value 0."""
+    """Blocks that are not where the text's values have the stated axes take them: by turns of its own, with
+    quaternions, of what the problem says of value 0."""
     at = context.problem.stock.place
     for index, setup in enumerate(context.setups):
         place, value = context.places[index], table.home  # which it has again behind all operations
+        lean = 0.0 if table.tilt is None else table.tilt.home
         for number in setup.operations:
             change = context.problem.changes.get(number)
             if change is not None and "place" in change.stock:
                 at = change.stock["place"]
             value = context.stations.get(number, {}).get(STOCK, np.nan)
-        if at is None or place is None or not np.isfinite(value):
+            lean = context.stations.get(number, {}).get(TILT, lean if table.tilt is None else np.nan)
+        if at is None or place is None or not np.isfinite(value + lean):
             what = f"nothing says where {table.unit} has the block stand in setup {index + 1}"
             yield Issue(_CODE, what, hint=f"a value of {table.unit} in each target")
             continue
-        off, turn = _off(table, at, value, place)
+        off, turn = _off(table, at, (value, lean), place)
         if off > 2.0 * FRAME_POSITION or turn > 2.0 * FRAME_ANGLE:
-            what = f"{table.unit} at {np.rad2deg(value):g} deg has the block {mm(off):.4f} mm and "
+            shown = " and ".join(f"{np.rad2deg(v):g}" for v in (value, lean)[: len(table.axes)])
+            what = f"{table.unit} at {shown} deg has the block {mm(off):.4f} mm and "
             what += f"{np.rad2deg(turn):.4f} deg off where its frame is in setup {index + 1}"
             yield Issue(_CODE, what, value=mm(off), limit=mm(FRAME_POSITION), unit="mm")
+        for name in _misplaced(context, setup, table, lean):
+            what = (
+                f"{name} is not where {table.unit} at {np.rad2deg(lean):g} deg tilts it in setup {index + 1}"
+            )
+            yield Issue(_CODE, what)
 
 
-def _off(table: Turntable, at: FloatArray, value: float, place: FloatArray) -> tuple[float, float]:
-    """How far [m, about rad] the block at ``place`` is off that of value 0, turned: right-handed seen from
-    above where the axis goes up."""
-    spin = np.exp(1j * (value if table.axis[2] > 0.0 else -value))
-    about = complex(*table.centre[:2])
-    seen = spin * (complex(*at[:2, 3]) - about) + about
-    columns = spin * (at[0, :3] + 1j * at[1, :3])
-    off = np.array([seen.real - place[0, 3], seen.imag - place[1, 3], at[2, 3] - place[2, 3]])
-    lean = np.stack([columns.real - place[0, :3], columns.imag - place[1, :3], at[2, :3] - place[2, :3]])
-    return float(np.linalg.norm(off)), float(np.linalg.norm(lean) / np.sqrt(2.0))
+def _misplaced(context: Context, setup: Setup, table: Turntable, lean: float) -> Iterator[str]:
+    """Bodies of a setup that are not where a positioner's tilt takes those of the problem."""
+    now = {body.name: body for body in setup.cell.obstacles}
+    for body in context.problem.cell.obstacles:
+        if table.tilt is not None and body.name in table.tilted_bodies:
+            for zero, one in zip(body.shapes, now[body.name].shapes, strict=True):
+                tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+                wanted = _spun(table.tilt, lean, transform(zero.pose, tips))
+                if np.abs(wanted - transform(one.pose, tips)).max() > FRAME_POSITION:
+                    yield body.name
 
 
-def _rim(stock: Stock, place: FloatArray | None, table: Turntable) -> float:
-    """How far [m] the block and its support reach from the axis that turns them."""
+def _off(
+    table: Turntable, at: FloatArray, values: tuple[float, float], place: FloatArray
+) -> tuple[float, float]:
+    """How far [m, about rad] the block at ``place`` is off that of values 0, turned about the turn axis and
+    then about the tilt axis: its origin, and ends of its axes."""
+    tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    wanted = at[:3, 3] + tips @ at[:3, :3].T
+    wanted = _spun(table, values[0], wanted)
+    wanted = wanted if table.tilt is None else _spun(table.tilt, values[1], wanted)
+    apart = wanted - (place[:3, 3] + tips @ place[:3, :3].T)
+    lean = apart[1:] - apart[0]
+    return float(np.linalg.norm(apart[0])), float(np.linalg.norm(lean) / np.sqrt(2.0))
+
+
+def _spun(axis: RotaryAxis, value: float, points: FloatArray) -> FloatArray:
+    """Points (N, 3) turned by a value [rad] about an axis through its centre: q p q* with the unit quaternion
+    q = (w, v), which is p + 2 w (v x p) + 2 v x (v x p)."""
+    w, v = np.cos(0.5 * value), np.sin(0.5 * value) * axis.axis
+    seen = points - axis.centre
+    aside = np.cross(v, seen)
+    return np.asarray(points + 2.0 * (w * aside + np.cross(v, aside)))
+
+
+def _rim(setup: Setup, table: Turntable, name: str) -> float:
+    """How far [m] what an axis carries in a setup reaches from it: block and support, and what is tilted with
+    them. The block is no farther off the turn axis by being tilted, so both are looked at where that stands
+    upright; the tilt axis takes it along as the turn axis has it then."""
+    stock, place, axis = setup.stock, setup.stock.place, table.axes[name]
     if place is None:
         return 0.0
     box = np.stack([stock.lower, stock.upper])
     points = [np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)]
     points += [transform(shape.pose, corners(shape)) for shape in stock.support]
-    seen = transform(place, np.concatenate(points)) - table.centre
-    return float(np.hypot(seen[:, 0], seen[:, 1]).max())
+    seen = transform(place, np.concatenate(points))
+    if table.tilt is not None:
+        seen = _spun(table.tilt, -(stock.tilt or 0.0), seen)
+        bodies = [body for body in setup.upright.cell.obstacles if body.name in table.tilted_bodies]
+        riding = [transform(shape.pose, corners(shape)) for body in bodies for shape in body.shapes]
+        seen = np.concatenate([seen, *riding]) if name == TILT else seen
+    along = (seen - axis.centre) @ axis.axis
+    across = seen - axis.centre - along[:, None] * axis.axis
+    return float(np.linalg.norm(across, axis=1).max())
 
 
 @rule("verify.track_way")
 def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
-    """On the way of a track or turntable from station to station bodies keep their clearance, all arms folded
-    at home."""
+    """On the way of a track, turntable or positioner from station to station bodies keep their clearance, all
+    arms folded at home; what is tilted keeps it from the floor, too."""
     limit = context.problem.settings.clearance
     issues: list[Issue] = []
     worst, where, looks = np.inf, "", 0
@@ -313,7 +367,7 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
             if way.least < limit or not way.clear:
                 what = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
                 what += f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
-                arm = None if axis.carries == STOCK else axis.carries
+                arm = None if axis.carries in (STOCK, TILT) else axis.carries
                 issues.append(Issue(_WAY, what, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm"))
             at = {**at, axis.carries: ends[1]}
     if not np.isfinite(worst):
@@ -328,7 +382,8 @@ def _goes(
     table = context.problem.cell.turntable
     for arm in setup.cell.arms:
         for axis in outer_axes(arm, table):
-            value = setup.stock.station if axis.carries == STOCK else arm.station
+            own = setup.stock.stands
+            value = own.get(axis.carries, arm.station)
             if value is not None and abs(value - at[axis.carries]) > SAME_VALUE:
                 yield axis, (at[axis.carries], value)
 
@@ -347,9 +402,10 @@ def _way(
     model = model.with_bases({n: t.moved(context.bases[n], at[n]) for n, t in tracks.items()})
     homes = {other.name: other.home for other in setup.cell.arms}
     table = setup.cell.turntable
-    if table is not None and setup.stock.station is not None:
-        model = model.with_stock(table.turned(model.stock_pose, at[STOCK] - setup.stock.station))
-        if axis.carries == STOCK:
-            return axis_way.turning(model, table, ends, homes, limit)
+    if table is not None and setup.stock.stands:
+        model = axis_way.stood(model, table, at, setup.stock.stands)
+        if axis.carries in table.axes:
+            tilt = at.get(TILT, 0.0)
+            return axis_way.turning(model, table, axis.carries, tilt, ends, homes, limit)
     itself = of_one_arm(model)  # verify.own_clearance has these, which the way does not change
     return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit, itself)

@@ -1,0 +1,107 @@
+"""A small job of a block on a tilt-turn positioner: poses over its near end, and against the underside of its
+far end, which no turn alone brings in reach."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+import planner
+from planner.cell import plant
+from planner.geometry.arrays import to_quaternion
+from planner.pipeline import Outcome
+from tests import table_job
+from tests.track_job import COLUMNS
+
+TILT: dict[str, Any] = {
+    "external_axis": 1,
+    "centre_mm": [900, 0, 470],
+    "axis": [0, 1, 0],
+    "range_deg": [-20, 70],
+    "speed_deg_s": 15,
+    "acceleration_deg_s2": 30,
+    "bracket": ["cradle"],
+}
+POSITIONER: dict[str, Any] = {
+    "unit": "STN_1",
+    "external_axis": 2,
+    "centre_mm": [900, 0, 500],
+    "range_deg": [-180, 180],
+    "home_deg": 180,
+    "speed_deg_s": 20,
+    "acceleration_deg_s2": 40,
+    "load_kg": 250,
+    "plate": {"diameter_mm": 220, "height_mm": 20},
+    "tilt": TILT,
+}
+CRADLE = {
+    "name": "cradle",
+    "shapes": [{"kind": "box", "size_mm": [100, 500, 40], "pose": {"xyz_mm": [900, 0, 440]}}],
+}
+POSTS = {
+    "name": "posts",
+    "shapes": [
+        {"kind": "box", "size_mm": [100, 40, 490], "pose": {"xyz_mm": [900, y, 245]}} for y in (-272, 272)
+    ],
+}
+STOCK: dict[str, Any] = {
+    "size_mm": [400, 260, 50],
+    "place": {"xyz_mm": [920, 10, 540], "rpy_deg": [0, 0, 10]},
+    "support": [{"kind": "box", "size_mm": [200, 200, 40], "pose": {"xyz_mm": [0, 0, -20]}}],
+}
+
+
+def rows(up: bool) -> str:
+    """Five poses in the block's frame: the ball's axis down above its near end, or up below its far end."""
+    out = [COLUMNS]
+    turn = to_quaternion(np.diag([1.0, 1.0, 1.0] if up else [1.0, -1.0, -1.0]))
+    for k in range(5):
+        x, y, z = 190.0 if up else -190.0, -40.0 + 20.0 * k, -40.0 if up else 90.0
+        out.append(",".join(str(round(float(v), 9)) for v in (x, y, z, *turn, 50.0)) + ",move")
+    return "\n".join(out) + "\n"
+
+
+def problem(
+    folder: Path,
+    positioner: dict[str, Any] | None = POSITIONER,
+    obstacles: Any = (CRADLE, POSTS),
+    stock: dict[str, Any] = STOCK,
+    arms: Any = (table_job.ARM,),
+    **changes: Any,
+) -> planner.Problem:
+    """Poses over the block's near end in operation ``a`` and below its far end in ``b``."""
+    cell: dict[str, Any] = {"name": "positioner", "arms": list(arms), "obstacles": list(obstacles)}
+    if positioner is not None:
+        cell["positioner"] = positioner
+    for name, up in (("a", False), ("b", True)):
+        (folder / f"{name}.csv").write_text(rows(up))
+    operations = [
+        {"name": name, "process": "targets", "arms": ["left"], "file": f"{name}.csv", "frame": "stock"}
+        for name in "ab"
+    ]
+    data = {"tandem": 1, "name": "tilted", "cell": cell, "stock": stock, "operations": operations, **changes}
+    path = folder / "problem.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return planner.load(path)
+
+
+FOLDER = tempfile.TemporaryDirectory()
+"""Where the files of the planned job lie as long as tests run."""
+
+
+@functools.cache
+def planned() -> Outcome:
+    """The job, planned and proven."""
+    return planner.plan(problem(Path(FOLDER.name)))
+
+
+def model() -> plant.CellModel:
+    """The cell as the first setup of the planned job has it."""
+    setup = planned().problem.setups[0]
+    assert setup.stock.place is not None
+    return plant.build(setup.cell, setup.stock, setup.stock.place)

@@ -1,0 +1,88 @@
+"""Three faces of a block, milled on a tilt-turn positioner, and what is told where it stands still."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import planner
+from planner import processes
+from planner.pipeline import plan, verify, write_pages
+from planner.report import scene
+from planner.verify.context import Context
+from tests import positioner_job
+
+PROBLEMS = Path(__file__).parent.parent / "problems"
+
+
+@pytest.mark.long
+def test_three_faces_are_milled_from_stations_of_both_axes_and_proven() -> None:
+    outcome = plan(planner.load(PROBLEMS / "tilted_faces" / "problem.yaml"))
+    assert outcome.verified
+    turns = [outcome.plan.stations[i]["stock"] for i in range(3)]
+    tilts = [outcome.plan.stations[i]["stock/tilt"] for i in range(3)]
+    assert len(set(turns)) > 1 and len(set(tilts)) > 1
+
+
+@pytest.mark.long
+def test_without_a_positioner_the_one_that_helps_is_named(tmp_path: Path) -> None:
+    stand = {"kind": "box", "size_mm": [150, 150, 500], "pose": {"xyz_mm": [900, 0, 250]}}
+    obstacles = [{"name": "stand", "shapes": [stand]}]
+    found = planner.check(positioner_job.problem(tmp_path, None, obstacles=obstacles))
+    (issue,) = [i for i in found if i.code == "motion.no_reach"]
+    assert issue.hint is not None and "put the block on a positioner under its middle" in issue.hint
+    assert "positioner: {centre_mm: [920, 10, 500], range_deg: [-180, 180], tilt: {" in issue.hint
+
+
+def test_report_and_files_show_the_block_as_it_is_tilted(tmp_path: Path) -> None:
+    outcome = positioner_job.planned()
+    outcome.save(tmp_path)
+    motion = json.loads((tmp_path / "motion.json").read_text())
+    stands = outcome.plan.stations[1]
+    assert motion["operations"][1]["tilt_deg"] == pytest.approx(np.rad2deg(stands["stock/tilt"]))
+    assert motion["operations"][1]["turntable_deg"] == pytest.approx(np.rad2deg(stands["stock"]))
+    page = (tmp_path / "report.html").read_text()
+    for words in (
+        "STN_1 tilt: base frame",
+        "STN_1 tilt: zero",
+        "STN_1 tilt: sense",
+        "STN_1 turn: sense",
+        "STN_1: load",
+        "bolted or clamped to the plate",
+        "clamped so that it is, with STN_1 at 0 deg",
+    ):
+        assert words in page, words
+    again = write_pages(tmp_path)  # of the files alone
+    assert again.ok
+    assert verify(planner.load(tmp_path / "problem" / "problem.yaml"), outcome.programs).ok
+
+
+def test_both_axes_take_their_time_in_proof_and_replay() -> None:
+    outcome = positioner_job.planned()
+    context = Context(outcome.problem, processes.claims(outcome.problem), outcome.programs)
+    run = scene.track(outcome.problem, outcome.plan, 200)
+    gaps = np.diff(context.motion.time)
+    assert run.travel == pytest.approx(gaps[gaps > 1.0].sum(), abs=0.05)  # 14.999 deg/s
+    turned, tilted = (np.rad2deg(run.stands[name]) for name in ("stock", "stock/tilt"))
+    assert ((np.abs(np.diff(turned)) > 1e-9) & (np.abs(np.diff(tilted)) > 1e-9)).sum() == 0  # one by one
+    # scipy's turns of the stated place, at each keyframe
+    stated, middle, below = np.array([0.92, 0.01, 0.54]), np.array([0.9, 0, 0.5]), np.array([0.9, 0, 0.47])
+    at = middle + Rotation.from_euler("z", turned[:, None], degrees=True).apply(stated - middle)
+    at = below + Rotation.from_euler("y", tilted[:, None], degrees=True).apply(at - below)
+    np.testing.assert_allclose(run.block[:, :3, 3], at, atol=1e-9)
+    bodies = scene.ridden(
+        scene.extract(positioner_job.model()),
+        outcome.problem.setups,
+        run.setup,
+        {"cradle": np.eye(4)[None]},
+        run.stands,
+    )
+    lean = Rotation.from_euler("y", tilted[:, None], degrees=True).as_matrix()
+    here = outcome.problem.setups[0].stock.tilt
+    assert here is not None
+    back = Rotation.from_euler("y", -here).as_matrix()
+    np.testing.assert_allclose(bodies["cradle"][:, :3, :3], lean @ back, atol=1e-9)
