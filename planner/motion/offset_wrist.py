@@ -70,7 +70,7 @@ class _Condition:
         return some
 
     def parts(self, angle: FloatArray, shoulder: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of theta 6 (..., K): the cosine at which the forearm leans from the line between shoulder and wrist,
+        """Of theta 6 (..., K): the cosine at which the forearm leans from the line shoulder to wrist,
         beyond 1 out of reach, and what axis 5 has along this line and across it, both turned by the
         forearm's own lean. ``shoulder``: 1 in front, -1 behind."""
         p = self.form
@@ -222,8 +222,8 @@ def _ends(
         good = own.room(top[:, None], np.array(shoulder))[:, 0] > 0.0
         row, top = row[good], top[good]
         own = condition.of(row)
-        for way in (1.0, -1.0):
-            end = _zero(lambda t, k: own.of(k).room(t, np.array(shoulder)), top, top + way * step)
+        for sign in (1.0, -1.0):
+            end = _zero(lambda t, k: own.of(k).room(t, np.array(shoulder)), top, top + sign * step)
             out.append((row, top, end))
     return out
 

@@ -535,7 +535,7 @@ def _gap(chain: Chain, pose: FloatArray) -> tuple[FloatArray, BoolArray]:
         return gap, np.zeros(gap.shape, dtype=np.bool_)
     if isinstance(form, OffsetParameters):
         gap = offset_wrist.reach_gap(form, flange)
-        return gap, np.zeros(gap.shape, dtype=np.bool_)
+        return gap, np.asarray(gap > SURELY_OUT_M)
     p = chain.robot.opw
     centre = flange[..., :3, 3] - p.c4 * flange[..., :3, 2]
     out, up = np.hypot(centre[..., 0], centre[..., 1]), centre[..., 2] - p.c1

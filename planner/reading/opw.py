@@ -115,7 +115,13 @@ def _class_fault(chain: UrdfChain) -> Issue | None:
     )
 
 
-_OTHER: Final = "take an arm with a spherical wrist or one as UR's; this class is not planned for yet"
+_OTHER: Final = (
+    "take an arm with a spherical or an offset wrist or one as UR's; this class is not planned for yet"
+)
+_SEVEN: Final = (
+    "no joint is searched for beside six: make the third joint fixed in a copy of the URDF, and the arm is "
+    "planned with the six that are left where they are of a class that is known"
+)
 
 
 def _class_of(w: FloatArray, p: FloatArray) -> tuple[str, str] | None:
@@ -124,7 +130,7 @@ def _class_of(w: FloatArray, p: FloatArray) -> tuple[str, str] | None:
         # axes 1 and 3 (5 and 7) lie on one line at zero: meet by pairs that are not parallel
         ball = _meet(w, p, (0, 1, 2)) and _meet(w, p, (4, 5, 6))
         kind = "seven axes, its shoulder and its wrist each in one point" if ball else "seven axes"
-        return f"an arm with {kind}", _OTHER
+        return f"an arm with {kind}", _SEVEN
     if count == 5:
         return "an arm with five axes", "name the flange behind the sixth axis as tip; " + _OTHER
     if count > 7:
