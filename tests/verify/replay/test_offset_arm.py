@@ -53,7 +53,7 @@ def test_beyond_a_singular_posture_nothing_is_followed():
     tips, points, tip = offset_arm._axes(CHAIN, q)
     side = np.sign(np.linalg.det(offset_arm._jacobian(tips, points, tip)))
     passed = int(np.argmax(side != side[0]))
-    assert 0 < passed
+    assert passed > 0
     found = offset_arm.follow(CHAIN, CHAIN.tip(q), start)
     assert np.isnan(found[passed:]).all()
     assert np.abs(found[: passed - 10] - q[: passed - 10]).max() < 1e-6
