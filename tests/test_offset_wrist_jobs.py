@@ -1,8 +1,9 @@
-"""Jobs of a GoFa, whose wrist is offset: poses, and curves milled into a panel, in RAPID without configuration
-data that is proven from its text; texts that are wrong are not."""
+"""Jobs of a GoFa, whose wrist is offset: poses, and curves milled into a panel, in RAPID without
+configuration data that is proven from its text; texts that are wrong are not."""
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import numpy as np
@@ -14,6 +15,7 @@ from planner.catalogue.robots import data_dir
 from planner.geometry.arrays import from_rpy, to_quaternion
 from planner.issues import TandemError
 from planner.verify.prove import prove
+from planner.verify.replay import arm_model
 from tests import small_problem
 
 GOFA = "crb15000_5_95"
@@ -70,10 +72,6 @@ def test_poses_are_passed_without_configuration_data_and_wrong_texts_are_refused
 
 
 def test_a_forged_length_of_the_wrist_is_found_in_the_urdf(tmp_path):
-    import dataclasses
-
-    from planner.verify.replay import arm_model
-
     data = poses(tmp_path).cell.arms[0].data
     assert arm_model.differences(arm_model.machine_of(data)) == []
     for field, words in (("a3", "axis 6 is"), ("c4", "the tip"), ("c2", "axis 3 is"), ("b3", "axis 6 is")):
