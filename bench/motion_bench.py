@@ -52,7 +52,16 @@ def timed(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[dict[str, An
 
 def run() -> list[dict[str, Any]]:
     """All measurements of motion."""
-    return [inverse(), inverse_three_parallel(), *jobs(), one_arm(), many_targets(), *bows(), placement()]
+    return [
+        inverse(),
+        inverse_three_parallel(),
+        inverse_offset_wrist(),
+        *jobs(),
+        one_arm(),
+        many_targets(),
+        *bows(),
+        placement(),
+    ]
 
 
 def inverse() -> dict[str, Any]:
@@ -83,6 +92,17 @@ def inverse_three_parallel() -> dict[str, Any]:
     row, _ = timed(lambda: planning_scene.inverse_kinematics(UR10E.form, flange))
     note = f"{10_000 / row['median_s']:,.0f} poses/s"
     return {"name": "IK, 8 branches, 10,000 poses, UR10e", **row, "note": note}
+
+
+def inverse_offset_wrist() -> dict[str, Any]:
+    """All branches of 1,000 poses of a GoFa; ssik is the peer of ``bench peers``."""
+    data = robot("crb15000_5_95")
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (1000, 6))
+    flange = forward(data, q)
+    row, found = timed(lambda: planning_scene.inverse_kinematics(data.form, flange))
+    count = int(np.sum(~np.isnan(found[..., 0])))
+    note = f"{1000 / row['median_s']:,.0f} poses/s, {count:,} solutions"
+    return {"name": "IK, up to 16 solutions, 1,000 poses, GoFa", **row, "note": note}
 
 
 def jobs() -> list[dict[str, Any]]:

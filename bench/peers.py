@@ -90,13 +90,15 @@ def rows() -> list[Row]:
 
 
 def inverse() -> Iterator[Row]:
-    """All branches of poses of an IRB 140 and of a UR10e by closed forms."""
+    """All branches of poses of an IRB 140 and of a UR10e by closed forms, of a GoFa by a search."""
     irb, ur = ("an IRB 140", robot("irb140")), ("a UR10e", UR10E)
+    gofa = ("a GoFa CRB 15000-5/0.95", robot("crb15000_5_95"))
     for (arm, data), package, make, count in (
         (irb, "py-opw-kinematics", _opw, POSES),
         (irb, "EAIK", _eaik, POSES),
         (irb, "ssik", _ssik, FEW),
         (ur, "EAIK", _eaik, POSES),
+        (gofa, "ssik", _ssik, FEW),  # which prepares itself for a minute or two when asked first
     ):
         q = np.random.default_rng(0).uniform(data.lower, data.upper, (POSES, 6))
         flange = forward(data, q)

@@ -102,7 +102,7 @@ def urdf(name: str) -> str:
         out.append("  </link>")
     out.append('  <link name="tool0"/>')
     for i in range(6):
-        axis = robot.opw.signs[i] * upright[i + 1][:, "xyz".index("zyyzyz"[i])]
+        axis = robot.form.signs[i] * upright[i + 1][:, "xyz".index(robot.form.axes[i])]
         low, high, speed = robot.lower[i], robot.upper[i], robot.velocity[i]
         out += [
             f'  <joint name="joint_{i + 1}" type="revolute">',

@@ -203,8 +203,8 @@ def links(path: Path) -> list[FloatArray]:
 def off_catalogue(name: str, path: Path) -> FloatArray:
     """How much longer or shorter (7,) [mm] the base and links of a URDF are than those of the arm that is
     built in; link 3 and link 4 together are the forearm."""
-    here = robot_of(_spec(path, read_chain(read_urdf(path), "base_link", "tool0")), path.parent).opw
-    off = np.linalg.norm(here.steps - robots.robot(name).opw.steps, axis=1) / MM
+    here = robot_of(_spec(path, read_chain(read_urdf(path), "base_link", "tool0")), path.parent).form
+    off = np.linalg.norm(here.steps - robots.robot(name).form.steps, axis=1) / MM
     return np.asarray(off[[0, 1, 2, 3, 3, 5, 6]])
 
 

@@ -34,9 +34,10 @@ class ArmForm:
     An arm from a file whose links of base and tip stand otherwise than those of the form has that between
     ``left`` and ``right`` (4, 4), None where they are the form's own. ``axes``: the axes x, y or z of their
     links about which theta_1 to theta_6 turn. ``singular``: joints, from 0, that make postures singular.
-    ``b`` [m]: how far the wrist stands beside the plane of axis 1.
+    ``b`` [m]: how far the wrist stands beside the plane of axis 1. ``branches``: numbers of solutions.
     """
 
+    branches: ClassVar[int] = 8
     axes: ClassVar[str]
     singular: ClassVar[tuple[int, ...]]
     b: float
@@ -132,6 +133,65 @@ class OpwParameters(ArmForm):
     def shoulder(self) -> float:
         """From axis 1 to the origin of link 2 [m]."""
         return float(np.hypot(self.a1, self.b))
+
+
+@dataclasses.dataclass(frozen=True)
+class OffsetParameters(ArmForm):
+    """Geometry of an ortho-parallel arm with an offset wrist: axes 4 and 5 meet, axis 6 passes beside that
+    point, as those of ABB's GoFa and Fanuc's CRX.
+
+    Lengths [m], as of :class:`OpwParameters`; ``a3`` and ``b3``: how far axis 6 is off the point where axes 4
+    and 5 meet, across axis 5 and along it; ``c4`` reaches from the foot there to the flange. Flange pose in
+    the base: Rz(t1) T(a1, 0, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) T(a3, b3, 0) Rz(t6)
+    T(0, 0, c4).
+    """
+
+    branches: ClassVar[int] = 24
+    axes: ClassVar[str] = "zyyzyz"
+    singular: ClassVar[tuple[int, ...]] = (1, 2, 3, 4)
+    b: ClassVar[float] = 0.0  # type: ignore[misc]
+    a1: float
+    a2: float
+    a3: float
+    b3: float
+    c1: float
+    c2: float
+    c3: float
+    c4: float
+    offsets: FloatArray
+    signs: FloatArray
+    left: FloatArray | None = None
+    right: FloatArray | None = None
+
+    @property
+    def steps(self) -> FloatArray:
+        """As :attr:`ArmForm.steps`; axes 4 and 5 meet."""
+        return np.array(
+            [
+                (0.0, 0.0, 0.0),
+                (self.a1, 0.0, self.c1),
+                (0.0, 0.0, self.c2),
+                (self.a2, 0.0, self.c3),
+                (0.0, 0.0, 0.0),
+                (self.a3, self.b3, 0.0),
+                (0.0, 0.0, self.c4),
+            ]
+        )
+
+    @property
+    def hand(self) -> float:
+        """From where axes 4 and 5 meet to the flange at most [m]."""
+        return float(np.linalg.norm([self.a3, self.b3, self.c4])) + self._beyond
+
+    @property
+    def stretched(self) -> float:
+        """From axis 1 to where axes 4 and 5 meet, at most [m], in the plane of the arm."""
+        return float(abs(self.a1) + self.c2 + np.hypot(self.a2, self.c3))
+
+    @property
+    def shoulder(self) -> float:
+        """From axis 1 to the origin of link 2 [m]."""
+        return abs(self.a1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -267,6 +327,12 @@ class RobotData:
             raise TypeError(f"{self.name} has no spherical wrist")
         return self.form
 
+    @property
+    def unnamed(self) -> bool:
+        """Whether it is not settled how ABB's confdata name the arm's postures: parallel rods, offset wrists.
+        Such arms run with ConfL off: straight moves go on from the posture before them."""
+        return self.coupling is not None or isinstance(self.form, OffsetParameters)
+
     def to_controller(self, q: FloatArray) -> FloatArray:
         """The controller's joint values (..., 6) [rad] of serial angles (..., 6)."""
         return self._couple(q, 1.0)
@@ -366,7 +432,9 @@ def _table() -> dict[str, RobotData]:
 def _read(name: str, entry: dict[str, Any]) -> RobotData:
     limits = np.array(entry["limits_deg"], dtype=np.float64) * DEG
     velocity = np.array(entry["velocity_deg_s"], dtype=np.float64) * DEG
-    length = {key: float(value) for key, value in entry["opw_m"].items()}
+    kind: Any = OpwParameters if "opw_m" in entry else OffsetParameters
+    lengths = entry["opw_m"] if "opw_m" in entry else entry["offset_wrist_m"]
+    length = {key: float(value) for key, value in lengths.items()}
     rise = float(entry["full_speed_after_s"])
     coupled = entry.get("coupled_deg")
     acceleration = f"acceleration: assumed, every axis reaches its full speed in {rise:g} s from rest"
@@ -375,14 +443,8 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
         title=entry["title"],
         family=entry["family"],
         controller=entry["controller"],
-        form=OpwParameters(
-            a1=length["a1"],
-            a2=length["a2"],
-            b=length["b"],
-            c1=length["c1"],
-            c2=length["c2"],
-            c3=length["c3"],
-            c4=length["c4"],
+        form=kind(
+            **length,
             offsets=_frozen(np.array(entry["offset_deg"], dtype=np.float64) * DEG),
             signs=_frozen(np.array(entry["sign"], dtype=np.float64)),
         ),

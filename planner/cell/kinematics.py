@@ -48,8 +48,13 @@ def forward(robot: RobotData, q: FloatArray) -> FloatArray:
 def jacobian(robot: RobotData, q: FloatArray) -> FloatArray:
     """Geometric Jacobians (..., 6, 6) of the flange in the base frame: rows angular [-], then linear
     [m/rad]."""
-    frames = link_frames(robot, q)
-    axes = joint_axes(robot, frames)
+    return form_jacobian(robot.form, q)
+
+
+def form_jacobian(form: ArmForm, q: FloatArray) -> FloatArray:
+    """As :func:`jacobian`, of an arm's form."""
+    frames = _frames(form, q)
+    axes = _axes(form, frames)
     arms = frames[..., 6:7, :3, 3] - frames[..., :6, :3, 3]
     return np.swapaxes(np.concatenate([axes, np.cross(axes, arms)], axis=-1), -1, -2)
 
@@ -57,8 +62,12 @@ def jacobian(robot: RobotData, q: FloatArray) -> FloatArray:
 def joint_axes(robot: RobotData, frames: FloatArray) -> FloatArray:
     """Unit axes (..., 6, 3) about which the joints turn, by the ``frames`` (..., 6 or more, 4, 4) of the
     links."""
-    axes = np.stack([frames[..., i, :3, "xyz".index(a)] for i, a in enumerate(robot.form.axes)], axis=-2)
-    return np.asarray(axes * robot.form.signs[:, None])
+    return _axes(robot.form, frames)
+
+
+def _axes(form: ArmForm, frames: FloatArray) -> FloatArray:
+    axes = np.stack([frames[..., i, :3, "xyz".index(a)] for i, a in enumerate(form.axes)], axis=-2)
+    return np.asarray(axes * form.signs[:, None])
 
 
 def _turns(theta: FloatArray, axes: str) -> FloatArray:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, spread_rows
 from planner.issues import Issue
 from planner.motion.first_look import posture
-from planner.motion.planning_scene import BRANCHES, FULL_TURN, Chain, Scene
+from planner.motion.planning_scene import FULL_TURN, Chain, Scene
 from planner.motion.search.reach import SOFT_LIMIT_RAD, SOFT_SINGULARITY_RAD, full_turn
 from planner.motion.search.subsampling import few_samples, subset
 from planner.targets import Freedom, TableFreedom, Targets
@@ -267,7 +267,7 @@ def _free_choices(
     (K, V, S, B)}, inf where a state is not allowed, of ``angles`` {arm: (K, V, S, B, 6)}."""
     arms = targets.arms
     shape = next(iter(states.values())).shape
-    combos = np.array(list(itertools.product(range(BRANCHES), repeat=len(arms))))
+    combos = np.array(list(itertools.product(*(range(costs[arm].shape[-1]) for arm in arms))))
     cost = np.full((*shape, len(combos)), np.inf)
     sample = np.zeros((*shape, len(combos)), dtype=np.intp)
     for number, combo in enumerate(combos):  # the best sample of the other freedoms for each choice

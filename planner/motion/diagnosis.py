@@ -85,6 +85,8 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
         )
     pose = scene.tcp(targets, grid.values[index], np.full(grid.samples, index))[arm]
     q = chain.inverse(pose, [branch])[:, 0]
+    if np.isnan(q[:, 0]).all():  # numbers of an offset wrist are joined along the path
+        q = chain.inverse(pose).reshape(-1, 6)
     q = q[~np.isnan(q[:, 0])]
     limit = chain.best_limit_margin(q)
     best = int(np.argmax(np.minimum(limit, chain.singularity_margin(q))))

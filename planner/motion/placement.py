@@ -15,13 +15,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.robots import ParallelParameters
+from planner.catalogue.robots import OffsetParameters, ParallelParameters
 from planner.cell import clearance, support
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, exp_rotation, from_parts, log_rotation
 from planner.geometry.units import DEG
-from planner.motion import three_parallel
-from planner.motion.planning_scene import BRANCHES, Chain, Scene
+from planner.motion import offset_wrist, three_parallel
+from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.subsampling import Few, few_of, shifts
 from planner.problem import Cell, Settings, Stock
 from planner.targets import Targets
@@ -446,7 +446,7 @@ class Search:
         scene = Scene.of(few.cell, few.targets.arms, place.stock, self._settings, model, place.bases)
         margins, q = margins_at(scene, few, place.stock[None, None], self._settings)
         pair = best_branches(margins, few.index)[0]
-        choice = np.unravel_index(pair, (8,) * len(few.targets.arms))
+        choice = np.unravel_index(pair, [margins[arm].shape[-1] for arm in few.targets.arms])
         least = np.min([margins[a][0, :, b] for a, b in zip(few.targets.arms, choice, strict=True)], axis=0)
         good = np.flatnonzero(least > 0.0)
         part = {a: q[a][0, good, b] for a, b in zip(few.targets.arms, choice, strict=True)}
@@ -480,8 +480,8 @@ def margins_at(
     stock: FloatArray,
     settings: Settings,
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Margins {arm: (K, M, 8)} beyond the hard ones, capped, and joints {arm: (K, M, 8, 6)}, for M sampled
-    states.
+    """Margins {arm: (K, M, B)} beyond the hard ones, capped, and joints {arm: (K, M, B, 6)} of all B
+    branches, for M sampled states.
 
     Out of reach the margin is -1 less the distance [m] by which the wrist's centre is out of reach.
     """
@@ -507,11 +507,11 @@ def _poses_at(scene: Scene, few: Few, stock: FloatArray) -> Iterator[tuple[str, 
 
 
 def _margins(chain: Chain, pose: FloatArray, settings: Settings) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """Margins (K, D, 8) of an arm at poses (K, D, 4, 4), which of these are not surely out of reach (K, D),
-    and the joints (P, 8, 6) at those, which alone are worked out."""
+    """Margins (K, D, B) of an arm at poses (K, D, 4, 4), which of these are not surely out of reach (K, D),
+    and the joints (P, B, 6) at those, which alone are worked out."""
     gap, far = _gap(chain, pose)
     near = ~far
-    value = np.repeat((-1.0 - gap)[..., None], BRANCHES, axis=-1)
+    value = np.repeat((-1.0 - gap)[..., None], chain.robot.form.branches, axis=-1)
     base = np.broadcast_to(chain.base, pose.shape)[near] if chain.base.ndim > 2 else chain.base
     q = dataclasses.replace(chain, base=base).inverse(pose[near])
     limit = chain.best_limit_margin(q) - settings.joint_margin
@@ -533,6 +533,9 @@ def _gap(chain: Chain, pose: FloatArray) -> tuple[FloatArray, BoolArray]:
     if isinstance(form, ParallelParameters):
         gap = three_parallel.reach_gap(form, flange)
         return gap, np.zeros(gap.shape, dtype=np.bool_)
+    if isinstance(form, OffsetParameters):
+        gap = offset_wrist.reach_gap(form, flange)
+        return gap, np.asarray(gap > SURELY_OUT_M)
     p = chain.robot.opw
     centre = flange[..., :3, 3] - p.c4 * flange[..., :3, 2]
     out, up = np.hypot(centre[..., 0], centre[..., 1]), centre[..., 2] - p.c1
@@ -549,7 +552,7 @@ def best_branches(margins: Mapping[str, FloatArray], index: IndexArray) -> Index
 
 
 def _combined(margins: Mapping[str, FloatArray], index: IndexArray) -> FloatArray:
-    """Score (K, 8 ** arms) of each choice of branches: least over targets of the best sample, and a little of
+    """Score (K, B ** arms) of each choice of branches: least over targets of the best sample, and a little of
     the mean."""
     total: FloatArray | None = None
     for value in margins.values():

@@ -1,8 +1,8 @@
 """The planning scene of an operation: kinematics of its arms, the stock, and what may not be touched.
 
 **Kinematics of one arm** (`Chain`) as planning sees it: closed-form inverse, turns, limit margins,
-rates. The inverse is that of the arm's form: :mod:`planner.motion.spherical_wrist` or
-:mod:`planner.motion.three_parallel`.
+rates. The inverse is that of the arm's form: :mod:`planner.motion.spherical_wrist`,
+:mod:`planner.motion.three_parallel` or :mod:`planner.motion.offset_wrist`.
 
 **Scene**: where things stand for one operation, the arms that take part, the stock, and the cell's
 collision model.
@@ -14,11 +14,16 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import ArmForm, OpwParameters, ParallelParameters, RobotData
+from planner.catalogue.robots import (
+    ArmForm,
+    OffsetParameters,
+    OpwParameters,
+    ParallelParameters,
+    RobotData,
+)
 from planner.cell import clearance
 from planner.cell.bodies import NOT_EASED
 from planner.cell.clearance import Against, LeastClearance, Pairs
@@ -27,24 +32,27 @@ from planner.cell.kinematics import forward, jacobian
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, interpolate, inverse, transform
 from planner.geometry.arrays import inverse as rigid_inverse
-from planner.motion import own_clearance, spherical_wrist, three_parallel
+from planner.motion import offset_wrist, own_clearance, spherical_wrist, three_parallel
 from planner.problem import Arm, Cell, Settings
 from planner.targets import Targets
 from planner.tooling import FormingTool, working_solid
 
-BRANCHES: Final = 8
-"""Branch number = shoulder (0 front, 1 back) * 2 + elbow (0, 1) + 4 * wrist (0 theta5 >= 0, 1 flipped)."""
-
 
 def inverse_kinematics(
-    form: ArmForm, flange: FloatArray, branches: Sequence[int] = range(BRANCHES)
+    form: ArmForm, flange: FloatArray, branches: Sequence[int] | None = None
 ) -> FloatArray:
-    """Joint angles (..., len(branches), 6) [rad] of flange poses (..., 4, 4) in the base; NaN where none
-    exists.
+    """Joint angles (..., len(branches), 6) [rad] of flange poses (..., 4, 4) in the base, all branches of
+    the form unless some are named; NaN where none exists.
 
-    Angles are not wrapped into limits. The branch number of a solution is continuous in the pose while the
-    arm does not pass a singularity. Raises ``TypeError`` for a form that is not known.
+    Branch number = shoulder (0 front, 1 back) * 2 + elbow (0, 1) + 4 * wrist (0 theta5 >= 0, 1 flipped); of
+    an offset wrist as :mod:`planner.motion.offset_wrist` says. Angles are not wrapped into limits. The branch
+    number of a solution is continuous in the pose while the arm does not pass a singularity; that of an
+    offset wrist may change where other solutions come and go. Raises ``TypeError`` for a form that is not
+    known.
     """
+    branches = range(form.branches) if branches is None else branches
+    if isinstance(form, OffsetParameters):
+        return offset_wrist.inverse_kinematics(form, flange, branches)
     if isinstance(form, ParallelParameters):
         return three_parallel.inverse_kinematics(form, flange, branches)
     if not isinstance(form, OpwParameters):
@@ -75,14 +83,31 @@ class Chain:
         """TCP poses (..., 4, 4) in the world for joint angles (..., 6)."""
         return np.asarray(self.base @ forward(self.robot, q) @ self.tcp)
 
-    def inverse(self, pose: FloatArray, branches: Sequence[int] = range(BRANCHES)) -> FloatArray:
+    def inverse(self, pose: FloatArray, branches: Sequence[int] | None = None) -> FloatArray:
         """Joint angles (..., len(branches), 6) of TCP poses (..., 4, 4), each within pi of the middle of its
-        range.
+        range, of all branches of the arm's form unless some are named.
 
         NaN where a pose is out of reach. Joints that may turn more than once have more states: :attr:`turns`.
         """
-        flange = rigid_inverse(self.base) @ pose @ rigid_inverse(self.tcp)
-        return wrap(inverse_kinematics(self.robot.form, flange, branches), self.middle)
+        return wrap(inverse_kinematics(self.robot.form, self._flange(pose), branches), self.middle)
+
+    def on_branch(self, pose: FloatArray, branch: int, near: FloatArray) -> FloatArray:
+        """Joint angles (..., 6) of TCP poses (..., 4, 4) on one branch, joints that may turn more than once
+        nearest to ``near`` (..., 6); NaN where there is none.
+
+        An offset wrist is followed from ``near`` on, whatever number its branch has there.
+        """
+        if isinstance(self.robot.form, OffsetParameters):
+            return offset_wrist.followed(self.robot.form, self._flange(pose), near)
+        return self.continuous(self.inverse(pose, [branch])[..., 0, :], near)
+
+    def joined(self, q: FloatArray) -> FloatArray:
+        """Joints (N, S, B, 6) of :meth:`inverse` at N targets with S samples, branches as they go on from
+        target to target: those of an offset wrist have no numbers that hold everywhere."""
+        return offset_wrist.joined(q) if isinstance(self.robot.form, OffsetParameters) else q
+
+    def _flange(self, pose: FloatArray) -> FloatArray:
+        return np.asarray(rigid_inverse(self.base) @ pose @ rigid_inverse(self.tcp))
 
     @property
     def middle(self) -> FloatArray:
@@ -166,11 +191,14 @@ class Chain:
     def singularities(self, q: FloatArray) -> FloatArray:
         """Angles (..., 3) [rad]: axis 5 from lining up axes 4 and 6, the elbow from stretched or folded, and
         the angle under which the stretched arm would see the distance of the wrist's centre from axis 1; of
-        an arm with three parallel axes, that of where axes 5 and 6 meet."""
+        an arm with three parallel axes, that of where axes 5 and 6 meet. Of an offset wrist the first is
+        the angle whose sine the Jacobian's determinant has left beside the other two."""
         return np.stack(self._singularities(q), axis=-1)
 
     def _singularities(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         p = self.robot.form
+        if isinstance(p, OffsetParameters):
+            return offset_wrist.singularities(p, q)
         if isinstance(p, ParallelParameters):
             return three_parallel.singularities(p, q)
         p = self.robot.opw

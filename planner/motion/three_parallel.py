@@ -28,7 +28,7 @@ ROUNDING: Final = 1e-12
 
 def inverse_kinematics(form: ParallelParameters, flange: FloatArray, branches: Sequence[int]) -> FloatArray:
     """Joint angles (..., len(branches), 6) [rad] of flange poses (..., 4, 4) in the base, branches numbered
-    as :data:`planner.motion.planning_scene.BRANCHES` are; NaN where none exists.
+    as :func:`planner.motion.planning_scene.inverse_kinematics` says; NaN where none exists.
 
     Angles are not wrapped into limits. The branch number of a solution is continuous in the pose while the
     arm does not pass a singularity.

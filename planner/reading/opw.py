@@ -1,20 +1,20 @@
-"""From a chain of joints to an arm in closed form: lengths, offsets and signs, found from its axes.
+"""From a chain of joints to an arm of a known form: lengths, offsets and signs, found from its axes.
 
 The forms are that of Brandstoetter, Angerer, Hofbaur (2014), an ortho-parallel basis and a
-spherical wrist, and that of three parallel axes as UR's. What is found is held against the chain
-itself on 1,000 postures, and arms of neither form are told by class. All is worked out from axes,
-never read from names or other files.
+spherical wrist, the same with axis 6 beside the wrist's point, and that of three parallel axes as
+UR's. What is found is held against the chain itself on 1,000 postures, and arms of other forms are
+told by class. All is worked out from axes, never read from names or other files.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.robots import ArmForm, OpwParameters, ParallelParameters
+from planner.catalogue.robots import ArmForm, OffsetParameters, OpwParameters, ParallelParameters
 from planner.cell.kinematics import flange_poses
 from planner.geometry.arrays import FloatArray, from_parts, from_rpy, inverse, log_rotation
 from planner.geometry.units import DEG, MM
@@ -89,6 +89,7 @@ def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
 
 _KINDS: Final = {
     OpwParameters: "a spherical wrist",
+    OffsetParameters: "an offset wrist",
     ParallelParameters: "three parallel axes, as those of UR",
 }
 
@@ -106,14 +107,21 @@ def _class_fault(chain: UrdfChain) -> Issue | None:
     return Issue(
         "robot.not_opw",
         f"the arm from {chain.links[0]!r} on is {what}; allowed are six revolute joints: axis 1 square to "
-        "axis 2, 2 parallel to 3, and 4, 5, 6 square to each other and through one point, or 2, 3, 4 "
-        "parallel, 1 through 2, and 5 square to 4 and 6 and through both",
+        "axis 2, 2 parallel to 3, and 3, 4, 5, 6 each square to the one before, with 4 and 5 through one "
+        "point (off the plane of axis 1 only where 6 is through it too), or 2, 3, 4 parallel, 1 through 2, "
+        "and 5 square to 4 and 6 and through both",
         field="urdf",
         hint=hint,
     )
 
 
-_OTHER: Final = "take an arm with a spherical wrist or one as UR's; this class is not planned for yet"
+_OTHER: Final = (
+    "take an arm with a spherical or an offset wrist or one as UR's; this class is not planned for yet"
+)
+_SEVEN: Final = (
+    "no joint is searched for beside six: make the third joint fixed in a copy of the URDF, and the arm is "
+    "planned with the six that are left where they are of a class that is known"
+)
 
 
 def _class_of(w: FloatArray, p: FloatArray) -> tuple[str, str] | None:
@@ -122,7 +130,7 @@ def _class_of(w: FloatArray, p: FloatArray) -> tuple[str, str] | None:
         # axes 1 and 3 (5 and 7) lie on one line at zero: meet by pairs that are not parallel
         ball = _meet(w, p, (0, 1, 2)) and _meet(w, p, (4, 5, 6))
         kind = "seven axes, its shoulder and its wrist each in one point" if ball else "seven axes"
-        return f"an arm with {kind}", _OTHER
+        return f"an arm with {kind}", _SEVEN
     if count == 5:
         return "an arm with five axes", "name the flange behind the sixth axis as tip; " + _OTHER
     if count > 7:
@@ -138,12 +146,16 @@ def _class_of(w: FloatArray, p: FloatArray) -> tuple[str, str] | None:
     if _parallel(w[2], w[3]):
         what = _not_as_ur(w, p)
         return None if what is None else (f"an arm with three parallel axes (2, 3 and 4), {what}", _OTHER)
-    if not _meet(w, p, (3, 4, 5)):
-        return "an arm with an offset wrist: axes 4, 5 and 6 do not meet in one point", _OTHER
+    if not _meet(w, p, (3, 4)):
+        return "an arm whose axes 4 and 5 do not meet", _OTHER
     for a, b in ((0, 1), (2, 3), (3, 4), (4, 5)):
         if abs(float(w[a] @ w[b])) > AXES_SQUARE:
             angle = np.arccos(abs(float(w[a] @ w[b]))) / DEG
             return f"an arm whose axes {a + 1} and {b + 1} are at {angle:.4g} degrees", _OTHER
+    beside = float((_nearest(p[3], w[3], p[4], w[4]) - p[0]) @ w[1])
+    if not _meet(w, p, (3, 4, 5)) and abs(beside) > AXES_MEET:
+        off = f"where axes 4 and 5 meet is {abs(beside) / MM:.4g} mm beside the plane of axis 1"
+        return f"an arm with an offset wrist, and {off}", _OTHER
     return None
 
 
@@ -183,7 +195,7 @@ def _nearest(a: FloatArray, u: FloatArray, b: FloatArray, v: FloatArray) -> Floa
 # ---- parameters --------------------------------------------------------------------------------------
 
 
-def _parameters(chain: UrdfChain) -> OpwParameters:
+def _parameters(chain: UrdfChain) -> OpwParameters | OffsetParameters:
     """Lengths, offsets and signs from axes w and points p at zero; the form's base at zero has z along axis
     1, from the URDF's base to axis 2, y along axis 2, and x to where the arm faces."""
     w, p, tip = chain.axis, chain.zero[1:7, :3, 3], chain.zero[7]
@@ -219,10 +231,13 @@ def _parameters(chain: UrdfChain) -> OpwParameters:
     theta6 = np.arctan2(seen[1, 0], seen[0, 0]) if seen[2, 2] > 1.0 - AXES_SQUARE else 0.0
     theta = np.array([0.0, theta2, theta3, theta4, theta5, theta6])
     signs = np.array([np.sign(w[0] @ up), np.sign(axes[1, 1]), np.sign(axes[2, 1]), sign4, sign5, sign6])
-    opw = OpwParameters(
+    aside = tilted.T @ (frame[:3, :3] @ p[5] + frame[:3, 3] - wrist)  # of axis 6 from where 4 and 5 meet
+    offset = float(np.hypot(aside[0], aside[1])) >= AXES_MEET
+    kind: Any = OffsetParameters if offset else OpwParameters
+    own = {"a3": _metres(aside[0]), "b3": _metres(aside[1])} if offset else {"b": _metres(wrist[1])}
+    form: OpwParameters | OffsetParameters = kind(
         a1=_metres(shoulder[0]),
         a2=_metres(rest @ across),
-        b=_metres(wrist[1]),
         c1=_metres(shoulder[2]),
         c2=_metres(np.hypot(upper[0], upper[2])),
         c3=_metres(rest @ along),
@@ -230,10 +245,11 @@ def _parameters(chain: UrdfChain) -> OpwParameters:
         offsets=_degrees(-np.arctan2(np.sin(theta), np.cos(theta))),
         signs=signs,
         left=None if np.abs(left - np.eye(4)).max() < _LENGTH else left,
+        **own,
     )
-    right = _clean(inverse(flange_poses(opw, np.zeros(6))) @ tip)
+    right = _clean(inverse(flange_poses(form, np.zeros(6))) @ tip)
     same = np.abs(right - np.eye(4)).max() < MOST_OFF
-    return opw if same else dataclasses.replace(opw, right=right)
+    return form if same else dataclasses.replace(form, right=right)
 
 
 def _three_parallel(chain: UrdfChain) -> ParallelParameters:

@@ -15,7 +15,15 @@ import numpy as np
 from pydantic import Field, ValidationError
 from scipy.spatial import ConvexHull, QhullError
 
-from planner.catalogue.robots import ArmForm, Family, OpwParameters, RobotData, RobotFile, RodCoupling
+from planner.catalogue.robots import (
+    ArmForm,
+    Family,
+    OffsetParameters,
+    OpwParameters,
+    RobotData,
+    RobotFile,
+    RodCoupling,
+)
 from planner.files import is_file
 from planner.geometry.arrays import FloatArray, Shape, read_only
 from planner.geometry.mesh_files import PLAIN_SUFFIXES, read_mesh
@@ -153,12 +161,16 @@ def read_urdf(path: Path) -> str:
 
 
 def _key_faults(spec: OwnRobotFile, chain: UrdfChain, form: ArmForm) -> Iterator[Issue]:
-    if spec.family in ("abb", "kuka") and not isinstance(form, OpwParameters):
+    kinds = {"abb": OpwParameters | OffsetParameters, "kuka": OpwParameters}
+    if spec.family in kinds and not isinstance(form, kinds[spec.family]):
         what = (
             f"family: got {spec.family}, whose programs name postures of arms with a spherical wrist; this "
         )
         what += "arm has none; write ur or generic"
         yield Issue("problem.field", what, field="family")
+    if spec.coupled_deg is not None and isinstance(form, OffsetParameters):
+        what = "coupled_deg: no arm with an offset wrist has a parallel rod; leave it out"
+        yield Issue("problem.field", what, field="coupled_deg")
     beside = [name for name in chain.beside if name not in spec.left_out]
     if beside:
         names = ", ".join(repr(name) for name in beside)
@@ -197,10 +209,14 @@ def _assumed(spec: OwnRobotFile, chain: UrdfChain, found: ArmFit) -> Iterator[st
 
 
 def _home(form: ArmForm, chain: UrdfChain) -> FloatArray:
-    """Serial joints (6,) [rad]: upper arm upright, forearm level, all others at zero; of an arm with three
-    parallel axes the flange downwards; in the limits."""
+    """Serial joints (6,) [rad]: upper arm upright, forearm level, all others at zero; of an arm without a
+    spherical wrist the flange downwards; in the limits."""
     q = np.zeros(6)
-    hand = () if isinstance(form, OpwParameters) else ((3, 0.0), (4, -0.5 * np.pi))
+    hand: tuple[tuple[int, float], ...] = ((3, 0.0), (4, -0.5 * np.pi))
+    if isinstance(form, OpwParameters):
+        hand = ()
+    if isinstance(form, OffsetParameters):
+        hand = ((3, 0.0), (4, 0.5 * np.pi))
     for axis, theta in ((1, 0.0), (2, 0.5 * np.pi), *hand):
         angle = form.signs[axis] * (theta + form.offsets[axis])
         q[axis] = np.arctan2(np.sin(angle), np.cos(angle)) + 0.0

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from planner.catalogue import robots
+from planner.catalogue.robots import OpwParameters
 from planner.cell.kinematics import link_frames
 from planner.issues import TandemError
 
@@ -32,6 +33,8 @@ def test_there_are_more_than_forty_robots_each_with_sources() -> None:
 
 
 ORIGINS = {
+    # ... abb_crb15000_support/urdf/crb15000_5_95_macro.xacro, the same commit
+    "crb15000_5_95": "0 0 0.265, 0 0 0, 0 0 0.444, 0 0 0.110, 0.470 0 0, 0.101 0 0.080, 0 0 0",
     # <origin xyz> of joints 1 to 6 and of the flange, in m, all joints at zero, as others wrote them down:
     # ros-industrial/abb_experimental@20b9cf8 abb_irb1600_support/urdf/irb1600_8_145_macro.xacro
     "irb1600_8_145": "0 0 0, 0.15 0 0.4865, 0 0 0.7, 0.3 0 0, 0.3 0 0, 0.065 0 0, 0 0 0",
@@ -79,7 +82,7 @@ def test_lengths_are_those_of_robot_components(name: str) -> None:
     np.testing.assert_allclose(1e3 * frames[[1, 2, 4, 6], :3, 3], points, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", [n for n in ALL if isinstance(robots.robot(n).form, OpwParameters)])
 def test_reach_is_the_wrist_radius_of_the_data_sheet(name: str) -> None:
     """Makers state the largest radius of the wrist centre: a1 + c2 + hypot(a2, c3), rounded to 5 mm or so.
 
@@ -157,6 +160,7 @@ def test_every_robot_has_a_home_with_its_upper_arm_upright_and_its_forearm_level
     """What a cell without ``home_deg`` gets: the zero pose of an ABB arm, of whatever maker the arm is."""
     robot = robots.robot(name)
     assert robot.limit_margin(robot.home) > 0.0
-    theta = robot.opw.signs * robot.home - robot.opw.offsets
+    theta = robot.form.signs * robot.home - robot.form.offsets
     np.testing.assert_allclose(theta[:3], [0.0, 0.0, np.pi / 2], atol=1e-12)
-    np.testing.assert_allclose(theta[3:], 0.0, atol=1e-12)
+    down = 0.0 if isinstance(robot.form, OpwParameters) else np.pi / 2  # an offset wrist points down
+    np.testing.assert_allclose(theta[3:], [0.0, down, 0.0], atol=1e-12)

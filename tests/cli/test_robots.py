@@ -156,7 +156,7 @@ def test_an_arm_of_another_class_ends_with_bad_input(urdf: Path, tmp_path: Path)
     done = tandem("add", str(urdf), "--family", "abb", "--payload-kg", "6", folder=tmp_path)
     assert done.returncode == 2
     assert "robot.not_opw" in done.stderr
-    assert "offset wrist" in done.stderr
+    assert "axes 4 and 5 do not meet" in done.stderr
     assert not list(tmp_path.glob("*.yaml"))
 
 

@@ -43,8 +43,9 @@ def apart(a, b):
 def test_robots_of_the_catalogue_are_found_again_from_their_files(name):
     known = robots.robot(name)
     chain, found = made(robots.urdf_path(name).read_text("utf-8"))
-    for field in dataclasses.fields(known.opw):
-        have, want = getattr(found.form, field.name), getattr(known.opw, field.name)
+    assert type(found.form) is type(known.form)
+    for field in dataclasses.fields(known.form):
+        have, want = getattr(found.form, field.name), getattr(known.form, field.name)
         assert have is want or apart(have, want) < 1e-12, field.name
     assert apart(chain.lower, known.lower) < 1e-8 and apart(chain.velocity, known.velocity) < 1e-8
 
@@ -110,6 +111,43 @@ def test_any_arm_with_three_parallel_axes_is_found_and_its_start_posture_too(siz
     assert np.nanmin(off.max(axis=-1), axis=1).max() < 1e-5
 
 
+@settings(max_examples=20, deadline=None)
+@given(
+    st.tuples(small.map(abs), small, st.floats(0.01, 0.2), small, lengths, lengths, lengths, lengths),
+    st.tuples(*[turn] * 5),
+    st.tuples(*[sign] * 6),
+    st.booleans(),
+)
+def test_any_arm_with_an_offset_wrist_is_found_and_its_start_posture_too(sizes, offsets, signs, turned):
+    form = robots.OffsetParameters(*sizes, offsets=np.array([0.0, *offsets]), signs=np.array(signs))
+    ends = (from_rpy([0.1, -0.2, 0.3], [0.4, np.pi, 0.0]), from_rpy([0.01, 0.02, -0.05], [0.0, 1.2, 0.3]))
+    chain, found = made(urdf_text.of_robot(dataclasses.replace(IRB, form=form), *(ends if turned else ())))
+    assert isinstance(found.form, robots.OffsetParameters)
+    assert max(found.off) < 1e-9
+    q = np.random.default_rng(1).uniform(chain.lower, chain.upper, size=(60, 6))
+    solutions = inverse_kinematics(found.form, chain.tip(q))
+    off = np.abs(np.angle(np.exp(1j * (solutions - q[:, None])))).max(axis=-1)
+    assert (np.where(np.isnan(off), 9.0, off).min(axis=1) < 1e-5).sum() >= 58
+
+
+def test_noise_of_an_offset_wrist_is_refused_with_the_deviation():
+    points = np.array(OFFSET[1])
+    points[4:, 2] += 1e-4
+    (issue,) = refused(urdf_text.arm(np.array(OFFSET[0]), points, pose(1.3, 0, 1, SIDE)))
+    assert issue.code == "robot.deviation" and "an offset wrist" in issue.message
+
+
+@pytest.mark.parametrize("arm", ["SEVEN", "PANDA"])
+def test_seven_axes_with_the_third_fixed_are_six_that_are_known(arm):
+    axes, points = {"SEVEN": SEVEN, "PANDA": PANDA}[arm]
+    text = urdf_text.arm(np.array(axes), points, pose(0.09, 0, 1.2, np.zeros(3)))
+    (issue,) = refused(text)
+    assert "seven axes" in issue.message and "third joint fixed" in issue.hint
+    _, found = made(text.replace('name="j3" type="revolute"', 'name="j3" type="fixed"'))
+    assert max(found.off) < 1e-9
+    assert isinstance(found.form, robots.OffsetParameters) == (arm == "PANDA")
+
+
 def test_a_ur10e_is_found_by_its_makers_lengths_wherever_base_and_tip_stand():
     """URDFs of ROS-Industrial have the base turned by 180 degrees against the controller's."""
     base, tip = from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, np.pi]), from_rpy([0.0, 0.0, 0.1], [0.0, np.pi / 2, 0.0])
@@ -168,7 +206,10 @@ CLASSES = {
     "(2, 3 and 4), whose axes 4 and 5 are not square": (
         [*PARALLEL[0][:4], (UP + SIDE) / 2**0.5, AHEAD], [*PARALLEL[1][:4], *[(1.2, 0.1, 0.16)] * 2],
     ),
-    "offset wrist": OFFSET,
+    "axes 4 and 5 do not meet": (OFFSET[0], [*OFFSET[1][:4], (0.7, 0, 0.95), (0.8, 0, 0.98)]),
+    "meet is 30 mm beside the plane of axis 1": (
+        OFFSET[0], [*OFFSET[1][:3], (0.2, 0.03, 0.9), (0.7, 0, 0.9), (0.8, 0, 0.98)],
+    ),
     "seven axes, its shoulder and its wrist": SEVEN,
     "with seven axes;": PANDA,
     "five axes": tuple(part[:5] for part in OFFSET),

@@ -175,7 +175,7 @@ class _Skeleton:
         for arm, pose in self.scene.tcp(targets, values).items():
             chain = self.scene.chains[arm]
             near = np.stack([np.interp(self.way, at, joint) for joint in found.q[arm].T], axis=1)
-            q[arm] = chain.continuous(chain.inverse(pose, [found.path.branch[arm]])[:, 0], near)
+            q[arm] = chain.on_branch(pose, found.path.branch[arm], near)
         path = dataclasses.replace(found.path, sample=np.zeros(targets.count, dtype=np.intp))
         return dataclasses.replace(found, path=path, values=values, q=q, checks=found.checks + targets.count)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.cell.clearance import Pairs
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.motion.planning_scene import BRANCHES, FULL_TURN, Chain, Scene
+from planner.motion.planning_scene import FULL_TURN, Chain, Scene
 from planner.targets import Freedom, ScrewFreedom, Targets
 
 SPIN_STEP = np.deg2rad(10.0)
@@ -80,8 +80,8 @@ class Rungs:
 
 @dataclasses.dataclass(frozen=True)
 class Reach:
-    """All branches of one arm: ``branches`` have an allowed state at every target; ``exists`` (8, N) says
-    where each has one, ``solved`` (8, N) where it has a solution regardless of limits."""
+    """All B branches of one arm: ``branches`` have an allowed state at every target; ``exists`` (B, N) says
+    where each has one, ``solved`` (B, N) where it has a solution regardless of limits."""
 
     arm: str
     branches: dict[int, Rungs]
@@ -190,11 +190,12 @@ def _known(scene: Scene, arm: str, pose: FloatArray, shape: tuple[int, int]) -> 
 
 
 def _reach(scene: Scene, chain: Chain, pose: FloatArray, shape: tuple[int, int]) -> Reach:
-    angles = chain.inverse(pose).reshape(*shape, BRANCHES, 6)
+    count = chain.robot.form.branches
+    angles = chain.joined(chain.inverse(pose).reshape(*shape, count, 6))
     found: dict[int, Rungs] = {}
     exists = []
-    solved: BoolArray = np.zeros((BRANCHES, shape[0]), dtype=bool)
-    for branch in range(BRANCHES):
+    solved: BoolArray = np.zeros((count, shape[0]), dtype=bool)
+    for branch in range(count):
         q = angles[:, :, branch]
         solved[branch] = ~np.isnan(q[..., 0]).all(axis=1)
         rungs = rungs_of(scene, chain, branch, q)

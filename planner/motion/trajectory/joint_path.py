@@ -91,11 +91,10 @@ def dense(
         between = scene.between(targets, start, end, share[inner])
         for arm, angles in q.items():
             chain = scene.chains[arm]
-            found = chain.inverse(between[arm], [branch[arm]])[:, 0]
             near = angles[move[inner] - 1] + share[inner, None] * (
                 angles[move[inner]] - angles[move[inner] - 1]
             )
-            out[arm][inner] = chain.continuous(found, near)
+            out[arm][inner] = chain.on_branch(between[arm], branch[arm], near)
     return Dense(move, share, out)
 
 

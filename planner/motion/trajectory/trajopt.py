@@ -171,8 +171,7 @@ class PathProblem:
         out = []
         for k, arm in enumerate(self.targets.arms):
             chain = self.scene.chains[arm]
-            q = chain.inverse(poses[arm], [self.branch[arm]])[:, 0]
-            q = chain.continuous(q, near[:, 6 * k : 6 * k + 6])
+            q = chain.on_branch(poses[arm], self.branch[arm], near[:, 6 * k : 6 * k + 6])
             if chain.limit_margin(q).min() < self.scene.settings.joint_margin - 1e-12:
                 return None
             if chain.singularity_margin(q).min() < self.scene.settings.singularity_margin - 1e-12:

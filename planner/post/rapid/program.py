@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import __version__
+from planner.catalogue.robots import OffsetParameters
 from planner.claims import vocabulary
 from planner.claims.vocabulary import HEADER, UNANSWERED
 from planner.issues import Issue, TandemError
@@ -274,6 +275,12 @@ class _Task:
         out += comment(f"Problem {self.plan.problem_name}, SHA-256 {self.plan.digest}.")
         for name, value in self.margins.items():
             out += comment(f"Proven: {name} {value}.")
+        if isinstance(task.robot.form, OffsetParameters):
+            out += comment(
+                "Arm with an offset wrist: how it counts confdata is not settled, so they are all 0 here and "
+                "ConfL is off: moves go on from the posture of the joint move before them. First run it "
+                "without stock."
+            )
         if task.robot.coupling is not None:
             out += comment(
                 "Parallel-rod arm: jointtargets hold the controller's axis 3 (serial angle plus axis 2). How "
@@ -293,7 +300,7 @@ class _Task:
     # ---- main module ----
 
     def _main(self) -> list[str]:
-        conf = "Off" if self.task.robot.coupling is not None else "On"
+        conf = "Off" if self.task.robot.unnamed else "On"
         body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
         moved = (self.task.arm.track, self.task.table)
         body += [f"ActUnit {identifier(one.unit)};" for one in moved if one is not None]

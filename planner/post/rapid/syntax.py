@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.catalogue.robots import RobotData
+from planner.catalogue.robots import OffsetParameters, RobotData
 from planner.claims.vocabulary import HEADER, Segment, fold
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
@@ -190,8 +190,11 @@ def confdata(robot: RobotData, q: FloatArray) -> IntArray:
     """(..., 4) cf1, cf4, cf6, cfx of serial joint angles q (..., 6) [rad].
 
     Angles are rounded to 0.0001 deg first, about what the rounding of a written target moves an axis by, so
-    that an axis on the border of two quadrants gets one number and not the noise of its last digits.
+    that an axis on the border of two quadrants gets one number and not the noise of its last digits. All 0
+    for an arm with an offset wrist: how it counts them is not settled, and its programs run with ConfL off.
     """
+    if isinstance(robot.form, OffsetParameters):
+        return np.zeros((*q.shape[:-1], 4), dtype=np.int64)
     degrees = np.round(np.rad2deg(robot.to_controller(q)), _DEGREE_DECIMALS)
     out = np.empty((*q.shape[:-1], 4), dtype=np.int64)
     out[..., :3] = np.floor(degrees[..., [0, 3, 5]] / 90.0)

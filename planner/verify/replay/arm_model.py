@@ -18,10 +18,16 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from planner.catalogue.robots import OpwParameters, ParallelParameters, RobotData, urdf_path
+from planner.catalogue.robots import (
+    OffsetParameters,
+    OpwParameters,
+    ParallelParameters,
+    RobotData,
+    urdf_path,
+)
 from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue, TandemError
-from planner.verify.replay import parallel_arm
+from planner.verify.replay import offset_arm, parallel_arm
 
 BASE_LINK: Final = "base_link"
 """The link that the chain goes from, the robot's foot."""
@@ -429,11 +435,17 @@ _LINK_LENGTHS: Final = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
 @dataclasses.dataclass(frozen=True, eq=False)
 class Machine:
     """One robot: ``data`` for its limits, speeds, coupling and home alone; ``chain`` and ``spherical`` from
-    its URDF, the latter None where it is planned as an arm with three parallel axes."""
+    its URDF, the latter None where it is planned as an arm with three parallel axes or an offset wrist."""
 
     data: RobotData
     chain: Chain
     spherical: ArmShape | None
+
+    @property
+    def followed(self) -> bool:
+        """Whether no text names its postures, so that straight moves go on from the joints before them
+        (:mod:`planner.verify.replay.offset_arm`)."""
+        return isinstance(self.data.form, OffsetParameters)
 
     @functools.cached_property
     def table(self) -> parallel_arm.Table:
@@ -452,7 +464,7 @@ class Machine:
         """Its shape, which what reads RAPID and KRL asks for. Raises ``TandemError`` (``verify.robot_model``)
         for an arm without a spherical wrist."""
         if self.spherical is None:
-            message = f"the robot {self.data.name} has no spherical wrist: no RAPID or KRL is read for it"
+            message = f"the robot {self.data.name} has no spherical wrist, by which this text names postures"
             raise TandemError(Issue(ROBOT_MODEL, message, hint="plan with an arm of ABB or KUKA"))
         return self.spherical
 
@@ -466,7 +478,7 @@ def machine_of(data: RobotData) -> Machine:
     (``verify.robot_model``) for a file that cannot be read or is of no arm with a spherical wrist, and as
     :func:`planner.catalogue.robots.urdf_path`."""
     path = urdf_path(data.name) if data.file is None else None
-    wrist = not isinstance(data.form, ParallelParameters)
+    wrist = isinstance(data.form, OpwParameters)
     try:
         if path is not None:
             chain, shape = _read(path.read_text(encoding="utf-8"), BASE_LINK, TIP_LINK, False, wrist)
@@ -514,6 +526,8 @@ def differences(machine: Machine) -> list[str]:
     chain, data = machine.chain, machine.data
     if isinstance(data.form, ParallelParameters):
         out = list(parallel_arm.differences(data.form, chain.zero, chain.axis, MODEL_AGREEMENT))
+    elif isinstance(data.form, OffsetParameters):
+        out = list(offset_arm.differences(data.form, chain.zero, chain.axis, MODEL_AGREEMENT))
     else:
         out = list(_of_spherical(machine.shape, data.opw))
     for word, here, there in (

@@ -18,7 +18,7 @@ from planner.issues import Issue, TandemError
 from planner.problem import Setup
 from planner.tooling import working_solid
 from planner.verify.context import Context
-from planner.verify.replay import arm_model, parallel_arm
+from planner.verify.replay import arm_model, offset_arm, parallel_arm
 
 SAMPLE_STRIDE = 0.012
 """Way of any point of an arm between looks [m], the wanted clearance at most: bodies that keep it at two
@@ -176,6 +176,8 @@ def lever(context: Context, index: int, arm: str) -> FloatArray:
     setup = context.setups[index]
     machine, tool = arm_model.machine_of(setup.cell.arm(arm).data), _hand(setup, arm)
     if machine.spherical is None:
+        if machine.followed:
+            return offset_arm.levers(machine.chain, tool)
         return parallel_arm.levers(machine.table, tool)
     p = machine.shape
     hand = abs(p.c4) + float(np.linalg.norm(p.right[:3, 3])) + tool

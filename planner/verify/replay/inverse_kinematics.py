@@ -24,7 +24,7 @@ import itertools
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse
-from planner.verify.replay import parallel_arm
+from planner.verify.replay import offset_arm, parallel_arm
 from planner.verify.replay.arm_model import Machine
 
 FULL_TURN = 2.0 * np.pi
@@ -38,8 +38,11 @@ def solve(machine: Machine, flange: FloatArray, branch: IntArray) -> FloatArray:
     reach, and where the URDF's chain does not lead to the pose.
 
     Axes 1, 4 and 6 are in (-pi, pi] of the OPW angle; whole turns are for the caller (:func:`nearest_turns`).
-    Arms with three parallel axes have branches of their own (:mod:`planner.verify.replay.parallel_arm`).
+    Arms with three parallel axes have branches of their own (:mod:`planner.verify.replay.parallel_arm`). NaN
+    for arms with an offset wrist, which have none that a text names.
     """
+    if machine.followed:
+        return np.full((len(flange), 6), np.nan)
     if machine.spherical is None:
         q = parallel_arm.solve(machine.table, flange, branch)
         return _reproduced(machine, q, flange)
@@ -87,7 +90,9 @@ def _reproduced(machine: Machine, q: FloatArray, flange: FloatArray) -> FloatArr
 
 
 def branch_of(machine: Machine, q: FloatArray) -> IntArray:
-    """Branch (...,) of serial joint angles (..., 6)."""
+    """Branch (...,) of serial joint angles (..., 6); 0 of an arm with an offset wrist."""
+    if machine.followed:
+        return np.zeros(q.shape[:-1], dtype=np.int64)
     if machine.spherical is None:
         return parallel_arm.branch_of(machine.table, q)
     p = machine.shape
@@ -107,8 +112,8 @@ def nearest_turns(q: FloatArray, near: FloatArray) -> FloatArray:
 
 
 def continued(machine: Machine, q: FloatArray, start: FloatArray) -> FloatArray:
-    """Angles (B, 6) along a path, axes 1, 4 and 6, of an arm with three parallel axes all, unwrapped from row
-    to row, beginning at the turns of ``start`` (6,)."""
+    """Angles (B, 6) along a path, axes 1, 4 and 6, of an arm without a spherical wrist all, unwrapped from
+    row to row, beginning at the turns of ``start`` (6,)."""
     out = np.array(q)
     for axis in range(6) if machine.spherical is None else (0, 3, 5):
         column = np.concatenate([start[None, axis], q[:, axis]])
@@ -125,12 +130,14 @@ def wrapped(angle: FloatArray) -> FloatArray:
 
 def singularity_distance(machine: Machine, q: FloatArray) -> FloatArray:
     """Angle (...,) [rad] to the nearest singularity of serial angles (..., 6): wrist, stretched elbow, wrist
-    above axis 1; of an arm with three parallel axes its own.
+    above axis 1; of an arm with three parallel axes or an offset wrist its own.
 
     The wrist's is |axis 5|; the elbow's the bend between lower arm and forearm; the shoulder's the angle at
     which the wrist centre is seen from the shoulder's height off axis 1.
     """
     if machine.spherical is None:
+        if machine.followed:
+            return offset_arm.singularity_distance(machine.chain, q)
         return parallel_arm.singularity_distance(machine.table, q)
     p = machine.shape
     theta = p.signs * q - p.offsets

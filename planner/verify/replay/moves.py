@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -42,7 +43,7 @@ from planner.verify.programs.steps import (
     WaitStep,
     poses,
 )
-from planner.verify.replay import inverse_kinematics
+from planner.verify.replay import inverse_kinematics, offset_arm
 from planner.verify.replay.arm_model import Machine
 from planner.verify.replay.inverse_kinematics import branch_of, continued, solve
 
@@ -352,12 +353,26 @@ def _behind(row: Row, i: int, start: FloatArray) -> FloatArray:
     here = row.q[first - 1] if first else start
     if first == i or row.carrier is not None or not np.isfinite(here).all():
         return here
+    if row.robot.followed:
+        shares = np.arange(1, _LOOKS + 1) / _LOOKS
+        ends = np.concatenate([row.tcp(here[None]), row.pose[first:i]])
+        turn = log_rotation(np.swapaxes(ends[:-1, :3, :3], 1, 2) @ ends[1:, :3, :3])[:, None]
+        place = ends[:-1, None, :3, 3] + shares[:, None] * np.diff(ends[:, :3, 3], axis=0)[:, None]
+        rotation = ends[:-1, None, :3, :3] @ exp_rotation(shares[:, None] * turn)
+        path = from_parts(rotation, place).reshape(-1, 4, 4)
+        tools = np.repeat(inverse(row.tool[first:i]), _LOOKS, axis=0)
+        q = offset_arm.follow(row.robot.chain, inverse(row.base) @ path @ tools, here)[-1]
+        return np.asarray(q if np.isfinite(q).all() else here)
     some = slice(first, i)
     own = np.full(i - first, branch_of(row.robot, here), dtype=np.int64)
     branch = np.where(row.named[some], row.conf[some, 3], own)
     flange = inverse(row.base) @ row.pose[some] @ inverse(row.tool[some])
     q = continued(row.robot, solve(row.robot, flange, branch), here)[-1]
     return np.asarray(q if np.isfinite(q).all() else here)
+
+
+_LOOKS: Final = 20
+"""Places of a straight move at which an arm with an offset wrist is followed."""
 
 
 def _sideways(before: FloatArray, after: FloatArray) -> FloatArray:
@@ -450,5 +465,7 @@ def joints_on_way(
     unwrapped from the joints ``here`` of the sample before."""
     move = np.clip(np.searchsorted(law.times, when, side="left") - 1, 0, len(branch) - 1)
     flange = inverse(row.base) @ tcp @ inverse(row.tool[a + move])
+    if row.robot.followed:
+        return offset_arm.follow(row.robot.chain, flange, here)
     q = inverse_kinematics.solve(row.robot, flange, branch[move])
     return inverse_kinematics.continued(row.robot, q, here)

@@ -12,12 +12,12 @@ own. A branch is the number 4 * (wrist behind axis 1) + 2 * (axis 3 negative) + 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import ParallelParameters
+from planner.catalogue.robots import ArmForm, ParallelParameters
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 
 _ABOUT: Final = (2, 1, 1, 1, 2, 1)
@@ -27,13 +27,29 @@ _ABOUT: Final = (2, 1, 1, 1, 2, 1)
 def differences(
     planned: ParallelParameters, zero: FloatArray, axis: FloatArray, most: float
 ) -> Iterator[str]:
+    """Where axes and tip of a chain are not as planned, as :func:`lines_apart` says it."""
+    p = planned
+    steps = ((0.0, 0.0), (0.0, p.c1), (0.0, p.c2), (0.0, p.c3), (p.b, p.c4), (0.0, 0.0))
+    tip = moved(0.0, p.c5, 0.0) @ _turned(0, -0.5 * np.pi)
+    return lines_apart(p, _ABOUT, [(0.0, *step) for step in steps], tip, zero, axis, most)
+
+
+def lines_apart(
+    planned: ArmForm,
+    axes: Sequence[int],
+    steps: Sequence[tuple[float, float, float]],
+    tip: FloatArray,
+    zero: FloatArray,
+    axis: FloatArray,
+    most: float,
+) -> Iterator[str]:
     """Where axes (6, 3) through the first six frames ``zero`` (7, 4, 4) of a chain at zero, and the tip, its
-    last one, are not as planned within ``most`` [m] and [rad]."""
+    last one, are not as planned within ``most`` [m] and [rad]: joints about ``axes``, by number, ``steps``
+    from each to the next, and the ``tip`` (4, 4) on the last."""
     p = planned
     pose = np.eye(4) if p.left is None else np.array(p.left)
-    steps = ((0.0, 0.0), (0.0, p.c1), (0.0, p.c2), (0.0, p.c3), (p.b, p.c4), (0.0, 0.0))
-    for i, (about, step) in enumerate(zip(_ABOUT, steps, strict=True)):
-        pose = pose @ _moved(*step) @ _turned(about, -float(p.offsets[i]))
+    for i, (about, step) in enumerate(zip(axes, steps, strict=True)):
+        pose = pose @ moved(*step) @ _turned(about, -float(p.offsets[i]))
         line = p.signs[i] * pose[:3, about]
         turn = float(np.linalg.norm(np.cross(line, axis[i]))) if line @ axis[i] > 0.0 else np.pi
         off = float(np.linalg.norm(np.cross(zero[i, :3, 3] - pose[:3, 3], line)))
@@ -41,15 +57,16 @@ def differences(
             yield f"axis {i + 1} is {np.rad2deg(turn):.6f} deg beside that of the URDF"
         if not off <= most:
             yield f"axis {i + 1} is {1e3 * off:.6f} mm beside that of the URDF"
-    tip = pose @ _moved(p.c5, 0.0) @ _turned(0, -0.5 * np.pi)
-    apart = float(np.abs((tip if p.right is None else tip @ p.right) - zero[6]).max())
+    pose = pose @ tip
+    apart = float(np.abs((pose if p.right is None else pose @ p.right) - zero[6]).max())
     if not apart <= most:
         yield f"the tip stands elsewhere than in the URDF, or turned, by {apart:.3g}"
 
 
-def _moved(aside: float, up: float) -> FloatArray:
+def moved(ahead: float, aside: float, up: float) -> FloatArray:
+    """A step (4, 4) along x, y and z [m]."""
     pose = np.eye(4)
-    pose[1:3, 3] = aside, up
+    pose[:3, 3] = ahead, aside, up
     return pose
 
 

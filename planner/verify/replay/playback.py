@@ -373,7 +373,7 @@ class _Player:
                     tcp[some] = path
                     q[some] = moves.joints_on_way(row, part, a, branch, end, moments, path)
                     end = q[some[-1]]
-            if not row.joint[a] and row.named[a:b].all():
+            if not row.joint[a] and row.named[a:b].all() and not row.robot.followed:
                 flange = inverse(row.base) @ world[a:b] @ inverse(row.tool[a:b])
                 conf_q[a:b] = inverse_kinematics.select_by_confdata(row.robot, flange, row.conf[a:b])
                 sample = _up_to(at, law.times[a + 1 : b + 1])

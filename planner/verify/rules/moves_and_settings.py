@@ -222,7 +222,7 @@ def move_kinds(context: Context) -> Outcome:
                 issues += synchronisation.move_kinds(task)
             issues += synchronisation.accelerations(task)
             continue
-        wanted = "off" if task.arm.data.coupling is not None else "on"
+        wanted = "off" if task.arm.data.unnamed else "on"
         state = "on"
         stated = False
         for step in task.steps:

@@ -108,8 +108,8 @@ def confdata(context: Context) -> Outcome:
         arm = task.arm.name
         if not task.rapid:
             continue  # verify.status asks the same of KRL; movel keeps the posture that movej has reached
-        if task.arm.data.coupling is not None:
-            continue  # cfx of parallel-rod arms is not settled; the programs run with ConfL\Off
+        if task.arm.data.unnamed:
+            continue  # cfx of such arms is not settled; the programs run with ConfL\Off
         selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]
         straight = _straight(context, arm)
         none = straight & ~np.isfinite(selected).all(axis=1)

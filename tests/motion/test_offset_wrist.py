@@ -1,0 +1,180 @@
+"""Arms with an offset wrist: all solutions of poses, against forward kinematics, ssik and known postures; how
+they go on along a path, and what is singular of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planner.catalogue.robots import OffsetParameters, robot
+from planner.cell.kinematics import flange_poses, forward
+from planner.geometry.arrays import interpolate, log_rotation
+from planner.motion import offset_wrist, placement
+from planner.motion.planning_scene import Chain, inverse_kinematics, wrap
+from planner.reading.opw import fit
+from planner.reading.urdf import read_chain
+from tests import urdf_text
+
+GOFA = robot("crb15000_5_95")
+ZERO = np.zeros(6)
+FORMS = {
+    "GoFa": GOFA.form,
+    "CRX-10iA/L": OffsetParameters(
+        0.0, 0.0, 0.0, -0.15, 0.245, 0.71, 0.54, 0.16, np.deg2rad([0, 0, -90, 0, 0, 0]), np.ones(6)
+    ),
+    "shoulder ahead, both offsets": OffsetParameters(
+        0.15, -0.11, 0.06, 0.05, 0.3, 0.7, 0.5, 0.17, np.deg2rad([0, 90, -90, 0, 15, 0]),
+        np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0]),
+    ),
+}  # fmt: skip
+
+
+def postures(count, seed=19):
+    return np.random.default_rng(seed).uniform(-np.pi, np.pi, (count, 6))
+
+
+def gap(a, b):
+    """Greatest difference of joints (..., 6) without whole turns."""
+    return np.abs(wrap(a - b, ZERO)).max(axis=-1)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_known_postures_are_among_the_solutions_and_all_of_them_reach_the_pose(name):
+    form, q = FORMS[name], postures(2000)
+    flange = flange_poses(form, q)
+    found = inverse_kinematics(form, flange)
+    there = ~np.isnan(found[..., 0])
+    assert np.array_equal(there, np.isfinite(found).all(axis=-1))
+    reached = flange_poses(form, found[there])
+    asked = np.repeat(flange, there.sum(axis=1), axis=0)
+    assert np.abs(reached - asked).max() < 1e-9
+    turned = log_rotation(np.swapaxes(reached[:, :3, :3], 1, 2) @ asked[:, :3, :3])
+    assert np.linalg.norm(turned, axis=1).max() < 1e-9
+    known = (np.where(there, gap(found, q[:, None]), np.inf) < 1e-6).any(axis=1)
+    assert known.mean() >= 0.998
+    count = there.sum(axis=1)
+    assert count.max() > 8 and count.max() <= 16
+    assert (count % 2 == 0).all()  # solutions come and go in pairs
+    for one in range(0, 2000, 200):  # no two of them are one
+        own = found[one][there[one]]
+        apart = gap(own[:, None], own[None]) + 9.0 * np.eye(len(own))
+        assert apart.min() > 1e-4
+
+
+SSIK_HALVES = Path(__file__).with_name("offset_wrist_ssik.txt")
+"""Half the number of solutions, as hexadecimal digits, that ssik 8.2.0 (BSD-3; its solver for any six turning
+joints, from the URDF's axes of a GoFa CRB 15000-5/0.95) finds of the poses of postures(1000, 7)."""
+
+
+def test_there_are_as_many_solutions_as_ssik_finds():
+    theirs = 2 * np.array([int(digit, 16) for digit in SSIK_HALVES.read_text("utf-8") if digit.strip()])
+    found = inverse_kinematics(GOFA.form, forward(GOFA, postures(1000, 7)))
+    count = (~np.isnan(found[..., 0])).sum(axis=1)
+    assert len(theirs) == 1000 and theirs.sum() == 7670
+    assert np.minimum(count, theirs).sum() >= 0.998 * theirs.sum()
+    assert (count == theirs).mean() >= 0.998
+
+
+@pytest.mark.parametrize("name", ["hc10_ik", "fanuc_crx10ia_ik"])
+def test_solutions_are_those_of_ssik(name):
+    """ssik has arms with figures of its own; the URDF is written here from its forward kinematics."""
+    ssik = pytest.importorskip("ssik", reason="ssik is not installed (pip install ssik)")
+    peer = ssik.Manipulator.from_prebuilt(name)
+    chain = read_chain(urdf_of(peer.fk), "base_link", "tool0")
+    found = fit(chain)
+    assert isinstance(found.form, OffsetParameters) and max(found.off) < 1e-9
+    poses = [peer.fk(q) for q in postures(100, 5)]
+    own = inverse_kinematics(found.form, np.array(poses))
+    total = missed = extra = 0
+    for pose, ours in zip(poses, own, strict=True):
+        theirs = [s.q for s in peer.solve(pose, respect_limits=False, enumerate_windings=False)]
+        apart = gap(np.array(theirs)[:, None], ours[~np.isnan(ours[:, 0])])
+        total, missed = total + len(theirs), missed + int((apart.min(axis=1) > 1e-4).sum())
+        extra += int((apart.min(axis=0) > 1e-4).sum())
+    assert total > 700
+    assert missed <= 0.002 * total and extra <= 0.002 * total
+
+
+def urdf_of(fk):
+    """The text of six joints whose tip goes as ``fk``: each one's axis by what half a radian of it does."""
+    zero, axes, points = fk(ZERO), [], []
+    for joint in range(6):
+        moved = fk(0.5 * np.eye(6)[joint]) @ np.linalg.inv(zero)
+        axes.append(np.round(log_rotation(moved[:3, :3]) / 0.5, 9))
+        points.append(np.linalg.lstsq(np.eye(3) - moved[:3, :3], moved[:3, 3], rcond=1e-6)[0])
+    return urdf_text.arm(np.array(axes), np.round(points, 9), zero)
+
+
+def test_a_path_is_followed_where_numbers_change():
+    """Straight ways of 0.2 m: following finds nearly each, joined branches nearly as many."""
+    form, count = FORMS["CRX-10iA/L"], 60
+    start = flange_poses(form, postures(25, 3))
+    end = start.copy()
+    end[:, :3, 3] += 0.2 * np.array([0.6, 0.0, 0.8])
+    ways = np.stack([interpolate(start, end, np.full(25, s)) for s in np.linspace(0.0, 1.0, count)])
+    table = inverse_kinematics(form, ways)  # (N, S, B, 6)
+    joined = offset_wrist.joined(table)
+    assert np.array_equal(np.isnan(joined).sum(), np.isnan(table).sum())
+    whole = [
+        (np.isfinite(q[..., 0]).all(axis=0) & (gap(q[1:], q[:-1]).max(axis=0, initial=0.0) < 0.5))
+        for q in (table, joined)
+    ]
+    follows = table[0].copy()
+    for poses in ways[1:]:
+        there = np.isfinite(follows[..., 0])
+        follows[there] = offset_wrist.followed(
+            form, np.repeat(poses, there.sum(axis=1), axis=0), follows[there]
+        )
+        assert np.isnan(follows[~there]).all()
+    there = np.isfinite(follows[..., 0])
+    wanted = np.repeat(ways[-1], there.sum(axis=1), axis=0)
+    assert np.abs(flange_poses(form, follows[there]) - wanted).max() < 1e-9
+    assert whole[1].sum() > whole[0].sum()
+    assert 0.9 * there.sum() <= whole[1].sum() <= there.sum()
+
+
+def test_what_is_followed_is_near_and_else_nothing():
+    form, q = GOFA.form, postures(50, 4)
+    flange = flange_poses(form, q)
+    near = offset_wrist.followed(form, flange, q + 0.02)
+    there = np.isfinite(near[:, 0])
+    assert there.mean() > 0.9 and gap(near[there], q[there]).max() < 0.1
+    far = flange.copy()
+    far[:, 2, 3] += 5.0
+    assert np.isnan(offset_wrist.followed(form, far, q)).all()
+    chain = Chain("arm", GOFA, np.eye(4), np.eye(4), GOFA.home)
+    assert np.allclose(chain.on_branch(chain.pose(q), 3, q), q, atol=1e-9)
+
+
+def test_singular_postures_are_where_the_jacobian_has_no_inverse():
+    """With axis 6 through the point where 4 and 5 meet, the margins are those of a spherical wrist."""
+    q = postures(300, 6)
+    form = dataclasses.replace(GOFA.form, a3=1e-12)
+    opw = robot("irb140").opw
+    opw = dataclasses.replace(
+        opw, a1=0.0, a2=form.a2, b=0.0, c1=form.c1, c2=form.c2, c3=form.c3, c4=form.c4, offsets=form.offsets
+    )
+    spherical = dataclasses.replace(GOFA, form=opw)
+    own = np.stack(offset_wrist.singularities(form, q), axis=-1)
+    known = Chain("arm", spherical, np.eye(4), np.eye(4), GOFA.home).singularities(q)
+    assert np.allclose(own[:, 1:], known[:, 1:], atol=1e-9)
+    assert np.allclose(np.sin(own[:, 0]), np.sin(known[:, 0]), atol=1e-6)
+    found = inverse_kinematics(GOFA.form, forward(GOFA, q))
+    rows = found[~np.isnan(found[..., 0])]
+    wrist = offset_wrist.singularities(GOFA.form, rows)[0]
+    assert 0.0 <= wrist.min() < 0.02 and wrist.max() <= 0.5 * np.pi
+
+
+def test_a_pose_out_of_reach_has_no_solution_and_its_gap_is_told():
+    chain = Chain("arm", GOFA, np.eye(4), np.eye(4), GOFA.home)
+    pose = np.tile(np.eye(4), (3, 1, 1))
+    pose[:, 0, 3] = [0.5, 1.2, 3.0]
+    assert np.isfinite(chain.inverse(pose)[0]).any()
+    assert np.isnan(chain.inverse(pose)[1:]).all()
+    told = placement.reach_gap(chain, pose)
+    assert told[0] == 0.0 and told[2] == pytest.approx(
+        np.hypot(3.0, 0.265 + 0.101) - 0.444 - np.hypot(0.11, 0.47) - 0.08, abs=1e-9
+    )

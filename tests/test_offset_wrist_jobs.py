@@ -1,0 +1,111 @@
+"""Jobs of a GoFa, whose wrist is offset: poses, and curves milled into a panel, in RAPID without
+configuration data that is proven from its text; texts that are wrong are not."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+import yaml
+
+from planner import pipeline
+from planner.catalogue.robots import data_dir
+from planner.geometry.arrays import from_rpy, to_quaternion
+from planner.issues import TandemError
+from planner.verify.prove import prove
+from planner.verify.replay import arm_model
+from tests import small_problem
+
+GOFA = "crb15000_5_95"
+CONTROLLER = {"tasks": ["T_ROB1"], "units": ["ROB_1"]}
+ROBTARGET = re.compile(r"MoveL \[\[([-\d.,]+)\],\[[-\d.,]+\],\[([-\d,]+)\]")
+
+
+def poses(folder, robot=GOFA):
+    """A row of seven poses with the tool down, which may not spin."""
+    w, x, y, z = to_quaternion(from_rpy([0.0, 0.0, 0.0], [np.pi, 0.0, np.pi / 2])[:3, :3])
+    rows = [f"550,{v},350,{w:.17g},{x:.17g},{y:.17g},{z:.17g},40" for v in range(-60, 61, 20)]
+    source = yaml.safe_load(small_problem.PROBLEM)
+    source["stock"]["place"] = {"xyz_mm": [550, 0, 0]}
+    arm = source["cell"]["arms"][0]
+    arm |= {"robot": robot, "tool": {
+        "kind": "plain", "tcp": {"xyz_mm": [0, 0, 150]}, "mass_kg": 1.0, "cog_mm": [0, 0, 50],
+    }}  # fmt: skip
+    arm.pop("home_deg")
+    source["cell"]["controller"] = CONTROLLER
+    small_problem.write(folder, yaml.safe_dump(source), "\n".join([small_problem.COLUMNS, *rows]) + "\n")
+    return pipeline.load(folder / "problem.yaml")
+
+
+def changed(programs, old, new, count=1):
+    """Programs with what the first file that has ``old`` says otherwise."""
+    name = next(n for n, text in programs.items() if re.search(old, text))
+    return {**programs, name: re.sub(old, new, programs[name], count=count)}
+
+
+def codes(problem, made, programs):
+    claims = {op.name: op.targets.claims for op in made.plan.operations}
+    proof = prove(problem, claims, programs)
+    assert not proof.ok
+    return {issue.code for issue in proof.issues}
+
+
+def test_poses_are_passed_without_configuration_data_and_wrong_texts_are_refused(tmp_path):
+    problem = poses(tmp_path)
+    made = pipeline.plan(problem)
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    texts = "".join(made.programs.values())
+    rows = ROBTARGET.findall(texts)
+    assert len(rows) >= 6 and {conf for _, conf in rows} == {"0,0,0,0"}
+    assert "ConfL\\Off;" in texts and "ConfL\\On;" not in texts and "! Arm with an offset wrist" in texts
+    (q,) = made.plan.operations[0].q.values()
+    assert np.abs(np.diff(q, axis=0)).max() < 0.3
+    assert "verify.move_kinds" in codes(problem, made, changed(made.programs, r"ConfL\\Off;", r"ConfL\\On;"))
+    assert codes(problem, made, changed(made.programs, r"MoveL \[\[550\.0000", "MoveL [[560.0000"))
+    far = changed(made.programs, r"MoveL \[\[550\.0000", "MoveL [[1550.0000")
+    assert "verify.reach" in codes(problem, made, far)
+    start = re.search(r"j_1_start:=\[\[([-\d.]+),", texts)
+    turned = changed(made.programs, re.escape(start[0]), f"j_1_start:=[[{float(start[1]) + 20.0},")
+    assert codes(problem, made, turned)
+
+
+def test_a_forged_length_of_the_wrist_is_found_in_the_urdf(tmp_path):
+    data = poses(tmp_path).cell.arms[0].data
+    assert arm_model.differences(arm_model.machine_of(data)) == []
+    for field, words in (("a3", "axis 6 is"), ("c4", "the tip"), ("c2", "axis 3 is"), ("b3", "axis 6 is")):
+        form = dataclasses.replace(data.form, **{field: getattr(data.form, field) + 1e-4})
+        machine = arm_model.machine_of(dataclasses.replace(data, form=form))
+        assert any(words in line for line in arm_model.differences(machine)), field
+
+
+@pytest.mark.long
+def test_curves_milled_into_a_panel_are_proven(tmp_path):
+    source = yaml.safe_load((data_dir("problems") / "engrave" / "problem.yaml").read_text("utf-8"))
+    cell = yaml.safe_load((data_dir("problems") / "cells" / "kr60_engrave.yaml").read_text("utf-8"))
+    arm = cell["arms"][0]
+    arm["robot"] = GOFA
+    arm.pop("home_deg")
+    arm["tool"] |= {"spindle_diameter_mm": 60, "spindle_length_mm": 150}
+    source["cell"] = cell | {"controller": CONTROLLER}
+    source["stock"]["place"]["xyz_mm"] = [550, 0, 250]
+    source["stock"]["support"][0] = {
+        "kind": "box", "size_mm": [260, 180, 230], "pose": {"xyz_mm": [0, 0, -115]},
+    }  # fmt: skip
+    del source["operations"][0]["cuts"][0]
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(source), "utf-8")
+    made = pipeline.plan(pipeline.load(tmp_path / "problem.yaml"))
+    assert made.proof.ok and made.proof.issues == ()
+    assert made.plan.operations[0].targets.count > 100
+
+
+def test_no_krl_is_written_for_such_an_arm(tmp_path):
+    """Status names postures by a spherical wrist."""
+    (tmp_path / "arm.urdf").write_text((data_dir("urdf") / f"{GOFA}.urdf").read_text("utf-8"), "utf-8")
+    stated = {"urdf": "arm.urdf", "name": "mine", "payload_kg": 5}
+    with pytest.raises(TandemError, match="write ur or generic"):
+        poses(tmp_path, stated | {"family": "kuka"})
+    robot = poses(tmp_path, stated | {"family": "abb"}).cell.arms[0].data
+    assert robot.unnamed and robot.form.a3 == pytest.approx(-0.08)
+    assert np.rad2deg(robot.home) == pytest.approx([0, 0, 0, 0, 90, 0])
