@@ -12,6 +12,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import shapely
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
 
 from planner.cli.element import ElementRequest, run_element
 from planner.element import element_page, labels, run_report
@@ -52,6 +54,37 @@ def test_outlines_meet_where_neighbours_are_named_and_cover_the_element_once(out
             edge = shapely.LineString([ring[i], ring[(i + 1) % len(ring)]])
             near = {n for n, one in shapes.items() if n != name and one.buffer(0.1).contains(edge)}
             assert near == ({beyond} if beyond is not None else set())
+
+
+def test_ids_are_drawn_within_their_outlines(out: Path) -> None:
+    """As wide as Matplotlib sets them in its bold type."""
+    page = (out / "element.html").read_text()
+    on_page = re.search(r'<svg[^>]*aria-label="panels".*?</svg>', page, re.DOTALL)
+    assert on_page is not None
+    bold = FontProperties(family="DejaVu Sans", weight="bold")
+    alone = (out / "panels.svg").read_text()
+    for drawn in (on_page[0], *([alone] if "<polygon" in alone else [])):  # elastic ones stand in rectangles
+        found = ET.fromstring(re.sub(r' xmlns="[^"]*"', "", drawn))
+        marks = [one for one in found.iter() if one.tag in ("polygon", "text")]
+        outline, ids = None, 0
+        for mark in marks:
+            if mark.tag == "polygon":
+                outline = shapely.Polygon(
+                    [tuple(map(float, p.split(","))) for p in mark.attrib["points"].split()]
+                )
+            elif outline is not None:
+                size = re.search(r"font-size[:=]\"?([\d.]+)", ET.tostring(mark, "unicode"))
+                assert size is not None and mark.text is not None
+                low, high = (
+                    TextPath((0, 0), mark.text, size=float(size[1]), prop=bold).get_extents().get_points()
+                )
+                x, y = float(mark.attrib["x"]), float(mark.attrib["y"])
+                half = 0.5 * (high[0] - low[0])
+                assert outline.buffer(1.0).contains(shapely.box(x - half, y - high[1], x + half, y)), (
+                    mark.text
+                )
+                outline, ids = None, ids + 1
+        assert ids == len(data_of(out)["panels"])
 
 
 def test_the_page_shows_all_panels_blocks_totals_and_an_estimate_and_needs_no_network(out: Path) -> None:
