@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 import shapely
+from matplotlib._afm import AFM
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 
@@ -21,6 +24,7 @@ from tests.element.shells import shell
 from tests.element.walls import element
 
 SVG = "{http://www.w3.org/2000/svg}"
+CORE = Path(mpl.get_data_path()) / "fonts" / "pdfcorefonts"
 RAW = {"sizes": [{"size_mm": [2400, 1200, 150], "foam": "eps_a120"}], "kerf_mm": 2}
 
 
@@ -191,6 +195,46 @@ def test_each_id_stands_nearest_to_its_own_edge_and_up_is_up(out: Path) -> None:
             edges = [shapely.LineString([ring[k], ring[(k + 1) % len(ring)]]) for k in range(len(ring))]
             gaps = [edge.distance(words[beyond]) for edge in edges]
             assert gaps[i] <= min(gaps) + 6.0
+
+
+def test_the_document_of_the_labels_is_sheets_of_a4_with_the_same_words_in_the_same_places(out: Path) -> None:
+    """Read by the rules of ISO 32000-1 (a table at the end says where each object begins), with the widths of
+    Adobe's metrics, as Matplotlib brings them."""
+    text = (out / "labels.pdf").read_text("ascii")
+    table = int(text.split("startxref\n")[1].split("\n")[0])
+    rows = text[table:].split("trailer")[0].split("\n")[3:-1]
+    starts = [int(row[:10]) for row in rows]
+    assert all(text[at:].startswith(f"{number} 0 obj\n") for number, at in enumerate(starts, 1))
+    assert all(len(row) == 19 for row in rows)  # and the end of the line
+    box = re.search(r"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", text)
+    assert box is not None
+    assert [float(v) / 72.0 * 25.4 for v in box.groups()] == pytest.approx([210.0, 297.0], abs=1e-3)
+    pages = re.findall(r"<< /Length (\d+) >>\nstream\n(.*?)endstream", text, re.DOTALL)
+    assert [int(length) for length, _ in pages] == [len(page) for _, page in pages]
+    assert f"/Count {len(pages)} " in text and len(pages) == math.ceil(len(data_of(out)["panels"]) / 8)
+    metrics = [AFM((CORE / f"{name}.afm").open("rb")) for name in ("Helvetica", "Helvetica-Bold")]
+    found = []
+    for number, (_, page) in enumerate(pages):
+        corner = (0.0, 0.0)
+        for line in page.split("\n"):
+            if line.endswith(" cm") and line.startswith("q "):
+                corner = tuple(map(float, line.split()[5:7]))
+            if line.startswith("BT"):
+                bold, size, x, y, words = re.findall(
+                    r"/F(\d) (\S+) Tf 1 0 0 -1 (\S+) (\S+) Tm \((.*)\)", line
+                )[0]
+                width = sum(metrics[int(bold)].get_width_char(one) for one in words) / 2000.0 * float(size)
+                found.append((words, corner[0] + float(x) + width, number * 297.0 + corner[1] + float(y)))
+    wanted = []
+    for group in ET.parse(out / "labels.svg").getroot().iter(f"{SVG}g"):
+        left, top = map(float, re.findall(r"[\d.]+", group.attrib["transform"]))
+        wanted += [
+            (str(one.text), left + float(one.attrib["x"]), top + float(one.attrib["y"]))
+            for one in group.iter(f"{SVG}text")
+        ]
+    assert [one[0] for one in found] == [one[0] for one in wanted]
+    places = [np.array([one[1:] for one in some]) for some in (found, wanted)]
+    assert np.abs(places[0] - places[1]).max() < 0.01
 
 
 def test_labels_of_small_panels_between_many_are_made_smaller_not_left_out() -> None:
