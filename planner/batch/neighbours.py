@@ -100,7 +100,7 @@ def _firsts(
     """
     way = _reached(beyond, [part[0]])
     there = [panel for panel in part if panel in done]
-    firsts, near = list(there), set(_reached(beyond, there, RINGS))
+    firsts, near = there, set(_reached(beyond, there, RINGS))
     for panel in reversed(part):
         if panel in near:
             continue
@@ -113,7 +113,7 @@ def _firsts(
     for panel, before in _reached(beyond, firsts).items():
         source[panel] = source.get(before, panel)
         cells[source[panel]].append(panel)
-    return [first if first in there else _middle(beyond, cell) for first, cell in cells.items()]
+    return [first if first in done else _middle(beyond, cell) for first, cell in cells.items()]
 
 
 def _middle(beyond: Mapping[Panel, Sequence[Panel]], cell: Sequence[Panel]) -> Panel:
