@@ -20,6 +20,7 @@ from planner.element import (
     hexagon_files,
     hexagons,
     labels,
+    labels_pdf,
     output,
     run_report,
     strips,
@@ -77,6 +78,7 @@ def divide(element: element_file.Element, on_progress: Progress, folder: Path | 
     data = json.loads(files["element.json"])
     files["element.html"] = element_page.element_page(run_report.unplanned(data), files.get("blocks.svg"))
     files["labels.svg"] = labels.label_sheets(data)
+    files["labels.pdf"] = labels_pdf.label_document(files["labels.svg"])
     return Divided(files, told, said)
 
 

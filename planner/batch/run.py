@@ -244,7 +244,7 @@ def run(
     ``batch.versions``).
     """
     rows: dict[str, Row] = {}
-    waiting = collections.deque(items)
+    waiting = collections.deque(_longest_first(items))
     under_way: dict[str, Item] = {}
     known = {item.name: item for item in items}
     versions = all_versions()
@@ -272,6 +272,19 @@ def run(
             else:
                 on_event(event)
     return [rows[item.name] for item in items]
+
+
+def _longest_first(items: Sequence[Item]) -> list[Item]:
+    """The items for which most others wait one after the other first, else as they are: so no worker is left
+    with a row of them while the others have nothing to do."""
+    after = {item.name: 0 for item in items}
+    like = {item.name: item.like for item in items}
+    for item in items:
+        steps, name = 1, item.like
+        while name is not None and after.get(name, steps) < steps <= len(items):
+            after[name] = steps
+            steps, name = steps + 1, like[name]
+    return sorted(items, key=lambda item: -after[item.name])
 
 
 def _next(waiting: Iterable[Item], rows: Mapping[str, Row], under_way: Mapping[str, Item]) -> Item | None:

@@ -4,7 +4,7 @@ import { Orbit } from "./orbit.js";
 import { madePanel } from "./panels.js";
 
 const BEFORE = 0.9; // how far a panel that comes hovers before its place, in its own diameters
-const NEAR = [1.2, 500]; // zoom at first, where the view is that wide
+const FILL = 0.8; // of the view that the element takes at first
 const SECONDS = 0.8; // for a panel to come in, at most
 const WHOLE = 40; // seconds for all of them, at most
 
@@ -32,7 +32,7 @@ function arrow(from, to, radius) {
 class Assembly extends Orbit {
   constructor(box, data) {
     const canvas = box.querySelector("canvas");
-    super(canvas, canvas.clientWidth > NEAR[1] ? NEAR[0] : 1, true);
+    super(canvas, 1, true);
     const part = (name) => box.querySelector(`.${name}`);
     Object.assign(this, { line: part("line"), said: part("said"), name: part("name"), play: part("play"), all: part("all") });
     this.count = data.panels.length;
@@ -45,6 +45,7 @@ class Assembly extends Orbit {
     if (this.works) {
       this.panels = data.panels.map((panel) => madePanel(panel, data.axes));
       this.whole = [0, 1].map((end) => [0, 1, 2].map((k) => (end ? Math.max : Math.min)(...this.panels.map((p) => (end ? p.high : p.low)[k]))));
+      this.zoom = this.near = this.filling();
       for (const panel of this.panels) [panel.body, panel.lines] = [this.load(panel.solid), this.load(panel.edges)];
       this.ways = this.load({ vertices: this.panels.flatMap((p) => [...p.middle, ...minus(p.middle, scaled(p.way, 0.6 * p.size))]), faces: [] });
       this.all.onchange = () => this.draw();
@@ -56,6 +57,23 @@ class Assembly extends Orbit {
     addEventListener("hashchange", () => this.asked());
     this.go(this.now);
     this.asked();
+  }
+
+  // The zoom at which the element fills the view from where it is seen first; in rounds, as what is near grows faster.
+  filling() {
+    if (!this.cleared()) return this.near;
+    for (let round = 0; round < 4; round++) {
+      const { view, lens } = this.camera();
+      const all = times(lens, view);
+      let most = 1e-6;
+      for (const { solid } of this.panels)
+        for (let i = 0; i < solid.vertices.length; i += 3) {
+          const [x, y, , w] = project(all, solid.vertices.slice(i, i + 3));
+          most = Math.max(most, Math.abs(x / w), Math.abs(y / w));
+        }
+      this.zoom *= FILL / most;
+    }
+    return this.zoom;
   }
 
   // #panel=A01 in the address: that one comes next.

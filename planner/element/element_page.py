@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.element.assembly_page import assembly_section
+from planner.element.panel_drawing import BOLD, words_at
 from planner.element.run_page import bars, cut_section, hours, joints_section, run_tiles
 from planner.element.run_report import MINUTE, ElementRun, PanelRun, SawRun
 from planner.geometry.arrays import FloatArray
@@ -242,20 +243,12 @@ def _type_size(rings: Mapping[str, FloatArray]) -> float:
     return min(_LARGEST, float(np.percentile(room, _SMALL_SHARE)))
 
 
-def _centre(ring: FloatArray) -> tuple[float, float]:
-    """The centre of gravity of an outline."""
-    rest = ring - ring[0]
-    after = np.roll(rest, -1, axis=0)
-    twice = rest[:, 0] * after[:, 1] - rest[:, 1] * after[:, 0]
-    x, y = ring[0] + (twice[:, None] * (rest + after)).sum(axis=0) / (3.0 * twice.sum())
-    return float(x), float(y)
-
-
 def _words(ring: FloatArray, name: str, size: float, below: str = "") -> list[str]:
     """A panel's id in the middle of its outline, at most of that size, and a smaller line below it."""
-    x, y = _centre(ring)
     wide, tall = np.ptp(ring, axis=0).tolist()
     own = min(size, 0.7 * wide / (_WIDE * len(name)), 0.5 * tall)
+    x, y, share = words_at(ring, BOLD * len(name) * own, (1.8 if below else 1.0) * own)
+    own *= share
     small = min(0.7 * own, 0.8 * wide / (_WIDE * max(len(below), 1)))
     out = []
     for line, high, at, weight in (

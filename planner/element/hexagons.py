@@ -32,6 +32,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_parts,
 from planner.geometry.assembly import rows_up
 from planner.geometry.face_offset import ThickPanel
 from planner.geometry.guided_projection import LONGEST_WAY
+from planner.geometry.mesh import face_areas, vertex_normals
 from planner.geometry.panel_pattern import RIM, PatternError
 from planner.geometry.planar_panels import (
     FLAT,
@@ -58,6 +59,10 @@ ALIKE_HEIGHT: Final = 1e-3
 """Panels whose heights or ways from the first row differ by less [m] are numbered round the shell."""
 TRIED_TO: Final = 1000
 """Where a shell of more panels is refused, no changes are tried: each takes as long as the shell."""
+
+
+LEAST_AREA: Final = 1.0 / np.sqrt(3.0)
+"""Of a convex outline, in squares of its least width: an equilateral triangle has that (J. Pal, 1921)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,6 +105,7 @@ def divide_hexagons(element: HexagonElement) -> tuple[HexagonPanel, ...]:
     far off, ``element.block`` where no block holds a panel; each names its panels and a change that was tried
     and helps, where one does.
     """
+    _refuse_crowds(element)
     made = _shell(element)
     rows = _rows(made.panels)
     names, order = _named(element, made, rows)
@@ -113,6 +119,39 @@ def divide_hexagons(element: HexagonElement) -> tuple[HexagonPanel, ...]:
             [dataclasses.replace(i, hint="; ".join(filter(None, (i.hint, hint)))) for i in issues]
         )
     return tuple(_panel(made, placed, names, rows, k) for k in order)
+
+
+def _refuse_crowds(element: HexagonElement) -> None:
+    """Refuse more panels than a surface, in front or at the back, has room for by its area, before they are
+    made: no convex panel that is wide enough in every direction has less than ``LEAST_AREA`` of its width
+    squared."""
+    wanted, front = element.wanted, element.surface
+    back = dataclasses.replace(
+        front, vertices=front.vertices - element.file.thickness_mm * MM * vertex_normals(front)
+    )
+    area = max(float(face_areas(face).sum()) for face in (front, back))
+    width = wanted.least_width_mm * MM
+    if area >= LEAST_AREA * width**2 * wanted.count:
+        return
+    most = int(area / width**2)
+    what = (
+        f"{wanted.count} panels have no room on {area:.4g} m2: one would have "
+        f"{area / wanted.count / MM**2:.0f} mm2, too little for a width of {wanted.least_width_mm:g} mm"
+    )
+    side = np.floor(np.sqrt(area / wanted.count) / MM)
+    hint = f"give least_width_mm: {max(side, 0.0):g} at most, or see to the unit of the surface"
+    if most >= LEAST_COUNT:
+        hint = f"give count: {most} at most, or " + hint.removeprefix("give ")
+    raise TandemError(
+        Issue(
+            "element.shape",
+            what,
+            field="panels.hexagons.count",
+            value=wanted.count,
+            limit=most,
+            hint=hint,
+        )
+    )
 
 
 def _shell(element: HexagonElement) -> PanelShell:

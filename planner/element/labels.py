@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 
 from planner.element.element_page import turned_up
+from planner.element.panel_drawing import inner
 from planner.geometry.arrays import FloatArray
 
 SHEET: Final = (210.0, 297.0)
@@ -82,7 +83,7 @@ def _label(panel: Mapping[str, Any], wide: float, tall: float) -> Iterator[str]:
             if np.linalg.norm(near - middle) > _AIR + _LEADER:
                 yield _line(middle, near, 0.25)
             yield _text(box, beyond, TYPE)
-    x, y = _inner(ring)
+    x, y = inner(ring)
     long = min(7.0, 0.22 * float(np.ptp(ring[:, 1])))
     yield (
         f'<path d="M{x:.2f} {y + long:.2f}V{y - long:.2f}M{x - 0.5 * long:.2f} {y - 0.4 * long:.2f}L{x:.2f} '
@@ -146,13 +147,6 @@ def _free(box: _Box, used: list[_Box], inside: _Box) -> bool:
     return all(
         left > one[2] + _AIR or right < one[0] - _AIR or top > one[3] or bottom < one[1] for one in used
     )
-
-
-def _inner(ring: FloatArray) -> tuple[float, float]:
-    """A place well inside of an outline."""
-    shape = shapely.Polygon(ring).buffer(0.0)
-    place = shape.centroid if shape.contains(shape.centroid) else shape.representative_point()
-    return float(place.x), float(place.y)
 
 
 def _text(box: _Box, words: str, size: float, more: str = "") -> str:

@@ -34,6 +34,7 @@ OWNED: Final = (
     "element.json",
     "element.html",
     "element.obj",
+    "labels.pdf",
     "labels.svg",
     "panels",
     "panels.csv",

@@ -7,11 +7,15 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+import shapely
 
 from planner.geometry.arrays import FloatArray
 
 _PAGE: Final = 1400.0  # width of the drawing [px]
 _WIDE: Final = 0.62  # mean width of a letter in sizes of type
+BOLD: Final = 0.72
+"""Width of a letter of bold type, in sizes of type."""
+_SHARES: Final = np.linspace(1.0, 0.5, 11)  # of the size asked, to which words are made smaller
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,6 +27,24 @@ class DrawnPanel:
     outline: FloatArray
     share: float
     dashed: bool = False
+
+
+def inner(outline: FloatArray) -> tuple[float, float]:
+    """A place well inside of an outline (C, 2): its centre of gravity if that is inside."""
+    shape = shapely.Polygon(outline).buffer(0.0)
+    place = shape.centroid if shape.contains(shape.centroid) else shape.representative_point()
+    return float(place.x), float(place.y)
+
+
+def words_at(outline: FloatArray, width: float, height: float) -> tuple[float, float, float]:
+    """The middle (x, y) of words in an outline (C, 2), as :func:`inner` gives it, and the share of their
+    ``width`` and ``height`` that has room there: 1 to 0.5, where even that is too much."""
+    shape = shapely.Polygon(outline).buffer(0.0)
+    x, y = inner(outline)
+    half = 0.5 * _SHARES[:, None] * [width, height]
+    boxes = shapely.box(x - half[:, 0], y - half[:, 1], x + half[:, 0], y + half[:, 1])
+    fit = np.append(shapely.contains(shape, boxes), True)
+    return x, y, float(_SHARES[min(int(np.argmax(fit)), len(_SHARES) - 1)])
 
 
 def panels_drawing(title: str, legend: str, panels: Sequence[DrawnPanel]) -> str:
@@ -47,12 +69,13 @@ def panels_drawing(title: str, legend: str, panels: Sequence[DrawnPanel]) -> str
         out.append(
             f'<polygon points="{points}" fill="rgb({shade})" stroke="#1a1a1a" stroke-width="1.5"{dashed}/>'
         )
-        x, y = flat.mean(axis=0).tolist()
         text = min(
             22.0,
             0.72 * float(np.ptp(flat[:, 0])) / (_WIDE * len(panel.name)),
             0.5 * float(np.ptp(flat[:, 1])),
         )
+        x, y, share = words_at(flat, BOLD * len(panel.name) * text, text)
+        text *= share
         out.append(
             f'<text x="{x:.1f}" y="{y + 0.35 * text:.1f}" font-size="{text:.1f}" font-weight="600" '
             f'text-anchor="middle">{panel.name}</text>'

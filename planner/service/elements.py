@@ -200,7 +200,8 @@ class Elements:
         parts = {f: b for f, b in files.items() if f.startswith(("problem/", "panels/"))}
         read = dict(zip(wanted, self._service.examine_panels(parts, wanted, reading), strict=True))
         stored = self._service.stored(owner, read, parts, PROBLEM)
-        after = like_within(data, [one for one in known if one in before or one in read])
+        done = before.keys() - read.keys()
+        after = like_within(data, [one for one in known if one in done or one in read], done)
         made: dict[str, NewJob] = {}
         keys = {one: panel.row["key"] for one, panel in before.items()}
         for one in _in_turn(wanted, after):

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from planner import pipeline
 from planner.batch import run as batch
 from planner.batch.job import Done, Event, Finished, Job, Record
-from planner.batch.neighbours import like_neighbours
+from planner.batch.neighbours import RINGS, like_neighbours, like_within
 from planner.batch.run import Item, Settings
 from planner.cli import command_line
 from planner.cli.batch import Batch
@@ -21,7 +24,7 @@ from planner.issues import TandemError
 from tests import small_problem
 from tests.batch.jobs import content
 
-RINGS = {"A": "BC", "B": "ADE", "C": "AE", "D": "B", "E": "BC", "F": "", "X": "A"}
+BEYOND = {"A": "BC", "B": "ADE", "C": "AE", "D": "B", "E": "BC", "F": "", "X": "A"}
 """Panels with their neighbours; X is of another job."""
 
 
@@ -31,7 +34,7 @@ def element(folder: Path, names: str = "ABCDEFX") -> list[Item]:
     panels.mkdir(parents=True)
     rows = [
         {"id": name, "neighbours": [*beyond, None], "job": "other" if name == "X" else "one"}
-        for name, beyond in RINGS.items()
+        for name, beyond in BEYOND.items()
     ]
     (folder / "element.json").write_text(json.dumps({"panels": rows}))
     for name in names:
@@ -40,9 +43,59 @@ def element(folder: Path, names: str = "ABCDEFX") -> list[Item]:
     return batch.collect([panels], folder / "out")
 
 
+FOUND = {"A": "B", "B": None, "C": "A", "D": "B", "E": "B", "F": None, "X": None}
+"""Who is like whom: B is the fewest steps from all others."""
+
+
 def test_each_panel_is_like_the_neighbour_from_which_it_is_reached_first(tmp_path: Path) -> None:
-    like = {item.name: item.like for item in like_neighbours(element(tmp_path))}
-    assert like == {"A": None, "B": "A", "C": "A", "D": "B", "E": "B", "F": None, "X": None}
+    assert {item.name: item.like for item in like_neighbours(element(tmp_path))} == FOUND
+
+
+def rows_of(beyond: Mapping[str, list[str]]) -> dict[str, Any]:
+    """What an ``element.json`` says of panels with these neighbours."""
+    return {"panels": [{"id": one, "job": "one", "neighbours": [*some]} for one, some in beyond.items()]}
+
+
+def depths(like: Mapping[str, str], names: Iterable[str]) -> list[int]:
+    """How many panels each one waits for, one after the other."""
+
+    def depth(name: str) -> int:
+        return 1 + depth(like[name]) if name in like else 0
+
+    return [depth(name) for name in names]
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 13, 14, 16, 26, 260])
+def test_a_row_of_panels_is_planned_from_the_fewest_middles(count: int) -> None:
+    """A path of n panels needs ceil(n / 13) firsts for none to be more than six steps away."""
+    beyond = {f"{i}": [f"{k}" for k in (i - 1, i + 1) if 0 <= k < count] for i in range(count)}
+    like = like_within(rows_of(beyond), list(beyond))
+    firsts = math.ceil(count / (2 * RINGS + 1))
+    found = depths(like, beyond)
+    assert found.count(0) == firsts and max(found) <= RINGS
+    assert found.count(1) >= min(2 * firsts, count - firsts)  # both ways from each, so two are at hand
+
+
+def test_panels_begin_with_those_that_are_done_where_these_are_near() -> None:
+    beyond = {f"{i}": [f"{k}" for k in (i - 1, i + 1) if 0 <= k < 20] for i in range(20)}
+    like = like_within(rows_of(beyond), list(beyond), ["0"])
+    assert [one for one in beyond if one not in like] == ["0", "13"]
+    assert like["1"] == "0"
+
+
+def test_panels_of_a_shell_wait_for_few_others_and_for_neighbours_alone() -> None:
+    cells = list(itertools.product(range(14), range(20)))
+    steps = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, -1), (-1, 1))  # six neighbours, as hexagons have
+    beyond = {
+        f"{i}-{k}": [f"{i + a}-{k + b}" for a, b in steps if (i + a, k + b) in set(cells)] for i, k in cells
+    }
+    like = like_within(rows_of(beyond), list(beyond))
+    assert all(other in beyond[one] for one, other in like.items())
+    found = depths(like, beyond)
+    assert max(found) <= RINGS
+    assert (
+        2 <= found.count(0) <= len(cells) // 40
+    )  # six rings of hexagons are 127 in the open, fewer at a rim
 
 
 def test_of_panels_that_are_not_planned_nobody_is_like(tmp_path: Path) -> None:
@@ -63,13 +116,14 @@ def test_problems_that_are_no_panels_are_refused(tmp_path: Path, text: str | Non
 
 
 class Slow:
-    """Planners that end one job at a time, the last one begun first; what fails is no plan."""
+    """Planners that end one job at a time, the last one begun first or the first (``turn`` 0); what fails is
+    no plan."""
 
     ahead = 4
 
-    def __init__(self, failing: str = "") -> None:
+    def __init__(self, failing: str = "", turn: int = -1) -> None:
         self.jobs: list[Job] = []
-        self._failing = failing
+        self._failing, self._turn = failing, turn
         self._open: list[tuple[Job, Path]] = []
 
     @property
@@ -81,7 +135,7 @@ class Slow:
         self._open.append((job, folder))
 
     def events(self, timeout_s: float) -> Iterator[Event]:
-        job, folder = self._open.pop()
+        job, folder = self._open.pop(self._turn)
         folder.mkdir(parents=True)
         for name in ("plan.json", "plan.npz", "problem/problem.yaml"):
             (folder / name).parent.mkdir(exist_ok=True)
@@ -109,13 +163,30 @@ def taken(jobs: list[Job]) -> Mapping[str, str | None]:
 def test_a_panel_waits_for_its_neighbour_and_gets_its_plan(tmp_path: Path) -> None:
     items = like_neighbours(element(tmp_path))
     found = taken(planned(items, tmp_path / "out"))
-    assert found == {"A": None, "B": "A", "C": "A", "D": "B", "E": "B", "F": None, "X": None}
+    assert found == FOUND
+
+
+@pytest.mark.parametrize(("ahead", "turn"), [(1, 0), (2, 0), (7, 0), (7, -1)])
+def test_whose_plan_a_panel_gets_hangs_on_nobody_who_is_free(tmp_path: Path, ahead: int, turn: int) -> None:
+    """With one worker or seven, whoever ends first, and where some were finished before."""
+    items = like_neighbours(element(tmp_path))
+    planners = Slow(turn=turn)
+    planners.ahead = ahead
+    batch.run(items, tmp_path / "out", planners, Settings(), lambda event: None)
+    assert taken(planners.jobs) == FOUND
+
+
+def test_those_that_most_others_wait_for_come_first(tmp_path: Path) -> None:
+    planners = Slow(turn=0)
+    planners.ahead = 1
+    batch.run(like_neighbours(element(tmp_path)), tmp_path / "out", planners, Settings(), lambda event: None)
+    assert [job.name for job in planners.jobs] == ["B", "A", "C", "D", "E", "F", "X"]
 
 
 def test_a_neighbour_without_a_plan_stands_aside_for_its_own(tmp_path: Path) -> None:
     items = like_neighbours(element(tmp_path))
-    assert taken(planned(items, tmp_path / "one", failing="B"))["D"] == "A"
-    assert taken(planned(items, tmp_path / "two", failing="AB"))["D"] is None
+    assert taken(planned(items, tmp_path / "one", failing="A"))["C"] == "B"
+    assert taken(planned(items, tmp_path / "two", failing="AB"))["C"] is None
 
 
 def test_items_that_wait_for_one_another_are_planned_all_the_same(tmp_path: Path) -> None:

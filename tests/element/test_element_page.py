@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 import shapely
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
 
 from planner.cli.element import ElementRequest, run_element
 from planner.element import element_page, labels, run_report
@@ -19,6 +23,7 @@ from tests.element.shells import shell
 from tests.element.walls import element
 
 SVG = "{http://www.w3.org/2000/svg}"
+CORE = Path(mpl.get_data_path()) / "fonts" / "pdfcorefonts"
 RAW = {"sizes": [{"size_mm": [2400, 1200, 150], "foam": "eps_a120"}], "kerf_mm": 2}
 
 
@@ -52,6 +57,37 @@ def test_outlines_meet_where_neighbours_are_named_and_cover_the_element_once(out
             edge = shapely.LineString([ring[i], ring[(i + 1) % len(ring)]])
             near = {n for n, one in shapes.items() if n != name and one.buffer(0.1).contains(edge)}
             assert near == ({beyond} if beyond is not None else set())
+
+
+def test_ids_are_drawn_within_their_outlines(out: Path) -> None:
+    """As wide as Matplotlib sets them in its bold type."""
+    page = (out / "element.html").read_text()
+    on_page = re.search(r'<svg[^>]*aria-label="panels".*?</svg>', page, re.DOTALL)
+    assert on_page is not None
+    bold = FontProperties(family="DejaVu Sans", weight="bold")
+    alone = (out / "panels.svg").read_text()
+    for drawn in (on_page[0], *([alone] if "<polygon" in alone else [])):  # elastic ones stand in rectangles
+        found = ET.fromstring(re.sub(r' xmlns="[^"]*"', "", drawn))
+        marks = [one for one in found.iter() if one.tag in ("polygon", "text")]
+        outline, ids = None, 0
+        for mark in marks:
+            if mark.tag == "polygon":
+                outline = shapely.Polygon(
+                    [tuple(map(float, p.split(","))) for p in mark.attrib["points"].split()]
+                )
+            elif outline is not None:
+                size = re.search(r"font-size[:=]\"?([\d.]+)", ET.tostring(mark, "unicode"))
+                assert size is not None and mark.text is not None
+                low, high = (
+                    TextPath((0, 0), mark.text, size=float(size[1]), prop=bold).get_extents().get_points()
+                )
+                x, y = float(mark.attrib["x"]), float(mark.attrib["y"])
+                half = 0.5 * (high[0] - low[0])
+                assert outline.buffer(1.0).contains(shapely.box(x - half, y - high[1], x + half, y)), (
+                    mark.text
+                )
+                outline, ids = None, ids + 1
+        assert ids == len(data_of(out)["panels"])
 
 
 def test_the_page_shows_all_panels_blocks_totals_and_an_estimate_and_needs_no_network(out: Path) -> None:
@@ -158,6 +194,49 @@ def test_each_id_stands_nearest_to_its_own_edge_and_up_is_up(out: Path) -> None:
             edges = [shapely.LineString([ring[k], ring[(k + 1) % len(ring)]]) for k in range(len(ring))]
             gaps = [edge.distance(words[beyond]) for edge in edges]
             assert gaps[i] <= min(gaps) + 6.0
+
+
+def test_the_document_of_the_labels_is_sheets_of_a4_with_the_same_words_in_the_same_places(out: Path) -> None:
+    """Read by the rules of ISO 32000-1 (a table at the end says where each object begins), with the widths of
+    Adobe's metrics, as Matplotlib brings them."""
+    text = (out / "labels.pdf").read_text("ascii")
+    table = int(text.split("startxref\n")[1].split("\n")[0])
+    rows = text[table:].split("trailer")[0].split("\n")[3:-1]
+    starts = [int(row[:10]) for row in rows]
+    assert all(text[at:].startswith(f"{number} 0 obj\n") for number, at in enumerate(starts, 1))
+    assert all(len(row) == 19 for row in rows)  # and the end of the line
+    box = re.search(r"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", text)
+    assert box is not None
+    assert [float(v) / 72.0 * 25.4 for v in box.groups()] == pytest.approx([210.0, 297.0], abs=1e-3)
+    pages = re.findall(r"<< /Length (\d+) >>\nstream\n(.*?)endstream", text, re.DOTALL)
+    assert [int(length) for length, _ in pages] == [len(page) for _, page in pages]
+    assert f"/Count {len(pages)} " in text and len(pages) == math.ceil(len(data_of(out)["panels"]) / 8)
+    metrics = [
+        {chr(int(code)): int(width) for code, width in re.findall(r"C (\d+) ; WX (\d+)", file.read_text())}
+        for file in (CORE / "Helvetica.afm", CORE / "Helvetica-Bold.afm")
+    ]
+    found = []
+    for number, (_, page) in enumerate(pages):
+        left = top = 0.0
+        for line in page.split("\n"):
+            if line.endswith(" cm") and line.startswith("q "):
+                left, top = map(float, line.split()[5:7])
+            if line.startswith("BT"):
+                bold, size, x, y, words = re.findall(
+                    r"/F(\d) (\S+) Tf 1 0 0 -1 (\S+) (\S+) Tm \((.*)\)", line
+                )[0]
+                width = sum(metrics[int(bold)][one] for one in words) / 2000.0 * float(size)
+                found.append((words, left + float(x) + width, number * 297.0 + top + float(y)))
+    wanted = []
+    for group in ET.parse(out / "labels.svg").getroot().iter(f"{SVG}g"):
+        left, top = map(float, re.findall(r"[\d.]+", group.attrib["transform"]))
+        wanted += [
+            (str(one.text), left + float(one.attrib["x"]), top + float(one.attrib["y"]))
+            for one in group.iter(f"{SVG}text")
+        ]
+    assert [one[0] for one in found] == [one[0] for one in wanted]
+    places = [np.array([one[1:] for one in some]) for some in (found, wanted)]
+    assert np.abs(places[0] - places[1]).max() < 0.01
 
 
 def test_labels_of_small_panels_between_many_are_made_smaller_not_left_out() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import itertools
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import manifold3d
 import numpy as np
 import pytest
 import shapely
+import trimesh
 
 from planner import pipeline
 from planner.cli.element import ElementRequest, run_element
@@ -376,6 +378,20 @@ def test_blocks_too_thin_are_refused_with_the_thickness_that_fits(tmp_path: Path
 def test_counts_that_cannot_be_are_refused(tmp_path: Path, count: int) -> None:
     issue = refusals(shell(tmp_path, hexagons={"count": count}))["panels.hexagons.count"]
     assert issue.code == "problem.field"
+
+
+def test_more_panels_than_the_area_has_room_for_are_refused_at_once(tmp_path: Path) -> None:
+    """No convex panel of that width is smaller than an equilateral triangle of that height (Pal, 1921)."""
+    small = patch(lambda x, y: 0.2 - 0.1 * x * x)
+    small.vertices[:] *= 0.1
+    area = trimesh.Trimesh(small.vertices, small.faces).area
+    issue = refusals(shell(tmp_path, small, {"count": 40, "least_width_mm": 100}))["panels.hexagons.count"]
+    assert issue.code == "element.shape" and "40 panels have no room on" in issue.message
+    assert area / 40 < 0.1**2 / math.sqrt(3.0)
+    counts, widths = (
+        re.findall(rf"{name}: ([\d.]+)", str(issue.hint)) for name in ("count", "least_width_mm")
+    )
+    assert float(counts[0]) * 0.1**2 <= 1.1 * area and float(widths[0]) ** 2 * 40 <= 1.1e6 * area
 
 
 def test_a_strip_narrower_than_its_panels_is_refused_or_divided_whole(tmp_path: Path) -> None:
