@@ -28,7 +28,7 @@ from planner.motion.operation import NoCoarsePathError, plan_operation
 from planner.motion.placement import Place, Search, Trace
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Blocked, Found
-from planner.motion.search.path_search import find_path
+from planner.motion.search.path_search import find_path, with_aims
 from planner.motion.search.reach import Grid
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
@@ -445,21 +445,48 @@ def _first_that_works(
     begin: ways.Begin,
 ) -> tuple[Place, list[OperationPlan]]:
     """The first place at which all operations have plans: of those that need no fine samples, which take
-    long, else of all."""
+    long, else of all. While every other one is planned, the path at the next is looked for ahead, perhaps in
+    another process."""
     tried, reasons, paths = _tried(problem, stand, models, places, trace, at)
     failed: dict[int, list[Issue]] = {}
+    first = stand.setups[0].operations[0]
     for fine in (False, True) if len(tried) > 1 else (True,):
+        ahead: Iterator[tuple[Grid, Found] | None] | None = None
         for k, place in enumerate(tried):
+            known, ahead = paths, ahead if k % 2 else None
+            if ahead is not None:
+                found, at[0] = next(ahead), first
+                if found is None:
+                    continue
+                known = {first: found}
+            elif not fine and k + 1 < len(tried):
+                ahead = _looked_ahead(problem, stand, models[0], tried[k + 1], begin)
             if k in failed:
                 continue
             try:
-                return place, _plan(problem, stand, models, place, tell, at, begin, fine=fine, paths=paths)
+                return place, _plan(problem, stand, models, place, tell, at, begin, fine=fine, paths=known)
             except NoCoarsePathError:
                 continue
             except TandemError as error:
                 failed[k] = list(error.issues)
     reasons = reasons or failed.get(0, [])
     raise TandemError([_unplaced(trace, stand, tried, reasons), *reasons])
+
+
+def _looked_ahead(
+    problem: Problem, stand: Stand, model: CellModel, place: Place, begin: ways.Begin
+) -> Iterator[tuple[Grid, Found] | None] | None:
+    """Begins the search of a path for the first operation of a stand at a place, with the samples that are
+    tried first; None where tools are aimed there, which the plan itself does."""
+    job, placed = stand.jobs[0][0], model.with_stock(place.stock).with_bases(place.bases)
+    scene = Scene.of(stand.setups[0].cell, job.arms, place.stock, problem.settings, placed, place.bases)
+    return begin(_coarse_path, scene, job) if with_aims(scene, job) is job else None
+
+
+def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[Grid, Found] | None]:
+    """What :func:`plan_operation` takes as known where it needs no fine samples, None where it does."""
+    grid, found = find_path(scene, targets, fine=False)
+    yield None if isinstance(found, Blocked) or found.loose else (grid, found)
 
 
 def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> None:

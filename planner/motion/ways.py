@@ -277,7 +277,8 @@ def _ways(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...]) 
 
 def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray) -> FloatArray | None:
     """Waypoints (M, 6) of one arm from home to ``goal`` with the others where they stand; None if there is no
-    way."""
+    way. One that is not free between the postures that were looked at is mended; where that fails, which is
+    seldom, a finer search follows, which takes several times as long."""
     chain = scene.chains[arm]
     hard, robot = scene.settings.joint_margin, chain.robot
     moving = _Moving(scene, standing, (arm,))
@@ -289,6 +290,9 @@ def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: Float
             return None
         if not len(moving.blocked(way, False).move):
             return way
+        mended = shortened(way, moving.task)
+        if mended is not None:
+            return mended
     return None
 
 

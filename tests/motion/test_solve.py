@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ import pytest
 from planner.catalogue.robots import robot, robot_names
 from planner.geometry.arrays import exp_twist, from_parts
 from planner.issues import Issue, TandemError
-from planner.motion import diagnosis, operation, placement
+from planner.motion import diagnosis, operation, placement, ways
+from planner.motion import solve as solve_module
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search
 from planner.motion.planning_scene import Chain, Scene
@@ -190,6 +192,39 @@ def test_a_place_that_few_postures_do_not_show_free_is_tried(
     job = problem(two_arms(1.8), targets, None)
     assert not check(job, [targets])
     assert solve(job, [targets]).operations[0].metrics["clearance_mm"] >= 10.0
+
+
+@pytest.mark.parametrize(("coarse", "planned"), [(False, [0, 2]), (True, [0, 1])])
+def test_every_other_place_is_looked_at_ahead_and_known_then(
+    coarse: bool, planned: list[int], monkeypatch: pytest.MonkeyPatch, targets: Targets
+) -> None:
+    """The first place has no path over coarse samples; the next is passed over where it has none either, else
+    planned with the path that is known."""
+    job = problem(two_arms(1.8), targets, None)
+    begun, tried = [], []
+
+    def begin(work: Any, *arguments: Any) -> Any:
+        if work is not solve_module._coarse_path:
+            return ways.here(work, *arguments)
+        begun.append(arguments)
+        return iter([next(work(*arguments)) if coarse else None])
+
+    def plan(*given: Any, fine: bool, paths: Any, **_: Any) -> Any:
+        tried.append(given[3])
+        if len(tried) == 1:
+            raise operation.NoCoarsePathError
+        assert not fine
+        assert (paths is None) == (not coarse)
+        return plan_of(*given, fine=fine, paths=paths)
+
+    plan_of = solve_module._plan
+    monkeypatch.setattr(solve_module, "_plan", plan)
+    made = solve(job, [targets], begin=begin)
+    stand = setup_groups(job, [targets])[0]
+    places, _ = solve_module._search(job, stand).run(stand.each(stand.models()))
+    assert [place.number for place in tried] == [places[k].number for k in planned]
+    assert len(begun) == (1 if coarse else 2)
+    assert made.operations[0].metrics["clearance_mm"] >= 10.0
 
 
 def test_a_joint_limit_is_named(targets: Targets) -> None:

@@ -43,6 +43,36 @@ def test_a_way_around_a_post_is_shorter_than_the_tree_s_and_drake_sees_it_clear(
     assert np.array_equal(way, moving.shorter(tree))
 
 
+def test_a_tree_s_way_that_is_not_free_between_its_looks_is_mended_and_drake_sees_it_clear(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In place of the tree's way stands the straight one, through the post. Only where it cannot be mended a
+    tree with shorter steps is asked."""
+    scene, _ = pair(20)
+    home = {arm: chain.home for arm, chain in scene.chains.items()}
+    goal = home["left"] + np.deg2rad([75.0, 20.0, 10.0, 30.0, 20.0, -40.0])
+    x, y, _ = scene.chains["left"].pose(0.5 * (home["left"] + goal))[:3, 3]
+    scene, _ = pair(20, (box("post", (0.05, 0.05, 1.5), (x, y, 0.75)),))
+    steps = []
+
+    def straight(start: np.ndarray, end: np.ndarray, *rest: object) -> np.ndarray:
+        steps.append(rest[3])
+        return np.stack([start, end])
+
+    monkeypatch.setattr(ways, "connect", straight)
+    way = ways._way(scene, home, "left", goal)
+    assert way is not None
+    assert steps == [np.deg2rad(3.0)]
+    for a, b in itertools.pairwise(way):
+        q = home | {"left": a + np.linspace(0.0, 1.0, 1500)[:, None] * (b - a)}
+        rows = {arm: np.broadcast_to(v, (1500, 6)) for arm, v in q.items()}
+        found = clearance.witness(scene.model, rows, 0.05)
+        assert found.distance.min(initial=0.05) >= scene.settings.clearance
+    monkeypatch.setattr(ways, "shortened", lambda *_: None)
+    assert ways._way(scene, home, "left", goal) is None
+    assert steps[1:] == ways.POSTURE_STEPS_RAD.tolist()
+
+
 def test_arms_bend_about_a_post_in_no_more_travel_than_straight_and_drake_sees_them_clear() -> None:
     scene, _ = pair(20)
     home = {arm: chain.home for arm, chain in scene.chains.items()}
