@@ -32,7 +32,16 @@ from planner.claims.vocabulary import Handshake, SignalWire
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, Severity
 from planner.plans import Plan
-from planner.post.program import TIME_DECIMALS, Drift, Job, OperationProgram, TaskProgram
+from planner.post.program import (
+    TIME_DECIMALS,
+    Do,
+    Drift,
+    Job,
+    Meet,
+    OperationProgram,
+    Run,
+    TaskProgram,
+)
 from planner.post.rapid.syntax import identifier
 from planner.problem import Controller, Problem, Setup
 from planner.targets import Targets
@@ -231,6 +240,20 @@ def drift_sentence(drift: Drift) -> str:
         f"planned one by up to {drift.worst * 1e3:.3f} mm, at move {drift.row + 1} ({drift.segment}); on "
         f"half of the moves by {float(np.median(drift.change)) * 1e3:.3f} mm at most"
     )
+
+
+def asking(task: TaskProgram) -> frozenset[int]:
+    """Numbers of the meetings behind which, before the next one, a task's program asks somebody something."""
+    out, number = set[int](), 1
+    for operation in task.operations:
+        for step in operation.steps:
+            if isinstance(step, Meet):
+                number = step.number
+            elif isinstance(step, Run):
+                number = int(operation.meets[step.first : step.last].max(initial=number))
+            elif isinstance(step, Do) and step.action.kind == "confirm":
+                out.add(number)
+    return frozenset(out)
 
 
 PARTNER_STANDS: Final = "The program of arm {other} does not run: {input} is 0."
@@ -440,11 +463,14 @@ class Partner:
         numbers = np.concatenate([operation.meets for operation in task.operations])
         return {self.phases(n): n for n in np.unique(numbers[numbers > 0]).tolist()}
 
-    def start(self, ask: str, ok: str = "") -> list[PartnerStep]:
+    def start(
+        self, ask: str, ok: str = "", called: vocabulary.Sentence = vocabulary.START_PARTNER
+    ) -> list[PartnerStep]:
         """What the program begins with: lines down and seen so, the other program seen to stand, then to run,
         first meeting.
 
-        ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
+        ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed; ``called``:
+        how the lead tells to start the other program.
         """
         earlier = f"{vocabulary.KRL_EARLIER.filled(other=self.other)} {ok}"
         limit = self.handshake.timeout
@@ -452,7 +478,7 @@ class Partner:
         wait = limit if self.lead else self.handshake.patience
         if self.lead:
             ready = vocabulary.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
-            out += [Tell(vocabulary.START_PARTNER.filled(other=self.other)), Halt(ready), AwaitLine(0, wait)]
+            out += [Tell(called.filled(other=self.other)), Halt(ready), AwaitLine(0, wait)]
         else:
             out += [AwaitLine(0, wait), Tell(vocabulary.READY_TO_MEET.filled(other=self.other))]
         return [*out, Note("First meeting: both programs run."), *self.meeting(1, wait)]
@@ -462,6 +488,10 @@ class Partner:
         if self.handshake.kind == "four_phase" or self.meets % 2 == 0:
             return []
         return [Note("Last meeting: both lines are 0."), *self.meet(self.meets + 1, 0.0)]
+
+    def last(self) -> int:
+        """The number of the last meeting, behind which the programs come to their ends."""
+        return self.meets + (1 if self.end() else 0)
 
     @property
     def unanswered(self) -> str:

@@ -1,5 +1,12 @@
 """URScript programs of a job: for each arm of UR one file with one program, without branches.
 
+Beside an arm on a controller of its own it meets the other program by :mod:`planner.post.handshake`. A
+thread watches the other one's running wire and ends this program when it falls; it is out where the other
+arm asks somebody something, which lets that wire fall, and this arm stands between two meetings. The
+own running wire is switched by the program, for a program that asks cannot know whether its controller
+counts as running meanwhile: the wire is low then in any case. That it falls with the program is set in
+the controller's installation.
+
 The controller counts in a base of its own, which :func:`controller_base` finds in the arm's URDF.
 Moves by joints state the speed of their leading axis, at which the TCP keeps its limit; straight
 moves state their time and a blend radius.
@@ -17,19 +24,35 @@ from planner import __version__
 from planner.catalogue.robots import ParallelParameters, RobotData
 from planner.cell.kinematics import forward
 from planner.claims import vocabulary
-from planner.geometry.arrays import FloatArray, from_rpy, inverse
+from planner.claims.vocabulary import PartnerSignals
+from planner.geometry.arrays import BoolArray, FloatArray, from_rpy, inverse
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
+from planner.post.handshake import (
+    Ask,
+    AwaitLine,
+    AwaitRunning,
+    Halt,
+    Note,
+    Partner,
+    PartnerStep,
+    SetLine,
+    Tell,
+    asking,
+    drift_sentence,
+)
 from planner.post.program import (
     LINE_END,
     Carry,
     Do,
     Job,
     Joints,
+    Meet,
     OperationProgram,
     Run,
     Step,
     TaskProgram,
+    Track,
     kilobytes,
     no_input,
     number,
@@ -111,6 +134,14 @@ class _Main:
         self.tools: dict[str, str] = {}
         self.places: dict[str, str] = {}
         self.moves = 0
+        self.partner = Partner.of(task, job)
+        self.quiet: frozenset[int] = frozenset()
+        """Meetings behind which nobody watches the other program: it asks somebody, or has come to its
+        end."""
+        if self.partner is not None:
+            others = (other for other in job.tasks if other is not task)
+            self.quiet = frozenset().union(*map(asking, others), {self.partner.last()})
+        self.watching = False
         self._at: FloatArray | None = None
         self._acceleration = float(np.min(task.robot.acceleration)) * problem.settings.acceleration_fraction
 
@@ -121,12 +152,85 @@ class _Main:
         place = inverse(self.foot) @ forward(self.task.robot, self.task.arm.home) @ CHECK_TIP
         text = vocabulary.OTHER_ARM.filled(arm=self.task.arm.name, model=self.task.arm.robot)
         out = [self._switch(signal, False) for signal in self.job.switched(self.task)]
+        if self.partner is not None:
+            running = self._own.running
+            out += syntax.stays_low(self._number(running), vocabulary.STAYS_ON.filled(signal=running))
         out += syntax.kinematics_check(home, CHECK_TIP, place, CHECK_ERROR, text)
-        clear = vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY
-        out += syntax.question(clear.filled())
+        clear = (vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY).filled()
+        functions: list[str] = []
+        if self.partner is None:
+            out += syntax.question(clear)
+        else:
+            functions = self._functions(self.partner)
+            out += self._met(1, self.partner.start(clear, called=vocabulary.UR_START_PARTNER))
         for i, operation in enumerate(self.task.operations, 1):
             out += self._operation(i, operation)
-        return [f"{word} = {value}" for word, value in self.data.items()], out
+        if self.partner is not None and (steps := self.partner.end()):
+            out += self._met(self.partner.last(), steps)
+        return [*(f"{word} = {value}" for word, value in self.data.items()), *functions], out
+
+    # ---- the other controller ----
+
+    def _functions(self, partner: Partner) -> list[str]:
+        """What waits for the other program, and what watches it."""
+        own = partner.handshake.of(partner.arm)
+        off = [self._switch(signal, False) for signal in (own.running, *self.job.switched(self.task))]
+        lost = vocabulary.PARTNER_LOST.filled(other=partner.other)
+        given, runs = self._number(own.input), self._number(own.partner_running)
+        return [
+            *syntax.wait_function(syntax.AWAIT_LINE, given, off, partner.unanswered),
+            *syntax.wait_function(syntax.AWAIT_RUNNING, runs, off, partner.unanswered),
+            *syntax.watch_thread(runs, off, lost),
+            *syntax.stand_function(),
+        ]
+
+    def _met(self, meeting: int, steps: Sequence[PartnerStep]) -> list[str]:
+        """The steps of a meeting. Nobody watches any more from before a meeting on behind which the other
+        program may stand; it is watched again behind the meeting at which it runs again."""
+        out = self._watch(False) if meeting in self.quiet else []
+        told: list[str] = []
+        for i, step in enumerate(steps):
+            match step:
+                case SetLine(value):
+                    out.append(self._switch(self._own.output, value == 1))
+                case AwaitLine(value, seconds):
+                    out.append(syntax.awaited(syntax.AWAIT_LINE, value, seconds))
+                case AwaitRunning(value, seconds):
+                    out.append(syntax.awaited(syntax.AWAIT_RUNNING, value, seconds))
+                case Halt(text) | Ask(text):
+                    out += self._standing([*told, *syntax.question(text)])
+                    told = []
+                case Tell(text):
+                    asks = any(isinstance(later, Halt | Ask) for later in steps[i + 1 : i + 2])
+                    told += syntax.told(text, before_question=asks)
+                    if not asks:
+                        out, told = [*out, *told], []
+                case Note(text):
+                    out += comment(text)
+        return out if meeting in self.quiet else [*out, *self._watch(True)]
+
+    @property
+    def _own(self) -> PartnerSignals:
+        return self.problem.cell.controller.handshake.of(self.task.arm.name)
+
+    def _standing(self, popups: Sequence[str]) -> list[str]:
+        """Popups that hold the program, with the own running wire low meanwhile."""
+        low, high = (self._switch(self._own.running, on) for on in (False, True))
+        return [low, *popups, high]
+
+    def _asked(self, popups: Sequence[str]) -> list[str]:
+        """A question between two meetings. The other controller may stop at it, and is watched again once it
+        runs."""
+        if self.partner is None:
+            return list(popups)
+        again = syntax.awaited(syntax.AWAIT_RUNNING, 1, self.partner.handshake.patience)
+        return [*self._watch(False), *self._standing(popups), again, *self._watch(True)]
+
+    def _watch(self, on: bool) -> list[str]:
+        if on == self.watching:
+            return []
+        self.watching = on
+        return [f"{syntax.WATCHING} = run {syntax.WATCH}()" if on else f"kill {syntax.WATCHING}"]
 
     def _declare(self, word: str, value: str) -> str:
         if self.data.setdefault(word, value) != value:
@@ -136,24 +240,34 @@ class _Main:
 
     def _operation(self, index: int, operation: OperationProgram) -> list[str]:
         out, told = comment(f"Operation {operation.name}."), False
+        held: list[str] = []
         for i, step in enumerate(operation.steps):
             if not told and isinstance(step, Joints | Run):  # behind the setup that has mounted the tool
                 told, tool = True, operation.arm.tool
                 out += [f"set_tcp({self._tool(tool)})", _payload(tool)]
-            out += self._step(step, index, operation, _question_follows(operation.steps[i + 1 :]))
+            if isinstance(step, Do) and step.action.kind in ("message", "confirm"):
+                held += self._action(step.action, _question_follows(operation.steps[i + 1 :]))
+                if step.action.kind == "confirm":
+                    out, held = [*out, *self._asked(held)], []
+                elif not _question_follows(operation.steps[i + 1 :]):
+                    out, held = [*out, *held], []
+                continue
+            out += self._step(step, index, operation)
         return out
 
-    def _step(self, step: Step, index: int, operation: OperationProgram, asks: bool) -> list[str]:
+    def _step(self, step: Step, index: int, operation: OperationProgram) -> list[str]:
         match step:
             case Joints():
                 return self._movej(step, index, operation)
             case Do(action):
-                return self._action(action, asks)
+                return self._action(action, False)
+            case Meet(meeting, reached, seconds) if self.partner is not None:
+                lines = self._met(meeting, self.partner.meet(meeting, seconds))
+                return [*comment(f"Meeting: {reached}"), *lines]
             case Run():
                 return self._run(step, operation)
             case Carry(load) if load is not None:
-                message = f"arm {self.task.arm.name} holds the block; URScript is written for tools alone"
-                raise TandemError(Issue("post.load", message, hint="let the block stand in the cell"))
+                raise TandemError(no_load(self.task.arm.name))
         return []
 
     def _movej(self, step: Joints, index: int, operation: OperationProgram) -> list[str]:
@@ -214,11 +328,14 @@ class _Main:
                 raise no_input(action, self.task.arm.name)
 
     def _switch(self, signal: str, on: bool) -> str:
+        return f"{syntax.output(self._number(signal), on)} # {signal}"
+
+    def _number(self, signal: str) -> int:
         found = self.problem.cell.controller.number(self.task.arm.name, signal)
         if found is None:
             message = f"the cell gives no number of {signal} on the controller of {self.task.arm.name}"
             raise TandemError(Issue("post.signal", message, arm=self.task.arm.name))
-        return f"{syntax.output(found, on)} # {signal}"
+        return found
 
     def _run(self, run: Run, operation: OperationProgram) -> list[str]:
         track, some = operation.track, slice(run.first, run.last)
@@ -237,10 +354,35 @@ class _Main:
             raise TandemError(Issue("post.blend", message, arm=self.task.arm.name, target=place, hint=hint))
         seconds = short(float(track.duration[some].sum()), 2)
         out = comment(f"Segment {mark(run.segment)}: {run.last - run.first} moves, {seconds} s.")
-        out += syntax.straight(track, radius, self._frame(operation))[some]
+        moves = syntax.straight(track, radius, self._frame(operation))[some]
+        if self.partner is not None and self._at is not None:
+            rests = np.flatnonzero(self._still(operation, track)[some])
+            for row in rests.tolist():
+                moves[row] = f"{syntax.STAND}({syntax.real(float(track.duration[some][row]), 5)})"
+        for move, meeting in zip(moves, operation.meets[some].tolist(), strict=True):
+            out.append(move)
+            if meeting and self.partner is not None:
+                out += self._met(meeting, self.partner.step(meeting))
         self._at = track.q[run.last - 1]
         self.moves += run.last - run.first
         return out
+
+    def _still(self, operation: OperationProgram, track: Track) -> BoolArray:
+        """Whether (M,) moves go nowhere. Raises :class:`TandemError` (``post.blend``) where the first one
+        does: behind a move by joints a program knows no place to stand at."""
+        start = next(s.q for s in operation.steps if isinstance(s, Joints) and s.place == "start")
+        out = syntax.still(track, start)
+        if out[:1].any():
+            message = f"operation {operation.name}: arm {self.task.arm.name} stands still in its first move"
+            hint = "let both arms move from the first target on"
+            raise TandemError(Issue("post.blend", message, arm=self.task.arm.name, hint=hint))
+        return out
+
+
+def no_load(arm: str) -> Issue:
+    """Why an arm of UR holds no block."""
+    message = f"arm {arm} holds the block; URScript is written for tools alone"
+    return Issue("post.load", message, arm=arm, hint="let the block stand in the cell")
 
 
 def _payload(tool: Tool) -> str:
@@ -293,6 +435,10 @@ def _header(task: TaskProgram, job: Job, plan: Plan, margins: Mapping[str, str])
     out += comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
     for item, value in margins.items():
         out += comment(f"Proven: {item} {value}.")
+    if (partner := Partner.of(task, job)) is not None:
+        out += [line for text in partner.header() for line in comment(text)]
+        drifts = [f"Operation {drift.name}: {drift_sentence(drift)}." for drift in job.drifts]
+        out += [line for text in drifts for line in comment(text)]
     out += comment(
         "No controller of UR has run such a program yet: begin at low speed, and compare the time."
     )

@@ -23,6 +23,7 @@ from planner.verify.programs.steps import (
     Step,
     SyncStep,
     WaitStep,
+    WatchStep,
     letters,
 )
 
@@ -113,6 +114,11 @@ def read(
             tuple(actions), tuple(reader.interval), tuple(reader.protocol), tuple(reader.faults)
         )
     return out
+
+
+def lets_fall(step: MessageStep) -> bool:
+    """Whether a program counts as standing while it shows something."""
+    return step.kind == "HALT" or step.stands
 
 
 def _of(arm: str, arms: Sequence[str], places: Mapping[str, Mapping[str, int]]) -> int | None:
@@ -219,7 +225,7 @@ class _Reader:
                 return True
             case MessageStep() if i == self.gate:
                 self._rest()
-                if step.kind == "HALT":
+                if lets_fall(step):
                     self._add("pause", 0, 0, i)
                 self._add("gate", 0, 0, i)
                 return True
@@ -256,8 +262,10 @@ class _Reader:
             case WaitStep() | MessageStep() | CarryStep() | LoadStep():
                 self.asked |= isinstance(step, MessageStep) and step.certain
                 self._work(i)
-                if isinstance(step, MessageStep) and step.kind == "HALT":
+                if isinstance(step, MessageStep) and lets_fall(step):
                     self._add("pause", 0, 0, i)
+            case WatchStep():
+                return True
             case _:
                 pass
         return False
@@ -359,6 +367,7 @@ class _Reader:
     # ---- actions ----
 
     def _work(self, i: int) -> None:
+        self.left, self.limit = 0, None  # a look before the work says nothing of the meeting behind it
         if self.working is None:
             self.working = self.count
             self._add("go", 0, self.count, i)

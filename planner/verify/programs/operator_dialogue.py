@@ -419,9 +419,10 @@ def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
         if not lead:
             return earlier, message_step(vocabulary.READY_TO_MEET, other=partner)
         both = {"other": partner, "arm": task.arm.name, "start": question.words}
+        called = vocabulary.START_PARTNER if task.script is None else vocabulary.UR_START_PARTNER
         return (
             earlier,
-            message_step(vocabulary.START_PARTNER, other=partner),
+            message_step(called, other=partner),
             question_step(vocabulary.PARTNER_READY, **both),
         )
     if not lead:

@@ -12,9 +12,10 @@ from planner.claims.vocabulary import SignalWire
 from planner.issues import Issue
 from planner.verify import job
 from planner.verify.context import Context, Outcome, at_step, rule
-from planner.verify.programs.handshake_automata import Reading, Wiring
+from planner.verify.job import TaskText
+from planner.verify.programs.handshake_automata import Reading, Wiring, lets_fall
 from planner.verify.programs.handshake_model import Action, Event, Finding, RunningWire, check
-from planner.verify.programs.steps import MoveStep, SignalStep, Step
+from planner.verify.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep, WatchStep
 
 EVENTS_SHOWN = 6
 """Events that are told of the way to a fault."""
@@ -166,7 +167,9 @@ find most at least cost come first, those with stops at any instant last."""
 def handshake(context: Context) -> Outcome:
     """Two controllers that share signals meet without fail: whatever the delays, and whoever is stopped and
     started again at whatever instant, neither waits for ever, no signal change is lost, and no arm is more
-    than one step ahead of the other. Neither works unless it has seen the other one stand and then run."""
+    than one step ahead of the other. Neither works unless it has seen the other one stand and then run. A
+    program of URScript watches the other one's running wire whenever it moves or has power, and at no meeting
+    beside which that one may stand."""
     readings = context.job.readings
     if readings is None:
         return Outcome(where="one controller")
@@ -183,6 +186,10 @@ def handshake(context: Context) -> Outcome:
             what = "there is no other program to answer this"
             issues += [at_step(HANDSHAKE, what, task, task.steps[action.line]) for action in lone[:1]]
         return Outcome(tuple(issues), where="one program")
+    issues += [
+        issue for task in context.job.tasks if task.script is not None for issue in _watched(context, task)
+    ]
+    issues += _exchanged(context)
     found, states = _model(context, wiring, bool(issues))
     issues += found
     issues += _numbers(context) if not found else []
@@ -246,6 +253,87 @@ def _wired_wrong(context: Context, wiring: Wiring) -> list[Issue]:
                     what = f"{step.signal} is switched on the controllers of both arms; which wire is meant?"
                     issues.append(at_step(HANDSHAKE, what, task, step))
                     break
+    return issues
+
+
+def _watched(context: Context, task: TaskText) -> list[Issue]:
+    """Faults of the thread by which a program of URScript stops when the other one does: no controller of UR
+    has an input for that which is set beside the program."""
+    readings = context.job.readings or {}
+    wiring, reading = job.wiring(context.problem), readings[task.name]
+    other = next(one for one in context.job.tasks if one is not task)
+    stands = _stands(other, readings[other.name])
+    first = {stage: i for i, stage in reversed(list(enumerate(reading.interval)))}
+    begins = {stage: _meeting_begins(task, reading, i) for stage, i in first.items()}
+    issues: list[Issue] = []
+    watched = seen = False
+    watches = wiring.watches.get(task.name, frozenset())
+    for i, step in enumerate(task.steps):
+        number = reading.interval[i]
+        if isinstance(step, WaitStep) and step.signal.lower() in watches:
+            seen = step.value == 1.0
+        elif isinstance(step, MessageStep) and lets_fall(step):
+            seen = False
+        if isinstance(step, WatchStep):
+            watched = step.on
+            if watched and not seen:
+                what = f"{other.name} may stand since a question; it must be seen to run before it is watched"
+                issues.append(at_step(HANDSHAKE, what, task, step))
+            if step.signal.lower() not in watches:
+                what = f"{step.signal} is watched, which no running wire leads to"
+                issues.append(at_step(HANDSHAKE, what, task, step))
+        elif not watched and _dangerous(step, wiring.drives[task.name]):
+            what = "the arm moves" if isinstance(step, MoveStep) else "an output goes on"
+            what += f" while nothing watches whether the program of {other.name} runs"
+            issues.append(at_step(HANDSHAKE, what, task, step, "run the thread behind the meeting before"))
+        ahead = next((n for n in (number, number + 1) if n in stands and i >= begins.get(n, i + 1)), None)
+        if watched and ahead is not None and not isinstance(step, MoveStep):
+            what = (
+                f"the thread ends this program when {other.name} {stands[ahead]} behind meeting {ahead}; it "
+                "must not run from before that meeting on to the next one"
+            )
+            issues.append(at_step(HANDSHAKE, what, task, step, "kill it before the meeting"))
+    return issues[:MOST_FAULTS]
+
+
+def _dangerous(step: Step, lines: Mapping[str, int]) -> bool:
+    """Whether something moves or gets power."""
+    if isinstance(step, SignalStep):
+        return bool(step.value) and step.signal.lower() not in lines
+    return isinstance(step, MoveStep)
+
+
+def _stands(task: TaskText, reading: Reading) -> dict[int, str]:
+    """Meetings behind which a program may stand before the next one, and why."""
+    out = {reading.interval[-1]: "comes to its end"} if reading.interval else {}
+    for step, number in zip(task.steps, reading.interval, strict=True):
+        if isinstance(step, MessageStep) and lets_fall(step):
+            out[number] = "asks somebody"
+    return out
+
+
+def _meeting_begins(task: TaskText, reading: Reading, at: int) -> int:
+    """The first step of the meeting whose number counts from step ``at`` on."""
+    while at and reading.protocol[at - 1] and not isinstance(task.steps[at - 1], WatchStep):
+        at -= 1
+    return at
+
+
+def _exchanged(context: Context) -> list[Issue]:
+    """Two controllers of UR on which each other's programs would run: numbers alone tell them apart."""
+    tasks, controller = context.job.tasks, context.problem.cell.controller
+    if any(task.script is None for task in tasks):
+        return []
+    issues = []
+    for task, other in (tasks, tasks[::-1]):
+        number = controller.number(task.name, controller.handshake.of(task.name).running)
+        names = job.krl_signals(context.problem, other.arm).outputs
+        if number is not None and number in names:
+            what = (
+                f"the running wire of {task.name} is output {number}, which is {names[number]} at "
+                f"{other.name}; programs copied to each other's controller would run there"
+            )
+            issues.append(Issue(HANDSHAKE, what, arm=task.arm.name, hint="take another output for it"))
     return issues
 
 
