@@ -417,7 +417,12 @@ class Note:
     text: str
 
 
-PartnerStep = SetLine | AwaitLine | AwaitRunning | Halt | Ask | Tell | Note
+@dataclasses.dataclass(frozen=True)
+class Watch:
+    """From here on the program itself watches the other one's running wire, where no controller does."""
+
+
+PartnerStep = SetLine | AwaitLine | AwaitRunning | Halt | Ask | Tell | Note | Watch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -442,6 +447,25 @@ class Partner:
         """Levels that the lines take, one after the other, at the meeting ``number`` [from 1]."""
         return (number % 2,) if self.handshake.kind == "toggle" else (1, 0)
 
+    def held(self, asked: frozenset[int]) -> frozenset[int]:
+        """Meetings in the middle of which the other program asks somebody; ``asked``: those behind which it
+        does. This one's line is 1 meanwhile: it waits where its own line rose, for the other one to go on."""
+        return frozenset(number + 1 if self.lead else number for number in asked)
+
+    def watched_meeting(
+        self, number: int, wait: float, held: float = 0.0
+    ) -> tuple[list[PartnerStep], list[PartnerStep]]:
+        """The steps of a meeting of a program that watches the other one by itself: up to where both lines
+        have been seen to rise (of the lead) or the other one's has (of who follows), and those behind.
+
+        ``held`` [s]: how long the other program may ask somebody in the middle, where that is longer.
+        """
+        first: list[PartnerStep] = [AwaitRunning(1, wait)]
+        if self.lead:
+            out: list[PartnerStep] = [*first, SetLine(1), AwaitLine(1, max(wait, held)), Watch()]
+            return out, [SetLine(0), AwaitLine(0, wait)]
+        return [*first, AwaitLine(1, wait)], [SetLine(1), AwaitLine(0, max(wait, held)), Watch(), SetLine(0)]
+
     def meeting(self, number: int, wait: float) -> list[PartnerStep]:
         """The steps of a meeting, which waits ``wait`` [s] at most: the other program runs, the lines."""
         out: list[PartnerStep] = [AwaitRunning(1, wait)]
@@ -463,14 +487,11 @@ class Partner:
         numbers = np.concatenate([operation.meets for operation in task.operations])
         return {self.phases(n): n for n in np.unique(numbers[numbers > 0]).tolist()}
 
-    def start(
-        self, ask: str, ok: str = "", called: vocabulary.Sentence = vocabulary.START_PARTNER
-    ) -> list[PartnerStep]:
+    def start(self, ask: str, ok: str = "") -> list[PartnerStep]:
         """What the program begins with: lines down and seen so, the other program seen to stand, then to run,
         first meeting.
 
-        ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed; ``called``:
-        how the lead tells to start the other program.
+        ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
         """
         earlier = f"{vocabulary.KRL_EARLIER.filled(other=self.other)} {ok}"
         limit = self.handshake.timeout
@@ -478,20 +499,29 @@ class Partner:
         wait = limit if self.lead else self.handshake.patience
         if self.lead:
             ready = vocabulary.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
-            out += [Tell(called.filled(other=self.other)), Halt(ready), AwaitLine(0, wait)]
+            out += [Tell(vocabulary.START_PARTNER.filled(other=self.other)), Halt(ready), AwaitLine(0, wait)]
         else:
             out += [AwaitLine(0, wait), Tell(vocabulary.READY_TO_MEET.filled(other=self.other))]
         return [*out, Note("First meeting: both programs run."), *self.meeting(1, wait)]
+
+    def watched_start(self, ask: str) -> list[PartnerStep]:
+        """The same, up to the first meeting, of a program that watches the other one by itself and begins
+        anew behind each stop: its line is low before anybody is asked. ``ask``: the lead's question."""
+        limit = self.handshake.timeout
+        earlier = vocabulary.UR_EARLIER if self.lead else vocabulary.UR_CALLED
+        out: list[PartnerStep] = [SetLine(0), Ask(earlier.filled(other=self.other)), AwaitRunning(0, limit)]
+        if self.lead:
+            ready = vocabulary.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
+            called = vocabulary.UR_START_PARTNER.filled(other=self.other)
+            return [*out, Tell(called), Ask(ready), AwaitLine(0, limit)]
+        wait = self.handshake.patience
+        return [*out, AwaitLine(0, wait), Tell(vocabulary.READY_TO_MEET.filled(other=self.other))]
 
     def end(self) -> list[PartnerStep]:
         """What the program ends with, so that both lines are 0 then."""
         if self.handshake.kind == "four_phase" or self.meets % 2 == 0:
             return []
         return [Note("Last meeting: both lines are 0."), *self.meet(self.meets + 1, 0.0)]
-
-    def last(self) -> int:
-        """The number of the last meeting, behind which the programs come to their ends."""
-        return self.meets + (1 if self.end() else 0)
 
     @property
     def unanswered(self) -> str:

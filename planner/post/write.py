@@ -160,6 +160,23 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
         names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
         hint = "set controller: {sync: handshake} and wire two outputs each way, or take ABB robots for both"
         return (Issue("post.controller", f"{names} cannot move together: {_ONE_CONTROLLER_HINT}", hint=hint),)
+    if together and any(map(speaks_urscript, arms)):
+        names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
+        what = f"{names} cannot work in one job: "
+        if not all(map(speaks_urscript, arms)):
+            what += (
+                "a program of UR begins anew behind each stop, and nothing keeps one of another controller from "
+                "going on in the middle, where it would meet the one that begins"
+            )
+            hint = "take two arms of UR, two of ABB or KUKA, or plan with one arm alone"
+            return (Issue("post.controller", what, hint=hint),)
+        if problem.cell.controller.handshake.kind != "four_phase":
+            what += (
+                "by a toggle a program of UR cannot tell at every second meeting whether the other one was "
+                "started anew while it asked somebody"
+            )
+            hint = "controller: {handshake: {kind: four_phase}}"
+            return (Issue("post.controller", what, hint=hint),)
     issues: list[Issue] = []
     for arm in arms:
         if arm.data.family not in _BY_NUMBER:

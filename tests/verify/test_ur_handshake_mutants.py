@@ -17,7 +17,7 @@ from planner.verify.rules import handshake as rules_handshake
 from planner.verify.rules import moves_and_settings, synchronisation, waiting_time
 from tests.verify import ur_pair
 
-FORMS = [("four_phase", 3), ("toggle", 1)]
+FORMS = [("four_phase", 3), ("four_phase", 1)]
 FILES = {arm: f"{arm}/small.script" for arm in ur_pair.ARMS}
 RULES = (
     synchronisation.move_count,

@@ -1,11 +1,15 @@
 """URScript programs of a job: for each arm of UR one file with one program, without branches.
 
-Beside an arm on a controller of its own it meets the other program by :mod:`planner.post.handshake`. A
-thread watches the other one's running wire and ends this program when it falls; it is out where the other
-arm asks somebody something, which lets that wire fall, and this arm stands between two meetings. The
-own running wire is switched by the program, for a program that asks cannot know whether its controller
-counts as running meanwhile: the wire is low then in any case. That it falls with the program is set in
-the controller's installation.
+Beside another arm of UR on a controller of its own it meets the other program by
+:mod:`planner.post.handshake`. A thread watches the other one's running wire and ends this program when it
+falls. The own running wire is switched by the program, for a program that asks cannot know whether its
+controller counts as running meanwhile: the wire is low then in any case. That it falls with the program,
+and stays low behind a pause, is set in the controller's installation.
+
+A question stands in the middle of a meeting: the other program waits there with its line at 1, and does
+not watch from before it until its wait is over. The one that asks looks at both wires of the other one
+before its running wire rises again, and once more when it watches: a program that was started anew
+meanwhile has its line at 0.
 
 The controller counts in a base of its own, which :func:`controller_base` finds in the arm's URDF.
 Moves by joints state the speed of their leading axis, at which the TCP keeps its limit; straight
@@ -15,6 +19,7 @@ moves state their time and a blend radius.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -32,12 +37,11 @@ from planner.post.handshake import (
     Ask,
     AwaitLine,
     AwaitRunning,
-    Halt,
-    Note,
     Partner,
     PartnerStep,
     SetLine,
     Tell,
+    Watch,
     asking,
     drift_sentence,
 )
@@ -135,13 +139,20 @@ class _Main:
         self.places: dict[str, str] = {}
         self.moves = 0
         self.partner = Partner.of(task, job)
-        self.quiet: frozenset[int] = frozenset()
-        """Meetings behind which nobody watches the other program: it asks somebody, or has come to its
-        end."""
+        self.asks, self.held = frozenset[int](), frozenset[int]()
+        """Meetings behind which this program asks somebody, and those in which the other one does."""
         if self.partner is not None:
-            others = (other for other in job.tasks if other is not task)
-            self.quiet = frozenset().union(*map(asking, others), {self.partner.last()})
+            self.asks = asking(task)
+            others = (asking(other) for other in job.tasks if other is not task)
+            self.held = self.partner.held(frozenset[int]().union(*others))
         self.watching = False
+        self.met = 0
+        """The last meeting."""
+        self.begun = 0
+        """The meeting before which the other one's line was seen to rise, for a question."""
+        self.rest: list[PartnerStep] = []
+        """Steps of the last meeting that stand behind a question."""
+        self.powered: set[str] = set()
         self._at: FloatArray | None = None
         self._acceleration = float(np.min(task.robot.acceleration)) * problem.settings.acceleration_fraction
 
@@ -162,11 +173,9 @@ class _Main:
             out += syntax.question(clear)
         else:
             functions = self._functions(self.partner)
-            out += self._met(1, self.partner.start(clear, called=vocabulary.UR_START_PARTNER))
+            out += self._start(self.partner, clear)
         for i, operation in enumerate(self.task.operations, 1):
             out += self._operation(i, operation)
-        if self.partner is not None and (steps := self.partner.end()):
-            out += self._met(self.partner.last(), steps)
         return [*(f"{word} = {value}" for word, value in self.data.items()), *functions], out
 
     # ---- the other controller ----
@@ -176,20 +185,60 @@ class _Main:
         own = partner.handshake.of(partner.arm)
         off = [self._switch(signal, False) for signal in (own.running, *self.job.switched(self.task))]
         lost = vocabulary.PARTNER_LOST.filled(other=partner.other)
-        given, runs = self._number(own.input), self._number(own.partner_running)
+        given, runs, back = (self._number(s) for s in (own.input, own.partner_running, own.running))
         return [
-            *syntax.wait_function(syntax.AWAIT_LINE, given, off, partner.unanswered),
-            *syntax.wait_function(syntax.AWAIT_RUNNING, runs, off, partner.unanswered),
-            *syntax.watch_thread(runs, off, lost),
+            *syntax.wait_function(syntax.AWAIT_LINE, given, back, off, partner.unanswered),
+            *syntax.wait_function(syntax.AWAIT_RUNNING, runs, back, off, partner.unanswered),
+            *syntax.check_function(given, runs, back, off, partner.unanswered),
+            *syntax.watch_thread(runs, back, off, lost),
             *syntax.stand_function(),
         ]
 
-    def _met(self, meeting: int, steps: Sequence[PartnerStep]) -> list[str]:
-        """The steps of a meeting. Nobody watches any more from before a meeting on behind which the other
-        program may stand; it is watched again behind the meeting at which it runs again."""
-        out = self._watch(False) if meeting in self.quiet else []
-        told: list[str] = []
-        for i, step in enumerate(steps):
+    @property
+    def _own(self) -> PartnerSignals:
+        return self.problem.cell.controller.handshake.of(self.task.arm.name)
+
+    def _runs(self, on: bool) -> str:
+        return self._switch(self._own.running, on)
+
+    def _start(self, partner: Partner, clear: str) -> list[str]:
+        """All up to the first meeting, and that. A program begins with its wires low, and stands for a while
+        before its running wire rises behind a question; at the second one it sees the other one run."""
+        out, popups, first = [self._runs(False)], list[str](), True
+        for step in partner.watched_start(clear):
+            match step:
+                case Tell(text) if partner.lead:
+                    popups = syntax.told(text, before_question=True)
+                case Ask(text):
+                    before = [] if first else [self._runs(False)]
+                    seen = [] if first else [syntax.checked(0, False)]
+                    stands = f"sleep({syntax.real(syntax.SEEN, 1)})"
+                    out += [*before, *popups, *syntax.question(text), *seen, stands, *self._rises()]
+                    first = False
+                case _:
+                    out += self._steps([step])
+        wait = partner.handshake.timeout if partner.lead else partner.handshake.patience
+        return [*out, *comment("First meeting: both programs run."), *self._meeting(partner, 1, wait)]
+
+    def _rises(self) -> list[str]:
+        return [self._runs(True), f"sleep({syntax.real(syntax.SETTLED, 1)})"]
+
+    def _meeting(self, partner: Partner, number: int, wait: float) -> list[str]:
+        """A meeting. Nobody watches any more from before one on in which the other program asks somebody, or
+        behind which both come to their ends; a question of this program stands in it or before."""
+        quiet = number in self.held or number == partner.meets
+        first, rest = partner.watched_meeting(number, wait, partner.handshake.patience * (number in self.held))
+        self.met = number
+        out = self._watch(False) if quiet else []
+        out += [syntax.checked(1, True)] if self.begun == number else self._steps(first)
+        if partner.lead and number in self.asks:
+            self.rest = rest
+            return out
+        return out + self._steps(rest)
+
+    def _steps(self, steps: Sequence[PartnerStep]) -> list[str]:
+        out: list[str] = []
+        for step in steps:
             match step:
                 case SetLine(value):
                     out.append(self._switch(self._own.output, value == 1))
@@ -197,39 +246,40 @@ class _Main:
                     out.append(syntax.awaited(syntax.AWAIT_LINE, value, seconds))
                 case AwaitRunning(value, seconds):
                     out.append(syntax.awaited(syntax.AWAIT_RUNNING, value, seconds))
-                case Halt(text) | Ask(text):
-                    out += self._standing([*told, *syntax.question(text)])
-                    told = []
+                case Watch() if self.partner is not None and self.met < self.partner.meets:
+                    out += self._watch(True)
                 case Tell(text):
-                    asks = any(isinstance(later, Halt | Ask) for later in steps[i + 1 : i + 2])
-                    told += syntax.told(text, before_question=asks)
-                    if not asks:
-                        out, told = [*out, *told], []
-                case Note(text):
-                    out += comment(text)
-        return out if meeting in self.quiet else [*out, *self._watch(True)]
+                    out += syntax.told(text, before_question=False)
+        return out
 
-    @property
-    def _own(self) -> PartnerSignals:
-        return self.problem.cell.controller.handshake.of(self.task.arm.name)
-
-    def _standing(self, popups: Sequence[str]) -> list[str]:
-        """Popups that hold the program, with the own running wire low meanwhile."""
-        low, high = (self._switch(self._own.running, on) for on in (False, True))
-        return [low, *popups, high]
-
-    def _asked(self, popups: Sequence[str]) -> list[str]:
-        """A question between two meetings. The other controller may stop at it, and is watched again once it
-        runs."""
+    def _asked(self, popups: Sequence[str], behind: Sequence[Step]) -> list[str]:
+        """A question between two meetings; ``behind``: the steps of the operation behind it. The other program
+        waits with its line at 1: of the lead in the meeting before, else in the one behind."""
         if self.partner is None:
             return list(popups)
-        again = syntax.awaited(syntax.AWAIT_RUNNING, 1, self.partner.handshake.patience)
-        return [*self._watch(False), *self._standing(popups), again, *self._watch(True)]
+        out: list[str] = []
+        if not self.partner.lead and self.begun != self.met + 1:
+            self.begun = self.met + 1
+            out = self._steps(self.partner.watched_meeting(self.begun, self.partner.handshake.patience)[0])
+        low = [self._runs(False), *popups, syntax.checked(1, False), *self._rises()]
+        out += [*self._watch(False), *low, *self._watch(True), syntax.checked(1, True)]
+        if not _asks_again(behind):
+            out += self._steps(self.rest)
+            self.rest = []
+        return out
 
     def _watch(self, on: bool) -> list[str]:
         if on == self.watching:
             return []
         self.watching = on
+        if not on and self.powered:
+            listed = ", ".join(sorted(self.powered))
+            message = (
+                f"{listed} of arm {self.task.arm.name} is on while one of the arms asks somebody something; "
+                "nothing would take the power when the other program stops then"
+            )
+            hint = "switch it off before the question, and on behind it"
+            raise TandemError(Issue("post.handshake_process", message, arm=self.task.arm.name, hint=hint))
         return [f"{syntax.WATCHING} = run {syntax.WATCH}()" if on else f"kill {syntax.WATCHING}"]
 
     def _declare(self, word: str, value: str) -> str:
@@ -248,7 +298,7 @@ class _Main:
             if isinstance(step, Do) and step.action.kind in ("message", "confirm"):
                 held += self._action(step.action, _question_follows(operation.steps[i + 1 :]))
                 if step.action.kind == "confirm":
-                    out, held = [*out, *self._asked(held)], []
+                    out, held = [*out, *self._asked(held, operation.steps[i + 1 :])], []
                 elif not _question_follows(operation.steps[i + 1 :]):
                     out, held = [*out, *held], []
                 continue
@@ -262,8 +312,8 @@ class _Main:
             case Do(action):
                 return self._action(action, False)
             case Meet(meeting, reached, seconds) if self.partner is not None:
-                lines = self._met(meeting, self.partner.meet(meeting, seconds))
-                return [*comment(f"Meeting: {reached}"), *lines]
+                wait = self.partner.handshake.patience + math.ceil(seconds)
+                return [*comment(f"Meeting: {reached}"), *self._meeting(self.partner, meeting, wait)]
             case Run():
                 return self._run(step, operation)
             case Carry(load) if load is not None:
@@ -321,6 +371,8 @@ class _Main:
             case "confirm":
                 return syntax.question(action.text)
             case "on" | "off":
+                change = self.powered.add if action.kind == "on" else self.powered.discard
+                change(action.signal)
                 return [self._switch(action.signal, action.kind == "on")]
             case "wait":
                 return [f"sleep({syntax.real(action.seconds, 3)})"]
@@ -362,7 +414,7 @@ class _Main:
         for move, meeting in zip(moves, operation.meets[some].tolist(), strict=True):
             out.append(move)
             if meeting and self.partner is not None:
-                out += self._met(meeting, self.partner.step(meeting))
+                out += self._meeting(self.partner, meeting, self.partner.handshake.timeout)
         self._at = track.q[run.last - 1]
         self.moves += run.last - run.first
         return out
@@ -394,11 +446,20 @@ def _payload(tool: Tool) -> str:
     return f"set_payload({number(tool.mass, 3)},{syntax.vector(np.asarray(tool.cog), 6)})"
 
 
+def _asks_again(steps: Sequence[Step]) -> bool:
+    """Whether another question stands ahead of the next meeting."""
+    rest = (step for step in steps if isinstance(step, Meet | Run) or _confirms(step))
+    return _confirms(next(rest, None))
+
+
+def _confirms(step: Step | None) -> bool:
+    return isinstance(step, Do) and step.action.kind == "confirm"
+
+
 def _question_follows(steps: Sequence[Step]) -> bool:
     """Whether the next step that is more than a message is a question."""
     rest = (step for step in steps if not (isinstance(step, Do) and step.action.kind == "message"))
-    first = next(rest, None)
-    return isinstance(first, Do) and first.action.kind == "confirm"
+    return _confirms(next(rest, None))
 
 
 def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:

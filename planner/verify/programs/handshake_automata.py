@@ -14,10 +14,12 @@ from planner.claims.vocabulary import HandshakeKind, SignalWire
 from planner.verify.programs.handshake_model import Action, Levels
 from planner.verify.programs.steps import (
     CarryStep,
+    CheckStep,
     ChoiceStep,
     LoadStep,
     MessageStep,
     MoveStep,
+    RunningStep,
     SettingStep,
     SignalStep,
     Step,
@@ -197,6 +199,8 @@ class _Reader:
         self.count = 0
         self.last: MoveStep | None = None
         self.working: int | None = None
+        self.low = False
+        """Whether the program holds its own running wire at 0."""
         self.asked = False
         """Whether the operator was asked anything: that no earlier run goes on."""
 
@@ -264,6 +268,12 @@ class _Reader:
                 self._work(i)
                 if isinstance(step, MessageStep) and lets_fall(step):
                     self._add("pause", 0, 0, i)
+            case CheckStep():
+                self._check(i, step)
+                return True
+            case RunningStep():
+                self.low = not step.on
+                return True
             case WatchStep():
                 return True
             case _:
@@ -326,6 +336,17 @@ class _Reader:
         self.limit = step.seconds if running else None
         self._add("look", 0, int(running), i)
 
+    def _check(self, i: int, step: CheckStep) -> None:
+        """A look at both the other one's line and its running wire, which ends the program or goes on."""
+        line, runs = step.signal.lower(), step.runs.lower()
+        if line not in self.reads or runs not in self.watches:
+            self._fault(f"it looks at {step.signal} and {step.runs}, which are not the other one's wires", step)
+            return
+        self._rest()
+        self.left, self.limit = (4 if step.own else 0), None
+        self._add("look", 0, 1, i)
+        self._add("wait", self.reads[line], step.value, i)
+
     def _looked(self, step: Step, value: int) -> None:
         """Every meeting begins with a look at the other one's running wire."""
         if self.left:
@@ -386,7 +407,7 @@ class _Reader:
 
     def _add(self, kind: str, wire: int, value: int, i: int) -> None:
         step = self.steps[i]
-        if kind in ("set", "wait", "look") and not self.asked:
+        if kind in ("set", "wait", "look") and not (self.asked or self.low):
             what = (
                 "nobody is asked before whether a program of an earlier run goes on at the other controller"
             )

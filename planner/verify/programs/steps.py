@@ -267,6 +267,25 @@ class WatchStep(Step):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RunningStep(Step):
+    """The program switches its own running wire. ``waited`` [s]: how long it stood right before its rise."""
+
+    on: bool
+    waited: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckStep(Step):
+    """The program ends unless at this instant the other one's line, the input ``signal``, is ``value``, the
+    input ``runs`` is 1, and its own running wire is ``own``."""
+
+    signal: str
+    value: int
+    runs: str
+    own: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SyncStep(Step):
     """Tasks of one controller meet: `kind` WaitSyncTask, SyncMoveOn, SyncMoveOff or SyncMoveUndo; `tasks`
     empty where none are named. ``limited``: it waits for a stated time only, and raises an error then.

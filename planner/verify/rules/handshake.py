@@ -13,9 +13,18 @@ from planner.issues import Issue
 from planner.verify import job
 from planner.verify.context import Context, Outcome, at_step, rule
 from planner.verify.job import TaskText
-from planner.verify.programs.handshake_automata import Reading, Wiring, lets_fall
+from planner.verify.programs import handshake_restarts
+from planner.verify.programs.handshake_automata import Reading, Wiring
 from planner.verify.programs.handshake_model import Action, Event, Finding, RunningWire, check
-from planner.verify.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep, WatchStep
+from planner.verify.programs.steps import (
+    CheckStep,
+    MoveStep,
+    RunningStep,
+    SignalStep,
+    Step,
+    WaitStep,
+    WatchStep,
+)
 
 EVENTS_SHOWN = 6
 """Events that are told of the way to a fault."""
@@ -168,8 +177,8 @@ def handshake(context: Context) -> Outcome:
     """Two controllers that share signals meet without fail: whatever the delays, and whoever is stopped and
     started again at whatever instant, neither waits for ever, no signal change is lost, and no arm is more
     than one step ahead of the other. Neither works unless it has seen the other one stand and then run. A
-    program of URScript watches the other one's running wire whenever it moves or has power, and at no meeting
-    beside which that one may stand."""
+    program of URScript watches the other one's running wire whenever it moves or has power; and however two of
+    them are stopped, paused and started anew, none works beside one that is elsewhere."""
     readings = context.job.readings
     if readings is None:
         return Outcome(where="one controller")
@@ -191,6 +200,9 @@ def handshake(context: Context) -> Outcome:
     ]
     issues += _exchanged(context)
     found, states = _model(context, wiring, bool(issues))
+    if any(task.script is not None for task in context.job.tasks) and not (issues or found):
+        found, more = _restarts(context, wiring)
+        states += more
     issues += found
     issues += _numbers(context) if not found else []
     meetings = max((reading.interval[-1] for reading in readings.values() if reading.interval), default=0)
@@ -256,67 +268,114 @@ def _wired_wrong(context: Context, wiring: Wiring) -> list[Issue]:
     return issues
 
 
+_RESTART_WORDS: Final = {
+    "start": "begins at its first statement",
+    "stop": "is stopped",
+    "pause": "is paused",
+    "go on": "is continued",
+    "end": "comes to its end",
+    "step": "goes on",
+}
+_RESTART_FAULTS: Final = {
+    "unwatched": "{0} works while nothing watches whether the program of {1} runs",
+    "apart": "{0} works while the program of {1} runs, and stands elsewhere: one of them was started anew",
+    "ends": "{0} ends itself though nobody has stopped anything: {1} is not as it looks for",
+    "stuck": "{0} and {1} wait for ever",
+}
+
+
+def _restarts(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
+    """Faults of two programs that begin anew behind each stop, and how many states were looked at."""
+    tasks, readings = context.job.tasks, context.job.readings or {}
+    own = context.problem.cell.controller.handshake
+    if any(task.script is None for task in tasks) or own.kind != "four_phase":
+        what = "a program of URScript, which begins anew behind a stop, meets another one of its like alone, by "
+        return [Issue(HANDSHAKE, f"{what}four-phase handshake")], 0
+    rows, blocks = zip(
+        *(
+            handshake_restarts.moves(
+                task.steps,
+                readings[task.name].interval,
+                wiring.drives[task.name],
+                wiring.reads[task.name],
+                wiring.watches.get(task.name, frozenset()),
+            )
+            for task in tasks
+        ),
+        strict=True,
+    )
+    states = 0
+    for disturbed in (False, True):
+        try:
+            found = handshake_restarts.check(rows, blocks, disturbed=disturbed)
+        except OverflowError as many:
+            return [Issue(HANDSHAKE, f"the programs are too long to be looked at: {many}")], states
+        states += found.states
+        if found.kind is not None:
+            return [_restarted(context, found)], states
+    return [], states
+
+
+def _restarted(context: Context, found: handshake_restarts.Restarted) -> Issue:
+    """A fault in words, with the last events before it."""
+    tasks = context.job.tasks
+
+    def at(program: int, line: int) -> str:
+        steps = tasks[program].steps
+        return f"(line {steps[line].line} of {steps[line].module})" if line < len(steps) else "(at its end)"
+
+    mine, other = tasks[found.program], tasks[1 - found.program]
+    head = _RESTART_FAULTS[found.kind or "stuck"].format(mine.name, other.name)
+    events = "; ".join(
+        f"{tasks[program].name} {_RESTART_WORDS[what]} {at(program, line)}"
+        for program, what, line in found.events[-EVENTS_SHOWN:]
+    )
+    place = found.lines[found.program]
+    step = mine.steps[place] if place < len(mine.steps) else None
+    return at_step(HANDSHAKE, f"{head}. The shortest way there, its last events: {events}", mine, step)
+
+
 def _watched(context: Context, task: TaskText) -> list[Issue]:
     """Faults of the thread by which a program of URScript stops when the other one does: no controller of UR
     has an input for that which is set beside the program."""
-    readings = context.job.readings or {}
-    wiring, reading = job.wiring(context.problem), readings[task.name]
+    wiring = job.wiring(context.problem)
     other = next(one for one in context.job.tasks if one is not task)
-    stands = _stands(other, readings[other.name])
-    first = {stage: i for i, stage in reversed(list(enumerate(reading.interval)))}
-    begins = {stage: _meeting_begins(task, reading, i) for stage, i in first.items()}
     issues: list[Issue] = []
+
+    def fault(what: str, step: Step, hint: str = "") -> None:
+        issues.append(at_step(HANDSHAKE, what, task, step, hint or None))
+
     watched = seen = False
-    watches = wiring.watches.get(task.name, frozenset())
-    for i, step in enumerate(task.steps):
-        number = reading.interval[i]
-        if isinstance(step, WaitStep) and step.signal.lower() in watches:
-            seen = step.value == 1.0
-        elif isinstance(step, MessageStep) and lets_fall(step):
-            seen = False
-        if isinstance(step, WatchStep):
-            watched = step.on
-            if watched and not seen:
-                what = f"{other.name} may stand since a question; it must be seen to run before it is watched"
-                issues.append(at_step(HANDSHAKE, what, task, step))
-            if step.signal.lower() not in watches:
-                what = f"{step.signal} is watched, which no running wire leads to"
-                issues.append(at_step(HANDSHAKE, what, task, step))
-        elif not watched and _dangerous(step, wiring.drives[task.name]):
-            what = "the arm moves" if isinstance(step, MoveStep) else "an output goes on"
+    power: dict[str, Step] = {}
+    watches, drives = wiring.watches.get(task.name, frozenset()), wiring.drives[task.name]
+    for step in task.steps:
+        match step:
+            case WaitStep() if step.signal.lower() in watches:
+                seen = step.value == 1.0
+            case CheckStep():
+                seen = step.runs.lower() in watches
+            case RunningStep(on=on):
+                seen = seen and on
+                if watched and not on:
+                    fault("the thread ends this program at its own question", step, "kill it before")
+            case WatchStep(on=on):
+                if on and not seen:
+                    what = f"{other.name} may stand since a question; it must be seen to run before it is watched"
+                    fault(what, step)
+                if step.signal.lower() not in watches:
+                    fault(f"{step.signal} is watched, which no running wire leads to", step)
+                watched, seen = on, seen and on
+            case SignalStep() if step.signal.lower() not in drives:
+                power.pop(step.signal.lower(), None)
+                if step.value:
+                    power[step.signal.lower()] = step
+        moves = isinstance(step, MoveStep)
+        if not watched and (moves or power):
+            what = "the arm moves" if moves else f"{next(iter(power.values())).signal} is on"  # type: ignore[attr-defined]
             what += f" while nothing watches whether the program of {other.name} runs"
-            issues.append(at_step(HANDSHAKE, what, task, step, "run the thread behind the meeting before"))
-        ahead = next((n for n in (number, number + 1) if n in stands and i >= begins.get(n, i + 1)), None)
-        if watched and ahead is not None and not isinstance(step, MoveStep):
-            what = (
-                f"the thread ends this program when {other.name} {stands[ahead]} behind meeting {ahead}; it "
-                "must not run from before that meeting on to the next one"
-            )
-            issues.append(at_step(HANDSHAKE, what, task, step, "kill it before the meeting"))
+            fault(what, step, "run the thread before, or switch it off")
+            power.clear()
     return issues[:MOST_FAULTS]
-
-
-def _dangerous(step: Step, lines: Mapping[str, int]) -> bool:
-    """Whether something moves or gets power."""
-    if isinstance(step, SignalStep):
-        return bool(step.value) and step.signal.lower() not in lines
-    return isinstance(step, MoveStep)
-
-
-def _stands(task: TaskText, reading: Reading) -> dict[int, str]:
-    """Meetings behind which a program may stand before the next one, and why."""
-    out = {reading.interval[-1]: "comes to its end"} if reading.interval else {}
-    for step, number in zip(task.steps, reading.interval, strict=True):
-        if isinstance(step, MessageStep) and lets_fall(step):
-            out[number] = "asks somebody"
-    return out
-
-
-def _meeting_begins(task: TaskText, reading: Reading, at: int) -> int:
-    """The first step of the meeting whose number counts from step ``at`` on."""
-    while at and reading.protocol[at - 1] and not isinstance(task.steps[at - 1], WatchStep):
-        at -= 1
-    return at
 
 
 def _exchanged(context: Context) -> list[Issue]:

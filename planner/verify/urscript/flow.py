@@ -4,9 +4,9 @@ There is one way: the only branches end the program. The first statements look w
 moves the planned arm. A straight move takes its time t, whatever else; its blend radius r bounds how
 far from its target the way may leave the straight lines, and 0 is an exact stop.
 
-A program that meets another controller's has two functions and a thread, which end it as they have to
-be: the own running wire and all that it has switched on go off before. Its questions stand between the
-fall and the rise of that wire, which nothing else switches.
+A program that meets another controller's has three functions and a thread, which end it as they have to
+be: the own running wire and all that it has switched on go off before. All of them read that wire back,
+which stays low behind a pause. Questions stand between its fall and its rise; nothing else switches it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, exp_rotation, to_quaternion
 from planner.verify.programs.steps import (
+    CheckStep,
     Fault,
     FlowError,
     JointTarget,
@@ -28,6 +29,7 @@ from planner.verify.programs.steps import (
     MessageStep,
     MoveStep,
     RobTarget,
+    RunningStep,
     SettingStep,
     SignalStep,
     Speed,
@@ -42,10 +44,12 @@ from planner.verify.urscript.reader import ScriptText, pose
 from planner.verify.urscript.syntax_tree import (
     AWAIT_LINE,
     AWAIT_RUNNING,
+    CHECK,
     STAND,
     WATCH,
     Await,
     Begins,
+    Check,
     Joint,
     Look,
     Output,
@@ -66,6 +70,8 @@ MAIN_PROCEDURE: Final = "main"
 LOOK_KIND: Final = "get_forward_kin"
 """Kind of the step that looks whether the controller moves the planned arm; its values are joints, the point
 of the flange and its place as poses, and the distance allowed."""
+SETTLED: Final = 0.1
+"""How long [s] a program stands behind the rise of its running wire, so that it reads it back as it is."""
 _EXACT_STOP: Final = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _NO_AXES: Final = np.zeros(6)
 """Values of external axes, of which there are none."""
@@ -112,7 +118,8 @@ class _Runner:
         self.meets = bool(program.endings)
         self.low: Output | None = None
         """Where the running wire has fallen for a question that is still open."""
-        self.asked = self.watched = self.stays_low = False
+        self.asked = self.watched = self.stays_low = self.rose = False
+        self.waited = 0.0
 
     def run(self) -> tuple[Step, ...]:
         if self.meets:
@@ -125,12 +132,13 @@ class _Runner:
                 self._fail(statement, "a text that is to be read before a question, and no question follows")
             if not isinstance(statement, Straight | Stand):
                 self.procedure = MAIN_PROCEDURE
-            if not self._falls(statement):
+            if not (self.meets and self._runs_or_not(statement)):
                 self._statement(statement)
         if self.reading:
             self._fail(self.program.body[-1], "a text that is to be read before a question, and none follows")
-        if self.low is not None:
-            self._fail(self.low, "the running wire falls for a question, and does not rise behind it")
+        if self.low is not None or self.rose:
+            last = self.low or self.program.body[-1]
+            self._fail(last, "the running wire falls for a question, and does not rise and settle behind it")
         return tuple(self.steps)
 
     def _fail(self, statement: Statement, message: str) -> NoReturn:
@@ -181,8 +189,14 @@ class _Runner:
                 ending = self.program.endings.get(name)
                 if ending is None:
                     self._fail(statement, f"there is no function {name}")
-                given = self.wires.inputs.get(ending.number, f"input {ending.number}")
+                given = self._input(ending.numbers[0])
                 self.steps.append(WaitStep(*where, name, seconds, given, float(value), True))
+            case Check(value=value, own=own):
+                ending = self.program.endings.get(CHECK)
+                if ending is None:
+                    self._fail(statement, f"there is no function {CHECK}")
+                line, runs = map(self._input, ending.numbers)
+                self.steps.append(CheckStep(*where, line, int(value), runs, own))
             case Watch(on=on):
                 self._watch(statement, on)
             case Joint():
@@ -206,15 +220,19 @@ class _Runner:
     def _output(self, number: int) -> str:
         return self.wires.outputs.get(number, f"output {number}")
 
+    def _input(self, number: int) -> str:
+        return self.wires.inputs.get(number, f"input {number}")
+
     def _runs(self, number: int) -> bool:
         """Whether an output is the own running wire's."""
         return self._output(number).lower() == self.wires.running.lower()
 
     def _endings(self) -> None:
-        """Both functions and the thread are there, and switch off what has to be off where a program ends."""
+        """The functions and the thread are there, read the own running wire back, and switch off what has to
+        be off where a program ends."""
         found, wires = self.program.endings, self.wires
         first = next(iter(found.values()))
-        missing = [name for name in (AWAIT_LINE, AWAIT_RUNNING, WATCH, STAND) if name not in found]
+        missing = [name for name in (AWAIT_LINE, AWAIT_RUNNING, CHECK, WATCH, STAND) if name not in found]
         if missing or not wires.other:
             what = (
                 f"{', '.join(missing)} is missing" if missing else "there is no other controller to wait for"
@@ -225,6 +243,8 @@ class _Runner:
         for name, ending in found.items():
             if name == STAND:
                 continue  # it ends nothing
+            if not self._runs(ending.own):
+                self._fail(ending, f"{name} reads {self._output(ending.own)} back, not {wires.running}")
             lost = vocabulary.PARTNER_LOST if name == WATCH else vocabulary.UNANSWERED
             wanted = lost.filled(other=wires.other)
             if ending.text != wanted:
@@ -239,30 +259,42 @@ class _Runner:
                     ending, f"{name} switches {wires.line}, which the other program would take for an arrival"
                 )
 
-    def _falls(self, statement: Statement) -> bool:
-        """Take the running wire's fall before a question, and its rise behind."""
-        if not self.meets:
-            return False
-        falls = isinstance(statement, Output) and self._runs(statement.number)
-        if self.low is None and falls and isinstance(statement, Output) and not statement.value:
+    def _runs_or_not(self, statement: Statement) -> bool:
+        """Take the running wire's fall before a question, what may stand while it is low, and its rise, behind
+        which it settles; whether the statement is no more than that."""
+        if self.rose:
+            if not isinstance(statement, Pause) or statement.seconds != SETTLED:
+                self._fail(statement, f"behind the rise of the running wire sleep({SETTLED}) must stand")
+            self.rose = False
+            return True
+        own = isinstance(statement, Output) and self._runs(statement.number)
+        if self.low is None:
+            if not own or not isinstance(statement, Output) or statement.value:
+                return False
             if not self.stays_low:
-                self._fail(
-                    statement, "nothing looks before whether the running wire stays high without a program"
-                )
-            self.low, self.asked = statement, False
+                what = "nothing looks before whether the running wire stays high without a program"
+                self._fail(statement, what)
+            self.low, self.asked, self.waited = statement, False, 0.0
+            self.steps.append(RunningStep(*self._where(statement), False))
             return True
-        if (
-            self.low is not None
-            and falls
-            and isinstance(statement, Output)
-            and statement.value
-            and self.asked
-        ):
-            self.low = None
-            return True
-        if self.low is not None and not isinstance(statement, Popup):
-            self._fail(statement, "something else than a question while the running wire is low")
-        return False
+        match statement:
+            case Output(value=True) if own and self.asked:
+                self.steps.append(RunningStep(*self._where(statement), True, self.waited))
+                self.low, self.rose = None, True
+                return True
+            case Pause(seconds=seconds) if self.asked:
+                self.waited += seconds
+                return True
+            case Popup() | Check(own=False):
+                self.waited = 0.0
+                return False
+            case Output(number=number, value=False) if self._is_line(number) and not self.asked:
+                return False
+            case _:
+                self._fail(statement, "something else than a question while the running wire is low")
+
+    def _is_line(self, number: int) -> bool:
+        return self._output(number).lower() == self.wires.line.lower()
 
     def _watch(self, statement: Statement, on: bool) -> None:
         if on == self.watched:
@@ -272,8 +304,7 @@ class _Runner:
         if ending is None:
             self._fail(statement, f"there is no thread {WATCH}")
         self.watched = on
-        given = self.wires.inputs.get(ending.number, f"input {ending.number}")
-        self.steps.append(WatchStep(*self._where(statement), given, on))
+        self.steps.append(WatchStep(*self._where(statement), self._input(ending.numbers[0]), on))
 
     # ---- moves ----
 

@@ -17,6 +17,7 @@ from planner.verify.programs.steps import LARGEST_NUMBER, Fault
 from planner.verify.urscript.syntax_tree import (
     AWAIT_LINE,
     AWAIT_RUNNING,
+    CHECK,
     LINE_LENGTH,
     NAME_LENGTH,
     RESERVED,
@@ -26,6 +27,7 @@ from planner.verify.urscript.syntax_tree import (
     WATCHING,
     Await,
     Begins,
+    Check,
     Data,
     Ending,
     Joint,
@@ -46,7 +48,7 @@ from planner.verify.urscript.syntax_tree import (
 
 _WORD: Final = re.compile(
     r"\s*(?:(?P<number>-?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?(?![\w.]))|(?P<name>[A-Za-z_]\w*)"
-    r'|(?P<text>"[^"\\]*")|(?P<sign>!=|[\[\]():,=>+]))',
+    r'|(?P<text>"[^"\\]*")|(?P<sign>!=|==|[\[\]():,=>+]))',
     re.ASCII,
 )
 """A word of a line: a number, a name, a text, or a sign."""
@@ -246,6 +248,12 @@ def _await(name: str) -> Callable[[int, _Line], Statement]:
     return read
 
 
+def _check(line: int, words: _Line) -> Statement:
+    value = words.flag()
+    words.signs(",")
+    return Check(line, value, words.flag())
+
+
 def _kill(line: int, row: str) -> Statement | None:
     """The statement that begins or ends the thread, None for another one."""
     words = row.split()
@@ -261,6 +269,7 @@ _CALLS: Final[dict[str, Callable[[int, _Line], Statement]]] = {
     "set_payload": _payload,
     "sleep": lambda line, words: Pause(line, words.above(0.0, MOST_SECONDS, "a pause")),
     "popup": _popup,
+    CHECK: _check,
     STAND: lambda line, words: Stand(line, words.above(0.0, MOST_SECONDS, "a move's time")),
     **{word: _await(word) for word in (AWAIT_LINE, AWAIT_RUNNING)},
     **{word: _output(first) for word, first in OUTPUT_WORDS.items()},
@@ -374,12 +383,18 @@ class Reader:
         if words.next.text == "thread":
             words.signs("thread", WATCH, "(", ")", ":")
             words.done()
-            number = _looped(rows, ())
+            head = _Line(_next_code(rows))
+            head.signs("while")
+            number = _numbered(head, _INPUTS)
+            head.signs("and")
+            own = _numbered(head, _OUTPUTS_READ)
+            head.signs(":")
+            head.done()
             _code(rows, "sync()")
             _code(rows, "end")
             off, text = _switched_off(rows, blocking=False)
             _code(rows, "end")
-            return WATCH, Ending(line, number, off, text)
+            return WATCH, Ending(line, (number,), own, off, text)
         words.signs("def")
         word = words.take("name")
         if word == STAND:
@@ -387,18 +402,29 @@ class Reader:
             words.done()
             _code(rows, "sleep(seconds)")
             _code(rows, "end")
-            return STAND, Ending(line, -1, (), "")
-        if word not in (AWAIT_LINE, AWAIT_RUNNING):
+            return STAND, Ending(line, (), -1, (), "")
+        if word not in (AWAIT_LINE, AWAIT_RUNNING, CHECK):
             raise ScriptError("syntax", f"{word}: no function of these programs")
-        words.signs("(", "level", ",", "limit", ")", ":")
+        words.signs("(", "level", ",", "own" if word == CHECK else "limit", ")", ":")
         words.done()
-        _code(rows, "local passed=0.0")
-        number = _looped(rows, ("!=", "level"))
-        _code(rows, "if passed>limit:")
-        off, text = _switched_off(rows, blocking=True)
-        for code in ("end", f"sleep({WAIT_STEP})", f"passed=passed+{WAIT_STEP}", "end", "end"):
+        if word == CHECK:
+            numbers, own = _condition(rows, "if", "==", "False", "or", "!=", "own")
+            off, text = _switched_off(rows, blocking=True)
+            ends = ["end", "end"]
+        else:
+            _code(rows, "local passed=0.0")
+            numbers, own = _condition(rows, "while", "==", "False")
+            again = _Line(_next_code(rows))
+            again.signs("if", "passed", ">", "limit", "or")
+            if _numbered(again, _OUTPUTS_READ) != own:
+                raise ScriptError("syntax", f"{word} looks at two outputs; it has one to look at")
+            again.signs("==", "False", ":")
+            again.done()
+            off, text = _switched_off(rows, blocking=True)
+            ends = ["end", f"sleep({WAIT_STEP})", f"passed=passed+{WAIT_STEP}", "end", "end"]
+        for code in ends:
             _code(rows, code)
-        return word, Ending(line, number, off, text)
+        return word, Ending(line, numbers, own, off, text)
 
 
 _Rows = Iterator[tuple[int, str]]
@@ -431,14 +457,21 @@ def _numbered(words: _Line, known: Mapping[str, int]) -> int:
     return known[word] + int(text)
 
 
-def _looped(rows: _Rows, behind: tuple[str, ...]) -> int:
-    """The input that the head of a loop reads; ``behind``: the words behind it."""
+def _condition(rows: _Rows, word: str, *behind: str) -> tuple[tuple[int, ...], int]:
+    """Inputs and the output of the head of a loop or branch: that an input is not the level asked for, with
+    two of them that the second one is 0, or that an output is as ``behind`` says."""
     words = _Line(_next_code(rows))
-    words.signs("while")
-    number = _numbered(words, _INPUTS)
+    words.signs(word)
+    numbers = [_numbered(words, _INPUTS)]
+    words.signs("!=", "level", "or")
+    if "or" in behind:
+        numbers.append(_numbered(words, _INPUTS))
+        words.signs(*behind[: behind.index("or") + 1])
+        behind = behind[behind.index("or") + 1 :]
+    own = _numbered(words, _OUTPUTS_READ)
     words.signs(*behind, ":")
     words.done()
-    return number
+    return tuple(numbers), own
 
 
 def _switched_off(rows: _Rows, blocking: bool) -> tuple[tuple[int, ...], str]:

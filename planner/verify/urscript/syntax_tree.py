@@ -119,11 +119,21 @@ class Watch(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class Ending(Statement):
-    """A function or thread that ends the program over the input `number`: it switches the outputs `off` and
-    shows `text` before."""
+class Check(Statement):
+    """A call of the function that ends the program unless the other one's line is `value`, that one runs, and
+    the own running wire is `own`."""
 
-    number: int
+    value: bool
+    own: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Ending(Statement):
+    """A function or thread that ends the program over the inputs `numbers`, or where the output `own` is not
+    as it should be: it switches the outputs `off` and shows `text` before."""
+
+    numbers: tuple[int, ...]
+    own: int
     off: tuple[int, ...]
     text: str
 
@@ -146,7 +156,7 @@ class Data:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A file: the `name` as in def, its data by name, and its statements behind them. `endings`: the two
+    """A file: the `name` as in def, its data by name, and its statements behind them. `endings`: the
     functions and the thread of a program that meets another one, by name; else empty."""
 
     file: str
@@ -175,6 +185,8 @@ LOOK_ERROR: Final = 0.01
 
 AWAIT_LINE, AWAIT_RUNNING = "await_line", "await_running"
 """The functions that wait for the other controller's line, and for its running wire."""
+CHECK = "check_partner"
+"""The function that looks at both at one instant."""
 STAND = "stand"
 """The function that waits in place of a move."""
 WATCH, WATCHING = "watch_partner", "watching"
@@ -187,7 +199,7 @@ speedl stopj stopl force_mode sleep sync popup textmsg pose_trans pose_inv pose_
 pose_dist get_forward_kin get_inverse_kin set_tcp set_payload set_target_payload set_gravity
 set_standard_digital_out set_configurable_digital_out set_tool_digital_out set_digital_out p
 get_standard_digital_in get_configurable_digital_in get_standard_digital_out get_configurable_digital_out
-await_line await_running watch_partner watching passed level limit stand seconds
+await_line await_running check_partner watch_partner watching passed level limit own stand seconds
 """
 RESERVED: Final = frozenset(_RESERVED_TEXT.split())
 """Words of the language and of its functions, which no variable may hide."""
