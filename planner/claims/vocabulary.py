@@ -205,9 +205,7 @@ EARLIER: Final = Sentence(
     "Does no program of an earlier run go on at the controller of arm {other}? Press OK."
 )
 KRL_EARLIER: Final = Sentence("Does no program of an earlier run go on at the controller of arm {other}?")
-UR_EARLIER: Final = Sentence(
-    "Is the program of arm {other} stopped (not paused, no question open)?"
-)
+UR_EARLIER: Final = Sentence("Is the program of arm {other} stopped (not paused, no question open)?")
 """What the UR program that leads asks first."""
 UR_CALLED: Final = Sentence("Does the panel of arm {other} say to start this program now?")
 """What the one that follows asks first."""

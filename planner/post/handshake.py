@@ -422,7 +422,8 @@ class Watch:
     """From here on the program itself watches the other one's running wire, where no controller does."""
 
 
-PartnerStep = SetLine | AwaitLine | AwaitRunning | Halt | Ask | Tell | Note | Watch
+PartnerStep = SetLine | AwaitLine | AwaitRunning | Halt | Ask | Tell | Note
+WatchedStep = PartnerStep | Watch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -454,15 +455,15 @@ class Partner:
 
     def watched_meeting(
         self, number: int, wait: float, held: float = 0.0
-    ) -> tuple[list[PartnerStep], list[PartnerStep]]:
+    ) -> tuple[list[WatchedStep], list[WatchedStep]]:
         """The steps of a meeting of a program that watches the other one by itself: up to where both lines
         have been seen to rise (of the lead) or the other one's has (of who follows), and those behind.
 
         ``held`` [s]: how long the other program may ask somebody in the middle, where that is longer.
         """
-        first: list[PartnerStep] = [AwaitRunning(1, wait)]
+        first: list[WatchedStep] = [AwaitRunning(1, wait)]
         if self.lead:
-            out: list[PartnerStep] = [*first, SetLine(1), AwaitLine(1, max(wait, held)), Watch()]
+            out: list[WatchedStep] = [*first, SetLine(1), AwaitLine(1, max(wait, held)), Watch()]
             return out, [SetLine(0), AwaitLine(0, wait)]
         return [*first, AwaitLine(1, wait)], [SetLine(1), AwaitLine(0, max(wait, held)), Watch(), SetLine(0)]
 

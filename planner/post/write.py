@@ -165,8 +165,8 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
         what = f"{names} cannot work in one job: "
         if not all(map(speaks_urscript, arms)):
             what += (
-                "a program of UR begins anew behind each stop, and nothing keeps one of another controller from "
-                "going on in the middle, where it would meet the one that begins"
+                "a program of UR begins anew behind each stop, and nothing keeps one of another controller "
+                "from going on in the middle, where it would meet the one that begins"
             )
             hint = "take two arms of UR, two of ABB or KUKA, or plan with one arm alone"
             return (Issue("post.controller", what, hint=hint),)

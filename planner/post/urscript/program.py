@@ -38,10 +38,10 @@ from planner.post.handshake import (
     AwaitLine,
     AwaitRunning,
     Partner,
-    PartnerStep,
     SetLine,
     Tell,
     Watch,
+    WatchedStep,
     asking,
     drift_sentence,
 )
@@ -150,7 +150,7 @@ class _Main:
         """The last meeting."""
         self.begun = 0
         """The meeting before which the other one's line was seen to rise, for a question."""
-        self.rest: list[PartnerStep] = []
+        self.rest: list[WatchedStep] = []
         """Steps of the last meeting that stand behind a question."""
         self.powered: set[str] = set()
         self._at: FloatArray | None = None
@@ -224,10 +224,11 @@ class _Main:
         return [self._runs(True), f"sleep({syntax.real(syntax.SETTLED, 1)})"]
 
     def _meeting(self, partner: Partner, number: int, wait: float) -> list[str]:
-        """A meeting. Nobody watches any more from before one on in which the other program asks somebody, or
+        """A meeting. Nobody watches any more from before one on in which the other program asks, or
         behind which both come to their ends; a question of this program stands in it or before."""
         quiet = number in self.held or number == partner.meets
-        first, rest = partner.watched_meeting(number, wait, partner.handshake.patience * (number in self.held))
+        held = partner.handshake.patience if number in self.held else 0.0
+        first, rest = partner.watched_meeting(number, wait, held)
         self.met = number
         out = self._watch(False) if quiet else []
         out += [syntax.checked(1, True)] if self.begun == number else self._steps(first)
@@ -236,7 +237,7 @@ class _Main:
             return out
         return out + self._steps(rest)
 
-    def _steps(self, steps: Sequence[PartnerStep]) -> list[str]:
+    def _steps(self, steps: Sequence[WatchedStep]) -> list[str]:
         out: list[str] = []
         for step in steps:
             match step:

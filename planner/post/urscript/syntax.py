@@ -154,8 +154,8 @@ def wait_function(word: str, number: int, own: int, off: Sequence[str], text: st
 
 
 def check_function(line: int, runs: int, own: int, off: Sequence[str], text: str) -> list[str]:
-    """A function that does ``off``, shows ``text`` and ends the program unless the input ``line`` has a level,
-    the input ``runs`` is high, and the output ``own`` has a level of its own."""
+    """A function that does ``off``, shows ``text`` and ends the program unless the input ``line`` has a
+    level, the input ``runs`` is high, and the output ``own`` has a level of its own."""
     wrong = f"{input_call(line)}!=level or {input_call(runs)}==False or {output_call(own)}!=own"
     return [
         f"def {CHECK}(level,own):",

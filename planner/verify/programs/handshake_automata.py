@@ -340,7 +340,9 @@ class _Reader:
         """A look at both the other one's line and its running wire, which ends the program or goes on."""
         line, runs = step.signal.lower(), step.runs.lower()
         if line not in self.reads or runs not in self.watches:
-            self._fault(f"it looks at {step.signal} and {step.runs}, which are not the other one's wires", step)
+            self._fault(
+                f"it looks at {step.signal} and {step.runs}, which are not the other one's wires", step
+            )
             return
         self._rest()
         self.left, self.limit = (4 if step.own else 0), None

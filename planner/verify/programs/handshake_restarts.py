@@ -52,8 +52,8 @@ _EVER: Final = 2**60
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Move:
-    """What a program does next. "set": its line gets ``value``; "wait" until it reads the other one's line so;
-    "look" until it reads the other one's running wire so; "check": it ends unless it reads that line so, the
+    """What a program does next. "set": its line gets ``value``; "wait" until it reads the other one's line
+    so; "look" until it reads the other one's running wire so; "check": it ends unless it reads that line so, the
     other one as running, and its own running wire is ``own``; "ask": until somebody answers; "run": its
     running wire gets ``value``, ``slow``: long after all before; "watch": a thread begins or ends; "go" and
     "done" enclose its work in the interval ``value``. ``line``: an index into its steps."""
@@ -150,8 +150,8 @@ def check(
 def _shortened(
     programs: Sequence[Sequence[Move]], blocks: Sequence[Sequence[int]], kept: int
 ) -> tuple[list[list[Move]], list[list[int]], list[int]]:
-    """Both programs with at most ``kept`` equal meetings in a row, the block of each move, and the last blocks
-    of rows that were cut short."""
+    """Both programs with at most ``kept`` equal meetings in a row, the block of each move, and the last
+    blocks of rows that were cut short."""
     count = 1 + max((number for row in blocks for number in row), default=0)
     parts: list[list[list[Move]]] = [[[] for _ in range(count)] for _ in programs]
     for part, program, own in zip(parts, programs, blocks, strict=True):

@@ -177,8 +177,8 @@ def handshake(context: Context) -> Outcome:
     """Two controllers that share signals meet without fail: whatever the delays, and whoever is stopped and
     started again at whatever instant, neither waits for ever, no signal change is lost, and no arm is more
     than one step ahead of the other. Neither works unless it has seen the other one stand and then run. A
-    program of URScript watches the other one's running wire whenever it moves or has power; and however two of
-    them are stopped, paused and started anew, none works beside one that is elsewhere."""
+    program of URScript watches the other one's running wire whenever it moves or has power; and however two
+    of them are stopped, paused and started anew, none works beside one that is elsewhere."""
     readings = context.job.readings
     if readings is None:
         return Outcome(where="one controller")
@@ -289,7 +289,9 @@ def _restarts(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
     tasks, readings = context.job.tasks, context.job.readings or {}
     own = context.problem.cell.controller.handshake
     if any(task.script is None for task in tasks) or own.kind != "four_phase":
-        what = "a program of URScript, which begins anew behind a stop, meets another one of its like alone, by "
+        what = (
+            "a program of URScript, which begins anew behind a stop, meets another one of its like alone, by "
+        )
         return [Issue(HANDSHAKE, f"{what}four-phase handshake")], 0
     rows, blocks = zip(
         *(
@@ -360,7 +362,7 @@ def _watched(context: Context, task: TaskText) -> list[Issue]:
                     fault("the thread ends this program at its own question", step, "kill it before")
             case WatchStep(on=on):
                 if on and not seen:
-                    what = f"{other.name} may stand since a question; it must be seen to run before it is watched"
+                    what = f"{other.name} may stand since a question; it must be seen to run first"
                     fault(what, step)
                 if step.signal.lower() not in watches:
                     fault(f"{step.signal} is watched, which no running wire leads to", step)

@@ -260,8 +260,8 @@ class _Runner:
                 )
 
     def _runs_or_not(self, statement: Statement) -> bool:
-        """Take the running wire's fall before a question, what may stand while it is low, and its rise, behind
-        which it settles; whether the statement is no more than that."""
+        """Take the running wire's fall before a question, what may stand while it is low, and its rise and
+        settling; whether the statement is no more than that."""
         if self.rose:
             if not isinstance(statement, Pause) or statement.seconds != SETTLED:
                 self._fail(statement, f"behind the rise of the running wire sleep({SETTLED}) must stand")
@@ -290,8 +290,7 @@ class _Runner:
                 return False
             case Output(number=number, value=False) if self._is_line(number) and not self.asked:
                 return False
-            case _:
-                self._fail(statement, "something else than a question while the running wire is low")
+        self._fail(statement, "something else than a question while the running wire is low")
 
     def _is_line(self, number: int) -> bool:
         return self._output(number).lower() == self.wires.line.lower()
