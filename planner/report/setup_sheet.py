@@ -322,7 +322,11 @@ def _ur_joined(controller: Controller, arm: str) -> list[tuple[str, str]]:
         ),
         ("emergency stops of both controllers", "joined: either button stops both"),
         ("the speed slider", "100 % at both, and nobody moves it"),
-        ("behind a stop of either arm", "both programs have ended: start both from their beginning"),
+        ("behind a stop or pause of either arm", "both programs have ended: start both from their beginning"),
+        (
+            "once: the arm that follows started alone up to Ready to meet, Pause, then Play",
+            "its program ends; else this controller gives outputs back behind a pause: do not use it for two",
+        ),
     ]
 
 

@@ -14,6 +14,7 @@ MOVEJ = 0.5
 """Time of a move by joints [s]."""
 _OUT = re.compile(r"set_(standard|configurable)_digital_out\((\d),(True|False)\)")
 _IN = re.compile(r"get_(standard|configurable)_digital_in\((\d)\)")
+_BACK = re.compile(r"get_(standard|configurable)_digital_out\((\d)\)")
 
 
 def _number(found):
@@ -22,12 +23,14 @@ def _number(found):
 
 class Machine:
     """One controller: its program runs while ``running``; ``paused`` by hand or, if ``popups_pause``, while a
-    popup holds it: then, and when it ends, its outputs fall unless ``keeps`` them."""
+    popup holds it: then, and when it ends, its outputs fall but those that it ``keeps``. They stay low when
+    a pause is over. ``move``: longest time of a move [s]; ``rises``: how often its output ``line`` rose."""
 
-    def __init__(self, text, popups_pause=False, keeps=False, outputs=()):
+    def __init__(self, text, popups_pause=False, keeps=(), outputs=(), move=1e9, line=-1):
         rows = [row.partition("#")[0].strip() if '"' not in row else row.strip() for row in text.split("\n")]
         self.rows = [row for row in rows if row and not row.startswith("#") and " = p[" not in row]
-        self.popups_pause, self.keeps = popups_pause, keeps
+        self.popups_pause, self.keeps, self.longest, self.line = popups_pause, set(keeps), move, line
+        self.rises = 0
         self.high = set(outputs)
         self.functions, self.body = {}, []
         self._divide()
@@ -64,11 +67,11 @@ class Machine:
     def start(self, now):
         self.running, self.paused, self.at, self.until = True, False, 0, now
         self.watching, self.asked, self.why, self.moving, self.wait = False, "", "", "", None
+        self.rises = 0
 
     def fall(self):
         """Outputs fall as they are set to."""
-        if not self.keeps:
-            self.high = set()
+        self.high = self.high & self.keeps
 
     def end(self, why):
         self.running, self.paused, self.asked, self.moving, self.why = False, False, "", "", why
@@ -91,7 +94,8 @@ class Machine:
         held = bool(self.asked) and self.popups_pause
         if self.watching and not held:
             thread = self.functions["watch_partner"]
-            if _number(_IN.search(thread[1])) not in inputs:
+            runs, own = _number(_IN.search(thread[1])), _BACK.search(thread[1])
+            if runs not in inputs or (own and _number(own) not in self.high):
                 self._off(thread)
                 self.end("watched")
                 return
@@ -114,6 +118,7 @@ class Machine:
 
     def _set(self, found):
         number = _number(found)
+        self.rises += number == self.line and found[3] == "True" and number not in self.high
         self.high = self.high | {number} if found[3] == "True" else self.high - {number}
 
     def _statement(self, row, now, inputs):
@@ -139,12 +144,21 @@ class Machine:
             self.limit = now + float(found[3]) if self.wait is None else self.limit
             self.wait = row
             high = _number(_IN.search(block[2])) in inputs
-            if high != (found[2] == "True"):
-                if now > self.limit:
+            lost = _number(_BACK.search(block[3])) not in self.high
+            if lost or high != (found[2] == "True"):
+                if lost or now > self.limit:
                     self._off(block)
                     self.end("waited")
                 return False
             self.wait = None
+        elif found := re.match(r"check_partner\((True|False),(True|False)\)", row):
+            block = self.functions["check_partner"]
+            (line, runs), own = (_number(one) for one in _IN.finditer(block[1])), _BACK.search(block[1])
+            wanted = found[1] == "True", True, found[2] == "True"
+            if (line in inputs, runs in inputs, _number(own) in self.high) != wanted:
+                self._off(block)
+                self.end("checked")
+                return False
         elif row.startswith("watching = run"):
             self.watching = True
         elif row.startswith("kill"):
@@ -159,6 +173,7 @@ class Machine:
             )
             self.until = now + seconds
             if found[1] != "sleep":
+                self.until = now + min(seconds, self.longest)
                 self.moving = found[1]
                 self.moves += found[1] != "movej"
             self.at += 1
@@ -192,9 +207,9 @@ class Pair:
             machine.tick(self.now, inputs)
         self.now += TICK
         if answers:
-            self._answer()
+            self.answer()
 
-    def _answer(self):
+    def answer(self):
         lead, follow = self.machines
         if "Start the program of arm" in lead.asked and not follow.running and not follow.why:
             follow.start(self.now)

@@ -254,7 +254,7 @@ class _Main:
         return out
 
     def _asked(self, popups: Sequence[str], behind: Sequence[Step]) -> list[str]:
-        """A question between two meetings; ``behind``: the steps of the operation behind it. The other program
+        """A question between two meetings; ``behind``: steps of the operation behind it. The other program
         waits with its line at 1: of the lead in the meeting before, else in the one behind."""
         if self.partner is None:
             return list(popups)

@@ -53,10 +53,11 @@ _EVER: Final = 2**60
 @dataclasses.dataclass(frozen=True, slots=True)
 class Move:
     """What a program does next. "set": its line gets ``value``; "wait" until it reads the other one's line
-    so; "look" until it reads the other one's running wire so; "check": it ends unless it reads that line so, the
+    so; "look" until it reads that one's running wire so; "check": it ends unless it reads that line so, the
     other one as running, and its own running wire is ``own``; "ask": until somebody answers; "run": its
     running wire gets ``value``, ``slow``: long after all before; "watch": a thread begins or ends; "go" and
-    "done" enclose its work in the interval ``value``. ``line``: an index into its steps."""
+    "done" enclose its work in the interval ``value`` between two meetings. ``line``: an index into its steps.
+    """
 
     kind: MoveKind
     value: int = 0

@@ -288,9 +288,10 @@ class _Runner:
             case Popup() | Check(own=False):
                 self.waited = 0.0
                 return False
-            case Output(number=number, value=False) if self._is_line(number) and not self.asked:
-                return False
-        self._fail(statement, "something else than a question while the running wire is low")
+        line = isinstance(statement, Output) and not statement.value and self._is_line(statement.number)
+        if not line or self.asked:
+            self._fail(statement, "something else than a question while the running wire is low")
+        return False
 
     def _is_line(self, number: int) -> bool:
         return self._output(number).lower() == self.wires.line.lower()
