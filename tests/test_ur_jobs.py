@@ -3,6 +3,7 @@ Paths are held against the maker's table, programs are proven, and their figures
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import shutil
 
@@ -16,8 +17,11 @@ from planner.geometry.arrays import exp_rotation, from_rpy, to_quaternion
 from planner.issues import TandemError, has_errors
 from planner.motion import solve
 from planner.motion.planning_scene import FULL_TURN, Scene
+from planner.post import write
+from planner.report import setup_sheet
 from tests import small_problem, urdf_text
 from tests.refusals import change
+from tests.verify import planner_jobs
 
 ARM = {"urdf": "ur10e.urdf", "name": "ur10e", "family": "ur", "payload_kg": 12.5}
 PROBLEMS = data_dir("problems")
@@ -194,6 +198,95 @@ def test_an_arm_without_a_language_is_refused_and_check_tells_of_its_reach_all_t
     problem = pipeline.load(tmp_path / "problem.yaml")
     found = {one.code for one in pipeline.check(problem, advise=False) if has_errors([one])}
     assert found == {"post.language", "motion.no_reach"}
+
+
+LINES = ("doPartner", "diPartner", "doRunning", "diPartnerRunning")
+
+
+def wing_and_poses(folder):
+    """The wing cut by one UR10e, then poses that another one passes, behind it and away from it."""
+    source = wing()
+    base = {"xyz_mm": [0, 2600, 600], "rpy_deg": [0, 0, 90]}
+    home = [180.0, -60.0, 100.0, -130.0, -90.0, 0.0]
+    tool = {"kind": "plain", "tcp": {"xyz_mm": [0, 0, 150]}, "mass_kg": 1.0, "cog_mm": [0, 0, 50]}
+    foot, tcp = from_rpy([0.0, 2.6, 0.6], [0.0, 0.0, np.pi / 2]), from_rpy([0.0, 0.0, 0.15], [0.0, 0.0, 0.0])
+    stands = foot @ urdf_text.ur10e_flange(np.deg2rad([home]))[0] @ tcp
+    rows = [small_problem.COLUMNS.replace("left.", "helper.")]
+    for k in range(9):
+        x, y, z = 1e3 * stands[:3, 3] + [10.0 * k, 0.0, 5.0 * k]
+        w, a, b, c = to_quaternion(stands[:3, :3])
+        rows.append(f"{x:.6f},{y:.6f},{z:.6f},{w:.17g},{a:.17g},{b:.17g},{c:.17g},20")
+    (folder / "targets.csv").write_text("\n".join(rows) + "\n")
+    source["cell"]["arms"].append(
+        {"name": "helper", "robot": ARM, "base": base, "tool": tool, "home_deg": home}
+    )
+    source["operations"].append(
+        {"name": "poses", "process": "targets", "arms": ["helper"], "file": "targets.csv", "frame": "world"}
+    )
+    io = {"robot": dict(zip(LINES, (0, 0, 1, 1), strict=True)) | {"doWirePower": 8}}
+    io["helper"] = dict(zip(LINES, (2, 2, 3, 3), strict=True))
+    source["cell"]["controller"] = {"sync": "handshake", "io": io}
+    return source
+
+
+def test_two_ur_controllers_share_a_job_and_its_programs_are_proven(tmp_path):
+    """One cuts with a hot wire while the other one waits, then the other way round."""
+    problem = laid(tmp_path, wing_and_poses(tmp_path))
+    made = pipeline.plan(problem)
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    assert made.proof.issues == ()
+    assert sorted(made.programs) == ["helper/wing.script", "robot/wing.script"]
+    assert "meetings" in made.proof.rule("verify.handshake").where
+    robot, helper = (made.programs[f"{arm}/wing.script"].split("\r\n") for arm in ("robot", "helper"))
+    power = [i for i, row in enumerate(robot) if "# doWirePower" in row and "True" in row]
+    watch = [i for i, row in enumerate(robot) if row.startswith(("watching", "kill"))]
+    for i in power:  # the wire is hot only while the other program is watched
+        assert robot[max(k for k in watch if k < i)].startswith("watching")
+    own = robot[robot.index("thread watch_partner():") :]
+    assert own[4:6] == [
+        "set_standard_digital_out(1,False) # doRunning",
+        "set_configurable_digital_out(0,False) # doWirePower",
+    ]
+    assert not any("doWirePower" in row for row in helper)
+    sheet = str(setup_sheet.controller_checks(problem, made.plan))
+    for text in (
+        "doRunning is digital output 1",
+        "doRunning is digital output 3",
+        "low when the program does not run; no other action",
+        "running wire: doRunning of robot to diPartnerRunning of helper",
+        "the power of doWirePower falls with the wire that ends at diPartnerRunning",
+        "both programs have ended: start both from their beginning",
+        "its program ends; else this controller gives outputs back behind a pause",
+    ):
+        assert text in sheet, text
+
+
+def test_two_ur_controllers_move_poses_together(tmp_path):
+    made = pipeline.plan(pipeline.load(planner_jobs.JOBS["handshake_ur"](tmp_path)))
+    assert made.proof.ok and made.proof.issues == ()
+    assert any(issue.code == "post.handshake_drift" for issue in made.issues)
+    moves = [text.count("\nmovel(") for text in made.programs.values()]
+    assert moves[0] == moves[1] > 5
+
+
+def test_an_elastic_wire_between_two_ur_arms_is_refused_and_so_are_exchangeable_numbers(tmp_path):
+    """No clock joins them, so one may be a step ahead; and nothing but numbers tells them apart."""
+    problem = pipeline.load(planner_jobs.JOBS["handshake_ur"](tmp_path))
+    (targets,) = (job.targets() for job in processes.jobs(problem))
+    joined = dataclasses.replace(targets, coupled=True)
+    assert [issue.code for issue in write.refusals(problem, [joined])] == ["post.handshake_process"]
+    assert write.refusals(problem, [targets]) == ()
+    source = yaml.safe_load((tmp_path / "problem.yaml").read_text("utf-8"))
+    source["cell"]["controller"]["io"]["right"] |= {"doRunning": 1, "doPartner": 3}
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(source), "utf-8")
+    found = write.refusals(pipeline.load(tmp_path / "problem.yaml"), [targets])
+    assert [(issue.code, issue.arm) for issue in found] == [("post.signal", "left"), ("post.signal", "right")]
+    assert "programs copied to each other's controller would run there" in found[0].message
+    del source["cell"]["controller"]["sync"]
+    source["cell"]["controller"] |= {"tasks": ["T_ROB1", "T_ROB2"], "units": ["ROB_1", "ROB_2"], "io": {}}
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(source), "utf-8")
+    (issue,) = write.refusals(pipeline.load(tmp_path / "problem.yaml"), [targets])
+    assert issue.code == "post.controller" and "sync: handshake" in issue.hint
 
 
 def test_an_arm_that_stands_by_is_no_hindrance_to_the_others(tmp_path):

@@ -256,7 +256,10 @@ CODES: Final[dict[str, Code]] = {
     "post.tasks": Code("the controller has no task or unit for an arm, or has too few", given=True),
     "post.language": Code("no programs are written for the controllers of an arm's family", given=True),
     "post.controller": Code("arms cannot move together by the controllers that they have", given=True),
-    "post.signal": Code("a signal has no number on the controller of a KUKA or UR arm", given=True),
+    "post.signal": Code(
+        "a signal has no number on the controller of a KUKA or UR arm, or one that mixes up two arms of UR",
+        given=True,
+    ),
     "post.ur_arm": Code("an arm of the family ur is none that a UR controller moves", given=True),
     "post.blend": Code("a tool turns about its TCP where it may not stop: UR has no blend there"),
     "post.turn_near_zero": Code(

@@ -210,6 +210,10 @@ EARLIER: Final = Sentence(
     "Does no program of an earlier run go on at the controller of arm {other}? Press OK."
 )
 KRL_EARLIER: Final = Sentence("Does no program of an earlier run go on at the controller of arm {other}?")
+UR_EARLIER: Final = Sentence("Is the program of arm {other} stopped (not paused, no question open)?")
+"""What the UR program that leads asks first."""
+UR_CALLED: Final = Sentence("Does the panel of arm {other} say to start this program now?")
+"""What the one that follows asks first."""
 PARTNER_READY: Final = Sentence(
     "Does the panel of arm {other} say that it is ready to meet arm {arm}? {start}"
 )
@@ -219,9 +223,20 @@ START_PARTNER: Final = Sentence(
     "Start the program of arm {other} now. When its panel says that it is ready, press Start here."
 )
 """Told by the program that leads, right before it stops."""
+UR_START_PARTNER: Final = Sentence(
+    "Start the program of arm {other} now. When its panel says that it is ready, press Continue here."
+)
+"""The same of a UR controller, whose next popup asks whether it is ready."""
 UNANSWERED: Final = Sentence(
     "Arm {other} did not answer in time, or its running wire is not as it should be."
 )
+
+PARTNER_LOST: Final = Sentence("The program of arm {other} does not run any more, so this one ends.")
+"""On the panel of a UR controller that has seen the other one stop."""
+STAYS_ON: Final = Sentence(
+    "{signal} is on before the program: set it to low when not running in Installation, I/O."
+)
+"""On the panel of a UR controller whose running wire stays high when a program stops."""
 
 WAITING: Final = Sentence("Waiting for arm {arm}.")
 TOGETHER: Final = Sentence("Moves with arm {arm} and waits for it where they meet.")

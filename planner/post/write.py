@@ -103,7 +103,7 @@ def _others(
 
 
 _ONE_CONTROLLER_HINT: Final = (
-    "one controller for both arms (sync: multimove) is ABB's; KUKA arms have one each"
+    "one controller for both arms (sync: multimove) is ABB's; arms of KUKA and UR have one each"
 )
 """Said where arms that are not ABB's shall have one controller."""
 
@@ -147,23 +147,36 @@ def speaks_urscript(arm: Arm) -> bool:
 
 
 def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
-    """Why the controllers of this cell cannot do this job, however it is planned: KUKA arms on a controller
-    for both, arms of UR beside others (``post.controller``) or that are none (``post.ur_arm``), signals
-    without a number where programs need it (``post.signal``), families without a language
-    (``post.language``)."""
+    """Why the controllers of this cell cannot do this job, however it is planned: arms of KUKA or UR on a
+    controller for both (``post.controller``), arms of UR that are none (``post.ur_arm``) or hold the block
+    (``post.load``), signals without a number where programs need it (``post.signal``), families without a
+    language (``post.language``)."""
     arms = used(problem, made)
     if unspoken := _unspoken(arms):
         return tuple(unspoken)
     together = len(arms) > 1
-    if together and any(map(speaks_urscript, arms)):
-        names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
-        what = f"{names} cannot work in one job: programs of UR controllers meet no others yet"
-        hint = "plan with one arm of UR alone, or take ABB or KUKA robots for both"
-        return (Issue("post.controller", what, hint=hint),)
-    if together and any(map(speaks_krl, arms)) and problem.cell.controller.sync != "handshake":
+    abb = all(arm.data.family == "ABB" for arm in arms)
+    if together and not abb and problem.cell.controller.sync != "handshake":
         names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
         hint = "set controller: {sync: handshake} and wire two outputs each way, or take ABB robots for both"
         return (Issue("post.controller", f"{names} cannot move together: {_ONE_CONTROLLER_HINT}", hint=hint),)
+    if together and any(map(speaks_urscript, arms)):
+        names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
+        what = f"{names} cannot work in one job: "
+        if not all(map(speaks_urscript, arms)):
+            what += (
+                "a program of UR begins anew behind each stop, and nothing keeps one of another controller "
+                "from going on in the middle, where it would meet the one that begins"
+            )
+            hint = "take two arms of UR, two of ABB or KUKA, or plan with one arm alone"
+            return (Issue("post.controller", what, hint=hint),)
+        if problem.cell.controller.handshake.kind != "four_phase":
+            what += (
+                "by a toggle a program of UR cannot tell at every second meeting whether the other one was "
+                "started anew while it asked somebody"
+            )
+            hint = "controller: {handshake: {kind: four_phase}}"
+            return (Issue("post.controller", what, hint=hint),)
     issues: list[Issue] = []
     for arm in arms:
         if arm.data.family not in _BY_NUMBER:
@@ -182,6 +195,9 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
             issues.append(
                 Issue("post.signal", got, field=f"controller.io.{arm.name}", arm=arm.name, hint=hint)
             )
+    issues += _exchanged(problem, arms)
+    holders = dict.fromkeys(setup.stock.held_by for setup in problem.setups)
+    issues += [ur_program.no_load(arm.name) for arm in filter(speaks_urscript, arms) if arm.name in holders]
     for arm in filter(speaks_urscript, arms):
         try:
             ur_program.controller_base(arm)
@@ -203,8 +219,34 @@ def _signals(problem: Problem, made: Sequence[Targets], arm: Arm, together: bool
     ]
     if together:
         own = problem.cell.controller.handshake.of(arm.name)
-        out += [own.output, own.input, own.running, own.partner_running, own.move_enable]
+        out += [own.output, own.input, own.running, own.partner_running]
+        out += [own.move_enable] if speaks_krl(arm) else []
     return list(dict.fromkeys(out))
+
+
+def _exchanged(problem: Problem, arms: Sequence[Arm]) -> list[Issue]:
+    """Two controllers of UR on which each other's programs would run (``post.signal``): nothing but numbers
+    tells two arms of one model apart, so what says that one runs must be nothing at the other one."""
+    controller = problem.cell.controller
+    if len(arms) != 2 or not all(map(speaks_urscript, arms)):
+        return []
+    out = []
+    for arm, other in (arms, arms[::-1]):
+        running = controller.handshake.of(arm.name).running
+        number, theirs = controller.number(arm.name, running), controller.handshake.of(other.name)
+        inputs = {theirs.input.lower(), theirs.partner_running.lower()}
+        taken = [
+            signal
+            for signal, value in controller.io.get(other.name, {}).items()
+            if value == number and signal.lower() not in inputs
+        ]
+        if number is not None and taken:
+            got = f"{running} of arm {arm.name} is output {number}, as {taken[0]} of arm {other.name} is"
+            what = f"{got}; programs copied to each other's controller would run there unnoticed"
+            hint = f"take an output for {running} of arm {arm.name} that arm {other.name} does not use"
+            field = f"controller.io.{arm.name}.{running}"
+            out.append(Issue("post.signal", what, field=field, arm=arm.name, hint=hint))
+    return out
 
 
 _OWN_NAMES: Final = re.compile(

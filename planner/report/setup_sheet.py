@@ -16,7 +16,7 @@ from planner.claims.forming import SinksHolder
 from planner.geometry.arrays import FloatArray, inverse, to_quaternion, to_rpy, transform
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, LinearTrack, Problem, RotaryAxis, Setup, Stock, Turntable
+from planner.problem import Arm, Controller, LinearTrack, Problem, RotaryAxis, Setup, Stock, Turntable
 from planner.report import exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import kerf_shown, operation_starts
@@ -229,7 +229,7 @@ def controller_checks(problem: Problem, plan: Plan) -> Table:
                 (arm.name, what, wanted, _FILL) for what, wanted in _kuka(problem, plan, arm.name, joined)
             ]
         elif arm.data.family == "UR":
-            rows += [(arm.name, what, wanted, _FILL) for what, wanted in _ur(problem, plan, arm.name)]
+            rows += [(arm.name, what, wanted, _FILL) for what, wanted in _ur(problem, plan, arm.name, joined)]
         elif alone or not seen:
             seen = True
             name = arm.name if alone else ", ".join(a.name for a in arms)
@@ -295,15 +295,18 @@ def _wired(problem: Problem, arm: str) -> list[tuple[str, str]]:
     ]
 
 
-def _ur(problem: Problem, plan: Plan, arm: str) -> list[tuple[str, str]]:
+def _ur(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str, str]]:
     controller, out = problem.cell.controller, list[tuple[str, str]]()
+    own = controller.handshake.of(arm)
     for signal in _powered(problem, plan, arm):
-        number = controller.number(arm, signal)
-        name = "none" if number is None else f"digital output {number}"
-        if number is not None and number >= STANDARD_OUTPUTS:
-            name = f"configurable output {number - STANDARD_OUTPUTS}"
+        name = _ur_signal(controller.number(arm, signal), "output")
         out.append((f"{signal} is {name}, in Installation, I/O", "low when the program does not run"))
         out.append(("the power falls at a safety stop and with the drives", f"wired so, behind {name}"))
+        if joined:
+            wire = f"the wire that ends at {own.partner_running}"
+            out.append((f"the power of {signal} falls with {wire}", "a relay in series, beside the program"))
+    if joined:
+        out += _ur_joined(controller, arm)
     out += [
         ("pose of the flange at home in Base, at the panel", "as the program's get_forward_kin has it"),
         ("mounting in Installation", "as the arm stands"),
@@ -315,8 +318,46 @@ def _ur(problem: Problem, plan: Plan, arm: str) -> list[tuple[str, str]]:
     return out
 
 
+def _ur_joined(controller: Controller, arm: str) -> list[tuple[str, str]]:
+    """What a UR controller needs so that another one's program knows when this one stops."""
+    own = controller.handshake.of(arm)
+    ends = [
+        (own.output, "output"),
+        (own.running, "output"),
+        (own.input, "input"),
+        (own.partner_running, "input"),
+    ]
+    named = [(f"{name} is {_ur_signal(controller.number(arm, name), kind)}", "wired") for name, kind in ends]
+    return [
+        *named,
+        (f"{own.running} in Installation, I/O", "low when the program does not run; no other action"),
+        (f"{own.output}, {own.input}, {own.partner_running} in Installation, I/O", "no action"),
+        (
+            f"Stop, Pause, emergency stop, safeguard stop, protective stop, each while both programs run: "
+            f"{own.running}",
+            "falls, and the other arm stops; else a safety output of this controller in series with its wire",
+        ),
+        ("emergency stops of both controllers", "joined: either button stops both"),
+        ("the speed slider", "100 % at both, and nobody moves it"),
+        ("behind a stop or pause of either arm", "both programs have ended: start both from their beginning"),
+        (
+            "once: the arm that follows started alone up to Ready to meet, Pause, then Play",
+            "its program ends; else this controller gives outputs back behind a pause: do not use it for two",
+        ),
+    ]
+
+
+def _ur_signal(number: int | None, kind: str) -> str:
+    """What a number of a digital input or output is called at a UR controller."""
+    if number is None:
+        return "none"
+    if number >= STANDARD_OUTPUTS:
+        return f"configurable {kind} {number - STANDARD_OUTPUTS}"
+    return f"digital {kind} {number}"
+
+
 STANDARD_OUTPUTS = 8
-"""How many standard digital outputs a UR controller has; the configurable ones are counted behind them."""
+"""How many standard digital outputs, and inputs, a UR controller has; configurable ones come behind them."""
 
 
 def _powered(problem: Problem, plan: Plan, arm: str = "") -> list[str]:

@@ -339,10 +339,15 @@ def script_task(problem: Problem, arm: Arm, name: str, files: Mapping[str, str])
     text = script_reader.read(files, controller.max_bytes)
     steps, lost = tuple[Step, ...](), tuple[Fault, ...]()
     if not text.faults and text.program is not None:
-        outputs = {value: signal for signal, value in controller.io.get(arm.name, {}).items()}
+        names = krl_signals(problem, arm)
+        wires = script_flow.Wires(names.outputs, names.inputs)
+        others = [other.name for other in problem.cell.arms if other.name != arm.name]
+        if controller.sync == "handshake" and others:
+            own = controller.handshake.of(arm.name)
+            wires = dataclasses.replace(wires, other=others[0], line=own.output, running=own.running)
         try:
             base = arm.base @ machine_of(arm.data).table.base if text.base is None else text.base
-            steps = script_flow.flow(text, base, outputs, arm.name, arm.robot, arm.data.velocity)
+            steps = script_flow.flow(text, base, wires, arm.name, arm.robot, arm.data.velocity)
         except FlowError as wrong:
             lost = wrong.faults
         except TandemError as wrong:
@@ -353,8 +358,8 @@ def script_task(problem: Problem, arm: Arm, name: str, files: Mapping[str, str])
 
 
 def krl_signals(problem: Problem, arm: Arm) -> Signals:
-    """Names of the inputs and outputs of a KUKA controller by number, as the cell states them; inputs are
-    those of a handshake and those that operations wait for. A number that two names of one kind share has
+    """Names of the inputs and outputs of a KUKA or UR controller by number, as the cell states them; inputs
+    are those of a handshake and those that operations wait for. A number that two names of one kind share has
     both for a name: which one is meant is not known."""
     controller = problem.cell.controller
     own = controller.handshake.of(arm.name)

@@ -281,6 +281,32 @@ HANDSHAKE: Final = (
     ),
 )
 
+URSCRIPT: Final = (
+    Fault("ur_no_wait", "handshake_ur", {"post.handshake:Partner.meeting": result(_no_wait)}),
+    Fault(
+        "ur_never_watches", "handshake_ur", {"post.urscript.program:_Main._watch": lambda old: lambda *a: []}
+    ),
+    Fault("ur_watches_to_the_end", "handshake_ur", {"post.handshake:Partner.last": result(lambda n: 0)}),
+    Fault(
+        "ur_asks_while_running",
+        "handshake_ur",
+        {"post.urscript.program:_Main._standing": lambda old: lambda main, popups: list(popups)},
+    ),
+    Fault(
+        "ur_watches_the_line",
+        "handshake_ur",
+        {"post.urscript.syntax:watch_thread": given(0, lambda number: number - 1)},
+    ),
+    Fault(
+        "ur_other_input",
+        "handshake_ur",
+        {"post.urscript.syntax:wait_function": given(1, lambda number: number + 4)},
+    ),
+    Fault(
+        "ur_never_meets_on_the_way", "handshake_ur", {"post.handshake:Partner.step": result(lambda steps: [])}
+    ),
+)
+
 KRL: Final = (
     Fault("krl_a_for_c", "posed_krl", {"post.krl.syntax:abc": result(_turned_back)}),
     Fault("krl_radians", "posed_krl", {"post.krl.syntax:abc": result(np.deg2rad)}),
@@ -334,4 +360,4 @@ KRL: Final = (
 )
 
 
-FAULTS: Final = (*RAPID, *HANDSHAKE, *KRL)
+FAULTS: Final = (*RAPID, *HANDSHAKE, *URSCRIPT, *KRL)

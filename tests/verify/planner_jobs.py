@@ -18,7 +18,7 @@ import yaml
 from planner.catalogue.robots import data_dir, robot
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import Mesh, from_rpy, to_quaternion
-from tests import small_forming
+from tests import small_forming, urdf_text
 from tests.forming.shapes import cone
 from tests.milling import small_mill
 from tests.rhino_files import Model, curve, ruled_surface
@@ -27,6 +27,8 @@ from tests.trim import small_trim
 CELLS = data_dir("problems") / "cells"
 UPRIGHT = {"xyz_mm": [250, -1030, 900], "rpy_deg": [90, 0, -84.5]}
 KUKA_HOME = [0, -110, 110, 0, 60, 0]
+UR_HOME = [180, -60, 100, -130, -90, 0]
+UR10E = {"urdf": "ur10e.urdf", "name": "ur10e", "family": "ur", "payload_kg": 12.5}
 GAUGE: dict[str, Any] = {
     "kind": "plain",
     "tcp": {"xyz_mm": [20, 10, 160], "rpy_deg": [0, 20, 0]},
@@ -75,7 +77,7 @@ def _standing(arm: Mapping[str, Any]) -> np.ndarray:
         np.array(place.get("xyz_mm", [0, 0, 0])) / 1e3, np.deg2rad(place.get("rpy_deg", [0, 0, 0]))
     )
     tool = from_rpy(np.array(tcp["xyz_mm"]) / 1e3, np.deg2rad(tcp.get("rpy_deg", [0, 0, 0])))
-    model = robot(arm["robot"])
+    model = urdf_text.UR10E if isinstance(arm["robot"], dict) else robot(arm["robot"])
     return np.asarray(base @ forward(model, np.deg2rad(np.array(arm["home_deg"], dtype=float))) @ tool)
 
 
@@ -86,6 +88,7 @@ def posed(
     handshake: bool = False,
     aside: float = 0.0,
     feed: float = 20.0,
+    ur: bool = False,
 ) -> Path:
     """One or two arms pass poses of a table, near home, turning as they go; the spin is free.
 
@@ -94,6 +97,10 @@ def posed(
     used = copy.deepcopy(list(ARMS[:arms]))
     if kuka:
         used[0] |= {"robot": "kr10_r1100", "home_deg": KUKA_HOME}
+    if ur:
+        (folder / "ur10e.urdf").write_text(urdf_text.ur10e(), "utf-8")
+        for arm in used:
+            arm |= {"robot": UR10E, "home_deg": UR_HOME}
     names = [arm["name"] for arm in used]
     rows = []
     for k in range(7):
@@ -112,6 +119,11 @@ def posed(
     controller["units"] = [f"ROB_{i + 1}" for i in range(arms)]
     if handshake:
         controller = {"tasks": ["T_ROB1"] * 2, "units": ["ROB_1"] * 2, "sync": "handshake"}
+    if ur:
+        controller["io"] = {
+            arm: dict(zip(("doPartner", "diPartner", "doRunning", "diPartnerRunning"), numbers, strict=True))
+            for arm, numbers in (("left", (0, 0, 1, 1)), ("right", (2, 2, 3, 3)))
+        }
     if kuka:
         controller = {"dialect": "krc4"}
     operation = {
@@ -525,6 +537,7 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "posed_two": lambda folder: posed(folder, 2),
     "posed_krl": lambda folder: posed(folder, 1, kuka=True),
     "handshake": lambda folder: posed(folder, 2, handshake=True),
+    "handshake_ur": lambda folder: posed(folder, 2, handshake=True, ur=True),
     "elastic": elastic,
     "ruled": ruled,
     "ruled_file": ruled_file,

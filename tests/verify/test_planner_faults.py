@@ -43,6 +43,7 @@ SAMPLE: Final = (
     "post_spin_lost",
     "post_meeting_lost",
     "handshake_no_wait",
+    "ur_never_watches",
     "krl_a_for_c",
     "sag_wrong_sign",
 )
@@ -70,9 +71,10 @@ def test_the_sample_has_every_process_mode_and_language(tmp_path: Path) -> None:
         processes.add(operation["process"])
         modes.add(operation.get("mode"))
         languages.add(controller.get("dialect", controller.get("sync", "rapid")))
+        languages |= {"urscript"} if isinstance(data["cell"]["arms"][0]["robot"], dict) else set()
     assert processes == set(PROCESSES)
     assert modes - {None} == set(typing.get_args(Forming.model_fields["mode"].annotation))
-    assert languages >= {"krc4", "handshake", "rapid"}
+    assert languages >= {"krc4", "handshake", "rapid", "urscript"}
 
 
 @pytest.mark.parametrize("name", SAMPLE)

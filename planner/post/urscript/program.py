@@ -1,5 +1,16 @@
 """URScript programs of a job: for each arm of UR one file with one program, without branches.
 
+Beside another arm of UR on a controller of its own it meets the other program by
+:mod:`planner.post.handshake`. A thread watches the other one's running wire and ends this program when it
+falls. The own running wire is switched by the program, for a program that asks cannot know whether its
+controller counts as running meanwhile: the wire is low then in any case. That it falls with the program,
+and stays low behind a pause, is set in the controller's installation.
+
+A question stands in the middle of a meeting: the other program waits there with its line at 1, and does
+not watch from before it until its wait is over. The one that asks looks at both wires of the other one
+before its running wire rises again, and once more when it watches: a program that was started anew
+meanwhile has its line at 0.
+
 The controller counts in a base of its own, which :func:`controller_base` finds in the arm's URDF.
 Moves by joints state the speed of their leading axis, at which the TCP keeps its limit; straight
 moves state their time and a blend radius.
@@ -8,6 +19,7 @@ moves state their time and a blend radius.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -17,19 +29,34 @@ from planner import __version__
 from planner.catalogue.robots import ParallelParameters, RobotData
 from planner.cell.kinematics import forward
 from planner.claims import vocabulary
-from planner.geometry.arrays import FloatArray, from_rpy, inverse
+from planner.claims.vocabulary import PartnerSignals
+from planner.geometry.arrays import BoolArray, FloatArray, from_rpy, inverse
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
+from planner.post.handshake import (
+    Ask,
+    AwaitLine,
+    AwaitRunning,
+    Partner,
+    SetLine,
+    Tell,
+    Watch,
+    WatchedStep,
+    asking,
+    drift_sentence,
+)
 from planner.post.program import (
     LINE_END,
     Carry,
     Do,
     Job,
     Joints,
+    Meet,
     OperationProgram,
     Run,
     Step,
     TaskProgram,
+    Track,
     kilobytes,
     no_input,
     number,
@@ -111,6 +138,21 @@ class _Main:
         self.tools: dict[str, str] = {}
         self.places: dict[str, str] = {}
         self.moves = 0
+        self.partner = Partner.of(task, job)
+        self.asks, self.held = frozenset[int](), frozenset[int]()
+        """Meetings behind which this program asks somebody, and those in which the other one does."""
+        if self.partner is not None:
+            self.asks = asking(task)
+            others = (asking(other) for other in job.tasks if other is not task)
+            self.held = self.partner.held(frozenset[int]().union(*others))
+        self.watching = False
+        self.met = 0
+        """The last meeting."""
+        self.begun = 0
+        """The meeting before which the other one's line was seen to rise, for a question."""
+        self.rest: list[WatchedStep] = []
+        """Steps of the last meeting that stand behind a question."""
+        self.powered: set[str] = set()
         self._at: FloatArray | None = None
         self._acceleration = float(np.min(task.robot.acceleration)) * problem.settings.acceleration_fraction
 
@@ -121,12 +163,125 @@ class _Main:
         place = inverse(self.foot) @ forward(self.task.robot, self.task.arm.home) @ CHECK_TIP
         text = vocabulary.OTHER_ARM.filled(arm=self.task.arm.name, model=self.task.arm.robot)
         out = [self._switch(signal, False) for signal in self.job.switched(self.task)]
+        if self.partner is not None:
+            running = self._own.running
+            out += syntax.stays_low(self._number(running), vocabulary.STAYS_ON.filled(signal=running))
         out += syntax.kinematics_check(home, CHECK_TIP, place, CHECK_ERROR, text)
-        clear = vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY
-        out += syntax.question(clear.filled())
+        clear = (vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY).filled()
+        functions: list[str] = []
+        if self.partner is None:
+            out += syntax.question(clear)
+        else:
+            functions = self._functions(self.partner)
+            out += self._start(self.partner, clear)
         for i, operation in enumerate(self.task.operations, 1):
             out += self._operation(i, operation)
-        return [f"{word} = {value}" for word, value in self.data.items()], out
+        return [*(f"{word} = {value}" for word, value in self.data.items()), *functions], out
+
+    # ---- the other controller ----
+
+    def _functions(self, partner: Partner) -> list[str]:
+        """What waits for the other program, and what watches it."""
+        own = partner.handshake.of(partner.arm)
+        off = [self._switch(signal, False) for signal in (own.running, *self.job.switched(self.task))]
+        lost = vocabulary.PARTNER_LOST.filled(other=partner.other)
+        given, runs, back = (self._number(s) for s in (own.input, own.partner_running, own.running))
+        return [
+            *syntax.wait_function(syntax.AWAIT_LINE, given, back, off, partner.unanswered),
+            *syntax.wait_function(syntax.AWAIT_RUNNING, runs, back, off, partner.unanswered),
+            *syntax.check_function(given, runs, back, off, partner.unanswered),
+            *syntax.watch_thread(runs, back, off, lost),
+            *syntax.stand_function(),
+        ]
+
+    @property
+    def _own(self) -> PartnerSignals:
+        return self.problem.cell.controller.handshake.of(self.task.arm.name)
+
+    def _runs(self, on: bool) -> str:
+        return self._switch(self._own.running, on)
+
+    def _start(self, partner: Partner, clear: str) -> list[str]:
+        """All up to the first meeting, and that. A program begins with its wires low, and stands for a while
+        before its running wire rises behind a question; at the second one it sees the other one run."""
+        out, popups, first = [self._runs(False)], list[str](), True
+        for step in partner.watched_start(clear):
+            match step:
+                case Tell(text) if partner.lead:
+                    popups = syntax.told(text, before_question=True)
+                case Ask(text):
+                    before = [] if first else [self._runs(False)]
+                    seen = [] if first else [syntax.checked(0, False)]
+                    stands = f"sleep({syntax.real(syntax.SEEN, 1)})"
+                    out += [*before, *popups, *syntax.question(text), *seen, stands, *self._rises()]
+                    first = False
+                case _:
+                    out += self._steps([step])
+        wait = partner.handshake.timeout if partner.lead else partner.handshake.patience
+        return [*out, *comment("First meeting: both programs run."), *self._meeting(partner, 1, wait)]
+
+    def _rises(self) -> list[str]:
+        return [self._runs(True), f"sleep({syntax.real(syntax.SETTLED, 1)})"]
+
+    def _meeting(self, partner: Partner, number: int, wait: float) -> list[str]:
+        """A meeting. Nobody watches any more from before one on in which the other program asks, or
+        behind which both come to their ends; a question of this program stands in it or before."""
+        quiet = number in self.held or number == partner.meets
+        held = partner.handshake.patience if number in self.held else 0.0
+        first, rest = partner.watched_meeting(number, wait, held)
+        self.met = number
+        out = self._watch(False) if quiet else []
+        out += [syntax.checked(1, True)] if self.begun == number else self._steps(first)
+        if partner.lead and number in self.asks:
+            self.rest = rest
+            return out
+        return out + self._steps(rest)
+
+    def _steps(self, steps: Sequence[WatchedStep]) -> list[str]:
+        out: list[str] = []
+        for step in steps:
+            match step:
+                case SetLine(value):
+                    out.append(self._switch(self._own.output, value == 1))
+                case AwaitLine(value, seconds):
+                    out.append(syntax.awaited(syntax.AWAIT_LINE, value, seconds))
+                case AwaitRunning(value, seconds):
+                    out.append(syntax.awaited(syntax.AWAIT_RUNNING, value, seconds))
+                case Watch() if self.partner is not None and self.met < self.partner.meets:
+                    out += self._watch(True)
+                case Tell(text):
+                    out += syntax.told(text, before_question=False)
+        return out
+
+    def _asked(self, popups: Sequence[str], behind: Sequence[Step]) -> list[str]:
+        """A question between two meetings; ``behind``: steps of the operation behind it. The other program
+        waits with its line at 1: of the lead in the meeting before, else in the one behind."""
+        if self.partner is None:
+            return list(popups)
+        out: list[str] = []
+        if not self.partner.lead and self.begun != self.met + 1:
+            self.begun = self.met + 1
+            out = self._steps(self.partner.watched_meeting(self.begun, self.partner.handshake.patience)[0])
+        low = [self._runs(False), *popups, syntax.checked(1, False), *self._rises()]
+        out += [*self._watch(False), *low, *self._watch(True), syntax.checked(1, True)]
+        if not _asks_again(behind):
+            out += self._steps(self.rest)
+            self.rest = []
+        return out
+
+    def _watch(self, on: bool) -> list[str]:
+        if on == self.watching:
+            return []
+        self.watching = on
+        if not on and self.powered:
+            listed = ", ".join(sorted(self.powered))
+            message = (
+                f"{listed} of arm {self.task.arm.name} is on while one of the arms asks somebody something; "
+                "nothing would take the power when the other program stops then"
+            )
+            hint = "switch it off before the question, and on behind it"
+            raise TandemError(Issue("post.handshake_process", message, arm=self.task.arm.name, hint=hint))
+        return [f"{syntax.WATCHING} = run {syntax.WATCH}()" if on else f"kill {syntax.WATCHING}"]
 
     def _declare(self, word: str, value: str) -> str:
         if self.data.setdefault(word, value) != value:
@@ -136,24 +291,34 @@ class _Main:
 
     def _operation(self, index: int, operation: OperationProgram) -> list[str]:
         out, told = comment(f"Operation {operation.name}."), False
+        held: list[str] = []
         for i, step in enumerate(operation.steps):
             if not told and isinstance(step, Joints | Run):  # behind the setup that has mounted the tool
                 told, tool = True, operation.arm.tool
                 out += [f"set_tcp({self._tool(tool)})", _payload(tool)]
-            out += self._step(step, index, operation, _question_follows(operation.steps[i + 1 :]))
+            if isinstance(step, Do) and step.action.kind in ("message", "confirm"):
+                held += self._action(step.action, _question_follows(operation.steps[i + 1 :]))
+                if step.action.kind == "confirm":
+                    out, held = [*out, *self._asked(held, operation.steps[i + 1 :])], []
+                elif not _question_follows(operation.steps[i + 1 :]):
+                    out, held = [*out, *held], []
+                continue
+            out += self._step(step, index, operation)
         return out
 
-    def _step(self, step: Step, index: int, operation: OperationProgram, asks: bool) -> list[str]:
+    def _step(self, step: Step, index: int, operation: OperationProgram) -> list[str]:
         match step:
             case Joints():
                 return self._movej(step, index, operation)
             case Do(action):
-                return self._action(action, asks)
+                return self._action(action, False)
+            case Meet(meeting, reached, seconds) if self.partner is not None:
+                wait = self.partner.handshake.patience + math.ceil(seconds)
+                return [*comment(f"Meeting: {reached}"), *self._meeting(self.partner, meeting, wait)]
             case Run():
                 return self._run(step, operation)
             case Carry(load) if load is not None:
-                message = f"arm {self.task.arm.name} holds the block; URScript is written for tools alone"
-                raise TandemError(Issue("post.load", message, hint="let the block stand in the cell"))
+                raise TandemError(no_load(self.task.arm.name))
         return []
 
     def _movej(self, step: Joints, index: int, operation: OperationProgram) -> list[str]:
@@ -207,6 +372,8 @@ class _Main:
             case "confirm":
                 return syntax.question(action.text)
             case "on" | "off":
+                change = self.powered.add if action.kind == "on" else self.powered.discard
+                change(action.signal)
                 return [self._switch(action.signal, action.kind == "on")]
             case "wait":
                 return [f"sleep({syntax.real(action.seconds, 3)})"]
@@ -214,11 +381,14 @@ class _Main:
                 raise no_input(action, self.task.arm.name)
 
     def _switch(self, signal: str, on: bool) -> str:
+        return f"{syntax.output(self._number(signal), on)} # {signal}"
+
+    def _number(self, signal: str) -> int:
         found = self.problem.cell.controller.number(self.task.arm.name, signal)
         if found is None:
             message = f"the cell gives no number of {signal} on the controller of {self.task.arm.name}"
             raise TandemError(Issue("post.signal", message, arm=self.task.arm.name))
-        return f"{syntax.output(found, on)} # {signal}"
+        return found
 
     def _run(self, run: Run, operation: OperationProgram) -> list[str]:
         track, some = operation.track, slice(run.first, run.last)
@@ -237,10 +407,35 @@ class _Main:
             raise TandemError(Issue("post.blend", message, arm=self.task.arm.name, target=place, hint=hint))
         seconds = short(float(track.duration[some].sum()), 2)
         out = comment(f"Segment {mark(run.segment)}: {run.last - run.first} moves, {seconds} s.")
-        out += syntax.straight(track, radius, self._frame(operation))[some]
+        moves = syntax.straight(track, radius, self._frame(operation))[some]
+        if self.partner is not None and self._at is not None:
+            rests = np.flatnonzero(self._still(operation, track)[some])
+            for row in rests.tolist():
+                moves[row] = f"{syntax.STAND}({syntax.real(float(track.duration[some][row]), 5)})"
+        for move, meeting in zip(moves, operation.meets[some].tolist(), strict=True):
+            out.append(move)
+            if meeting and self.partner is not None:
+                out += self._meeting(self.partner, meeting, self.partner.handshake.timeout)
         self._at = track.q[run.last - 1]
         self.moves += run.last - run.first
         return out
+
+    def _still(self, operation: OperationProgram, track: Track) -> BoolArray:
+        """Whether (M,) moves go nowhere. Raises :class:`TandemError` (``post.blend``) where the first one
+        does: behind a move by joints a program knows no place to stand at."""
+        start = next(s.q for s in operation.steps if isinstance(s, Joints) and s.place == "start")
+        out = syntax.still(track, start)
+        if out[:1].any():
+            message = f"operation {operation.name}: arm {self.task.arm.name} stands still in its first move"
+            hint = "let both arms move from the first target on"
+            raise TandemError(Issue("post.blend", message, arm=self.task.arm.name, hint=hint))
+        return out
+
+
+def no_load(arm: str) -> Issue:
+    """Why an arm of UR holds no block."""
+    message = f"arm {arm} holds the block; URScript is written for tools alone"
+    return Issue("post.load", message, arm=arm, hint="let the block stand in the cell")
 
 
 def _payload(tool: Tool) -> str:
@@ -252,11 +447,20 @@ def _payload(tool: Tool) -> str:
     return f"set_payload({number(tool.mass, 3)},{syntax.vector(np.asarray(tool.cog), 6)})"
 
 
+def _asks_again(steps: Sequence[Step]) -> bool:
+    """Whether another question stands ahead of the next meeting."""
+    rest = (step for step in steps if isinstance(step, Meet | Run) or _confirms(step))
+    return _confirms(next(rest, None))
+
+
+def _confirms(step: Step | None) -> bool:
+    return isinstance(step, Do) and step.action.kind == "confirm"
+
+
 def _question_follows(steps: Sequence[Step]) -> bool:
     """Whether the next step that is more than a message is a question."""
     rest = (step for step in steps if not (isinstance(step, Do) and step.action.kind == "message"))
-    first = next(rest, None)
-    return isinstance(first, Do) and first.action.kind == "confirm"
+    return _confirms(next(rest, None))
 
 
 def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
@@ -293,6 +497,10 @@ def _header(task: TaskProgram, job: Job, plan: Plan, margins: Mapping[str, str])
     out += comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
     for item, value in margins.items():
         out += comment(f"Proven: {item} {value}.")
+    if (partner := Partner.of(task, job)) is not None:
+        out += [line for text in partner.header() for line in comment(text)]
+        drifts = [f"Operation {drift.name}: {drift_sentence(drift)}." for drift in job.drifts]
+        out += [line for text in drifts for line in comment(text)]
     out += comment(
         "No controller of UR has run such a program yet: begin at low speed, and compare the time."
     )

@@ -35,6 +35,21 @@ BLEND_SHARE: Final = 0.45
 touch, for a controller skips a waypoint whose blend meets the next one."""
 TEXT_LENGTH: Final = 255
 """Characters of a popup's text."""
+AWAIT_LINE, AWAIT_RUNNING = "await_line", "await_running"
+"""Functions that wait for the other controller's line, and for what says that its program runs."""
+CHECK = "check_partner"
+"""The function that looks at both of them at one instant."""
+STAND = "stand"
+"""The function in place of a move in which only the other arm moves."""
+WATCH, WATCHING = "watch_partner", "watching"
+"""The thread that ends the program when the other one stops, and the variable that holds it."""
+WAIT_STEP: Final = 0.01
+"""Time [s] between two looks of a wait."""
+SETTLED: Final = 0.1
+"""Time [s] behind the rise of the own running wire, until it is read back as it is."""
+SEEN: Final = 1.0
+"""Time [s] for which a program that begins stands before that wire rises: whoever ran with the one before it
+has seen by then that it does not run."""
 TITLE, QUESTION, READ = "Tandem", "Tandem asks", "Tandem tells"
 """Titles of popups: of what is told meanwhile, of a question, and of what is read before one."""
 
@@ -42,7 +57,8 @@ _RESERVED_TEXT: Final = """
 and break continue def elif else end false for global halt if in local not or return sec thread true while
 xor join kill run enter_critical exit_critical struct movej movel movep movec servoj speedj speedl stopj stopl
 sleep sync popup textmsg pose_trans pose_inv point_dist get_forward_kin get_inverse_kin set_tcp set_payload
-base_frame problem_digest
+base_frame problem_digest await_line await_running check_partner watch_partner watching passed level limit own
+stand seconds
 """
 RESERVED: Final = frozenset(_RESERVED_TEXT.split())
 """Words that no name may be."""
@@ -103,6 +119,101 @@ def output(number: int, on: bool) -> str:
     if number < _STANDARD:
         return f"set_standard_digital_out({number},{word})"
     return f"set_configurable_digital_out({number - _STANDARD},{word})"
+
+
+def input_call(number: int) -> str:
+    """The call that reads a digital input, which are numbered as the outputs are."""
+    if number < _STANDARD:
+        return f"get_standard_digital_in({number})"
+    return f"get_configurable_digital_in({number - _STANDARD})"
+
+
+def output_call(number: int) -> str:
+    """The call that reads a digital output back."""
+    return input_call(number).replace("_in(", "_out(")
+
+
+def wait_function(word: str, number: int, own: int, off: Sequence[str], text: str) -> list[str]:
+    """A function that waits until the input ``number`` has a level, for a time at most; when that is over, or
+    the output ``own`` is low, it does ``off``, shows ``text`` and ends the program."""
+    back = output_call(own)
+    return [
+        f"def {word}(level,limit):",
+        "local passed=0.0",
+        f"while {input_call(number)}!=level or {back}==False:",
+        f"if passed>limit or {back}==False:",
+        *off,
+        f'popup({_text(text)},"{TITLE}",False,True,blocking=True)',
+        "halt",
+        "end",
+        f"sleep({WAIT_STEP})",
+        f"passed=passed+{WAIT_STEP}",
+        "end",
+        "end",
+    ]
+
+
+def check_function(line: int, runs: int, own: int, off: Sequence[str], text: str) -> list[str]:
+    """A function that does ``off``, shows ``text`` and ends the program unless the input ``line`` has a
+    level, the input ``runs`` is high, and the output ``own`` has a level of its own."""
+    wrong = f"{input_call(line)}!=level or {input_call(runs)}==False or {output_call(own)}!=own"
+    return [
+        f"def {CHECK}(level,own):",
+        f"if {wrong}:",
+        *off,
+        f'popup({_text(text)},"{TITLE}",False,True,blocking=True)',
+        "halt",
+        "end",
+        "end",
+    ]
+
+
+def watch_thread(number: int, own: int, off: Sequence[str], text: str) -> list[str]:
+    """The thread that looks at the input ``number`` and the output ``own`` in every cycle: when one falls it
+    does ``off``, shows ``text`` without holding the program, and ends it."""
+    return [
+        f"thread {WATCH}():",
+        f"while {input_call(number)} and {output_call(own)}:",
+        "sync()",
+        "end",
+        *off,
+        f'popup({_text(text)},"{TITLE}",False,True,blocking=False)',
+        "halt",
+        "end",
+    ]
+
+
+def stand_function() -> list[str]:
+    """The function of a move of no way: what a controller makes of such a movel no manual says."""
+    return [f"def {STAND}(seconds):", "sleep(seconds)", "end"]
+
+
+def still(track: Track, before: FloatArray) -> BoolArray:
+    """Whether (M,) the moves of a track, as written, go nowhere; ``before`` (6,) [rad]: joints ahead of
+    them."""
+    same = np.all(np.round(np.diff(track.quaternion, axis=0), RADIAN_DECIMALS) == 0.0, axis=1)
+    first = np.abs(track.q[:1] - before).max(axis=1) < 1e-9
+    return np.asarray((track.distance == 0.0) & np.concatenate([first, same]))
+
+
+def stays_low(number: int, text: str) -> list[str]:
+    """The program ends when the output ``number`` is on before it has switched anything."""
+    return [
+        f"if {output_call(number)}:",
+        f'popup({_text(text)},"{TITLE}",False,True,blocking=True)',
+        "halt",
+        "end",
+    ]
+
+
+def awaited(word: str, value: int, seconds: float) -> str:
+    """A wait by one of the functions."""
+    return f"{word}({'True' if value else 'False'},{real(seconds, 3)})"
+
+
+def checked(value: int, own: bool) -> str:
+    """A look at the other one's line and both running wires."""
+    return f"{CHECK}({'True' if value else 'False'},{own})"
 
 
 def _text(text: str) -> str:

@@ -14,15 +14,18 @@ from planner.claims.vocabulary import HandshakeKind, SignalWire
 from planner.verify.programs.handshake_model import Action, Levels
 from planner.verify.programs.steps import (
     CarryStep,
+    CheckStep,
     ChoiceStep,
     LoadStep,
     MessageStep,
     MoveStep,
+    RunningStep,
     SettingStep,
     SignalStep,
     Step,
     SyncStep,
     WaitStep,
+    WatchStep,
     letters,
 )
 
@@ -115,6 +118,11 @@ def read(
     return out
 
 
+def lets_fall(step: MessageStep) -> bool:
+    """Whether a program counts as standing while it shows something."""
+    return step.kind == "HALT" or step.stands
+
+
 def _of(arm: str, arms: Sequence[str], places: Mapping[str, Mapping[str, int]]) -> int | None:
     """The place at which another program's panel speaks of an arm, None where none does."""
     found = [places[name][letters(arm)] for name in arms if name != arm and letters(arm) in places[name]]
@@ -191,6 +199,8 @@ class _Reader:
         self.count = 0
         self.last: MoveStep | None = None
         self.working: int | None = None
+        self.low = False
+        """Whether the program holds its own running wire at 0."""
         self.asked = False
         """Whether the operator was asked anything: that no earlier run goes on."""
 
@@ -219,7 +229,7 @@ class _Reader:
                 return True
             case MessageStep() if i == self.gate:
                 self._rest()
-                if step.kind == "HALT":
+                if lets_fall(step):
                     self._add("pause", 0, 0, i)
                 self._add("gate", 0, 0, i)
                 return True
@@ -256,8 +266,16 @@ class _Reader:
             case WaitStep() | MessageStep() | CarryStep() | LoadStep():
                 self.asked |= isinstance(step, MessageStep) and step.certain
                 self._work(i)
-                if isinstance(step, MessageStep) and step.kind == "HALT":
+                if isinstance(step, MessageStep) and lets_fall(step):
                     self._add("pause", 0, 0, i)
+            case CheckStep():
+                self._check(i, step)
+                return True
+            case RunningStep():
+                self.low = not step.on
+                return True
+            case WatchStep():
+                return True
             case _:
                 pass
         return False
@@ -318,6 +336,19 @@ class _Reader:
         self.limit = step.seconds if running else None
         self._add("look", 0, int(running), i)
 
+    def _check(self, i: int, step: CheckStep) -> None:
+        """A look at both the other one's line and its running wire, which ends the program or goes on."""
+        line, runs = step.signal.lower(), step.runs.lower()
+        if line not in self.reads or runs not in self.watches:
+            self._fault(
+                f"it looks at {step.signal} and {step.runs}, which are not the other one's wires", step
+            )
+            return
+        self._rest()
+        self.left, self.limit = (4 if step.own else 0), None
+        self._add("look", 0, 1, i)
+        self._add("wait", self.reads[line], step.value, i)
+
     def _looked(self, step: Step, value: int) -> None:
         """Every meeting begins with a look at the other one's running wire."""
         if self.left:
@@ -359,6 +390,7 @@ class _Reader:
     # ---- actions ----
 
     def _work(self, i: int) -> None:
+        self.left, self.limit = 0, None  # a look before the work says nothing of the meeting behind it
         if self.working is None:
             self.working = self.count
             self._add("go", 0, self.count, i)
@@ -377,7 +409,7 @@ class _Reader:
 
     def _add(self, kind: str, wire: int, value: int, i: int) -> None:
         step = self.steps[i]
-        if kind in ("set", "wait", "look") and not self.asked:
+        if kind in ("set", "wait", "look") and not (self.asked or self.low):
             what = (
                 "nobody is asked before whether a program of an earlier run goes on at the other controller"
             )

@@ -415,13 +415,17 @@ def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
         question = vocabulary.CLEAR if first else vocabulary.READY
     partner = _partner(context, task)
     if partner:
-        earlier = question_step(vocabulary.KRL_EARLIER if krl else vocabulary.EARLIER, other=partner)
+        asked = vocabulary.KRL_EARLIER if krl else vocabulary.EARLIER
+        if task.script is not None:
+            asked = vocabulary.UR_EARLIER if lead else vocabulary.UR_CALLED
+        earlier = question_step(asked, other=partner)
         if not lead:
             return earlier, message_step(vocabulary.READY_TO_MEET, other=partner)
         both = {"other": partner, "arm": task.arm.name, "start": question.words}
+        called = vocabulary.START_PARTNER if task.script is None else vocabulary.UR_START_PARTNER
         return (
             earlier,
-            message_step(vocabulary.START_PARTNER, other=partner),
+            message_step(called, other=partner),
             question_step(vocabulary.PARTNER_READY, **both),
         )
     if not lead:

@@ -243,7 +243,8 @@ class MessageStep(Step):
 
     `text`: what is shown without a box's `header`; `certain`: goes on only when the operator has pressed OK,
     the one button, not by a time limit or another button. `options`: what else is shown or done, by the
-    option's name, with the name that stands behind it where one does.
+    option's name, with the name that stands behind it where one does. `stands`: the program counts as
+    standing meanwhile: its running wire is low.
     """
 
     kind: str
@@ -254,6 +255,34 @@ class MessageStep(Step):
     panel: Literal["line", "clear", ""] = ""
     header: str = ""
     options: tuple[tuple[str, str], ...] = ()
+    stands: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WatchStep(Step):
+    """From here on (`on`), or no more, the program ends when the input `signal` falls."""
+
+    signal: str
+    on: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunningStep(Step):
+    """The program switches its own running wire. ``waited`` [s]: how long it stood right before its rise."""
+
+    on: bool
+    waited: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckStep(Step):
+    """The program ends unless at this instant the other one's line, the input ``signal``, is ``value``, the
+    input ``runs`` is 1, and its own running wire is ``own``."""
+
+    signal: str
+    value: int
+    runs: str
+    own: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,6 +33,7 @@ from planner.verify.programs.steps import (
 from planner.verify.rapid.syntax_tree import Module
 from planner.verify.rules import synchronisation
 from planner.verify.rules.synchronisation import straight_way
+from planner.verify.urscript.syntax_tree import STAND
 
 UNKNOWN_START = "verify.unknown_start"
 """Code of the rule about moves from a place that is not known."""
@@ -284,15 +285,22 @@ def zone_size(context: Context) -> Outcome:
 
 @rule("verify.zero_length")
 def zero_length(context: Context) -> Outcome:
-    """No move goes nowhere with all arms."""
+    """No move goes nowhere with all arms, and no movel of URScript, of which no manual says what it does."""
     issues = []
     for stage in context.job.stages:
         rows = [(task, stage.moves(task.name)) for task in context.job.tasks if stage.moves(task.name)]
         for group in [rows] if stage.synchronised else [[row] for row in rows]:
             for i in range(1, min((len(moves) for _, moves in group), default=0)):
-                if all(_still(moves[i - 1], moves[i]) for _, moves in group):
-                    task, moves = group[0]
-                    issues.append(at_step("verify.zero_length", "the move goes nowhere", task, moves[i]))
+                still = [(task, moves[i]) for task, moves in group if _still(moves[i - 1], moves[i])]
+                if len(still) == len(group):
+                    task, move = still[0]
+                    issues.append(at_step("verify.zero_length", "the move goes nowhere", task, move))
+                    continue
+                what = f"the movel goes nowhere; {STAND} waits in place of it"
+                alone = (
+                    (task, move) for task, move in still if task.script is not None and move.kind != STAND
+                )
+                issues += [at_step("verify.zero_length", what, task, move) for task, move in alone]
     return Outcome(tuple(issues))
 
 

@@ -329,10 +329,11 @@ def _answers(context: Context) -> Iterator[Issue]:
     for task, other in (tasks, tasks[::-1]):
         mine, theirs = readings[task.name], readings[other.name]
         asks = _intervals(other, theirs, _asks)
+        midway = asks.copy() if other.script is not None else set[int]()
         asks |= _intervals(other, theirs, _moves) - _intervals(task, mine, _moves)
         most = max(handshake.patience, handshake.timeout) + 1.0 + _busy(other)
         watched = job.wiring(context.problem).watches.get(task.name, frozenset())
-        for step, interval in _meetings(task, mine, handshake.kind, watched):
+        for step, interval in _meetings(task, mine, handshake.kind, watched, midway):
             least = handshake.patience if interval in asks else min(handshake.timeout, handshake.patience)
             if step.seconds is None:
                 what = f"{task.name} may wait for {step.signal} for ever; state a limit"
@@ -349,11 +350,12 @@ def _intervals(task: TaskText, reading: Reading, chosen: Callable[[Step], bool])
 
 
 def _meetings(
-    task: TaskText, reading: Reading, kind: HandshakeKind, watched: Collection[str]
+    task: TaskText, reading: Reading, kind: HandshakeKind, watched: Collection[str], midway: Collection[int]
 ) -> Iterator[tuple[WaitStep, int | None]]:
     """Waits of the protocol, each with the other program's interval that it may last: what that does before
     it arrives. None where both have arrived, and at the lead's start, when the operator has seen to it.
 
+    ``midway``: meetings in the middle of which the other program asks, so that who follows waits there.
     A look whether the other program runs (an input that is ``watched``) lasts as long as the meeting behind
     it may; whether that stands is seen at the start, when somebody stops it.
     """
@@ -372,7 +374,8 @@ def _meetings(
             leads = before is not None and before.value == step.value  # it asks, and waits for the answer
             met = kind == "four_phase" and not step.value
             late = number - 1 if leads else number
-            interval = None if met or (leads and late <= 0) else late
+            held = met and not leads and number in midway
+            interval = None if (met and not held) or (leads and late <= 0) else late
             yield from ((one, interval) for one in (*looks, step))
             looks = []
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 Six = tuple[float, float, float, float, float, float]
@@ -88,6 +88,57 @@ class Straight(Statement):
 
 
 @dataclass(frozen=True, slots=True)
+class StaysLow(Statement):
+    """The program ends, with `text` shown, when the output `number` is on."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Await(Statement):
+    """A call of the function `name`, which waits until its input has the level `value`, `seconds` at most."""
+
+    name: str
+    value: bool
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stand(Statement):
+    """A call of the function that is a move of no way, in `seconds`."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Watch(Statement):
+    """The thread that watches the other program begins, or is killed."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Check(Statement):
+    """A call of the function that ends the program unless the other one's line is `value`, that one runs, and
+    the own running wire is `own`."""
+
+    value: bool
+    own: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Ending(Statement):
+    """A function or thread that ends the program over the inputs `numbers`, or where the output `own` is not
+    as it should be: it switches the outputs `off` and shows `text` before."""
+
+    numbers: tuple[int, ...]
+    own: int
+    off: tuple[int, ...]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Begins(Statement):
     """A comment that says which segment begins: its label."""
 
@@ -105,12 +156,14 @@ class Data:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A file: the `name` as in def, its data by name, and its statements behind them."""
+    """A file: the `name` as in def, its data by name, and its statements behind them. `endings`: the
+    functions and the thread of a program that meets another one, by name; else empty."""
 
     file: str
     name: str
     data: Mapping[str, Data]
     body: tuple[Statement, ...]
+    endings: Mapping[str, Ending] = field(default_factory=dict)
 
     @property
     def moves(self) -> int:
@@ -130,12 +183,23 @@ turned."""
 LOOK_ERROR: Final = 0.01
 """How far [m] a program may let the controller's flange be off at most: arms are calibrated one by one."""
 
+AWAIT_LINE, AWAIT_RUNNING = "await_line", "await_running"
+"""The functions that wait for the other controller's line, and for its running wire."""
+CHECK = "check_partner"
+"""The function that looks at both at one instant."""
+STAND = "stand"
+"""The function that waits in place of a move."""
+WATCH, WATCHING = "watch_partner", "watching"
+"""The thread that watches that wire, and the variable that holds it."""
+
 _RESERVED_TEXT = """
 and break continue def elif else end enter_critical exit_critical false False for global halt if in join kill
 local not or return run sec struct thread true True while xor movej movel movep movec servoj servoc speedj
 speedl stopj stopl force_mode sleep sync popup textmsg pose_trans pose_inv pose_add pose_sub point_dist
 pose_dist get_forward_kin get_inverse_kin set_tcp set_payload set_target_payload set_gravity
 set_standard_digital_out set_configurable_digital_out set_tool_digital_out set_digital_out p
+get_standard_digital_in get_configurable_digital_in get_standard_digital_out get_configurable_digital_out
+await_line await_running check_partner watch_partner watching passed level limit own stand seconds
 """
 RESERVED: Final = frozenset(_RESERVED_TEXT.split())
 """Words of the language and of its functions, which no variable may hide."""

@@ -71,10 +71,19 @@ def test_two_arms_are_refused_and_numbers_are_asked_for():
         dataclasses.replace(operation.targets, arms=("left", "right")) for operation in plan.operations
     ]
     (issue,) = write.controller_refusals(both, targets)
-    assert issue.code == "post.controller" and "meet no others yet" in issue.message
+    assert issue.code == "post.controller" and "arms of KUKA and UR have one each" in issue.message
     controller = dataclasses.replace(problem.cell.controller, io={})
     found = refused(with_cell(problem, controller=controller))
     assert [code for code, _ in found] == ["post.signal"] and "URScript knows by number" in found[0][1]
+
+
+def test_an_arm_that_would_hold_the_block_is_refused_before_anything_is_planned():
+    problem = ur_job.problem()
+    targets = [operation.targets for operation in straight_job.plan(12, model="ur10e").operations]
+    held = dataclasses.replace(problem, stock=dataclasses.replace(problem.stock, held_by="left"))
+    found = write.refusals(held, targets)
+    assert [(issue.code, issue.arm) for issue in found] == [("post.load", "left")]
+    assert "URScript is written for tools alone" in found[0].message
 
 
 @pytest.mark.parametrize(("number", "fits"), [(0, True), (15, True), (16, False)])

@@ -49,7 +49,7 @@ def read(text, file="left/wall.script"):
 def steps(text=PROGRAM):
     found = read(text)
     assert found.faults == ()
-    return flow.flow(found, found.base, {2: "doWirePower"}, "left", "ur10e", SPEED)
+    return flow.flow(found, found.base, flow.Wires({2: "doWirePower"}, {}), "left", "ur10e", SPEED)
 
 
 def test_the_way_through_the_program():
@@ -204,7 +204,7 @@ def test_whatever_stands_in_a_file_is_read_or_refused_in_words():
             assert all(0 < fault.line <= text.count("\n") + 1 and fault.message for fault in found.faults)
             continue
         try:
-            read_whole += bool(flow.flow(found, BASE, {}, "left", "ur10e", SPEED))
+            read_whole += bool(flow.flow(found, BASE, flow.Wires({}, {}), "left", "ur10e", SPEED))
         except FlowError as wrong:
             assert wrong.faults[0].line > 0
     assert read_whole > 50  # comments, and what other rules look at

@@ -1,0 +1,110 @@
+"""Programs of two UR controllers that begin anew behind each stop: those that were written before fail in the
+check of all that can happen, those that are written now pass, and each part of them is needed."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from planner.verify import job
+from planner.verify.context import Context
+from planner.verify.programs import handshake_restarts
+from planner.verify.programs.handshake_restarts import Move, check, moves
+from tests.verify import ur_pair
+
+BEFORE = Path(__file__).parents[1] / "files"
+
+
+def as_before(arm, line, runs):
+    """Moves and blocks of the text that was written before: its statements, none of which reads back."""
+    out, blocks, number = [], [], 0
+    for row in (BEFORE / f"ur_before_{arm}.txt").read_text("utf-8").split("\n"):
+        level = int("True" in row)
+        if row.startswith(f"set_standard_digital_out({line},"):
+            number += level
+            new = [Move("set", level)]
+        elif row.startswith(f"set_standard_digital_out({runs},"):
+            new = [Move("run", level)]
+        elif row.startswith("await_"):
+            new = [Move("look" if "running" in row else "wait", level)]
+        elif row.startswith(("kill", "watching")):
+            new = [Move("watch", int(row.startswith("w")))]
+        elif row.startswith("popup"):
+            new = [Move("ask")]
+        elif row.startswith("mov") and out[-1] != Move("done", number):
+            new = [Move("go", number), Move("done", number)]
+        else:
+            new = []
+        out += new
+        blocks += [number] * len(new)
+    return out, blocks
+
+
+def as_written():
+    context = Context(ur_pair.problem(every=3), {"panel": ()}, ur_pair.programs(every=3))
+    wiring, readings = job.wiring(context.problem), context.job.readings
+    return tuple(
+        zip(
+            *(
+                moves(
+                    task.steps,
+                    readings[task.name].interval,
+                    wiring.drives[task.name],
+                    wiring.reads[task.name],
+                    wiring.watches[task.name],
+                )
+                for task in context.job.tasks
+            ),
+            strict=True,
+        )
+    )
+
+
+@pytest.mark.parametrize("reads_back", [False, True])
+def test_programs_as_they_were_written_before_fail(reads_back):
+    """One that was started anew during a question works beside the other one in mid-cut."""
+    rows, blocks = zip(as_before("left", 0, 1), as_before("right", 2, 3), strict=True)
+    found = check(rows, blocks, reads_back=reads_back)
+    assert found.kind == "apart"
+    assert any(what == "start" and line == 0 for _, what, line in found.events[4:])
+
+
+def test_programs_as_they_are_written_pass_and_so_does_the_undisturbed_run():
+    rows, blocks = as_written()
+    assert check(rows, blocks).kind is None
+    assert check(rows, blocks, disturbed=False).kind is None
+
+
+def without(rows, blocks, program, chosen):
+    kept = [
+        [i for i, move in enumerate(row) if k != program or not chosen(move)] for k, row in enumerate(rows)
+    ]
+    own = [[row[i] for i in some] for row, some in zip(rows, kept, strict=True)]
+    return own, [[row[i] for i in some] for row, some in zip(blocks, kept, strict=True)]
+
+
+def test_each_part_of_them_is_needed():
+    rows, blocks = as_written()
+    parts = {
+        "looks at both behind a question": lambda m: m.kind == "check" and m.own,
+        "the threads": lambda m: m.kind == "watch",
+    }
+    for what, chosen in parts.items():
+        changed = without(rows, blocks, 0, chosen)
+        assert check(*changed).kind in ("apart", "unwatched"), what
+    slow = [[dataclasses.replace(move, slow=False) for move in row] for row in rows]
+    assert check(slow, blocks).kind == "apart"
+    late = without(rows, blocks, 1, lambda m: m.kind == "watch" and not m.value)
+    assert check(*late, disturbed=False).kind == "ends"  # its thread runs while the other one asks
+
+
+def test_rows_of_equal_meetings_that_are_cut_short_give_the_same_answer(monkeypatch):
+    rows, blocks = as_written()
+    found = []
+    for kept in (3, 6):
+        monkeypatch.setattr(handshake_restarts, "KEPT", kept)
+        changed = without(rows, blocks, 0, lambda m: m.kind == "check" and m.own)
+        found.append((check(*changed).kind, check(rows, blocks, disturbed=False).kind))
+    assert found[0] == found[1] == ("apart", None)
