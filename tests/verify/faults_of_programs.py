@@ -282,15 +282,13 @@ HANDSHAKE: Final = (
 )
 
 URSCRIPT: Final = (
-    Fault("ur_no_wait", "handshake_ur", {"post.handshake:Partner.meeting": result(_no_wait)}),
+    Fault(
+        "ur_no_wait",
+        "handshake_ur",
+        {"post.handshake:Partner.watched_meeting": result(lambda both: tuple(map(_no_wait, both)))},
+    ),
     Fault(
         "ur_never_watches", "handshake_ur", {"post.urscript.program:_Main._watch": lambda old: lambda *a: []}
-    ),
-    Fault("ur_watches_to_the_end", "handshake_ur", {"post.handshake:Partner.last": result(lambda n: 0)}),
-    Fault(
-        "ur_asks_while_running",
-        "handshake_ur",
-        {"post.urscript.program:_Main._standing": lambda old: lambda main, popups: list(popups)},
     ),
     Fault(
         "ur_watches_the_line",
@@ -301,9 +299,6 @@ URSCRIPT: Final = (
         "ur_other_input",
         "handshake_ur",
         {"post.urscript.syntax:wait_function": given(1, lambda number: number + 4)},
-    ),
-    Fault(
-        "ur_never_meets_on_the_way", "handshake_ur", {"post.handshake:Partner.step": result(lambda steps: [])}
     ),
 )
 
