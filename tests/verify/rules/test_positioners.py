@@ -133,6 +133,12 @@ MUTANTS = {
 
 
 KIN = (
+    "no unit",
+    "no turn",
+    "a look at the other column",
+    "a fast tilt",
+    "another tilt all along",
+    "column",
     "switched on twice",
     "another tilt in the cut",
     "another turn all along",
