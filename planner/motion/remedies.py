@@ -17,7 +17,7 @@ from planner.cell import clearance, plant, support
 from planner.cell.bodies import own_shapes
 from planner.geometry.arrays import FloatArray, Shape, corners, transform
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, Remedy, TandemError
+from planner.issues import Issue, Remedy, TandemError, aggregate
 from planner.motion import own_clearance, stations, ways
 from planner.motion.placement import margin
 from planner.motion.planning_scene import Scene
@@ -123,7 +123,11 @@ def advised(
     if widest is not None:
         also = f"{told.hint}; or {_sentence(widest)}"
         told = dataclasses.replace(told, hint=also, remedy=told.remedy or widest)
-    return [told if k == first else issue for k, issue in enumerate(issues)]
+    out = [told if k == first else issue for k, issue in enumerate(issues)]
+    alike = [k for k, issue in enumerate(out) if k != first and len(aggregate([told, issue])) == 1]
+    for k in alike:  # of those that are told as one, the worst speaks for all
+        out[k] = dataclasses.replace(out[k], hint=told.hint, remedy=told.remedy)
+    return out
 
 
 def applied(problem: Problem, remedy: Remedy) -> Problem:

@@ -24,6 +24,7 @@ def test_the_cells_are_there() -> None:
         "irb140_gauge",
         "irb4600_bow",
         "irb4600_mill",
+        "irb4600_positioner",
         "irb4600_turntable",
         "irb6640_irb4400_facing",
         "irb6640_irb4400_handshake",
