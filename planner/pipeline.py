@@ -469,7 +469,7 @@ def export(folder: str | Path, output: Path, seconds: float = 0.0) -> Path:
     Raises ``TandemError``: ``problem.field`` for another ending or a time that the plan does not have,
     ``part.extra_missing``, ``output.folder``, and for what is missing or damaged in the folder.
     """
-    from planner.report import cad_export
+    from planner.report import cad_export, rhino_file
     from planner.report.output import cell_model
 
     if output.suffix.lower() not in cad_export.KINDS:
@@ -484,7 +484,7 @@ def export(folder: str | Path, output: Path, seconds: float = 0.0) -> Path:
             content = cad_export.glb(shapes)
         else:
             lines, targets = cad_export.lines(problem, made, at), cad_export.targets(problem, made)
-            content = cad_export.rhino(itertools.chain(shapes, lines, targets))
+            content = rhino_file.rhino(itertools.chain(shapes, lines, targets))
         write_whole(output, content)
     except OSError as error:
         what = f"{output}: cannot be written ({error.strerror}); choose another place"

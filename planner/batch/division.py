@@ -22,6 +22,7 @@ from planner.element import (
     labels,
     labels_pdf,
     output,
+    rhino_panels,
     run_report,
     strips,
     wall_files,
@@ -34,6 +35,7 @@ from planner.element.run_report import ElementRun
 from planner.files import each_file, is_file, write_folder, write_whole
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
+from planner.report import rhino_file
 
 if TYPE_CHECKING:
     from planner.pipeline import Progress
@@ -52,7 +54,7 @@ Made = tuple[dict[str, str], tuple[Issue, ...], str]
 class Divided:
     """``files`` of an element's folder by their names, what is to be said, and what it came out as."""
 
-    files: Mapping[str, str]
+    files: Mapping[str, str | bytes]
     issues: tuple[Issue, ...]
     said: str
 
@@ -79,7 +81,10 @@ def divide(element: element_file.Element, on_progress: Progress, folder: Path | 
     files["element.html"] = element_page.element_page(run_report.unplanned(data), files.get("blocks.svg"))
     files["labels.svg"] = labels.label_sheets(data)
     files["labels.pdf"] = labels_pdf.label_document(files["labels.svg"])
-    return Divided(files, told, said)
+    cad = (
+        {"element.3dm": rhino_panels.panels_3dm(data, files["element.obj"])} if rhino_file.installed() else {}
+    )
+    return Divided({**files, **cad}, told, said)
 
 
 def _written(element: AnyElement, folder: Path | None) -> AnyElement:

@@ -75,8 +75,8 @@ CODES: Final[dict[str, Code]] = {
     "stock.footprint": Code("the gripper's face does not lie within the block's or the part's bottom face"),
     # building elements
     "element.surface": Code(
-        "the surface of an element has holes, folds over its plane, fills no rectangle, or has no room for "
-        "panels side by side",
+        "the surface of an element has holes, folds over its plane, fills no rectangle, touches itself, or "
+        "has no room for panels side by side",
         given=True,
     ),
     "element.wire": Code("no wire is long enough for the smallest panel at some place of an element"),

@@ -28,9 +28,9 @@ class ElementRequest:
     file: tyro.conf.Positional[Path]
     """the element file"""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
-    """folder for panels/, panels.csv, panels.svg, element.html, element.obj, labels.svg, labels.pdf,
-    element.json, and where raw blocks are stated blocks.csv, blocks.svg, stock.csv and, with cut_blocks,
-    blocks/"""
+    """folder for panels/, panels.csv, panels.svg, element.html, element.obj, element.3dm (with the extra
+    cad), labels.svg, labels.pdf, element.json, and where raw blocks are stated blocks.csv, blocks.svg,
+    stock.csv and, with cut_blocks, blocks/"""
     resume: bool = False
     """keep the folder as it is where it holds this very element, its surface moved by 1e-5 mm at most; else
     say how many problems stayed as they were"""

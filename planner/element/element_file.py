@@ -19,7 +19,7 @@ from planner.element import stock_list
 from planner.element.elastic import Rules
 from planner.element.panel_faces import CutWire
 from planner.element.stock_list import LeftOver
-from planner.element.surface import ElementSurface, axes, stand
+from planner.element.surface import ElementSurface, axes, seam, stand
 from planner.geometry.arrays import FloatArray
 from planner.geometry.cut_tree import Bow
 from planner.geometry.face_offset import Rim
@@ -487,7 +487,9 @@ def read(path: Path) -> ElasticElement | HexagonElement | WallElement | StripsEl
     elastic, hexagons = spec.panels.elastic, spec.panels.hexagons
     if hexagons is not None:
         view = axes(mesh, *stated)
-        return HexagonElement(spec, tuple(templates), stock, saw, hexagons, mesh, view, notes=tuple(told))
+        return HexagonElement(
+            spec, tuple(templates), stock, saw, hexagons, mesh, view, notes=(*told, *seam(mesh))
+        )
     if elastic is None:
         raise ValueError("panels of no kind")
     own = stand(mesh, spec.thickness_mm * MM, *stated)

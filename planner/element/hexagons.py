@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from planner.element.elastic import FITS
-from planner.element.element_file import HexagonElement
+from planner.element.element_file import HexagonElement, HexagonsFile
 from planner.element.jobs import row_names
 from planner.element.panel_box import hull_boxes
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_parts, inverse, transform
@@ -59,6 +59,10 @@ ALIKE_HEIGHT: Final = 1e-3
 """Panels whose heights or ways from the first row differ by less [m] are numbered round the shell."""
 TRIED_TO: Final = 1000
 """Where a shell of more panels is refused, no changes are tried: each takes as long as the shell."""
+COUNT_SHARES: Final = (1.05, 1.25, 1.5, 1.8)
+"""Counts that are tried where blocks are too small, in shares of that by area: panels are not all alike."""
+LESS: Final = 0.7
+"""How much of the least edge and width, made smaller as panels are, is asked of smaller panels."""
 
 
 LEAST_AREA: Final = 1.0 / np.sqrt(3.0)
@@ -110,11 +114,12 @@ def divide_hexagons(element: HexagonElement) -> tuple[HexagonPanel, ...]:
     rows = _rows(made.panels)
     names, order = _named(element, made, rows)
     issues = _faults(element, made, names)
+    placed: list[_Placed] = []
     if not issues:
         placed = [_in_block(element, panel) for panel in made.panels]
         issues = _too_large(element, made, placed, names)
     if issues:
-        hint = _advice(element, issues, made.check)
+        hint = _advice(element, issues, made.check, placed)
         raise TandemError(
             [dataclasses.replace(i, hint="; ".join(filter(None, (i.hint, hint)))) for i in issues]
         )
@@ -419,13 +424,17 @@ def _too_large(
     return [Issue("element.block", what, field="blocks", value=len(over), limit=0, unit="panels", hint=hint)]
 
 
-def _advice(element: HexagonElement, issues: Sequence[Issue], check: PanelCheck) -> str:
-    """The first change of the file that was tried and leaves nothing to refuse."""
+def _advice(
+    element: HexagonElement, issues: Sequence[Issue], check: PanelCheck, placed: Sequence[_Placed]
+) -> str:
+    """The first change of the file that was tried and leaves nothing to refuse. ``placed``: panels in their
+    blocks, where all keep the limits of their shapes."""
     if element.wanted.count > TRIED_TO:
         return ""
     tried = []
     bent = bool((check.bend < 0.0).any())
-    for changes, thickness in _changes(element, issues, bent):
+    changed = _smaller(element, placed) if placed else _changes(element, issues, bent)
+    for changes, thickness in changed:
         said = [f"{name}: {v if isinstance(v, str) else f'{v:g}'}" for name, v in changes.items()]
         if thickness is not None:
             said.append(f"thickness_mm: {thickness:g}")
@@ -435,24 +444,77 @@ def _advice(element: HexagonElement, issues: Sequence[Issue], check: PanelCheck)
         if _serves(dataclasses.replace(element, file=file, wanted=wanted)):
             return f"{', '.join(said)} was tried: all panels can be made then"
         tried.append(", ".join(said))
-    where = " where it bends both ways" if bent else ""
-    return f"tried in vain: {'; '.join(tried)}; smooth or divide the surface{where}" if tried else ""
+    in_vain = f"tried in vain: {'; '.join(tried)}" if tried else ""
+    if placed:
+        return "; ".join(filter(None, (in_vain, _count_by_area(element, placed))))
+    return f"{in_vain}; smooth or divide the surface{' where it bends both ways' if bent else ''}"
+
+
+def _times_too_large(element: HexagonElement, placed: Sequence[_Placed]) -> float:
+    """How many times as many panels it takes until blocks hold each, if all shrink alike; infinite where foam
+    beside a panel takes whole blocks. Thickness does not count."""
+    most = max(block.size_mm[2] for block in element.file.blocks)
+    least = min(element.file.thickness_mm, most)
+    rooms = np.sort([block.size_mm[:2] for block in element.file.blocks if block.size_mm[2] >= least])
+    foam = 2.0 * element.file.sides
+    room = rooms[:, ::-1] * MM + FITS - foam
+    room = room[(room > 0.0).all(axis=1)]
+    if not len(room):
+        return np.inf
+    size = np.array([own.size[:2] for own in placed]) - foam
+    return float((size[:, None] / room).max(axis=2).min(axis=1).max()) ** 2
+
+
+def _count_by_area(element: HexagonElement, placed: Sequence[_Placed]) -> str:
+    """What to say of the count that blocks ask for where none was found by trying."""
+    times = _times_too_large(element, placed)
+    count = np.ceil(times * element.wanted.count)
+    if count > MOST_COUNT:
+        why = (
+            "foam beside panels takes all of them" if np.isinf(times) else f"{MOST_COUNT} at most are divided"
+        )
+        return f"no count makes panels that these blocks hold, as {why}: give larger blocks"
+    if count > TRIED_TO:
+        less = " and ".join(f"{name}: {v:g}" for name, v in _less(element.wanted, count).items())
+        return f"by area it takes about count: {count:.0f} for these blocks, with {less}, which was not tried"
+    return "give larger blocks"
+
+
+def _smaller(
+    element: HexagonElement, placed: Sequence[_Placed]
+) -> Iterator[tuple[dict[str, Any], float | None]]:
+    """Changes to try where blocks do not hold all panels, the least first: the thickness [mm] of the thickest
+    block, and more panels by as much as they are too large; then with the least edge and width smaller by as
+    much."""
+    wanted = element.wanted
+    most = max(block.size_mm[2] for block in element.file.blocks)
+    thickness = most if most < element.file.thickness_mm else None
+    times = _times_too_large(element, placed)
+    if thickness is not None:
+        yield {}, thickness
+    if times <= 1.0:
+        return
+    counts = [np.ceil(share * times * wanted.count) for share in COUNT_SHARES]
+    counts = [int(count) for count in counts if count <= TRIED_TO]
+    for count in counts:
+        yield {"count": count}, thickness
+    for count in counts[-1:]:
+        yield {"count": count, **_less(wanted, count)}, thickness
+
+
+def _less(wanted: HexagonsFile, count: float) -> dict[str, float]:
+    """The least edge and width [mm] of as many panels, smaller as these are."""
+    share = LESS * np.sqrt(wanted.count / count)
+    names = ("least_edge_mm", "least_width_mm")
+    return {name: float(max(np.floor(share * getattr(wanted, name)), 1.0)) for name in names}
 
 
 def _changes(
     element: HexagonElement, issues: Sequence[Issue], bent: bool
 ) -> Iterator[tuple[dict[str, Any], float | None]]:
-    """Changes to try, the least first: fields of ``hexagons``, thickness [mm]; ``bent``: panels lie where the
-    surface bends both ways."""
+    """Changes to try where panels do not keep the limits of their shapes, the least first: fields of
+    ``hexagons``, thickness [mm]; ``bent``: panels lie where the surface bends both ways."""
     wanted, thick = element.wanted, element.file.thickness_mm
-    if any(issue.code == "element.block" for issue in issues):
-        most = max(block.size_mm[2] for block in element.file.blocks)
-        if most < thick:
-            yield {}, most
-        else:
-            for share in (1.25, 1.6, 2.0, 3.0):
-                yield {"count": min(round(share * wanted.count), MOST_COUNT)}, None
-        return
     if bent:
         yield {"shape": "quad" if wanted.shape == "hexagon" else "hexagon"}, None
     if wanted.rim == "upright":

@@ -37,12 +37,11 @@ PROBLEMS: Final = ("panels", "blocks")
 """Folders of problems and their meshes in that of an element."""
 
 
-def made_from(element: Element, file: Path, files: Mapping[str, str]) -> bytes:
+def made_from(element: Element, file: Path, files: Mapping[str, str | bytes]) -> bytes:
     """`FILE` for an element read from ``file`` whose folder has ``files``."""
     key, points = _input(element, file)
     stream = io.BytesIO()
-    problems = {name: text.encode() for name, text in files.items() if Path(name).parts[0] in PROBLEMS}
-    np.savez(stream, key=np.array(key), problems=np.array(_content(problems)), points=points)
+    np.savez(stream, key=np.array(key), problems=np.array(_content(_problems(files))), points=points)
     return stream.getvalue()
 
 
@@ -71,17 +70,23 @@ def problems_in(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
-def stayed(before: Mapping[str, bytes], files: Mapping[str, str]) -> tuple[int, int]:
+def stayed(before: Mapping[str, bytes], files: Mapping[str, str | bytes]) -> tuple[int, int]:
     """How many problems among ``files`` are as ``before``, with all meshes of the same name, and how many
     there are."""
-    names = [name for name in files if Path(name).parts[0] in PROBLEMS and name.endswith(".yaml")]
-    changed = {Path(name).stem for name, text in files.items() if before.get(name) != text.encode()}
+    problems = _problems(files)
+    names = [name for name in problems if name.endswith(".yaml")]
+    changed = {Path(name).stem for name, content in problems.items() if before.get(name) != content}
 
     def same(name: str) -> bool:
         stem = Path(name).stem
         return not {stem, f"{stem}_front", f"{stem}_back"} & changed
 
     return sum(map(same, names)), len(names)
+
+
+def _problems(files: Mapping[str, str | bytes]) -> dict[str, bytes]:
+    own = {name: content for name, content in files.items() if Path(name).parts[0] in PROBLEMS}
+    return {name: one.encode() if isinstance(one, str) else one for name, one in own.items()}
 
 
 def _content(files: Mapping[str, bytes]) -> str:

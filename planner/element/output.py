@@ -32,6 +32,7 @@ from planner.issues import Issue, Severity
 
 OWNED: Final = (
     "element.json",
+    "element.3dm",
     "element.html",
     "element.obj",
     "labels.pdf",

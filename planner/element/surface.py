@@ -12,13 +12,14 @@ import dataclasses
 from typing import Final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from planner.geometry.arrays import FloatArray, from_parts, inverse, transform, unit
+from planner.geometry.arrays import FloatArray, dots, from_parts, inverse, lengths, transform, unit
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, offset, vertex_normals
 from planner.geometry.mesh_queries import slice_mesh
 from planner.geometry.rulings import boundaries
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, Severity, TandemError
 
 SNAP_ANGLE: Final = 20.0 * DEG
 """An axis of the file's frame that is nearer to the mean normal than this [rad] is the element's z."""
@@ -28,6 +29,14 @@ RIM: Final = 1e-5
 """How far inside of the rim the outermost sections are cut [m]."""
 LEAST_COVER: Final = 0.998
 """Share of its rectangle over which a surface must stand."""
+TOUCHING: Final = 1e-3
+"""A rim that runs back along itself nearer than this [m] touches itself."""
+TURNED_BACK: Final = -np.cos(20.0 * DEG)
+"""Dot product of directions, at most, where a rim runs back."""
+SEAM_STEP: Final = 0.02
+"""Length of parts of the rim [m], at most, that are looked at."""
+SHORTEST_SEAM: Final = 0.05
+"""Length [m] over which a rim must touch itself to be told: sharp corners do so over less."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +95,37 @@ def _axis(mesh: TriangleMesh) -> FloatArray:
 
 def _wrong(what: str, field: str = "surface", hint: str | None = None) -> Issue:
     return Issue("element.surface", what, field=field, hint=hint)
+
+
+def seam(mesh: TriangleMesh) -> tuple[Issue, ...]:
+    """``element.surface``, a warning, where the rim of a surface [m] runs back along itself, as that of a
+    tube does whose sides touch but are not joined."""
+    ends = [(mesh.vertices[ring], mesh.vertices[np.roll(ring, -1)]) for ring in boundaries(mesh)]
+    if not ends:
+        return ()
+    first, last = (np.concatenate(points) for points in zip(*ends, strict=True))
+    parts = np.ceil(lengths(last - first) / SEAM_STEP).astype(np.int64).clip(1)
+    own = np.repeat(np.arange(len(parts)), parts)
+    share = (np.arange(len(own)) - np.repeat(np.cumsum(parts) - parts, parts))[:, None]
+    way = (last - first)[own] / parts[own, None]
+    middle = first[own] + (share + 0.5) * way
+    one, other = cKDTree(middle).query_pairs(SEAM_STEP + TOUCHING, output_type="ndarray").T
+    along, apart = unit(way), middle[one] - middle[other]
+    apart -= dots(apart, along[other])[:, None] * along[other]
+    touch = (dots(along[one], along[other]) < TURNED_BACK) & (lengths(apart) < TOUCHING)
+    near = np.unique(np.concatenate([one[touch], other[touch]]))
+    length = 0.5 * float(lengths(way[near]).sum())
+    if length < SHORTEST_SEAM:
+        return ()
+    amid = middle[near][np.argmin(lengths(middle[near] - middle[near].mean(axis=0)))]
+    x, y, z = (np.round(amid / MM) + 0.0).tolist()
+    what = (
+        f"the rim of the surface touches itself over {length / MM:.0f} mm, near ({x:g}, {y:g}, {z:g}) mm, "
+        "as that of a tube whose sides are not joined: panels on both sides of it are no neighbours, and may "
+        "have no way in"
+    )
+    hint = "join both sides there in the program that the surface is from, or leave a gap"
+    return (Issue("element.surface", what, Severity.WARNING, field="surface", hint=hint),)
 
 
 def _refuse(own: TriangleMesh, size: FloatArray) -> None:

@@ -18,9 +18,9 @@ from typing import Any, Final
 import numpy as np
 
 from planner.files import is_file, no_file
-from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.arrays import FloatArray, IntArray, Mesh
 from planner.geometry.mesh import TriangleMesh, merge
-from planner.geometry.units import LENGTH_UNITS
+from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, Severity, TandemError
 
 MAX_MESH_BYTES: Final = 100_000_000
@@ -327,3 +327,23 @@ def _unread(path: Path, error: Exception) -> TandemError:
 
 def _refuse(code: str, path: Path, what: str) -> TandemError:
     return TandemError(Issue(code, f"{path.name}: {what}", file=str(path)))
+
+
+def objects(text: str) -> dict[str, Mesh]:
+    """The objects of an OBJ file in mm, as the planner writes it, by their names."""
+    points: list[list[float]] = []
+    faces: dict[str, list[list[int]]] = {}
+    name = "part"
+    for line in text.splitlines():
+        words = line.split()
+        if words[:1] == ["o"]:
+            name = words[1]
+        elif words[:1] == ["v"]:
+            points.append([float(word) * MM for word in words[1:4]])
+        elif words[:1] == ["f"]:
+            faces.setdefault(name, []).append([int(word.partition("/")[0]) - 1 for word in words[1:4]])
+    vertices, out = np.array(points).reshape(-1, 3), {}
+    for name, rows in faces.items():
+        used, index = np.unique(np.array(rows), return_inverse=True)
+        out[name] = Mesh(vertices[used], index.reshape(-1, 3).astype(np.int64))
+    return out

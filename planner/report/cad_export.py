@@ -10,66 +10,34 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import FloatArray, IntArray, Mesh, transform
-from planner.geometry.units import DEG, MM
+from planner.geometry.arrays import FloatArray, Mesh, transform
+from planner.geometry.mesh_files import objects
+from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
 from planner.report import raster, scene
+from planner.report.rhino_file import WAY_COLOUR, Line, Rgb, Shape, Target
 
-Rgb = tuple[float, float, float]
 KINDS: Final = (".glb", ".3dm")
 """Endings of the files that can be written."""
 WANTED_COLOUR: Final = (0.20, 0.55, 0.70)
 """Colour of the wanted part."""
 CUT_COLOUR: Final = (0.90, 0.45, 0.15)
 """Colour of the part as simulated from the programs, and of what wires do."""
-WAY_COLOUR: Final = (0.10, 0.20, 0.60)
-"""Colour of the ways of tools."""
 WAY_PLACES: Final = 25
 """Places of a joint move through which its way is drawn."""
 MOST_TARGETS: Final = 2000
 """Targets of an arm and an operation that are points, at most; of more every second, third ... is."""
 MOST_WIRES: Final = 400
 """Wire positions of an operation at most."""
-RHINO_VERSION: Final = 7
-"""Files are for this Rhino and newer ones."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Shape:
-    """A mesh in the world: ``vertices`` (V, 3) [m], ``faces`` (F, 3); its ``layer``, a path, and colour."""
-
-    layer: str
-    vertices: FloatArray
-    faces: IntArray
-    color: Rgb
-
-
-@dataclasses.dataclass(frozen=True)
-class Line:
-    """A polyline (N, 3) [m] in the world on a ``layer``."""
-
-    layer: str
-    points: FloatArray
-    color: Rgb
-
-
-@dataclasses.dataclass(frozen=True)
-class Target:
-    """A TCP (3,) [m] in the world on a ``layer``, with its user text."""
-
-    layer: str
-    point: FloatArray
-    text: Mapping[str, str]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,22 +138,7 @@ def simulated(path: Path) -> dict[str, Mesh]:
     no file."""
     if not path.is_file():
         return {}
-    points: list[list[float]] = []
-    faces: dict[str, list[list[int]]] = {}
-    name = "part"
-    for line in path.read_text("utf-8").splitlines():
-        words = line.split()
-        if words[:1] == ["o"]:
-            name = words[1]
-        elif words[:1] == ["v"]:
-            points.append([float(word) * MM for word in words[1:4]])
-        elif words[:1] == ["f"]:
-            faces.setdefault(name, []).append([int(word.partition("/")[0]) - 1 for word in words[1:4]])
-    vertices, out = np.array(points).reshape(-1, 3), {}
-    for name, rows in faces.items():
-        used, index = np.unique(np.array(rows), return_inverse=True)
-        out[name] = Mesh(vertices[used], index.reshape(-1, 3).astype(np.int64))
-    return out
+    return objects(path.read_text("utf-8"))
 
 
 def glb(found: Iterator[Shape]) -> bytes:
@@ -208,63 +161,3 @@ def glb(found: Iterator[Shape]) -> bytes:
         out.add_geometry(joined, node_name=name, geom_name=name)
     out.apply_transform(turned)
     return bytes(out.export(file_type="glb"))
-
-
-def rhino(found: Iterator[Shape | Line | Target]) -> bytes:
-    """Shapes, lines and targets as a 3DM file of Rhino 7, in layers. Raises ``TandemError``
-    (``part.extra_missing``) without ``rhino3dm``, ``OSError`` where it does not write."""
-    try:
-        import rhino3dm
-    except ImportError as error:
-        what = "3DM files need rhino3dm: pip install 'tandem-planner[cad]'"
-        raise TandemError(Issue("part.extra_missing", what, field="output")) from error
-    model = rhino3dm.File3dm()
-    model.Settings.ModelUnitSystem = rhino3dm.UnitSystem.Millimeters
-    layers: dict[str, int] = {}
-    for one in found:
-        own = rhino3dm.ObjectAttributes()
-        color = WAY_COLOUR if isinstance(one, Target) else one.color
-        own.LayerIndex = _layer(model, layers, one.layer, color)
-        if isinstance(one, Shape):
-            model.Objects.AddMesh(_rhino_mesh(one), own)
-        elif isinstance(one, Line):
-            points = [rhino3dm.Point3d(*point) for point in (one.points / MM).tolist()]
-            model.Objects.AddPolyline(rhino3dm.Polyline(points), own)
-        else:
-            own.Name = one.text["target"]
-            for key, value in one.text.items():
-                own.SetUserString(key, value)
-            model.Objects.AddPoint(rhino3dm.Point3d(*(one.point / MM).tolist()), own)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "model.3dm"
-        if not model.Write(str(path), RHINO_VERSION):
-            raise OSError(0, "rhino3dm gives no reason")
-        return path.read_bytes()
-
-
-def _layer(model: Any, layers: dict[str, int], path: str, color: Rgb) -> int:
-    """The number of a layer by its path, made with those that it is in where it is new."""
-    import rhino3dm
-
-    if path not in layers:
-        parent, _, name = path.rpartition("::")
-        made = rhino3dm.Layer()
-        made.Name = name
-        made.Color = (*(round(255 * value) for value in color), 255)
-        if parent:
-            made.ParentLayerId = model.Layers[_layer(model, layers, parent, color)].Id
-        layers[path] = model.Layers.Add(made)
-    return layers[path]
-
-
-def _rhino_mesh(shape: Shape) -> Any:
-    import rhino3dm
-
-    mesh = rhino3dm.Mesh()
-    mesh.Vertices.UseDoublePrecisionVertices = True
-    for point in (shape.vertices / MM).tolist():
-        mesh.Vertices.AddPoint3d(*point)
-    for a, b, c in shape.faces.tolist():
-        mesh.Faces.AddFace(a, b, c)
-    mesh.Normals.ComputeNormals()
-    return mesh

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import datetime as dt
 import json
 import os
 import re
@@ -14,10 +15,11 @@ from typing import Any
 import manifold3d
 import numpy as np
 import pytest
+import rhino3dm
 import trimesh
 
 from planner.cli.element import ElementRequest, run_element
-from planner.element import assembly, element_page, progress, run_report
+from planner.element import assembly, element_page, progress, rhino_panels, run_report
 from planner.element.assembly import Assembly, Body
 from planner.geometry.assembly import CLEAR, NONE, Slab, put_up
 from planner.issues import Issue
@@ -73,6 +75,50 @@ def test_all_panels_are_closed_bodies_of_one_file(made: tuple[str, Path]) -> Non
         assert mesh.is_watertight and mesh.is_winding_consistent
         volume = float(panels[name]["volume_l"])
         assert mesh.volume * 1e-6 == pytest.approx(volume, rel=1e-4 if kind in EXACT else 0.03)
+
+
+def test_rhino_has_the_same_bodies_with_their_ids_on_layers(made: tuple[str, Path]) -> None:
+    """Read by rhino3dm, against the OBJ file and the tables."""
+    kind, out = made
+    model = rhino3dm.File3dm.Read(str(out / "element.3dm"))
+    assert model.Settings.ModelUnitSystem == rhino3dm.UnitSystem.Millimeters
+    lines = (out / "element.obj").read_text().split("\no ")[1:]
+    bodies = {own.split("\n")[0]: re.findall(r"^v (\S+) (\S+) (\S+)$", own, re.M) for own in lines}
+    rows = {row["id"]: row for row in csv.DictReader((out / "panels.csv").open())}
+    nested = {
+        name: row["block"]
+        for row in (csv.DictReader((out / "blocks.csv").open()) if (out / "blocks.csv").exists() else ())
+        for name in row["panels"].split()
+    }
+    assert [one.Attributes.Name for one in model.Objects] == list(bodies)
+    layers = {layer.Index: layer.FullPath for layer in model.Layers}
+    for one in model.Objects:
+        name, mesh = one.Attributes.Name, one.Geometry
+        assert mesh.IsClosed and mesh.IsManifold(True)[0]
+        found = np.array([[p.X, p.Y, p.Z] for p in mesh.Vertices.ToPoint3dArray()])
+        np.testing.assert_allclose(found, np.array(bodies[name], dtype=float), rtol=0, atol=1e-6)
+        text = dict(one.Attributes.GetUserStrings())
+        assert text["id"] == name
+        assert text["raw_block_mm"] == rows[name]["raw_block_mm"]
+        assert text.get("block") == nested.get(name)
+        if kind != "elastic":  # whose table has none
+            assert set(text["neighbours"].split()) - {"-"} == set(rows[name]["neighbours"].split()) - {"-"}
+        row = re.sub(r"\d+", "", rows[name].get("place", name))
+        assert text["row"] == row
+        assert layers[one.Attributes.LayerIndex] == f"panels::row {row}"
+
+
+def test_the_same_element_gives_the_same_3dm_file_at_any_time(made: tuple[str, Path]) -> None:
+    _, out = made
+    first = (out / "element.3dm").read_bytes()
+    model = rhino3dm.File3dm.FromByteArray(first)
+    assert model.Created == model.LastEdited == dt.datetime(2000, 1, 1)
+    assert str(out.parent).encode("utf-16-le") not in first
+    data, bodies = data_of(out), (out / "element.obj").read_text()
+    assert rhino_panels.panels_3dm(data, bodies) == first
+    grouped = rhino3dm.File3dm.FromByteArray(rhino_panels.panels_3dm({**data, "grouped": True}, bodies))
+    assert {layer.FullPath.split(" ")[0] for layer in grouped.Layers} == {"panels", "panels::group"}
+    assert all(one.Attributes.GetUserString("group") for one in grouped.Objects)
 
 
 def test_each_panel_has_a_place_in_the_order_and_one_way_in(made: tuple[str, Path]) -> None:

@@ -19,7 +19,8 @@ import trimesh
 from planner import pipeline
 from planner.cli.element import ElementRequest, run_element
 from planner.element import element_file, hexagon_files, hexagons
-from planner.issues import Issue, TandemError, has_errors
+from planner.geometry.mesh import TriangleMesh
+from planner.issues import Issue, Severity, TandemError, has_errors
 from tests.element.shells import THICK, Written, cap, patch, saddle, shell, written
 from tests.element.walls import ROOT, element
 
@@ -372,6 +373,60 @@ def test_blocks_too_thin_are_refused_with_the_thickness_that_fits(tmp_path: Path
     fits = tried(issue)["thickness_mm"]
     assert fits == 120
     assert divided(shell(tmp_path, blocks=blocks, thickness_mm=fits))
+
+
+def test_blocks_far_too_small_are_refused_with_count_and_thickness_that_fit(tmp_path: Path) -> None:
+    blocks = [{"size_mm": [900, 760, 100]}]
+    few = {"count": 4, "off_surface_mm": 200}
+    change = tried(refusals(shell(tmp_path, hexagons=few, blocks=blocks))["blocks"])
+    count = int(change["count"])
+    assert count > 3 * few["count"]
+    assert change["thickness_mm"] == 100
+    fits = shell(tmp_path, hexagons={**few, "count": count}, blocks=blocks, thickness_mm=100)
+    read = element_file.read(fits)
+    assert isinstance(read, element_file.HexagonElement)
+    assert len(hexagons.divide_hexagons(read)) == count
+
+
+@pytest.mark.parametrize(
+    ("size", "says"),
+    [
+        ([130, 110], r"by area it takes about count: (\d+) .*least_width_mm: \d+, which was not tried"),
+        ([60, 50], "no count .* as 5000 at most are divided: give larger blocks"),
+        ([15, 15], "no count .* as foam beside panels takes all of them: give larger blocks"),
+    ],
+)
+def test_blocks_that_take_more_panels_than_are_tried_say_how_many(
+    tmp_path: Path, size: list[float], says: str
+) -> None:
+    few = {"count": 8, "off_surface_mm": 200}
+    issue = refusals(shell(tmp_path, hexagons=few, blocks=[{"size_mm": [*size, THICK]}]))["blocks"]
+    found = re.search(says, str(issue.hint))
+    assert found, issue.hint
+    assert "smooth" not in str(issue.hint)
+    if found.groups():  # less foam beside them, on 4 x 3 m
+        assert int(found[1]) > 12e6 / np.prod(np.array(size) - 20.0)
+
+
+def slit_tube(gap: float) -> TriangleMesh:
+    """A tube with a radius of 1 m and a length of 3 m, ``gap`` [m] wide open along it."""
+    angle, z = np.meshgrid(np.linspace(gap, 2.0 * np.pi, 49), np.linspace(0.0, 3.0, 13), indexing="ij")
+    k = np.arange(48 * 12).reshape(48, 12) + np.arange(48)[:, None]
+    a, b, c, d = (part.ravel() for part in (k, k + 13, k + 14, k + 1))
+    at = np.stack([np.cos(angle), np.sin(angle), z], axis=-1).reshape(-1, 3)
+    return TriangleMesh(at, np.concatenate([np.c_[a, b, c], np.c_[a, c, d]]))
+
+
+@pytest.mark.parametrize(("gap", "touches"), [(2e-4, True), (2e-2, False)])
+def test_a_tube_that_touches_itself_is_named(tmp_path: Path, gap: float, touches: bool) -> None:
+    path = shell(tmp_path, slit_tube(gap))
+    read = element_file.read(path)
+    said = [note for note in read.notes if note.code == "element.surface"]
+    assert bool(said) == touches
+    for note in said:
+        assert note.severity is Severity.WARNING
+        assert "touches itself over 3000 mm, near (1000, 0, 15" in note.message
+        assert "join both sides" in str(note.hint)
 
 
 @pytest.mark.parametrize("count", [1, 100_000])

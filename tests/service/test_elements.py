@@ -313,7 +313,7 @@ def test_what_cannot_be_read_is_refused(
 
 
 def test_what_cannot_be_divided_ends_with_its_issues(here: Elements, tmp_path: Path) -> None:
-    answer = here.upload(tmp_path, name="thin", blocks=[{"size_mm": [300, 300, 150]}])
+    answer = here.upload(tmp_path, name="thin", blocks=[{"size_mm": [60, 60, 150]}])
     found = here.divided(answer.json()["id"])
     assert found["state"] == "bad_input"
     assert found["issues"][0]["code"] == "element.block"

@@ -14,7 +14,7 @@ const SELDOM = 5000;
 const SHOWN = 40;
 const MARKS = { cut: "Cut", glued: "Glued", broken: "Broken" };
 const GROUPS = { all: "All", not_planned: "Not planned", open: "Waiting", verified: "Verified", refused: "Refused", uncut: "To be cut", cut: "Cut", glued: "Glued", broken: "Broken" };
-const TITLES = { "element.html": "Page of the element, to keep and to print", "labels.pdf": "Labels at 1:1, to print", "labels.svg": "Labels at 1:1", "panels.csv": "Table of panels", "panels.svg": "Drawing of panels", "element.obj": "Panels in 3D", "blocks.svg": "Cut drawings of raw blocks", "blocks.csv": "Table of raw blocks", "stock.csv": "What is left over", "progress.csv": "What is cut, glued and broken", "element.json": "All of it as data" };
+const TITLES = { "element.html": "Page of the element, to keep and to print", "labels.pdf": "Labels at 1:1, to print", "labels.svg": "Labels at 1:1", "panels.csv": "Table of panels", "panels.svg": "Drawing of panels", "element.obj": "Panels in 3D", "element.3dm": "Panels in 3D, for Rhino", "blocks.svg": "Cut drawings of raw blocks", "blocks.csv": "Table of raw blocks", "stock.csv": "What is left over", "progress.csv": "What is cut, glued and broken", "element.json": "All of it as data" };
 
 let id = $("element").dataset.id;
 let element = null; // as the service has it
