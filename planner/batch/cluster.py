@@ -149,6 +149,8 @@ class Cluster:
         if job.name in self._sent:
             raise ValueError(f"a job {job.name!r} is under way; wait for its end or name this one otherwise")
 
+        if self._client.status != "running":
+            raise TandemError(_gone(job.name))
         place = Place.claim(folder, record)
         token = f"tandem-{uuid.uuid4().hex}"
         more = {
@@ -222,9 +224,7 @@ class Cluster:
         elif status == "error":
             done = self._failed(sent)
         else:  # cancelled or lost by the scheduler, which knows nothing of us any more
-            what = f"{sent.job.name}: the cluster's scheduler went away while it was planned"
-            hint = "start it again, and the batch with --resume"
-            raise TandemError(Issue("batch.cluster", what, hint=hint))
+            raise TandemError(_gone(sent.job.name))
         return Finished(sent.job.name, done)
 
     def _result(self, sent: _Sent) -> Done:
@@ -267,6 +267,11 @@ class Cluster:
         )
         what = f"worker {answer['worker']} has {differing}; results would differ"
         return Issue("batch.versions", what, hint="install the same versions on all machines")
+
+
+def _gone(job: str) -> Issue:
+    what = f"{job}: the cluster's scheduler went away"
+    return Issue("batch.cluster", what, hint="start it again, and a batch with --resume")
 
 
 PROGRESS_EVERY_S: Final = 0.5

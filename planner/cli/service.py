@@ -142,7 +142,8 @@ class Audit(_Store):
     job: str | None = None
     """of this job alone, by its id"""
     act: tuple[str, ...] = ()
-    """these acts alone: submitted, cancelled, retried, deleted, released, withdrew, downloaded, linked"""
+    """these acts alone: submitted, cancelled, retried, deleted, released, withdrew, downloaded, linked,
+    unlinked"""
     most: int = 100
     """so many entries"""
     json: bool = False

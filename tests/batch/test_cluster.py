@@ -36,11 +36,12 @@ ENVIRONMENT = {
 class Machines:
     """A scheduler and workers, each a process; workers come and go."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, port: int = 0) -> None:
         self._folder = folder
         self.workers: list[subprocess.Popen[bytes]] = []
         note = folder / "scheduler.json"
-        options = ["--port", "0", "--no-dashboard", "--scheduler-file", str(note)]
+        note.unlink(missing_ok=True)
+        options = ["--port", str(port), "--no-dashboard", "--scheduler-file", str(note)]
         self.scheduler = self._start("distributed.cli.dask_scheduler", "--host", "127.0.0.1", *options)
         until = time.monotonic() + 60.0
         while not (note.exists() and note.read_text()) and time.monotonic() < until:
