@@ -270,7 +270,7 @@ def audit(asked: Audit) -> None:
         if asked.json:
             sys.stdout.write(f"{one.model_dump_json(exclude_none=True)}\n")
         else:
-            told = [one.about.get(key) for key in ("name", "file", "release", "reason", "note")]
+            told = [one.about.get(key) for key in ("name", "file", "link", "release", "reason", "note")]
             said = ", ".join(" ".join(str(text).split()) for text in told if text)
             at = moment(one.at)
             _tell(f"{at}  {one.by}{f' ({one.team})' if one.team else ''}  {one.act}  {one.job}  {said}")

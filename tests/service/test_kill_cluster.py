@@ -3,7 +3,6 @@ is there twice."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import random
 import time
@@ -29,6 +28,7 @@ class Workshop:
     def __init__(self, folder: Path, servers: int, workers: int) -> None:
         self._folder, self._data = folder, folder / "data"
         self.url, self.accepted = postgres.fresh(folder), list[str]()
+        self.asked = 0  # the server that requests go to
         (folder / "machines").mkdir()
         self.port = free_port()
         self.machines = Machines(folder / "machines", self.port)
@@ -45,18 +45,19 @@ class Workshop:
         return Process(self._data, port=port, module="tests.service.pretend", arguments=given)
 
     def send(self, count: int) -> None:
-        """Send problems from two threads, each until a server has taken it; one that is sent again has the
-        same key."""
+        """Send problems from two threads, each until a server has taken it, the other one when that is down;
+        what is sent again has the same key."""
 
         def one(given: tuple[int, object]) -> None:
             number, problem = given
             ending = time.monotonic() + 240.0
             while time.monotonic() < ending:
-                client = self.clients[number % len(self.clients)]
-                number += 1
-                with contextlib.suppress(TandemError):  # that server is down
-                    self.accepted.append(client.submit(problem, key=f"problem-{given[0]}"))
+                asked = self.asked
+                try:
+                    self.accepted.append(self.clients[asked].submit(problem, key=f"problem-{number}"))
                     return
+                except TandemError:  # that server is down
+                    self.asked = (asked + 1) % len(self.clients)
                 time.sleep(0.1)
 
         with ThreadPoolExecutor(2) as pool:
