@@ -52,6 +52,12 @@ if __name__ == "__main__":
         planned_by = functools.partial(Cluster, cluster, module="tests.batch.faulty_worker")
     app.make_team = lambda options: planned_by  # type: ignore[assignment]
     options = Options(
-        Path(data), port=int(port), database=database or None, workers=2, lease_s=LEASE_S, limits=limits
+        Path(data),
+        port=int(port),
+        database=database or None,
+        workers=2,
+        examiners=1,
+        lease_s=LEASE_S,
+        limits=limits,
     )
     app.serve(options)

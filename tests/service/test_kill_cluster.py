@@ -118,7 +118,7 @@ def workshop(tmp_path: Path) -> Iterator[Workshop]:
 
 
 def test_a_server_and_a_worker_of_the_cluster_are_killed(workshop: Workshop) -> None:
-    count = 16
+    count = 8
     with ThreadPoolExecutor(1) as pool:
         sent = pool.submit(workshop.send, count)
         until(lambda: sent.done() or workshop.running())

@@ -178,7 +178,7 @@ def test_a_link_to_look_is_made_shown_and_withdrawn(
     tab.on("request", lambda request: asked.append(request.url))
     tab.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
     tab.goto(address)
-    expect(tab.locator("#state")).to_have_text("verified")
+    expect(tab.locator("#state")).to_have_text("Verified")
     expect(tab.locator("#outcome-title")).to_contain_text("Verified")
     expect(tab.locator("#facts")).to_contain_text("this link ends")
     expect(tab.locator("#figures .tile").first).to_be_visible()
