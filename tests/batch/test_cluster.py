@@ -186,3 +186,19 @@ def test_a_scheduler_that_goes_away_is_told(tmp_path: Path) -> None:
                 ended(team, 1)
     finally:
         other.end()
+
+
+def test_a_result_that_is_lost_on_its_way_is_told(
+    machines: Machines, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The connection goes between the end of a job and its result."""
+    from distributed.client import Future, FutureCancelledError
+
+    def lost(self: Future) -> None:
+        raise FutureCancelledError(self.key, "scheduler-connection-lost")
+
+    with Cluster(machines.address, module=FAULTY) as team:
+        monkeypatch.setattr(Future, "result", lost)
+        team.start(job("good-1"), tmp_path / "good-1")
+        with pytest.raises(TandemError, match="scheduler went away"):
+            ended(team, 1)
