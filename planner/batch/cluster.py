@@ -149,6 +149,8 @@ class Cluster:
         if job.name in self._sent:
             raise ValueError(f"a job {job.name!r} is under way; wait for its end or name this one otherwise")
 
+        if self._client.status != "running":
+            raise TandemError(_gone(job.name))
         place = Place.claim(folder, record)
         token = f"tandem-{uuid.uuid4().hex}"
         more = {
@@ -169,9 +171,10 @@ class Cluster:
         sent = self._sent.pop(name, None)
         if sent is None:
             return False
-        with contextlib.suppress(OSError, TimeoutError):  # where workers are gone, so is the job
-            self._client.run(cancel_here, sent.token, on_error="ignore")
-        sent.future.cancel(force=True)
+        if self._client.status == "running":
+            with contextlib.suppress(OSError, TimeoutError):  # where workers are gone, so is the job
+                self._client.run(cancel_here, sent.token, on_error="ignore")
+                sent.future.cancel(force=True)
         done = Done(name, "cancelled", (cancelled(name),), {}, time.monotonic() - sent.since)
         self._messages.put(("cancelled", Finished(name, done)))
         return True
@@ -222,13 +225,12 @@ class Cluster:
         elif status == "error":
             done = self._failed(sent)
         else:  # cancelled or lost by the scheduler, which knows nothing of us any more
-            what = f"{sent.job.name}: the cluster's scheduler went away while it was planned"
-            hint = "start it again, and the batch with --resume"
-            raise TandemError(Issue("batch.cluster", what, hint=hint))
+            raise TandemError(_gone(sent.job.name))
         return Finished(sent.job.name, done)
 
     def _result(self, sent: _Sent) -> Done:
-        answer = sent.future.result()
+        with _told_of(sent.job.name):
+            answer = sent.future.result()
         sent.future.release()
         if "versions" in answer:
             raise TandemError(self._other_versions(answer))
@@ -245,8 +247,9 @@ class Cluster:
         return sent.place.publish(done)
 
     def _failed(self, sent: _Sent) -> Done:
-        error = sent.future.exception()
         name = sent.job.name
+        with _told_of(name):
+            error = sent.future.exception()
         if type(error).__name__ == "KilledWorker":
             what = f"{name}: the workers that planned it disappeared, one after the other; other jobs go on"
             issue = Issue("batch.crashed", what, hint="see to the memory of the workers, and plan it again")
@@ -267,6 +270,23 @@ class Cluster:
         )
         what = f"worker {answer['worker']} has {differing}; results would differ"
         return Issue("batch.versions", what, hint="install the same versions on all machines")
+
+
+@contextlib.contextmanager
+def _told_of(job: str) -> Iterator[None]:
+    """What Dask raises where the connection is lost between the end of a job and its result is told as an
+    issue."""
+    from distributed.client import FutureCancelledError
+
+    try:
+        yield
+    except (FutureCancelledError, OSError, TimeoutError) as error:
+        raise TandemError(_gone(job)) from error
+
+
+def _gone(job: str) -> Issue:
+    what = f"{job}: the cluster's scheduler went away"
+    return Issue("batch.cluster", what, hint="start it again, and a batch with --resume")
 
 
 PROGRESS_EVERY_S: Final = 0.5

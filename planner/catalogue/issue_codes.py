@@ -752,7 +752,7 @@ CODES: Final[dict[str, Code]] = {
     "service.damaged": Code("a stored program is not as it was written, and is not given out"),
     "service.role": Code("a request to the service is beyond what the role of its token allows"),
     "service.foreign": Code("a request comes from another site"),
-    "service.link": Code("a link to a file of a job is over, or is not one that the service signed"),
+    "service.link": Code("a link is over, withdrawn or not signed by the service, or a job has too many"),
     "service.unknown_job": Code("a job that the service does not have"),
     "service.unknown_file": Code("a file that a job does not have"),
     "service.not_uploaded": Code("a problem names a file that was not uploaded with it"),

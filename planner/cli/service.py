@@ -142,7 +142,8 @@ class Audit(_Store):
     job: str | None = None
     """of this job alone, by its id"""
     act: tuple[str, ...] = ()
-    """these acts alone: submitted, cancelled, retried, deleted, released, withdrew, downloaded, linked"""
+    """these acts alone: submitted, cancelled, retried, deleted, released, withdrew, downloaded, linked,
+    unlinked"""
     most: int = 100
     """so many entries"""
     json: bool = False
@@ -269,7 +270,7 @@ def audit(asked: Audit) -> None:
         if asked.json:
             sys.stdout.write(f"{one.model_dump_json(exclude_none=True)}\n")
         else:
-            told = [one.about.get(key) for key in ("name", "file", "release", "reason", "note")]
+            told = [one.about.get(key) for key in ("name", "file", "link", "release", "reason", "note")]
             said = ", ".join(" ".join(str(text).split()) for text in told if text)
             at = moment(one.at)
             _tell(f"{at}  {one.by}{f' ({one.team})' if one.team else ''}  {one.act}  {one.job}  {said}")

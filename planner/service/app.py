@@ -38,6 +38,7 @@ from planner.service import (
     element_routes,
     finding_routes,
     logs,
+    look_routes,
     metrics,
     queue_routes,
     release_routes,
@@ -110,6 +111,21 @@ def home(here: Here) -> HTMLResponse:
 def job(job: str, here: Here) -> HTMLResponse:
     """One job; the script finds out whether there is one of that id."""
     return _page("job", "Job", here, job=job)
+
+
+@page_router.get("/ui/look/{job}/{look}")
+def look(
+    request: Request, job: str, look: str, here: Here, signature: Annotated[str, Query(max_length=200)] = ""
+) -> HTMLResponse:
+    """One job, for who has a link to look; 404 in a sentence for one that does not hold."""
+    try:
+        routes.looked_at(request, job, look, signature, here)
+        answer = _page("look", "Job", here, job=job, look=look, signature=signature)
+    except RefusedError as refused:
+        answer = _page("look", "No such link", here, status=refused.status, fault=str(refused))
+        answer.headers.update(refused.headers)
+    answer.headers.update(look_routes.PRIVATE)
+    return answer
 
 
 @page_router.get("/ui/elements/{element}")
@@ -263,6 +279,7 @@ ROUTERS: Final = (
     routes.job_router,
     finding_routes.router,
     release_routes.router,
+    look_routes.router,
     element_routes.router,
     webhook_routes.router,
     draft_routes.router,

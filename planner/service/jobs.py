@@ -47,6 +47,7 @@ from planner.service.models import (
     FILES,
     JOBS,
     KEYS,
+    LINKS,
     MARKS,
     OPEN,
     RELEASES,
@@ -419,7 +420,7 @@ def remove(db: Connection, job: str) -> list[Gone]:
         done = db.execute(delete(JOBS).where(JOBS.c.id == one))  # first, for who releases it holds it
         if row is not None and done.rowcount:
             gone.append(Gone(*row))
-        for table in (EVENTS, FILES, KEYS, RELEASES):
+        for table in (EVENTS, FILES, KEYS, LINKS, RELEASES):
             db.execute(delete(table).where(table.c.job == one))
     db.execute(delete(ELEMENT_JOBS).where(or_(ELEMENT_JOBS.c.job == job, ELEMENT_JOBS.c.element == job)))
     return gone

@@ -233,6 +233,18 @@ AUDIT: Final = Table(
 )
 """Who did what, in the order of ``number``; it outlives jobs and tokens."""
 
+LINKS: Final = Table(
+    "tandem_links",
+    METADATA,
+    Column("id", String(32), primary_key=True),
+    Column("job", String(32), nullable=False, index=True),
+    Column("token", String(32), nullable=False),
+    Column("who", String(200), nullable=False),
+    Column("created", Float, nullable=False),
+    Column("expires", Float, nullable=False),
+)
+"""Links to look at a job that were made and not withdrawn, by whom, and until when they are good."""
+
 DRAFTS: Final = Table(
     "tandem_drafts",
     METADATA,
@@ -426,7 +438,7 @@ API: Final = 13
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
 log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks like, maps of a freedom.
-13: drafts, the order of the queue, sweeps, estimates of what is left."""
+13: drafts, the order of the queue, sweeps, estimates of what is left, links to look."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -456,7 +468,9 @@ TOKEN_ROLES: Final[tuple[TokenRole, ...]] = ("view", "plan", "release")
 jobs, and to hand links out; to release programs."""
 Sort = Literal["newest", "oldest", "title", "turn"]
 Mark = Literal["cut", "glued", "broken"]
-Act = Literal["submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked"]
+Act = Literal[
+    "submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked", "unlinked"
+]
 
 
 class Sent(BaseModel):
@@ -658,6 +672,45 @@ class LinkOut(Sent):
 
     path: str = Field(description="what follows the service's address")
     expires: dt.datetime
+
+
+class LookLink(Sent):
+    """A link to look at a job."""
+
+    id: str
+    by: str = Field(description="name of the token that made it")
+    created: dt.datetime
+    expires: dt.datetime
+
+
+class LinkMade(LookLink):
+    """A new one, with its address."""
+
+    path: str = Field(description="what follows the service's address, told this once")
+
+
+class LookList(Sent):
+    """Links to look at a job, the newest first."""
+
+    links: list[LookLink]
+
+
+class LookOut(Sent):
+    """What a link to look shows of a job."""
+
+    name: str = Field(description="the problem's name")
+    title: str = ""
+    state: State
+    stage: str = ""
+    fraction: float = 0.0
+    processes: list[str] = []
+    created: dt.datetime
+    seconds: float | None = Field(None, description="time of planning [s]")
+    issues: list[Issue] = []
+    metrics: dict[str, float] = {}
+    release: str | None = Field(None, description="of its programs: not-released, released or withdrawn")
+    files: list[str] = Field([], description="files of the job that this link opens")
+    expires: dt.datetime = Field(description="end of the link")
 
 
 class NewWebhook(Sent):

@@ -34,6 +34,7 @@ from planner.service.answers import HEAD, MadeFile, is_known, packed, stored_fil
 from planner.service.cell_models import CellOut
 from planner.service.finding import Wanted
 from planner.service.jobs import Stream
+from planner.service.links import LINK_S, LONGEST_LINK_S, TO_LOOK_AT, bad_link, no_look
 from planner.service.logs import about
 from planner.service.models import (
     API,
@@ -58,13 +59,10 @@ from planner.service.models import (
 )
 from planner.service.security import (
     ANYBODY,
-    LINK_S,
     LOCAL,
-    LONGEST_LINK_S,
     SAFE_METHODS,
     RefusedError,
     Who,
-    bad_link,
     unauthorised,
     unknown_job,
 )
@@ -195,9 +193,11 @@ def job_to_read(
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)] = None,
     cookie: Annotated[str | None, Security(_COOKIE)] = None,
     expires: Annotated[int | None, Query(ge=0, lt=2**53, description="end of a link")] = None,
+    look: Annotated[str | None, Query(max_length=32, description="id of a link to look")] = None,
     signature: Annotated[str | None, Query(max_length=200, description="signature of a link")] = None,
 ) -> JobOut:
-    """The job, for who reads its file ``name``: the caller if he sees it, anybody with a link to that file.
+    """The job, for who reads its file ``name``: the caller if he sees it, anybody with a link to that file,
+    or with one to look, if it opens that.
 
     A link is judged as one, whoever sends it. Raises :class:`RefusedError`, 401, 403 or 404.
     """
@@ -205,16 +205,43 @@ def job_to_read(
         who = asker(request, bearer, cookie)
         request.state.reader = who.token
         return job_of(job, who, here)
+    if look is not None:
+        found, _ = looked_at(request, job, look, signature, here)
+        if name not in TO_LOOK_AT:
+            raise no_look()
+        return found
     owner = here.jobs.owner(job) if JOB_ID.fullmatch(job) else None
     mates = () if owner is None else here.auth.mates(owner)
     maker = here.links.check(job, name, expires, signature, mates) or owner
     if owner is None or maker is None:
         raise unknown_job(job)
-    open_to_all = maker == LOCAL and not here.options.tokens_required
-    if not open_to_all and not here.auth.in_force(maker):
+    if not _holds(here, maker):
         raise bad_link("the token that made it, or its job, is no longer in force; ask for a new one")
     request.state.reader = maker
     return here.jobs.get(job)[1]
+
+
+def looked_at(
+    request: Request, job: str, look: str, signature: str, here: Service
+) -> tuple[JobOut, dt.datetime]:
+    """The job that a link to look opens, whoever sends it, and the link's end. Raises
+    :class:`RefusedError`, 404 for whatever is wrong with it, or 429."""
+    try:
+        maker, expires = here.links.looker(job, look, signature)
+        owner = here.jobs.owner(job)
+        if owner is None or not _holds(here, maker) or maker not in (owner, *here.auth.mates(owner)):
+            raise no_look()
+    except RefusedError:
+        count_unknown(request, here, "opens links that do not hold")
+        raise
+    here.rates.take(f"link {look}", "this link is opened")
+    request.state.reader = maker
+    return here.jobs.get(job)[1], expires
+
+
+def _holds(here: Service, maker: str) -> bool:
+    """Whether links of that token are good still."""
+    return (maker == LOCAL and not here.options.tokens_required) or here.auth.in_force(maker)
 
 
 def idempotency_key(

@@ -386,8 +386,16 @@ class Runner(threading.Thread):
                 self._claimed.clear()  # their leases come to an end, and a host that knows the tables goes on
                 self._on_newer()
                 break
-            except (SQLAlchemyError, TandemError, OSError):
+            except TandemError:  # of the team: what it had under way nobody plans any more
+                self._without(team)
+                team = None
+                self._wait_again("what plans is started anew in %g s", AGAIN_S)
+            except (SQLAlchemyError, OSError):
                 self._wait_again("the runner tries again in %g s", AGAIN_S)
+        self._without(team)
+
+    def _without(self, team: Team | None) -> None:
+        """Let go of a team; what it had under way waits again."""
         if team is not None:
             team.close()
         for claimed in self._claimed.values():
@@ -397,6 +405,8 @@ class Runner(threading.Thread):
                 LOG.exception("job %s waits until its lease is over", claimed.id, extra=_of(claimed))
         for folder in self._folders.values():
             shutil.rmtree(folder, ignore_errors=True)
+        for known in (self._claimed, self._folders, self._last_progress, self._stages):
+            known.clear()
 
     def _wait_again(self, what: str, told: object) -> None:
         LOG.exception(what, told)

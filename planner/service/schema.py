@@ -79,6 +79,10 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
         "CREATE TABLE tandem_draft_versions (draft VARCHAR(32) NOT NULL, number INTEGER NOT NULL, "
         "at FLOAT NOT NULL, who VARCHAR(200) NOT NULL, problem VARCHAR(64) NOT NULL, files TEXT NOT NULL, "
         "PRIMARY KEY (draft, number))",
+        "CREATE TABLE tandem_links (id VARCHAR(32) NOT NULL, job VARCHAR(32) NOT NULL, "
+        "token VARCHAR(32) NOT NULL, who VARCHAR(200) NOT NULL, created FLOAT NOT NULL, "
+        "expires FLOAT NOT NULL, PRIMARY KEY (id))",
+        "CREATE INDEX ix_tandem_links_job ON tandem_links (job)",
     ),
 }
 """What brings a store of each version to the next one."""

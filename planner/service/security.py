@@ -330,48 +330,6 @@ def _who(row: RowMapping) -> Who:
     return Who(row["id"], row["name"], row["role"], row["team"], row["expires"])
 
 
-LINK_S: Final = 3600
-"""Time [s] after which a link ends, where nothing is said."""
-LONGEST_LINK_S: Final = 86400
-"""Time [s] after which any link ends."""
-
-
-class Links:
-    """Links to files of jobs, signed with a secret that all hosts of one database share (HMAC, RFC 2104).
-
-    What is signed is the job, the file's name, the end, and who made the link unless that is the job's owner,
-    so a link reads that file until then, or until its maker's token is over, and does nothing else."""
-
-    def __init__(self, database: Database) -> None:
-        self._secret = bytes.fromhex(shared_secret(database, "links"))
-
-    def sign(self, job: str, name: str, expires: int, by: str | None = None) -> str:
-        """The signature for a file of a job until ``expires`` [s since 1970], of the token ``by``, or of its
-        owner."""
-        signed = json.dumps(["tandem link", job, name, expires, *([] if by is None else [by])]).encode()
-        return hmac.new(self._secret, signed, hashlib.sha256).hexdigest()
-
-    def check(
-        self, job: str, name: str, expires: int | None, signature: str, mates: Sequence[str] = ()
-    ) -> str | None:
-        """Which of the ``mates`` of the job's owner made the link, None for the owner himself, if the
-        signature is that of this file of this job, and is not over. Raises :class:`RefusedError`, 403."""
-        given = signature.encode("utf-8", "surrogatepass")
-        for by in (None, *mates):
-            wanted = "" if expires is None else self.sign(job, name, expires, by)
-            if expires is None or not hmac.compare_digest(wanted.encode(), given):
-                continue
-            if expires <= time.time():
-                raise bad_link("it is over; ask for a new one")
-            return by
-        raise bad_link("it is not one that this service signed; copy it whole, or ask for a new one")
-
-
-def bad_link(why: str) -> RefusedError:
-    """403."""
-    return RefusedError(403, Issue("service.link", f"the link: {why}", field="signature"))
-
-
 def shared_secret(database: Database, name: str) -> str:
     """The secret of that name, 256 random bits in hex, made by the host that asks first."""
     query = select(SECRETS.c.value).where(SECRETS.c.name == name)

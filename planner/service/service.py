@@ -31,11 +31,12 @@ from planner.service.elements import Elements
 from planner.service.estimates import Estimates
 from planner.service.idempotency import Once
 from planner.service.jobs import Hub, Jobs, NewJob, OfElement
+from planner.service.links import Links
 from planner.service.models import Database, JobOut, default_url
 from planner.service.rates import FAILURES_PER_S, Rates
 from planner.service.releases import Releases
 from planner.service.runner import Runner, Team, Work
-from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, Links, RefusedError
+from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
 from planner.service.storage import Blob, Files, Storage, Upload
 from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
 from planner.service.webhooks import Sender, Webhooks

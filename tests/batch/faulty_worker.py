@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import signal
 import sys
 import time
@@ -30,7 +31,7 @@ def faulty(
     reports: Reports,
 ) -> Done:
     """What `planner.batch.run.solve` would do, or the fault that the name asks for."""
-    kind = name.split("-")[0]
+    kind = re.split("[-_]", name)[0]
     on_progress("fault", 0.5)
     result.mkdir()
     (result / "half").write_text("half a result")

@@ -36,11 +36,12 @@ ENVIRONMENT = {
 class Machines:
     """A scheduler and workers, each a process; workers come and go."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, port: int = 0) -> None:
         self._folder = folder
         self.workers: list[subprocess.Popen[bytes]] = []
         note = folder / "scheduler.json"
-        options = ["--port", "0", "--no-dashboard", "--scheduler-file", str(note)]
+        note.unlink(missing_ok=True)
+        options = ["--port", str(port), "--no-dashboard", "--scheduler-file", str(note)]
         self.scheduler = self._start("distributed.cli.dask_scheduler", "--host", "127.0.0.1", *options)
         until = time.monotonic() + 60.0
         while not (note.exists() and note.read_text()) and time.monotonic() < until:
@@ -185,3 +186,19 @@ def test_a_scheduler_that_goes_away_is_told(tmp_path: Path) -> None:
                 ended(team, 1)
     finally:
         other.end()
+
+
+def test_a_result_that_is_lost_on_its_way_is_told(
+    machines: Machines, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The connection goes between the end of a job and its result."""
+    from distributed.client import Future, FutureCancelledError
+
+    def lost(self: Future) -> None:
+        raise FutureCancelledError(self.key, "scheduler-connection-lost")
+
+    with Cluster(machines.address, module=FAULTY) as team:
+        monkeypatch.setattr(Future, "result", lost)
+        team.start(job("good-1"), tmp_path / "good-1")
+        with pytest.raises(TandemError, match="scheduler went away"):
+            ended(team, 1)

@@ -26,6 +26,7 @@ from tests.service.test_elements import Elements
 UPLOAD_MB: Final = 2.0
 NOBODY: Final = "0" * 32
 FILES: Final = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", ("targets.csv", TABLE))]
+LOOK: Final[dict[str, str]] = {}
 GOOD: Final[Mapping[str, dict[str, Any]]] = {
     "POST /v1/jobs": {"files": [("problem", ("p.yaml", named("more"))), FILES[1]]},
     "POST /v1/check": {"files": [("problem", ("p.yaml", named("checked"))), FILES[1]]},
@@ -37,6 +38,7 @@ GOOD: Final[Mapping[str, dict[str, Any]]] = {
         "params": {"field": "name", "value": ["swept_a", "swept_b"]},
     },
     "POST /v1/jobs/{job}/links": {"params": {"name": "report.html"}},
+    "GET /v1/jobs/{job}/looks/{look}": {"params": LOOK},
     "POST /v1/jobs/{job}/release": {"json": {"note": "cut of Tuesday"}},
     "POST /v1/jobs/{job}/withdraw": {"json": {"reason": "the clamp moved"}},
     "POST /v1/elements/{element}/divide": {"json": {"fields": {"panels.hexagons.count": 26}}},
@@ -89,7 +91,9 @@ def ids(here: Elements, tmp_path_factory: pytest.TempPathFactory) -> dict[str, s
         here.ended(one["id"])  # there is something to report on
     hook = here.http.post("/v1/webhooks", **GOOD["POST /v1/webhooks"]).json()["id"]
     draft = here.http.post("/v1/drafts", **GOOD["POST /v1/drafts"]).json()["id"]
-    own = {"job": job, "element": element, "draft": draft, "number": "1", "webhook": hook}
+    made = here.http.post(f"/v1/jobs/{job}/looks").json()
+    LOOK["signature"] = made["path"].partition("=")[2]
+    own = {"job": job, "look": made["id"], "element": element, "draft": draft, "number": "1", "webhook": hook}
     return {**own, "name": "targets", "kind": "robots"}
 
 
@@ -153,6 +157,7 @@ def provoked(
     with monkeypatch.context() as away:
         away.setattr(here.service.auth, "who", Away())
         away.setattr(here.service.auth, "close_session", Away())
+        away.setattr(here.service.links, "looker", Away())
         away.setattr(Runner, "healthy", False)
         out.add(status(headers={"Cookie": "tandem_session=x"} if one == "DELETE /v1/session" else {}))
     with monkeypatch.context() as often:
@@ -184,6 +189,10 @@ def provoked(
             with monkeypatch.context() as again:
                 again.setattr("planner.service.jobs.AGAIN", ("verified",))
                 out.add(status())
+    if one.endswith("/looks"):
+        with monkeypatch.context() as full:
+            full.setattr("planner.service.links.MOST_LOOKS", 0)
+            out.add(status())
     with limited(here, token_disk_mb=0.0):
         out.add(upload())
     if one.endswith("/retry"):

@@ -27,10 +27,10 @@ def database(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return "" if request.param == "sqlite" else postgres.fresh(tmp_path)
 
 
-def problems(folder: Path, count: int) -> Iterator[Problem]:
+def problems(folder: Path, count: int, name: str = "job") -> Iterator[Problem]:
     for number in range(count):
         (folder / str(number)).mkdir()
-        yield planner.load(small_problem.write(folder / str(number), named(f"job{number}")))
+        yield planner.load(small_problem.write(folder / str(number), named(f"{name}{number}")))
 
 
 def ended(client: Client, jobs: list[str], timeout_s: float) -> list[dict[str, object]]:

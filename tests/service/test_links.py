@@ -17,7 +17,7 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 from fastapi.testclient import TestClient
 
-from planner.service import security
+from planner.service import links
 from planner.service.models import Database, default_url
 from planner.service.security import Auth, Limits
 from planner.service.service import Options, Service
@@ -105,7 +105,7 @@ def test_a_link_is_over_at_its_end(
     job = done(here, "over", ann)
     path = link(here, job, ann, seconds=60)
     later = time.time() + 61
-    monkeypatch.setattr(security.time, "time", lambda: later)
+    monkeypatch.setattr(links.time, "time", lambda: later)
     refused(here, path)
     assert "it is over" in stranger(here).get(path).text
 
@@ -235,7 +235,7 @@ def test_the_secret_is_that_of_the_store(tmp_path: Path) -> None:
 
 def test_hosts_on_postgres_share_the_secret(tmp_path: Path) -> None:
     url = postgres.fresh(tmp_path)
-    hosts = [security.Links(Database(url)) for _ in range(2)]
+    hosts = [links.Links(Database(url)) for _ in range(2)]
     assert len({host.sign("0" * 32, "report.html", 1) for host in hosts}) == 1
 
 

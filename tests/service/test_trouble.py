@@ -16,7 +16,7 @@ from sqlalchemy import select, text
 from sqlalchemy.exc import OperationalError
 
 from planner.batch import run
-from planner.batch.job import Done, Finished, Job, Place
+from planner.batch.job import Done, Event, Finished, Job, Place
 from planner.issues import Issue, TandemError
 from planner.service import runner, storage
 from planner.service.models import JOBS, Database
@@ -183,6 +183,22 @@ def test_a_job_that_could_not_be_begun_goes_back_and_loses_no_attempt(
     monkeypatch.setattr(runner.tempfile, "mkdtemp", mkdtemp)
     found = here.ended(here.post(named("begun")).json()["id"])
     assert (found["state"], found["attempts"], len(failed)) == ("verified", 1, 4)
+
+
+def test_jobs_of_a_cluster_that_went_away_are_planned_by_the_next_one(
+    here: InProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, gone = here.team.events, []
+
+    def events(timeout_s: float) -> Iterator[Event]:
+        if here.team._open and not gone:
+            gone.append(1)
+            raise TandemError(Issue("batch.cluster", "the cluster's scheduler went away"))
+        yield from real(timeout_s)
+
+    monkeypatch.setattr(here.team, "events", events)
+    found = here.ended(here.post(named("clustered")).json()["id"])
+    assert (found["state"], found["attempts"], len(gone)) == ("verified", 1, 1)
 
 
 def test_no_place_of_the_server_is_told(here: InProcess) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -153,3 +154,46 @@ def test_who_may_release_sees_what_was_done(page: Page, shop: tuple[str, str, di
     page.goto(f"{url}/ui/audit")
     expect(page.locator("#banner")).to_contain_text("the role release")
     expect(page.get_by_role("link", name="Audit", exact=True)).to_be_hidden()
+
+
+def test_a_link_to_look_is_made_shown_and_withdrawn(
+    browser: Browser, page: Page, shop: tuple[str, str, dict[str, str]], tmp_path: Path
+) -> None:
+    url, job, tokens = shop
+    login(page, url, tokens["bob"])
+    page.goto(f"{url}/ui/jobs/{job}")
+    page.get_by_role("button", name="Links to look").click()
+    ask = page.get_by_role("dialog", name="Links to look at this job")
+    expect(ask.locator("#looks-none")).to_be_visible()
+    ask.get_by_label("Good for, in days").fill("31")
+    ask.get_by_role("button", name="Make a link").click()
+    expect(ask.locator("#looks-new")).to_be_hidden()  # 30 days at most
+    ask.get_by_label("Good for, in days").fill("3")
+    ask.get_by_role("button", name="Make a link").click()
+    expect(ask.locator("#looks-list")).to_contain_text("made by bob")
+    address = ask.get_by_label("The new link").input_value()
+    stranger = browser.new_context(viewport={"width": 390, "height": 844})
+    tab, asked = stranger.new_page(), list[str]()
+    faults = list[str]()
+    tab.on("request", lambda request: asked.append(request.url))
+    tab.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
+    tab.goto(address)
+    expect(tab.locator("#state")).to_have_text("Verified")
+    expect(tab.locator("#outcome-title")).to_contain_text("Verified")
+    expect(tab.locator("#facts")).to_contain_text("this link ends")
+    expect(tab.locator("#figures .tile").first).to_be_visible()
+    assert (tab.evaluate(CUT_OFF), tab.evaluate(NAMELESS)) == ([], [])
+    expect(tab.locator("button, input, form")).to_have_count(0)
+    with stranger.expect_page() as opened:
+        tab.get_by_role("link", name="Open the replay").click()
+    expect(opened.value).to_have_title(re.compile("small"))
+    opened.value.close()
+    assert [one for one in asked if "/v1/" in one] == [
+        f"{url}/v1/jobs/{job}/looks/{address.split('/')[-1]}"  # the job's data alone, once
+    ]
+    assert (faults, stranger.cookies()) == ([], [])
+    ask.get_by_role("button", name="Withdraw the link").click()
+    expect(ask.locator("#looks-none")).to_be_visible()
+    tab.reload()
+    expect(tab.get_by_role("alert")).to_contain_text("there is no such link: it is over, was withdrawn")
+    stranger.close()

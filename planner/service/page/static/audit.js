@@ -8,7 +8,7 @@ let next = null;
 let turn = 0; // of what was asked last; answers to former questions are dropped
 
 function details(about) {
-  const known = ["release", "file", "note", "reason", "released_by", "until", "kind"].filter((name) => about[name]);
+  const known = ["release", "file", "note", "reason", "released_by", "link", "made_by", "until", "kind"].filter((name) => about[name]);
   return known.map((name, i) => [i ? h("br") : null, `${name.replace("_", " ")}: `, h("bdi", {}, String(about[name]))]);
 }
 
