@@ -111,6 +111,13 @@ def test_the_margin_is_that_of_the_problem(staged: Staged) -> None:
     assert "form/f2 moves the sheet" in staged.told(forming_holes, claims=wide)
 
 
+@pytest.mark.parametrize("mode", ["adsif", "tpif"])
+def test_a_mode_that_moves_the_cut_edge_is_told(staged: Staged, mode: str) -> None:
+    other = staged.changed("sump", FormsPart, lambda c: dataclasses.replace(c, mode=mode))
+    words = f"the sheet was cut along hole, and is formed in {mode} behind that"
+    assert words in staged.told(forming_holes, {}, other)
+
+
 def _left_out(staged: Staged) -> Claims:
     return {name: claims for name, claims in staged.claims.items() if name != "sump"}
 

@@ -16,8 +16,8 @@ from planner.forming.stages import formed_sheet, hole_issues, shown
 from planner.issues import Issue, TandemError
 from planner.problem import Hole
 from planner.trim.job import TrimJob
-from tests.forming.staged import DEPTHS, HOLE, SUMP_RADIUS, part, problem
-from tests.small_forming import write
+from tests.forming.staged import BALL, DEPTHS, HOLE, SUMP_RADIUS, part, problem
+from tests.small_forming import die, dish, upside_down, write
 from tests.trim.small_trim import data
 
 
@@ -161,6 +161,24 @@ def test_a_sheet_that_was_cut_off_its_clamp_is_not_formed(tmp_path: Path) -> Non
     (issue,) = refused(tmp_path, 2, hole=hole(0.0, 100.0, drops="outside"))
     assert issue.code == "forming.holes"
     assert "its clamp holds nothing" in issue.message
+
+
+@pytest.mark.parametrize("kind", ["male", "female"])
+def test_a_sheet_that_was_cut_is_not_formed_over_a_die(tmp_path: Path, kind: str) -> None:
+    # 14 mm off the cone: far enough for the margin, but a holder that sinks takes the cut edge along
+    mesh = upside_down(dish(around=96)) if kind == "male" else dish(around=96)
+    whole = data(outlines=[hole(60.0)])
+    whole["operations"].append(
+        {"name": "dish", "process": "forming", "arms": ["robot"], "mode": "tpif", "stepdown_mm": 1}
+        | {"die": die(tmp_path, mesh, kind, True), "setup": {"tools": {"robot": BALL}}}
+    )
+    whole["sheet"] |= {"opening_mm": 150, "size_mm": [200, 200]}
+    whole["accept"] = ["forming.force", "forming.die_far"]
+    with pytest.raises(TandemError) as error:
+        processes.job(pipeline.load(write(tmp_path, whole, mesh)), 1).targets()
+    (issue,) = [one for one in error.value.issues if one.code == "forming.holes"]
+    assert issue.message == "the sheet was cut along hole before; in tpif all of it moves against the die"
+    assert issue.hint == "form it before it is cut, or take another mode"
 
 
 @pytest.mark.parametrize("inside", [True, False])

@@ -27,6 +27,8 @@ FORMING_HOLES = "verify.forming_holes"
 """Code of this rule."""
 NO_HOLES = "no sheet is formed that was cut before"
 """Why it has not run."""
+OF_WHOLE_SHEETS = ("adsif", "tpif")
+"""Modes whose tools press all of the sheet, or whose die moves its rim: a cut before is at another height."""
 FACET = 0.05e-3
 """How far [m] facets of a border, and chords of a curve, may be off them."""
 
@@ -87,6 +89,11 @@ def _of_hole(
     part, name = made.part, hole.one.name
     if not hole.one.inside:
         what = f"the sheet was cut along {name}, outside of which all drops, and is formed behind that"
+        return 0.0, [Issue(FORMING_HOLES, what, field=name)]
+    if part.mode in OF_WHOLE_SHEETS:
+        what = (
+            f"the sheet was cut along {name}, and is formed in {part.mode} behind that, which moves all of it"
+        )
         return 0.0, [Issue(FORMING_HOLES, what, field=name)]
     issues: list[Issue] = []
     least = np.inf
