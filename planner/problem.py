@@ -374,11 +374,13 @@ class Part:
 @dataclasses.dataclass(frozen=True)
 class Hole:
     """A closed curve ``ring`` (K, 2) [m] in plan along which an operation has cut a sheet: what lies
-    ``inside`` of it drops, or all that is outside."""
+    ``inside`` of it drops, or all that is outside. On the sheet's other face the cut may be farther out, or
+    in, by ``across`` [m] in plan."""
 
     name: str
     ring: FloatArray
     inside: bool = True
+    across: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -332,7 +332,9 @@ def _of_holes(made: Work, paths: Laid) -> list[Issue]:
         radii.append(
             (made.heads[made.former(one)].radius, 0.0 if other is None else made.heads[other].radius)
         )
-    return list(hole_issues(made.sheet.holes, made.operation.hole_margin_mm * MM, paths, radii))
+    op = made.operation
+    slack = OFF_SHARE * op.gouge_tol_mm * MM
+    return list(hole_issues(made.sheet.holes, op.hole_margin_mm * MM, paths, radii, slack))
 
 
 def _route(made: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
@@ -388,6 +390,11 @@ def _targets(
 
 ROUNDED_SHARE: Final = 0.4
 """Share of what a ball may cut into its face that rounded corners may take."""
+
+
+OFF_SHARE: Final = 0.5
+"""Share of what a ball may cut into its face by which tools may be off their ways in plan: at rounded
+corners, and by what the proof does not know of motion between its samples."""
 
 
 def rounding(claims: Sequence[Claim]) -> Rounding:

@@ -115,9 +115,11 @@ def hole_issues(
     margin: float,
     paths: Sequence[tuple[Pass, ToolPath]],
     radii: Sequence[tuple[float, float]],
+    slack: float = 0.0,
 ) -> Iterator[Issue]:
-    """Holes (forming.holes) that are nearer than ``margin`` [m] to what passes form, or to their tools of
-    ``radii`` [m], the forming and the other one of each pass; and curves outside of which all has dropped."""
+    """Holes (forming.holes) of which an edge may be nearer than ``margin`` [m] to what passes form, or to
+    their tools of ``radii`` [m], the forming and the other one of each pass, which may be ``slack`` [m] off
+    their ways; and curves outside of which all has dropped."""
     for hole in holes:
         ring = shapely.Polygon(hole.ring).buffer(0.0)
         if not hole.inside:
@@ -125,16 +127,18 @@ def hole_issues(
             yield _of_hole(what, None, margin, "put this operation before the one that cuts it off")
             continue
         own = [(shapely.distance(ring, _moved(one)), one.name) for one, _ in paths]
-        near, name = min(own, key=lambda found: found[0])
+        apart, name = min(own, key=lambda found: found[0])
+        near = max(apart - hole.across, 0.0)
         if near < margin:
-            what = f"{hole.name}, which was cut before, is {near / MM:.1f} mm off what {name} forms"
-            if near == 0.0:
+            what = f"{hole.name}, which was cut before, is {apart / MM:.1f} mm off what {name} forms"
+            what += f", its other edge down to {near / MM:.1f} mm" if hole.across > 0.0 else ""
+            if apart == 0.0:
                 what = f"{hole.name}, which was cut before, lies in what {name} forms, and would be moved"
             hint = "form that feature before the sheet is cut, or move the curve away from it"
             yield _of_hole(what, near, margin, hint)
             continue
         tools = [
-            (shapely.distance(ring, _way(way)) - radius, one.name)
+            (shapely.distance(ring, _way(way)) - radius - hole.across - slack, one.name)
             for (one, path), both in zip(paths, radii, strict=True)
             for way, radius in zip((path.former, path.support), both, strict=True)
             if way is not None
@@ -142,7 +146,7 @@ def hole_issues(
         near, name = min(tools, key=lambda found: found[0])
         if near < margin:
             how = f"comes within {near / MM:.1f} mm of" if near > 0.0 else "goes over"
-            what = f"in {name} a tool {how} {hole.name}, which was cut before"
+            what = f"in {name} a tool {how} the edges of {hole.name}, which was cut before"
             hint = "form that feature before the sheet is cut, move the curve away, or take a smaller tool"
             yield _of_hole(what, max(near, 0.0), margin, hint)
 

@@ -20,6 +20,9 @@ from tests.forming.staged import BALL, DEPTHS, HOLE, SUMP_RADIUS, part, problem
 from tests.small_forming import die, dish, upside_down, write
 from tests.trim.small_trim import data
 
+ACROSS = 1.0 / np.cos(np.deg2rad(15.0))
+"""Longest cut [mm] through a sheet of 1 mm by a torch that leans up to 15 degrees."""
+
 
 def refused(folder: Path, index: int, **changes: Any) -> list[Issue]:
     with pytest.raises(TandemError) as error:
@@ -119,8 +122,8 @@ def test_the_part_may_be_formed_from_the_inside_out_over_two_stages(tmp_path: Pa
 @pytest.mark.parametrize(
     ("x", "diameter", "got", "words"),
     [
-        # off the sump's edge by x less both radii
-        (22.0, 5.0, 22.0 - 2.5 - SUMP_RADIUS, "mm off what f2 forms"),
+        # off the sump's edge by x less both radii, and what a torch leans through the sheet
+        (22.0, 5.0, 22.0 - 2.5 - SUMP_RADIUS - ACROSS, "mm off what f2 forms"),
         (10.0, 5.0, 0.0, "lies in what f2 forms"),
         (0.0, 40.0, 0.0, "lies in what f2 forms"),
     ],
@@ -130,7 +133,7 @@ def test_holes_that_forming_would_move_or_tear_are_refused_with_the_distance(
 ) -> None:
     found = refused(tmp_path, 2, hole=hole(x, diameter))
     (issue,) = [one for one in found if one.code == "forming.holes"]
-    assert issue.value == pytest.approx(got, abs=0.5)  # where a feature begins it is hardly off the flat
+    assert issue.value == pytest.approx(got, abs=0.6)  # where a feature begins it is hardly off the flat
     assert (issue.limit, issue.unit) == (5.0, "mm")
     assert words in issue.message and "hole" in issue.message and "hole_margin_mm" in issue.message
     assert issue.hint is not None and "before the sheet is cut" in issue.hint
@@ -146,12 +149,16 @@ def test_tools_keep_off_holes_with_their_own_radius(tmp_path: Path) -> None:
     (issue,) = hole_issues(holes, 0.005, [(one, aside)], [(0.006, 0.0)])
     assert issue.value is not None
     way = 1e3 * float(aside.former[:, 0].max())
-    assert issue.value == pytest.approx(28.0 - 2.5 - way - 6.0, abs=0.05)
+    assert issue.value == pytest.approx(28.0 - 2.5 - way - 6.0 - ACROSS, abs=0.05)
     assert "in f2 a tool comes within" in issue.message
+    (late,) = hole_issues(holes, 0.005, [(one, aside)], [(0.006, 0.0)], slack=0.0003)
+    assert late.value == pytest.approx(issue.value - 0.3)  # what tools may be off their ways
 
 
 def test_a_smaller_margin_and_a_hole_farther_away_help(tmp_path: Path) -> None:
-    assert processes.job(problem(tmp_path, hole=hole(22.0), second={"hole_margin_mm": 3}), 2).targets().count
+    assert (
+        processes.job(problem(tmp_path, hole=hole(22.0), second={"hole_margin_mm": 2.8}), 2).targets().count
+    )
     told = processes.job(problem(tmp_path), 2).targets().issues
     (note,) = [one for one in told if one.code == "forming.springback"]
     assert "not foretold" in note.message
