@@ -18,7 +18,7 @@ import shapely
 
 from planner.forming.contact import Pass, ToolPath
 from planner.forming.features.tree import FeatureTree
-from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.arrays import FloatArray, Mesh, Shape, transform
 from planner.geometry.mesh import small_pieces
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -76,6 +76,56 @@ def formed_sheet(mesh: Mesh, tree: FeatureTree, done: Sequence[int]) -> Mesh:
         return mesh
     height = tree.level + tree.share[np.array(done, dtype=np.int64) - 1].sum(axis=0)
     return Mesh(np.column_stack([mesh.vertices[:, :2], height]), mesh.faces)
+
+
+STANDS_OUT: Final = 0.2 * MM
+"""How far [m] the sheet may stand out of the solids of the part between stages, and off the flat unseen."""
+
+
+def require_within(
+    name: str,
+    mesh: Mesh,
+    tree: FeatureTree,
+    states: Sequence[Sequence[int]],
+    solids: Sequence[Shape],
+    up: float,
+) -> None:
+    """Whether a sheet ``up`` [m] thick that has the features of each of ``states`` stays in the ``solids`` of
+    the finished part, by which bodies of the cell keep clear. Raises ``TandemError`` (forming.features)."""
+    planes = [_planes(one) for one in solids]
+    for done in states:
+        points = formed_sheet(mesh, tree, sorted(done)).vertices
+        points = points[np.abs(points[:, 2] - tree.level) > STANDS_OUT]
+        points = np.concatenate([points, points + np.array([0.0, 0.0, up])])
+        off = np.full(len(points), np.inf)
+        for normal, reach in planes:
+            own = np.full(len(points), -np.inf)
+            for n, r in zip(normal, reach, strict=True):
+                np.maximum(own, points @ n - r, out=own)
+            np.minimum(off, own, out=off)
+        if not len(off) or off.max() <= STANDS_OUT:
+            continue
+        at = ", ".join(f"{x / MM:.1f}" for x in points[int(off.argmax())])
+        what = (
+            f"{name}: once {_features(sorted(done))} formed, the sheet stands {min(off.max(), 1e3) / MM:.1f} "
+        )
+        what += f"mm out of the finished part, at ({at}) mm, and arms keep clear of the finished part alone"
+        raise TandemError(_issue(what, "form what is around it first, in place (strategy: in_place)"))
+
+
+def _planes(solid: Shape) -> tuple[FloatArray, FloatArray]:
+    """Planes (K, 3), (K,) of a convex solid, with normals out of it."""
+    if solid.vertices is None or solid.faces is None:
+        return np.zeros((0, 3)), np.zeros(0)
+    vertices = transform(solid.pose, solid.vertices)
+    corners = vertices[solid.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    good = size > 1e-3 * size.max()
+    normal = normal[good] / size[good, None]
+    reach = np.einsum("kd,kd->k", normal, corners[good, 0])
+    inward = np.sign(normal @ vertices.mean(axis=0) - reach) > 0.0
+    return np.where(inward[:, None], -normal, normal), np.where(inward, -reach, reach)
 
 
 SHOWN_PIECE: Final = 0.8 * MM

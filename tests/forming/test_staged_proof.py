@@ -160,6 +160,19 @@ def _shallow(staged: Staged) -> Claims:
     return staged.changed("sump", FormsSheet, half)
 
 
+def _upwards(staged: Staged) -> Claims:
+    """The sump as if it were formed before the dish, and upwards: there the finished part has nothing."""
+
+    def mirrored(claim: FormsSheet) -> FormsSheet:
+        vertices = claim.vertices.copy()
+        vertices[:, 2] = 2.0 * claim.start - vertices[:, 2] + 0.02
+        return dataclasses.replace(
+            claim, vertices=vertices, start=claim.start + 0.02, end=2.0 * claim.start - claim.end + 0.02
+        )
+
+    return staged.changed("dish", FormsSheet, mirrored)
+
+
 def _other_feature(staged: Staged) -> Claims:
     return staged.changed("sump", FormsPart, lambda c: dataclasses.replace(c, features=(1,)))
 
@@ -190,6 +203,7 @@ def _other_number(staged: Staged) -> Claims:
         (_twice, "features [1] are formed by two operations"),
         (_other_level, "form/f2 begins 2.0"),
         (_shallow, "all passes together leave the sheet 1.5"),
+        (_upwards, "once form/f1 is formed the sheet stands out of the finished part"),
         (_other_feature, "features [2] are formed; wanted of this operation: [1]"),
         (_other_number, "is number"),
     ],

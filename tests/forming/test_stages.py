@@ -17,7 +17,8 @@ from planner.issues import Issue, TandemError
 from planner.problem import Hole
 from planner.trim.job import TrimJob
 from tests.forming.staged import BALL, DEPTHS, HOLE, SUMP_RADIUS, part, problem
-from tests.small_forming import die, dish, upside_down, write
+from tests.small_forming import die, dish, dish_with_a_dome, upside_down, write
+from tests.small_forming import problem as one_forming
 from tests.trim.small_trim import data
 
 ACROSS = 1.0 / np.cos(np.deg2rad(15.0))
@@ -117,6 +118,25 @@ def test_the_part_may_be_formed_from_the_inside_out_over_two_stages(tmp_path: Pa
     (issue,) = refused(tmp_path, 2, **changes)
     assert issue.code == "forming.holes"
     assert issue.message.startswith("hole, which was cut before, lies in what f1 forms")
+
+
+def test_what_would_stand_out_of_the_finished_part_between_stages_is_refused(tmp_path: Path) -> None:
+    """A dome up in a dish that is deeper: on the virgin sheet it stands 5 mm above the flat, where the
+    finished part has nothing; arms would not keep clear of it."""
+    whole = one_forming("dsif")
+    (own,) = whole["operations"]
+    whole["operations"] = [
+        {**own, "name": "dome", "features": [2], "strategy": "virgin"},
+        {**own, "name": "dish", "features": [1], "setup": {"note": "as told"}},
+    ]
+    whole["sheet"] |= {"size_mm": [220, 220], "opening_mm": 150}
+    with pytest.raises(TandemError) as error:
+        _ = processes.job(pipeline.load(write(tmp_path, whole, dish_with_a_dome())), 0).targets()
+    (issue,) = error.value.issues
+    assert issue.code == "forming.features"
+    assert "dome: once feature 2 is formed, the sheet stands " in issue.message
+    assert "and arms keep clear of the finished part alone" in issue.message
+    assert issue.hint == "form what is around it first, in place (strategy: in_place)"
 
 
 @pytest.mark.parametrize(
