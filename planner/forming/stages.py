@@ -142,6 +142,9 @@ def shown(mesh: Mesh, holes: Sequence[Hole], after: str) -> dict[str, Any]:
         area = shapely.Polygon(hole.ring).buffer(0.0)
         shapely.prepare(area)
         near = shapely.intersects(area, shapely.polygons(corners[:, :, :2]))
+        if not near.any():  # beyond the part's mesh, in the flat sheet around it
+            corners = corners if hole.inside else corners[:0]
+            continue
         pieces = small_pieces(corners[near], SHOWN_PIECE, MOST_SHOWN)[0]
         middle = pieces.mean(axis=1)
         kept = shapely.contains_xy(area, middle[:, 0], middle[:, 1]) != hole.inside

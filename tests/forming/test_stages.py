@@ -222,6 +222,14 @@ def test_what_is_shown_has_its_holes(inside: bool) -> None:
     assert left == pytest.approx(whole - hole if inside else hole, abs=0.02 * hole)
 
 
+@pytest.mark.parametrize("inside", [True, False])
+def test_a_hole_beyond_the_mesh_of_the_part_leaves_what_is_shown(inside: bool) -> None:
+    mesh = part()
+    ring = 0.01 * np.array([[10.0, 0.0], [11.0, 0.0], [10.0, 1.0]])
+    found = shown(mesh, [Hole("hole", ring, inside)], "cut")
+    assert [len(one["faces"]) for one in found.values()] == ([len(mesh.faces)] if inside else [])
+
+
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
