@@ -14,7 +14,7 @@ from planner.forming.job import FormingJob
 from planner.forming.process_plan import lay_all
 from planner.forming.stages import formed_sheet, hole_issues, shown
 from planner.issues import Issue, TandemError
-from planner.problem import Hole
+from planner.problem import Hole, Problem, Stock
 from planner.trim.job import TrimJob
 from tests.forming.staged import BALL, DEPTHS, HOLE, SUMP_RADIUS, part, problem
 from tests.small_forming import die, dish, dish_with_a_dome, upside_down, write
@@ -206,6 +206,50 @@ def test_a_sheet_that_was_cut_is_not_formed_over_a_die(tmp_path: Path, kind: str
     (issue,) = [one for one in error.value.issues if one.code == "forming.holes"]
     assert issue.message == "the sheet was cut along hole before; in tpif all of it moves against the die"
     assert issue.hint == "form it before it is cut, or take another mode"
+
+
+def two(folder: Path, first: dict[str, Any], second: dict[str, Any]) -> Problem:
+    """Two operations on a plain dish."""
+    whole = one_forming("spif")
+    (own,) = whole["operations"]
+    ops = [{**own, "stepdown_mm": 1, **first}, {**own, "name": "second", "stepdown_mm": 1, **second}]
+    return pipeline.load(write(folder, {**whole, "operations": ops}, dish()))
+
+
+def test_levels_of_a_pass_may_be_operations_of_one_problem(tmp_path: Path) -> None:
+    whole = two(tmp_path, {"level": {"number": 0}}, {"level": {"number": 1}, "setup": {"note": "scanned"}})
+    for k in (0, 1):
+        assert processes.job(whole, k).targets().count
+    with pytest.raises(TandemError, match="formed by"):
+        processes.job(two(tmp_path, {}, {"level": {"number": 1}}), 1).targets()
+
+
+def test_a_sheet_that_is_clamped_anew_does_not_stay_clamped(tmp_path: Path) -> None:
+    for change, stays in (({}, True), ({"place": {"xyz_mm": [700, 0, 500]}}, False)):
+        whole = two(tmp_path, {"features": [1]}, {"features": [1], "setup": {"note": "as told", **change}})
+        sheet = whole.found_by(0).stock.sheet
+        assert sheet is not None and sheet.stages is not None
+        assert sheet.stages.stays is stays
+
+
+def test_an_operation_of_another_process_is_no_stage(tmp_path: Path) -> None:
+    """Packages add processes, whose fields may be named as those of forming."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Marks:
+        name: str
+        process: str
+        arms: tuple[str, ...]
+        features: tuple[int, ...] | None = None
+        level: None = None
+
+        def leaves(self, stock: Stock) -> Stock:
+            return stock
+
+    whole = problem(tmp_path)
+    dish_first, _, sump = whole.operations
+    ops = (dish_first, Marks("marks", "marks", ("robot",)), sump)
+    assert processes.job(dataclasses.replace(whole, operations=ops), 0).targets().count
 
 
 @pytest.mark.parametrize("inside", [True, False])
