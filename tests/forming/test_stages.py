@@ -102,6 +102,12 @@ def test_a_feature_that_nothing_forms_is_told(tmp_path: Path) -> None:
     assert issue.message == "dish: feature 2 is formed by no operation"
 
 
+def test_an_order_with_a_feature_of_another_operation_says_so(tmp_path: Path) -> None:
+    (issue,) = refused(tmp_path, 2, second={"order": [2, 1]})
+    assert issue.code == "forming.order"
+    assert "feature 1 is formed by another operation; name each of 2 once" in issue.message
+
+
 def test_what_stands_on_a_feature_is_not_formed_in_place_before_it(tmp_path: Path) -> None:
     (issue,) = refused(tmp_path, 0, first={"features": [2]}, second={"features": [1]})
     assert issue.code == "forming.order"
@@ -282,6 +288,7 @@ def test_a_hole_beyond_the_mesh_of_the_part_leaves_what_is_shown(inside: bool) -
         ({"features": []}, "has 0 entries, at least 1 must be there"),
         ({"springback": {"file": "back.json"}}, "neither level nor springback is known"),
         ({"hole_margin_mm": 0}, "hole_margin_mm"),
+        ({"features": 2}, "operations.2.features: a list is wanted, got 2; put it in brackets: [..]"),
     ],
 )
 def test_what_cannot_be_a_stage_is_refused_by_its_field(
