@@ -374,17 +374,20 @@ class Part:
 @dataclasses.dataclass(frozen=True)
 class Hole:
     """A closed curve ``ring`` (K, 2) [m] in plan along which an operation has cut a sheet: what lies
-    ``inside`` of it drops, or all that is outside."""
+    ``inside`` of it drops, or all that is outside. On the sheet's other face the cut may be farther out, or
+    in, by ``across`` [m] in plan."""
 
     name: str
     ring: FloatArray
     inside: bool = True
+    across: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Stages:
     """The operations that form a sheet ``before`` and ``after`` another one, in order, each with its name and
-    the numbers of the features that it forms, None for all. ``stays``: the sheet stays clamped behind it."""
+    the numbers of the features that it forms, None for all; those of single levels are left out. ``stays``:
+    the sheet stays clamped behind it."""
 
     before: tuple[tuple[str, tuple[int, ...] | None], ...] = ()
     after: tuple[tuple[str, tuple[int, ...] | None], ...] = ()
@@ -531,12 +534,19 @@ class Fixed(Protocol):
         """The stock with bodies of fixtures, by which bodies of the cell keep clear."""
 
 
+FORMING: Final = "forming"
+"""The process that forms sheets; fields of others may have the same names."""
+
+
 @runtime_checkable
 class Forms(Protocol):
-    """An operation that forms a sheet: the ``features`` of its part with these numbers, None for all."""
+    """An operation that forms a sheet, of the process :data:`FORMING`: the ``features`` of its part with
+    these numbers, None for all; or of one pass a ``level`` alone, if not None."""
 
     name: str
+    process: str
     features: tuple[int, ...] | None
+    level: object
 
 
 OWN_CLEARANCE: Final = 0.005
@@ -722,11 +732,16 @@ class Problem:
             stock = self.operations[before].leaves(stock)
         if stock.sheet is None or setup.stock.sheet is None:
             return setup
-        forms = [(k, (op.name, op.features)) for k, op in enumerate(self.operations) if isinstance(op, Forms)]
+        forms = [
+            (k, op) for k, op in enumerate(self.operations) if isinstance(op, Forms) and op.process == FORMING
+        ]
+        # operations of one level each form the same features, level by level
+        whole = [(k, (op.name, op.features)) for k, op in forms if op.level is None]
+        moved = self.changes.get(index + 1, Change()).stock.keys() & {"place", "support"}
         stages = Stages(
-            tuple(one for k, one in forms if k < index),
-            tuple(one for k, one in forms if k > index),
-            index + 1 < len(self.operations),
+            tuple(one for k, one in whole if k < index),
+            tuple(one for k, one in whole if k > index),
+            index + 1 < len(self.operations) and not moved,
         )
         sheet = dataclasses.replace(stock.sheet, stages=stages if forms else None)
         return dataclasses.replace(setup, stock=dataclasses.replace(setup.stock, sheet=sheet))

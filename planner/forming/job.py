@@ -36,7 +36,7 @@ from planner.forming.check import (
 )
 from planner.forming.claims import scallop
 from planner.forming.contact import Pass, ToolPath
-from planner.forming.operation import GAP_MODES, Forming, Level
+from planner.forming.operation import GAP_MODES, MODES_OF_WHOLE_SHEETS, Forming, Level
 from planner.forming.process_plan import (
     LEAST_MOVE_TIME,
     TOO_NARROW,
@@ -320,8 +320,10 @@ class FormingJob(Job[Forming]):
 
 def _of_holes(made: Work, paths: Laid) -> list[Issue]:
     """Holes that an operation comes too near to."""
-    if made.operation.mode == "adsif" and made.sheet.holes:
-        what = f"the sheet was cut along {made.sheet.holes[0].name} before; in adsif tools press all of it"
+    mode = made.operation.mode
+    if mode in MODES_OF_WHOLE_SHEETS and made.sheet.holes:
+        what = f"the sheet was cut along {made.sheet.holes[0].name} before; in {mode} "
+        what += "tools press all of it" if mode == "adsif" else "all of it moves against the die"
         hint = "form it before it is cut, or take another mode"
         return [Issue("forming.holes", what, field="operations.mode", hint=hint)]
     radii = []
@@ -330,7 +332,9 @@ def _of_holes(made: Work, paths: Laid) -> list[Issue]:
         radii.append(
             (made.heads[made.former(one)].radius, 0.0 if other is None else made.heads[other].radius)
         )
-    return list(hole_issues(made.sheet.holes, made.operation.hole_margin_mm * MM, paths, radii))
+    op = made.operation
+    slack = OFF_SHARE * op.gouge_tol_mm * MM
+    return list(hole_issues(made.sheet.holes, op.hole_margin_mm * MM, paths, radii, slack))
 
 
 def _route(made: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
@@ -386,6 +390,11 @@ def _targets(
 
 ROUNDED_SHARE: Final = 0.4
 """Share of what a ball may cut into its face that rounded corners may take."""
+
+
+OFF_SHARE: Final = 0.5
+"""Share of what a ball may cut into its face by which tools may be off their ways in plan: at rounded
+corners, and by what the proof does not know of motion between its samples."""
 
 
 def rounding(claims: Sequence[Claim]) -> Rounding:

@@ -186,6 +186,8 @@ class ForceBy(Strict):
 
 FORCE_MODES = frozenset({"spif", "dsif", "dpif_l", "dpif_p", "heat"})
 """Modes whose forces may be stated by depth or level: those whose springback is foretold."""
+MODES_OF_WHOLE_SHEETS = frozenset({"adsif", "tpif"})
+"""Modes that form no sheet that was cut before: tools press all of it, or its rim sinks with a holder."""
 SUPPORT_MODES = frozenset({"dsif", "dpif_l"})
 """Modes in which the second tool presses the sheet against the former."""
 

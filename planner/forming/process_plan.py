@@ -24,7 +24,7 @@ from planner.forming.paths.adsif_path import adsif_tool_path, pressed_by_support
 from planner.forming.paths.contact_path import make_path
 from planner.forming.paths.spiral import MISSED_DISTANCE, PathOptions
 from planner.forming.sheet_mechanics import steepest
-from planner.forming.stages import formed_sheet, own_features
+from planner.forming.stages import formed_sheet, own_features, require_within
 from planner.forming.stated_force import Stated, stated
 from planner.forming.support.clearance import Clamp, clamp_of
 from planner.forming.support.modes import tool_path
@@ -153,6 +153,9 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
     before, own = own_features(operation.name, operation.features, sheet.stages, tree)
     order = _order(operation, tree, own, before)
     thickness = float(setup.stock.size[2])
+    if operation.features is not None and operation.strategy == "virgin":
+        states = [(*before, *(step.feature for step in order[: k + 1])) for k in range(len(order))]
+        require_within(operation.name, mesh, tree, states, sheet.formed, thickness)
     made = passes(tree, order, mesh, thickness, operation, sheet.metal)
     _require_sides(operation, made)
     controller = setup.cell.controller

@@ -18,7 +18,7 @@ import shapely
 
 from planner.forming.contact import Pass, ToolPath
 from planner.forming.features.tree import FeatureTree
-from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.arrays import FloatArray, Mesh, Shape, transform
 from planner.geometry.mesh import small_pieces
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -78,6 +78,56 @@ def formed_sheet(mesh: Mesh, tree: FeatureTree, done: Sequence[int]) -> Mesh:
     return Mesh(np.column_stack([mesh.vertices[:, :2], height]), mesh.faces)
 
 
+STANDS_OUT: Final = 0.2 * MM
+"""How far [m] the sheet may stand out of the solids of the part between stages, and off the flat unseen."""
+
+
+def require_within(
+    name: str,
+    mesh: Mesh,
+    tree: FeatureTree,
+    states: Sequence[Sequence[int]],
+    solids: Sequence[Shape],
+    up: float,
+) -> None:
+    """Whether a sheet ``up`` [m] thick that has the features of each of ``states`` stays in the ``solids`` of
+    the finished part, by which bodies of the cell keep clear. Raises ``TandemError`` (forming.features)."""
+    planes = [_planes(one) for one in solids]
+    for done in states:
+        points = formed_sheet(mesh, tree, sorted(done)).vertices
+        points = points[np.abs(points[:, 2] - tree.level) > STANDS_OUT]
+        points = np.concatenate([points, points + np.array([0.0, 0.0, up])])
+        off = np.full(len(points), np.inf)
+        for normal, reach in planes:
+            own = np.full(len(points), -np.inf)
+            for n, r in zip(normal, reach, strict=True):
+                np.maximum(own, points @ n - r, out=own)
+            np.minimum(off, own, out=off)
+        if not len(off) or off.max() <= STANDS_OUT:
+            continue
+        at = ", ".join(f"{x / MM:.1f}" for x in points[int(off.argmax())])
+        what = (
+            f"{name}: once {_features(sorted(done))} formed, the sheet stands {min(off.max(), 1e3) / MM:.1f} "
+        )
+        what += f"mm out of the finished part, at ({at}) mm, and arms keep clear of the finished part alone"
+        raise TandemError(_issue(what, "form what is around it first, in place (strategy: in_place)"))
+
+
+def _planes(solid: Shape) -> tuple[FloatArray, FloatArray]:
+    """Planes (K, 3), (K,) of a convex solid, with normals out of it."""
+    if solid.vertices is None or solid.faces is None:
+        return np.zeros((0, 3)), np.zeros(0)
+    vertices = transform(solid.pose, solid.vertices)
+    corners = vertices[solid.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    good = size > 1e-3 * size.max()
+    normal = normal[good] / size[good, None]
+    reach = np.einsum("kd,kd->k", normal, corners[good, 0])
+    inward = np.sign(normal @ vertices.mean(axis=0) - reach) > 0.0
+    return np.where(inward[:, None], -normal, normal), np.where(inward, -reach, reach)
+
+
 SHOWN_PIECE: Final = 0.8 * MM
 """Triangles at holes that are drawn are no larger than this [m]."""
 MOST_SHOWN: Final = 60_000
@@ -92,6 +142,9 @@ def shown(mesh: Mesh, holes: Sequence[Hole], after: str) -> dict[str, Any]:
         area = shapely.Polygon(hole.ring).buffer(0.0)
         shapely.prepare(area)
         near = shapely.intersects(area, shapely.polygons(corners[:, :, :2]))
+        if not near.any():  # beyond the part's mesh, in the flat sheet around it
+            corners = corners if hole.inside else corners[:0]
+            continue
         pieces = small_pieces(corners[near], SHOWN_PIECE, MOST_SHOWN)[0]
         middle = pieces.mean(axis=1)
         kept = shapely.contains_xy(area, middle[:, 0], middle[:, 1]) != hole.inside
@@ -115,9 +168,11 @@ def hole_issues(
     margin: float,
     paths: Sequence[tuple[Pass, ToolPath]],
     radii: Sequence[tuple[float, float]],
+    slack: float = 0.0,
 ) -> Iterator[Issue]:
-    """Holes (forming.holes) that are nearer than ``margin`` [m] to what passes form, or to their tools of
-    ``radii`` [m], the forming and the other one of each pass; and curves outside of which all has dropped."""
+    """Holes (forming.holes) of which an edge may be nearer than ``margin`` [m] to what passes form, or to
+    their tools of ``radii`` [m], the forming and the other one of each pass, which may be ``slack`` [m] off
+    their ways; and curves outside of which all has dropped."""
     for hole in holes:
         ring = shapely.Polygon(hole.ring).buffer(0.0)
         if not hole.inside:
@@ -125,16 +180,18 @@ def hole_issues(
             yield _of_hole(what, None, margin, "put this operation before the one that cuts it off")
             continue
         own = [(shapely.distance(ring, _moved(one)), one.name) for one, _ in paths]
-        near, name = min(own, key=lambda found: found[0])
+        apart, name = min(own, key=lambda found: found[0])
+        near = max(apart - hole.across, 0.0)
         if near < margin:
-            what = f"{hole.name}, which was cut before, is {near / MM:.1f} mm off what {name} forms"
-            if near == 0.0:
+            what = f"{hole.name}, which was cut before, is {apart / MM:.1f} mm off what {name} forms"
+            what += f", its other edge down to {near / MM:.1f} mm" if hole.across > 0.0 else ""
+            if apart == 0.0:
                 what = f"{hole.name}, which was cut before, lies in what {name} forms, and would be moved"
             hint = "form that feature before the sheet is cut, or move the curve away from it"
             yield _of_hole(what, near, margin, hint)
             continue
         tools = [
-            (shapely.distance(ring, _way(way)) - radius, one.name)
+            (shapely.distance(ring, _way(way)) - radius - hole.across - slack, one.name)
             for (one, path), both in zip(paths, radii, strict=True)
             for way, radius in zip((path.former, path.support), both, strict=True)
             if way is not None
@@ -142,7 +199,7 @@ def hole_issues(
         near, name = min(tools, key=lambda found: found[0])
         if near < margin:
             how = f"comes within {near / MM:.1f} mm of" if near > 0.0 else "goes over"
-            what = f"in {name} a tool {how} {hole.name}, which was cut before"
+            what = f"in {name} a tool {how} the edges of {hole.name}, which was cut before"
             hint = "form that feature before the sheet is cut, move the curve away, or take a smaller tool"
             yield _of_hole(what, max(near, 0.0), margin, hint)
 

@@ -385,6 +385,8 @@ def _field_issue(
         remedy = "add what is missing, or take the key out where it may be left out"
     if error["type"] == "missing" and isinstance(error["loc"][-1], int):  # of a list of a fixed length
         what, remedy = f"entry {error['loc'][-1]}, counted from 0, is missing", "give as many as it takes"
+    if error["type"] in ("tuple_type", "list_type"):
+        what, remedy = "a list is wanted", "put it in brackets: [..]"
     name = _NAME.fullmatch(error.get("ctx", {}).get("pattern", ""))
     if name:
         most = int(name[1]) + 1

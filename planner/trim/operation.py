@@ -6,6 +6,7 @@ Lengths are in mm, angles in degrees, speeds in mm/s.
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
 
@@ -14,7 +15,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 
 from planner.claims.vocabulary import fold
 from planner.geometry.arrays import FloatArray
-from planner.geometry.units import LENGTH_UNITS, MM
+from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Hole, Stock
 from planner.reading.drawing import read_dxf
@@ -194,9 +195,12 @@ class Trim(Strict):
         """The sheet as it stays clamped, with holes; bodies keep clear of what was cut out of it, too."""
         if stock.sheet is None:
             return stock
+        # a cut through the sheet is no longer than this, so its other edge is no farther off in plan
+        across = float(stock.size[2]) / math.cos(self.cone_deg * DEG)
         try:
             cut = tuple(
-                Hole(own.name, ring[:, :2], own.drops == "inside") for own, ring in every_outline(self)
+                Hole(own.name, ring[:, :2], own.drops == "inside", across)
+                for own, ring in every_outline(self)
             )
         except TandemError:
             return stock  # a file that cannot be read is told by the operation itself

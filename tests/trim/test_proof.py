@@ -78,6 +78,14 @@ def behind_first_move(what: str) -> Callable[[str], str]:
     return put
 
 
+def before_last_move(what: str) -> Callable[[str], str]:
+    def put(text: str) -> str:
+        at = text.rindex("\n", 0, text.rindex("MoveL"))
+        return f"{text[:at]}\n    {what}{text[at:]}"
+
+    return put
+
+
 def swapped(text: str) -> str:
     """The round hole, and what belongs to it, behind all others."""
     first = text.index("trim_round_in;")
@@ -121,6 +129,16 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     ),
     "no arc": ("verify.trim_arc", MAIN, replaced(ON, "")),
     "the arc too late": ("verify.trim_arc", "trim_round", behind_first_move(f"{OFF} {ON}")),
+    "the arc goes on late, on the way": (
+        "verify.trim_arc",
+        MAIN,
+        lambda text: text.replace(ON, "", 1).replace("trim_round;", f"trim_round;\r\n    {ON}", 1),
+    ),
+    "the arc goes out before the last move": (
+        "verify.trim_arc",
+        "trim_round",
+        before_last_move(OFF),
+    ),
     "the arc too early": (
         "verify.trim_arc",
         MAIN,
@@ -163,6 +181,15 @@ def test_a_fault_is_told_by_the_rule_for_it(job: Job, name: str) -> None:
     programs = in_procedure(job.programs, procedure, change)
     assert programs != job.programs
     assert job.told_by(code, programs)
+
+
+@pytest.mark.parametrize("wait", [f"WaitTime 1;\r\n    {ON}", f"{OFF}\r\n    WaitTime 1;"])
+def test_a_torch_may_stand_dark_at_the_ends_of_its_slot(job: Job, wait: str) -> None:
+    """As it does where it waits for the other arm."""
+    old = ON if ON in wait else OFF
+    programs = in_procedure(job.programs, MAIN, replaced(old, wait))
+    assert programs != job.programs
+    assert not job.told_by("verify.trim_arc", programs)
 
 
 def test_the_dialogue_has_all_that_is_switched(job: Job) -> None:

@@ -341,10 +341,16 @@ def _check(
 ) -> None:
     wanted = set(range(1, len(tree.features) + 1)) if own is None else set(own)
     issues = []
-    unknown = sorted(set(order) - wanted)
+    unknown = sorted(set(order) - wanted - {feature.id for feature in tree.features})
+    others = sorted(set(order) - wanted - set(unknown))
     missing = sorted(wanted - set(order))
     twice = sorted({number for number in order if order.count(number) > 1})
-    for what, numbers in (("does not exist", unknown), ("is missing", missing), ("is there twice", twice)):
+    for what, numbers in (
+        ("does not exist", unknown),
+        ("is formed by another operation", others),
+        ("is missing", missing),
+        ("is there twice", twice),
+    ):
         each = f"1 to {len(wanted)}" if own is None else ", ".join(map(str, sorted(wanted)))
         issues += [_issue(f"feature {n} {what}; name each of {each} once") for n in numbers]
     if not translated and not issues:

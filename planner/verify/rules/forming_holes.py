@@ -20,29 +20,39 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.files import UnreadError
 from planner.verify.forming.shapes import PartShapes, Shape
-from planner.verify.forming.state import Formed, Forming
+from planner.verify.forming.state import Formed, Forming, pieces
 from planner.verify.trim.outlines import drawn, winding
 
 FORMING_HOLES = "verify.forming_holes"
 """Code of this rule."""
 NO_HOLES = "no sheet is formed that was cut before"
 """Why it has not run."""
+OF_WHOLE_SHEETS = ("adsif", "tpif")
+"""Modes whose tools press all of the sheet, or whose die moves its rim: a cut before is at another height."""
 FACET = 0.05e-3
 """How far [m] facets of a border, and chords of a curve, may be off them."""
 
 
+CHORD = 0.01e-3
+"""How far [m] straight pieces of a tool's way may be off it."""
+
+
 @dataclasses.dataclass(frozen=True)
 class _Hole:
+    """A curve, and how far [m] in plan the cut's edge on the other face may be off it: as long as the way of
+    a torch through the flat sheet that leans as far as it may, as sheets that are formed get thinner."""
+
     one: TrimOutline
     flat: FloatArray
     ring: shapely.Geometry
+    across: float
 
 
 @rule(FORMING_HOLES, FormsPart)
 def forming_holes(context: Context, forming: Forming) -> Outcome:
-    """What is formed in a sheet that was cut before, and all tools while they form it, stay off each curve of
-    the cuts, seen along z, by the margin of the problem; nothing is formed inside of one, nor where the sheet
-    was cut off its clamp."""
+    """What is formed in a sheet that was cut before, and all tools while they form it, stay off each cut, on
+    both faces of the sheet, seen along z, by the margin of the problem; nothing is formed inside of one, nor
+    where the sheet was cut off its clamp."""
     issues: list[Issue] = []
     worst, limit, where = np.inf, 0.0, ""
     made = {id(group): one for one, group in forming.parts}
@@ -69,10 +79,11 @@ def forming_holes(context: Context, forming: Forming) -> Outcome:
 def _cut(claim: TrimsSheet) -> tuple[list[_Hole], list[Issue]]:
     """The curves of a claim."""
     found, issues = [], []
+    across = float(np.hypot(claim.thickness, claim.thickness * np.tan(claim.cone)))
     for one in claim.outlines:
         try:
             flat = drawn(one)
-            found.append(_Hole(one, flat, shapely.LinearRing(flat)))
+            found.append(_Hole(one, flat, shapely.LinearRing(flat), across))
         except UnreadError as error:
             what = f"{one.name} cannot be read a second time: {error}"
             issues.append(Issue(FORMING_HOLES, what, field=one.name))
@@ -88,14 +99,21 @@ def _of_hole(
     if not hole.one.inside:
         what = f"the sheet was cut along {name}, outside of which all drops, and is formed behind that"
         return 0.0, [Issue(FORMING_HOLES, what, field=name)]
+    if part.mode in OF_WHOLE_SHEETS:
+        what = (
+            f"the sheet was cut along {name}, and is formed in {part.mode} behind that, which moves all of it"
+        )
+        return 0.0, [Issue(FORMING_HOLES, what, field=name)]
     issues: list[Issue] = []
     least = np.inf
     for _, feature in made.own:
         for shape in feature.shapes:
-            near = _formed_off(shape, hole)
+            near = max(_formed_off(shape, hole) - hole.across, 0.0)
             least = min(least, near)
             if near < part.hole_margin - FACET:
-                what = f"{shape.claim.segment} moves the sheet {mm(near):.2f} mm off {name}, which was cut "
+                what = (
+                    f"{shape.claim.segment} moves the sheet {mm(near):.2f} mm off the edges of {name}, cut "
+                )
                 what += f"before; wanted: {mm(part.hole_margin):g} mm"
                 value, limit = mm(near), mm(part.hole_margin)
                 issues.append(Issue(FORMING_HOLES, what, field=name, value=value, limit=limit, unit="mm"))
@@ -121,11 +139,12 @@ def _formed_off(shape: Shape, hole: _Hole) -> float:
 
 
 def _tools_off(context: Context, part: FormsPart, one: Formed, hole: _Hole) -> tuple[float, list[Issue]]:
-    """How far [m] in plan the tools of a pass stay off a curve while they form."""
+    """How far [m] in plan the tools of a pass stay off the edges of a cut while they form."""
     track, least = one.track, np.inf
     issues: list[Issue] = []
-    use = track.own[one.pieces.first]
-    first, last, off = one.pieces.first[use], one.pieces.last[use], one.pieces.off[use]
+    parts = pieces(track, CHORD)
+    use = track.own[parts.first]
+    first, last, off = parts.first[use], parts.last[use], parts.off[use] + hole.across
     radius = dict(zip(part.arms, part.radii, strict=True))
     for column, arm in enumerate(track.arms):
         if arm not in radius or not len(first):
@@ -137,7 +156,7 @@ def _tools_off(context: Context, part: FormsPart, one: Formed, hole: _Hole) -> t
         least = min(least, float(near[k]))
         if near[k] < part.hole_margin - FACET:
             what = f"in {one.claim.segment} the tool of {arm} comes within {mm(float(near[k])):.2f} mm of "
-            what += f"{hole.one.name}, which was cut before; wanted: {mm(part.hole_margin):g} mm"
+            what += f"the edges of {hole.one.name}, which was cut before; wanted: {mm(part.hole_margin):g} mm"
             measure = (mm(float(near[k])), mm(part.hole_margin), "mm")
             row = int(track.rows[first[k]])
             issues.append(at_sample(FORMING_HOLES, what, context.motion, arm, row, measure))

@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from planner.claims.forming import FormsPart, FormsSheet
+from planner.geometry.arrays import corners, transform
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm, rule
 from planner.verify.files.sheets import SLOPE_STEP, scatter, together, tolerance_of
@@ -39,6 +41,8 @@ ROUNDING = 1e-9
 """Tolerances [m] and shares that differ by less are the same."""
 RIM_HEIGHT = 1.2e-4
 """How far [m] a feature may begin off the sheet around it: twice that noise."""
+STANDS_OUT = 3e-4
+"""How far [m] the sheet may stand out of the hulls of the part between stages, and off the flat unseen."""
 RIM_SHARE = 0.9
 """Share of the places around a feature that count: in a noisy mesh others lie on what is beside it."""
 NO_PART = "no part is to be formed"
@@ -86,6 +90,7 @@ def forming_part(context: Context, forming: Forming) -> Outcome:
             issues += _level(made, k, feature)
             issues += _between(made.part, feature)
         issues += _order(made)
+        issues += [] if made.part.features is None else _stands_out(context, made)
     if not np.isfinite(worst):
         return Outcome(tuple(issues), where=NO_PART)
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
@@ -107,6 +112,28 @@ def _once(forming: Forming) -> Iterator[Issue]:
             what = f"features {sorted(formed & numbers)} are formed by two operations"
             yield _issue(what, made.own[0][1])
         formed |= numbers
+
+
+def _stands_out(context: Context, made: PartShapes) -> Iterator[Issue]:
+    """Whether the sheet stays, from stage to stage, in the hulls of the part that bodies keep clear of."""
+    sheet = context.problem.stock.sheet
+    hulls = [] if sheet is None else [one for one in sheet.formed if one.vertices is not None]
+    planes = [ConvexHull(transform(one.pose, corners(one))).equations for one in hulls]
+    for k, feature in made.own:
+        moved = made.moved[: k + 1].sum(axis=0)
+        some = np.abs(moved) > STANDS_OUT
+        low = np.column_stack([made.places, made.level + moved])[some]
+        points = np.concatenate([low, low + np.array([0.0, 0.0, made.part.thickness])])
+        off = np.full(len(points), np.inf)
+        for one in planes:
+            off = np.minimum(off, (points @ one[:, :3].T + one[:, 3]).max(axis=1))
+        if len(off) and float(off.max()) > STANDS_OUT:
+            at = ", ".join(f"{mm(x):.1f}" for x in points[int(off.argmax())])
+            what = (
+                f"once {feature.final.claim.segment} is formed the sheet stands out of the finished part, of "
+            )
+            what += f"which alone bodies keep clear, at ({at}) mm"
+            yield _issue(what, feature)
 
 
 def _tolerance(context: Context, made: PartShapes) -> Iterator[Issue]:

@@ -218,7 +218,9 @@ def trim_arc(context: Context, trimming: Trimming) -> Outcome:
             if len(own.time) < 2:
                 continue
             count += 1
-            dark = np.flatnonzero(~burning.at(own.time))
+            # a torch may stand at the slot's ends, for the arc and for the other arm, longer than it burns
+            ends = [np.linalg.norm(own.tip - own.tip[k], axis=1) > STANDING for k in (0, -1)]
+            dark = np.flatnonzero(~burning.at(own.time) & ends[0] & ends[1])
             for i in dark[:1]:
                 what = f"{claim.signal} is off in {key}: nothing is cut there"
                 issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(own.rows[i])))
