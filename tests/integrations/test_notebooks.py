@@ -26,7 +26,7 @@ nbformat.write(notebook, sys.argv[3])
 SHOWN: dict[str, tuple[tuple[str, str], ...]] = {
     "01_first_job": (
         ("plan", r"<Outcome of gauge_lanes: verified, (\d+) of \1 rules, \d+\.\d s>"),
-        ("show", r'<iframe srcdoc="&lt;!DOCTYPE'),
+        ("show", r'<iframe srcdoc="&lt;!doctype'),
         (
             "margins",
             r"^clearance +\d+\.?\d*  limit 9 mm .*\nown_clearance +\d+\.?\d*  limit 4\.5 mm .*\n"

@@ -18,7 +18,7 @@ function row(one) {
     h("td", {}, KINDS[one.kind]),
     h("td", { class: "wide" }, h("time", { dateTime: one.changed, title: new Date(one.changed).toLocaleString("en-GB") }, ago(one.changed))),
     h("td", { class: "n" }, h("span", { class: "actions plans" },
-      h("button", { type: "button", class: "small", "aria-label": `Call ${one.title} otherwise`, onclick: () => rename(one) }, "Rename"),
+      h("button", { type: "button", class: "small", "aria-label": `Rename ${one.title}`, onclick: () => rename(one) }, "Rename"),
       h("button", { type: "button", class: "small danger", "aria-label": `Delete ${one.title}`, onclick: () => drop(one) }, icon("bin")))));
 }
 
