@@ -197,7 +197,7 @@ def _key(node: Any, step: str, path: str) -> str | int:
         return step
     if not isinstance(node, list):
         raise ValueError(f"{path} is below a single value; end the path there")
-    if step.isdigit():
+    if step.isdecimal():
         if int(step) >= len(node):
             raise ValueError(f"{path}: the list has {len(node)} entries, counted from 0; choose one of them")
         return int(step)

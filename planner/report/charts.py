@@ -287,6 +287,10 @@ FORMED_WORDS: Final = ("pressed too far", "not pressed so far", "the ball did no
 """The same of a formed face."""
 MILLED_WORDS: Final = ("too much cut", "left standing", "the cutter did not pass")
 """The same of a milled face."""
+FACE_WORDS: Final = {"form": ("ball", FORMED_WORDS), "mill": ("cutter", MILLED_WORDS)}
+"""What passes a face, and what deviations are called, by the kind of its segment;"""
+CUT_FACE: Final = ("wire", CUT_WORDS)
+"""of all others a wire cuts."""
 
 
 def view(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

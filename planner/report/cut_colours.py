@@ -202,16 +202,19 @@ def _deviation(faces: Sequence[CutFace]) -> Layer | None:
         colours.append(np.where(np.isfinite(value)[:, None], shown, charts.MISSED_COLOUR))
     area = np.concatenate([face.area for face in faces])
     spacing = float(np.sqrt(np.mean(area) / share)) if len(area) else 0.0
-    limit = min(face.tolerance for face in faces) / MM
+    bound = [face.tolerance for face in faces if not len(face.allowed)]
+    limit = min(bound, default=np.inf) / MM  # where it differs from place to place, no mark says it
     high = span / MM
     key = charts.diverging(np.linspace(-high, high, SHADES), high)
     marks = tuple((sign * limit, "allowed") for sign in (-1.0, 1.0) if limit <= high)
     worse = max(faces, key=lambda face: face.largest)
     words = (
         f"largest: {worse.largest / MM:.3f} mm, {worse.title}; root mean square there "
-        f"{worse.rms / MM:.3f} mm, allowed ±{markup.number(worse.tolerance / MM)} mm"
+        f"{worse.rms / MM:.3f} mm, allowed {markup.allowed(worse.allowed, worse.tolerance)} mm"
     ) + (f"; {len(faces)} faces" if len(faces) > 1 else "")
-    title = "deviation from the wanted part: blue too much cut, red left standing"
+    kinds = dict.fromkeys(charts.FACE_WORDS.get(face.segment.kind, charts.CUT_FACE)[1] for face in faces)
+    blue, red, missed = (" or ".join(dict.fromkeys(words)) for words in zip(*kinds, strict=True))
+    title = f"deviation from the wanted part: blue {blue}, red {red}, violet {missed}"
     return Layer(
         "deviation",
         title,

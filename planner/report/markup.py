@@ -19,6 +19,7 @@ import numpy as np
 from PIL import Image as PillowImage
 
 from planner.geometry.arrays import FloatArray
+from planner.geometry.units import MM
 
 _PNG: Final = "data:image/png;base64,"
 """How the address of a PNG begins that lies in the page itself."""
@@ -270,6 +271,15 @@ def number(value: float, digits: int = 4) -> str:
     if "e" in size and 1e-4 < abs(value) < 1e7:
         size = f"{value:.0f}"
     return size.replace("-", "−")
+
+
+def allowed(by_place: FloatArray, most: float) -> str:
+    """What a face may be off [mm], as text, of values [m]; the middle and the greatest where it differs by
+    place."""
+    if not len(by_place):
+        return f"±{number(most / MM)}"
+    middle = float(np.median(by_place)) / MM
+    return f"what steps leave there, {number(middle, 2)} or so and {number(most / MM, 2)} at most,"
 
 
 def fixed(value: float, places: int) -> str:

@@ -211,8 +211,6 @@ def _figures(metrics: Mapping[str, Any]) -> Iterable[tuple[str, object, str]]:
             yield " ".join(shown), value, unit
 
 
-_FACE_WORDS = {"form": ("ball", charts.FORMED_WORDS), "mill": ("cutter", charts.MILLED_WORDS)}
-"""What passes a face, and what deviations are called, by the kind of its segment; a wire cuts."""
 _SEVERITY_ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
 """Issues are shown in this order, the gravest first."""
 
@@ -279,9 +277,9 @@ def rule_table(results: Sequence[RuleResult]) -> markup.Table:
 def cut_face_figure(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> Block:
     """Heat map, histogram and figures of a simulated face; ``rulings``: the ends of its rulings."""
     missed = float(np.isnan(cut.deviation).mean())
-    tool, words = _FACE_WORDS.get(cut.segment.kind, ("wire", charts.CUT_WORDS))
+    tool, words = charts.FACE_WORDS.get(cut.segment.kind, charts.CUT_FACE)
     items = [
-        (f"within {_allowed(cut)} mm", f"{100 * cut.share:.2f} % of the face"),
+        (f"within {markup.allowed(cut.allowed, cut.tolerance)} mm", f"{100 * cut.share:.2f} % of the face"),
         ("asked for", f"{100 * cut.wanted_share:.0f} %"),
         ("root mean square", f"{cut.rms / MM:.3f} mm"),
         ("largest", f"{cut.largest / MM:.3f} mm"),
@@ -301,15 +299,6 @@ def cut_face_figure(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None 
     spread = markup.Figure("Spread", charts.histogram(cut.deviation, cut.tolerance))
     beside = markup.Column((spread, markup.Facts(tuple(items))))
     return markup.Grid((chart, beside), "two part")
-
-
-def _allowed(cut: CutFace) -> str:
-    """What a face may be off [mm], as text; the middle and the greatest where it differs by place."""
-    if not len(cut.allowed):
-        return f"±{markup.number(cut.tolerance / MM)}"
-    middle = float(np.median(cut.allowed)) / MM
-    most = cut.tolerance / MM
-    return f"what steps leave there, {markup.number(middle, 2)} or so and {markup.number(most, 2)} at most,"
 
 
 def placement_figures(plan: Plan) -> tuple[Block, ...]:

@@ -290,7 +290,7 @@ def _left(film: _Film, problem: Problem, plan: Plan, run: Track) -> None:
     for index, operation in enumerate(plan.operations):
         for one in operation.targets.exhibits.values():
             if isinstance(one, Mapping) and one.get("kind") == "left":
-                own = np.flatnonzero(run.setup == scenes.setup_index(problem, index))
+                own = np.flatnonzero(run.operation == index)
                 works = [k for k in own.tolist() if run.segment[k].works]
                 mesh = film.mesh(np.asarray(one["vertices"]), np.asarray(one["faces"]))
                 found += [(works[-1], mesh)] if works else []

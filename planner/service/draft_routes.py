@@ -165,6 +165,10 @@ async def save(
         raise RefusedError(428, Issue("service.draft", what, field="If-Match"))
     tags = [one.strip().removeprefix("W/") for one in if_match.split(",")]
     upload = await take_upload(request, here.storage, owner, here.limits)
+    of = await anyio.to_thread.run_sync(here.drafts.owner, found)
+    if of is not None and of != owner:  # whose files the versions of a draft are
+        blobs = [upload.problem, *upload.files.values()]
+        await anyio.to_thread.run_sync(here.storage.allow_of_other, of, blobs)
     row = await anyio.to_thread.run_sync(here.drafts.save, found, who, tags, upload, without or ())
     return _told(row, response)
 

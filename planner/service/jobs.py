@@ -346,7 +346,7 @@ class Jobs:
 
     def _allow(self, db: Connection, new: Sequence[NewJob]) -> None:
         owner = new[0].owner
-        self._allow_open(db, owner)
+        self._allow_open(db, owner, sum(one.of is None for one in new))
         mine = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
         kept = int(db.execute(mine).scalar_one())
         if kept + len(new) > self._limits.kept_jobs:
@@ -356,7 +356,7 @@ class Jobs:
                 429, Issue("service.too_many", what, limit=self._limits.kept_jobs), {"Retry-After": "60"}
             )
 
-    def _allow_open(self, db: Connection, owner: str) -> None:
+    def _allow_open(self, db: Connection, owner: str, more: int = 1) -> None:
         mine = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
         panels = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.role == "panel")
         opened = and_(JOBS.c.owner == owner, JOBS.c.state.in_(OPEN))
@@ -367,10 +367,12 @@ class Jobs:
         )
         waiting = int(db.execute(mine.where(opened, JOBS.c.id.not_in(panels))).scalar_one())
         waiting += int(db.execute(elements).scalar_one())
-        if waiting >= self._limits.open_jobs:
+        if waiting + max(more, 1) > self._limits.open_jobs:
+            wanted = f", {more} more are wanted" if more > 1 else ""
             what = (
-                f"{waiting} jobs wait or run, at most {self._limits.open_jobs} may; wait for some, or cancel"
+                f"{waiting} jobs wait or run{wanted}, at most {self._limits.open_jobs} may; wait for some, "
             )
+            what += "or cancel"
             raise RefusedError(
                 429, Issue("service.too_many", what, limit=self._limits.open_jobs), {"Retry-After": "10"}
             )

@@ -28,11 +28,12 @@ from planner.service.routes import (
 )
 from planner.service.security import RefusedError
 from planner.service.storage import take_upload
+from planner.service.texts import Line
 
 router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=ASKED)
 MOST_VALUES: Final = 50
 """Values of a sweep."""
-Scalar = Annotated[str, Query(max_length=200)]
+Scalar = Annotated[Line, Query()]
 
 
 @router.post(
@@ -73,9 +74,7 @@ async def sweep(
     owner: Caller,
     here: Here,
     key: Key,
-    field: Annotated[
-        str, Query(min_length=1, max_length=200, description="its place, such as operations.0.feed_mm_s")
-    ],
+    field: Annotated[Line, Query(min_length=1, description="its place, such as operations.0.feed_mm_s")],
     value: Annotated[
         list[Scalar],
         Query(min_length=1, max_length=MOST_VALUES, description="numbers, true, false, or words"),
@@ -85,7 +84,8 @@ async def sweep(
     """A job for each value, all or none, with a common tag, and a title that says the value. A value with
     which the problem cannot be read is refused with what is wrong."""
     values = [_value(one) for one in value]
-    doubled = sorted({str(one) for one in values if values.count(one) > 1})
+    shown = [json.dumps(one, ensure_ascii=False) for one in values]  # 1 is not true
+    doubled = sorted({one for one in shown if shown.count(one) > 1})
     if doubled:
         what = f"value: got {', '.join(doubled)[:80]} more than once; give each value once"
         raise RefusedError(422, Issue("service.request", what, field="value"))

@@ -38,6 +38,7 @@ from planner.service.releases import Releases
 from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
 from planner.service.storage import Blob, Files, Storage, Upload
+from planner.service.texts import LINE, line
 from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
 from planner.service.webhooks import Sender, Webhooks
 
@@ -297,7 +298,9 @@ class Service:
         files = self.stored(owner, read, upload.files, PROBLEM)
         jobs = []
         for (name, one), value in zip(read.items(), values, strict=True):
-            title = f"{one.name}: {field} = {value if isinstance(value, str) else json.dumps(value)}"[:200]
+            title = line(
+                f"{one.name}: {field} = {value if isinstance(value, str) else json.dumps(value)}"[:LINE]
+            )
             new = self.new_job(owner, one.name, one, files[name])
             jobs.append(dataclasses.replace(new, title=title, tags=(tag,)))
         return self.jobs.create_all(jobs, once)

@@ -217,6 +217,10 @@ class Storage:
         with self._lock:
             self._allow_all([])
 
+    def allow_of_other(self, owner: str, blobs: Sequence[Blob]) -> None:
+        """Raises :class:`RefusedError`, 507, where somebody whose draft these become has no room for them."""
+        self._allow_owner(owner, {blob.sha: blob.size for blob in blobs}, "the files of the draft's owner")
+
     def used(self, owner: str) -> int:
         """What a token's files take [bytes]."""
         return sum(self._charged(owner, fresh=True).values())
@@ -241,14 +245,14 @@ class Storage:
                 self._coming.subtract(blobs)
                 self._coming += Counter()  # drops what is at zero
 
-    def _allow_owner(self, owner: str, wanted: Mapping[str, int]) -> None:
+    def _allow_owner(self, owner: str, wanted: Mapping[str, int], whose: str = "your files") -> None:
         limit = self._limits.token_disk_mb * MB
         for fresh in (False, True):
             total = sum((dict(self._charged(owner, fresh)) | dict(wanted)).values())
             if total <= limit:
                 return
-        what = f"with this upload your files take {_mb(total)}, at most {_mb(limit)} may be kept"
-        hint = "delete jobs that are not needed any more; what was only checked goes by itself in an hour"
+        what = f"with this upload {whose} take {_mb(total)}, at most {_mb(limit)} may be kept"
+        hint = "delete jobs and drafts that are not needed any more; what was only checked goes in an hour"
         raise _full(what, total / MB, limit / MB, hint)
 
     def _allow_all(self, new: Sequence[Blob]) -> None:

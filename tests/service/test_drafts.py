@@ -200,6 +200,20 @@ def test_count_and_size_are_limited_and_room_is_charged(shop: Shop, monkeypatch:
     assert used > 0.3
 
 
+def test_who_saves_a_draft_of_another_cannot_fill_the_room_of_that_one(shop: Shop) -> None:
+    """Ann's versions are Ann's files, whoever of her team saves them."""
+    draft, storage = kept(shop), shop.here.service.storage
+    kept(shop, "ann", json.dumps("v" * 1_000_000))
+    object.__setattr__(shop.here.service.limits, "token_disk_mb", storage.used("ann") / 1e6 + 0.1)
+    try:
+        refused = save(shop, draft, '"1"', json.dumps("w" * 300_000), by="bob")
+    finally:
+        object.__setattr__(shop.here.service.limits, "token_disk_mb", 20_000.0)
+    assert (refused.status_code, codes(refused)) == (507, [("service.storage", "files")])
+    assert "the files of the draft's owner take" in refused.text
+    assert shop.ask("ann", "GET", f"/v1/drafts/{draft}").json()["version"] == 1
+
+
 def test_clocks_that_jump_do_not_lose_a_draft(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
     if not shop.here.service.database.sqlite:
         pytest.skip("PostgreSQL has its own clock")

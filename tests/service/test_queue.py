@@ -15,6 +15,7 @@ from sqlalchemy import insert, update
 from planner.service.jobs import Jobs, NewJob
 from planner.service.models import EVENTS, JOBS
 from planner.service.runner import Work
+from planner.service.security import Limits
 from planner.service.storage import Blob
 from tests import small_problem
 from tests.service import postgres
@@ -107,6 +108,11 @@ def test_a_sweep_makes_a_job_of_each_value_or_none(tmp_path: Path) -> None:
             ({"value": [str(n) for n in range(51)]}, "value"),
             ({"tag": "a\u202eb"}, "tag"),
             ({"field": "W" * 10_000}, "field"),
+            ({"field": "cell.name\u202e"}, "field"),
+            ({"field": "cell.name", "value": ["z\0y"]}, "value.0"),
+            ({"field": "cell.name", "value": ["q\x1fapproved\x1f"]}, "value.0"),
+            ({"field": "cell.name", "value": ["a\u2028b", "a"]}, "value.0"),
+            ({"field": "operations.\u00b2.feed_mm_s"}, None),
         ):
             refused = swept(here, {**query, **bad})
             assert refused.status_code == 422, (bad, refused.text)
@@ -115,6 +121,16 @@ def test_a_sweep_makes_a_job_of_each_value_or_none(tmp_path: Path) -> None:
         wrong = swept(here, {**query, "value": ["20", "-1"]})
         assert wrong.json()["issues"][0]["message"].startswith("operations.0.feed_mm_s = -1: ")
         assert len(here.http.get("/v1/jobs?limit=200").json()["jobs"]) == 3
+
+
+def test_a_sweep_opens_no_more_jobs_than_one_may(tmp_path: Path) -> None:
+    with InProcess(tmp_path / "data", Limits(open_jobs=3), examiners=1) as here:
+        here.team.hold.set()
+        query = {"field": "operations.0.feed_mm_s", "value": ["20", "30", "40", "50"]}
+        refused = swept(here, query)
+        assert (refused.status_code, codes(refused)) == (429, [("service.too_many", None)])
+        assert "0 jobs wait or run, 4 more are wanted, at most 3 may" in refused.text
+        assert swept(here, {**query, "value": ["20", "30", "40"]}).status_code == 201
 
 
 def ran(here: InProcess, name: str, times: dict[str, tuple[float, float]], end: float) -> str:

@@ -7,6 +7,7 @@ import re
 import urllib.request
 from typing import Any
 
+import httpx
 import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
@@ -157,3 +158,31 @@ def test_a_page_that_was_left_open_over_an_update_says_so(page: Page, server: st
     draft_of(page)
     page.get_by_role("button", name="Load it anew").click()
     expect(page.locator("#f-name")).to_have_value("over")
+
+
+PUT = """async (id) => {
+  const { Keeping } = await import("/ui/static/keeping.js");
+  const put = async (text) => {
+    const select = document.getElementById("kept-tool");
+    select.replaceChildren(new Option("chosen", id));
+    const state = { files: new Map([["parts/body.stl", new Blob([text])]]) };
+    const found = await Object.assign(Object.create(Keeping.prototype), { state }).chosen("tool");
+    return [found !== null, await state.files.get("parts/body.stl").text(), state.files.size];
+  };
+  return [await put("of the obstacle"), await put("of the tool")];
+}"""
+
+
+def test_a_kept_tool_changes_the_shape_of_nothing_else(page: Page, server: str) -> None:
+    """Its mesh has the name of an obstacle's: it is not put in; where both are one file, it is."""
+    files = [
+        ("problem", ("p.json", '{"kind": "mesh", "file": "body.stl"}')),
+        ("files", ("body.stl", b"of the tool")),
+    ]
+    made = httpx.post(f"{server}/v1/drafts?kind=tool&title=Gripper", files=files)
+    begun(page, server)
+    other, same = page.evaluate(PUT, made.json()["id"])
+    assert other == [False, "of the obstacle", 1]
+    assert same[:2] == [True, "of the tool"]
+    said = "The tool Gripper has a file of the same name as another one here, with other contents: body.stl."
+    expect(page.locator("#banner")).to_contain_text(said)

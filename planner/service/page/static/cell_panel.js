@@ -142,7 +142,7 @@ export class CellPanel {
     }
     const rows = wanted in reach.states ? [reach.states[wanted]] : Object.values(reach.states);
     const states = rows[0].map((_, i) => Math.max(...rows.map((row) => row[i])) && Math.min(...rows.map((row) => row[i] || 9)));
-    if (this.view.works) this.view.field(reach.points_mm, states.map((state) => STYLES[reach.codes[state]]), 0.6 * Math.min(...reach.pitch_mm.filter((v) => v > 3)));
+    if (this.view.works) this.view.field(reach.points_mm, states.map((state) => STYLES[reach.codes[state]]), 0.6 * Math.max(3, Math.min(...reach.pitch_mm.filter((v) => v > 3), Math.max(...reach.pitch_mm))));
     const counts = reach.codes.map((code, state) => [code, states.filter((one) => one === state).length]).filter(([, count]) => count);
     const each = Math.round(Math.max(...reach.pitch_mm));
     told.replaceChildren(

@@ -147,6 +147,7 @@ export class Draft {
         if (error.status === 404) this.id = null; // deleted elsewhere: the next change makes another one
         this.say(error.status === 404 ? "The draft was deleted elsewhere; with your next change what you have here is kept as a new one" : error.status === 412 ? "Not kept" : `Not kept: ${words}`);
         if (error.status === 404) this.sent = new Map();
+        if ([429, 503, 507].includes(error.status)) setTimeout(() => this.save(), 10_000);
       } else throw error;
     } finally {
       this.saving = false;

@@ -1,15 +1,20 @@
 // Cells, tools and templates that people keep for later, in the form of a new job.
 import { json } from "./api.js";
-import { tell } from "./common.js";
+import { banner, tell } from "./common.js";
 import { $, announce, h, show } from "./dom.js";
 import { fromDraft, keep } from "./draft.js";
 import { naming } from "./files.js";
 
 const WORDS = { cell: "cell", tool: "tool", template: "template" };
+const lastOf = (name) => String(name).split(/[/\\]/).pop();
 const filesOf = (data, files) => {
-  const last = (name) => String(name).split(/[/\\]/).pop();
-  const names = new Set(naming(data).map(([, one]) => last(one.file)));
-  return [...files].filter(([name]) => names.has(last(name)));
+  const names = new Set(naming(data).map(([, one]) => lastOf(one.file)));
+  return [...files].filter(([name]) => names.has(lastOf(name)));
+};
+const alike = async (a, b) => {
+  if (a.size !== b.size) return false;
+  const [one, other] = (await Promise.all([a.arrayBuffer(), b.arrayBuffer()])).map((bytes) => new Uint8Array(bytes));
+  return one.every((byte, i) => byte === other[i]);
 };
 
 export class Keeping {
@@ -30,7 +35,8 @@ export class Keeping {
   }
 
   async load() {
-    this.kept = (await json("/v1/drafts?kind=draft&kind=cell&kind=tool&kind=template")).drafts;
+    const lists = await Promise.all(["cell", "tool", "template", "draft"].map((kind) => json(`/v1/drafts?kind=${kind}`)));
+    this.kept = lists.flatMap((list) => list.drafts); // many drafts crowd nothing out that was kept
     const options = (kind) => this.kept.filter((one) => one.kind === kind).map((one) => h("option", { value: one.id, dir: "auto" }, one.title));
     for (const kind of ["cell", "tool"]) {
       $(`kept-${kind}`).replaceChildren(h("option", { value: "" }, "choose one"), ...options(kind));
@@ -71,8 +77,25 @@ export class Keeping {
     $(`kept-${kind}`).value = "";
     if (!id) return null;
     const found = await fromDraft(id);
+    const taken = await this.taken(found.files);
+    if (taken.length) {
+      const titles = `${WORDS[kind]} ${found.about.title}`;
+      banner(`The ${titles} has a file of the same name as another one here, with other contents: ${taken.join(", ")}. Nothing was put in: rename that file here, or take it away, first.`);
+      return null;
+    }
     for (const [name, file] of found.files) this.state.files.set(name, file);
     return found;
+  }
+
+  // Names of files whose place something else has: put in, they would change the shape of other bodies.
+  async taken(files) {
+    const known = new Map([...this.state.files].map(([name, file]) => [lastOf(name), file]));
+    const out = [];
+    for (const [name, file] of files) {
+      const here = known.get(lastOf(name));
+      if (here && !(await alike(here, file))) out.push(name);
+    }
+    return out;
   }
 
   async putCell() {
