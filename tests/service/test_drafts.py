@@ -202,9 +202,9 @@ def test_count_and_size_are_limited_and_room_is_charged(shop: Shop, monkeypatch:
 
 def test_who_saves_a_draft_of_another_cannot_fill_the_room_of_that_one(shop: Shop) -> None:
     """Ann's versions are Ann's files, whoever of her team saves them."""
-    draft, storage = kept(shop), shop.here.service.storage
-    kept(shop, "ann", json.dumps("v" * 1_000_000))
-    object.__setattr__(shop.here.service.limits, "token_disk_mb", storage.used("ann") / 1e6 + 0.1)
+    draft, _ = kept(shop), kept(shop, "ann", json.dumps("v" * 1_000_000))
+    used = shop.ask("ann", "GET", "/v1/storage").json()["used_mb"]
+    object.__setattr__(shop.here.service.limits, "token_disk_mb", used + 0.1)
     try:
         refused = save(shop, draft, '"1"', json.dumps("w" * 300_000), by="bob")
     finally:
