@@ -48,7 +48,7 @@ class _Hole:
     across: float
 
 
-@rule(FORMING_HOLES, FormsPart)
+@rule("verify.forming_holes", FormsPart)
 def forming_holes(context: Context, forming: Forming) -> Outcome:
     """What is formed in a sheet that was cut before, and all tools while they form it, stay off each cut, on
     both faces of the sheet, seen along z, by the margin of the problem; nothing is formed inside of one, nor
