@@ -70,6 +70,8 @@ MAIN_PROCEDURE: Final = "main"
 LOOK_KIND: Final = "get_forward_kin"
 """Kind of the step that looks whether the controller moves the planned arm; its values are joints, the point
 of the flange and its place as poses, and the distance allowed."""
+STANDS: Final = 1.0
+"""How long [s] a program stands at most between a look, or a question, and the rise of its running wire."""
 SETTLED: Final = 0.1
 """How long [s] a program stands behind the rise of its running wire, so that it reads it back as it is."""
 _EXACT_STOP: Final = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -118,7 +120,7 @@ class _Runner:
         self.meets = bool(program.endings)
         self.low: Output | None = None
         """Where the running wire has fallen for a question that is still open."""
-        self.asked = self.watched = self.stays_low = self.rose = False
+        self.asked = self.watched = self.stays_low = self.rose = self.unwatched = False
         self.waited = 0.0
 
     def run(self) -> tuple[Step, ...]:
@@ -265,8 +267,14 @@ class _Runner:
         if self.rose:
             if not isinstance(statement, Pause) or statement.seconds != SETTLED:
                 self._fail(statement, f"behind the rise of the running wire sleep({SETTLED}) must stand")
-            self.rose = False
+            self.rose, self.unwatched = False, True
             return True
+        if self.unwatched and isinstance(statement, Pause):
+            self._fail(
+                statement, "the program waits behind the rise of its running wire, and watches nothing"
+            )
+        falls = isinstance(statement, Output) and self._runs(statement.number)
+        self.unwatched = self.unwatched and not (falls or isinstance(statement, Watch | Await))
         own = isinstance(statement, Output) and self._runs(statement.number)
         if self.low is None:
             if not own or not isinstance(statement, Output) or statement.value:
@@ -284,6 +292,10 @@ class _Runner:
                 return True
             case Pause(seconds=seconds) if self.asked:
                 self.waited += seconds
+                if self.waited > STANDS:
+                    self._fail(
+                        statement, f"more than {STANDS} s between a look and the rise of the running wire"
+                    )
                 return True
             case Popup() | Check(own=False):
                 self.waited = 0.0
