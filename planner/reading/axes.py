@@ -217,6 +217,11 @@ def _tilt_faults(spec: PositionerFile, bodies: Sequence[str]) -> list[tuple[str,
     if low < high and not low <= 0.0 <= high:
         what = f"0, where the plate lies flat, is outside of {low:g} to {high:g}; count the values from there"
         out.append(("range_deg", what))
+    elif low <= tilt.home_deg <= high and tilt.home_deg != 0.0:
+        what = (
+            f"got {tilt.home_deg:g}; the block is clamped and taken off there, so the plate is to lie flat: 0"
+        )
+        out.append(("home_deg", what))
     if max(abs(low), abs(high)) > 180.0:
         out.append(("range_deg", f"got {low:g} to {high:g}; allowed: up to 180 either way"))
     if tilt.external_axis == spec.external_axis:
@@ -344,6 +349,13 @@ def turntable_faults(problem: Problem) -> list[Issue]:
             )
             what += "which a positioner tilts; milling and targets take a tilted block; take a turntable "
             told(f"{what}(cell: turntable) for the others", f"operations.{number}")
+    for number, change in problem.changes.items() if table.tilt is not None else ():
+        if set(change.stock) & {"place", "support"}:
+            what = "the block would be unclamped and clamped anew on a plate that may lean then; make it two "
+            told(
+                f"{what}problems, each of which begins and ends with the plate flat",
+                f"operations.{number}.setup",
+            )
     for setup in (one.upright for one in problem.setups):
         stock, first = setup.stock, setup.operations[0]
         field = "stock" if first == 0 else f"operations.{first}.setup"

@@ -210,6 +210,7 @@ TILTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"range_deg": [10, 90], "home_deg": 20}, {}, "0, where the plate lies flat, is outside of 10 to 90"),
     ({"range_deg": [-200, 90]}, {}, "up to 180 either way"),
     ({"home_deg": 120}, {}, "tilt.home_deg: 120 is outside the range"),
+    ({"home_deg": 45}, {}, "tilt.home_deg: got 45; the block is clamped and taken off there"),
     ({"external_axis": 2}, {}, "it is 2 (eax_b), as that of the turn axis"),
     ({"bracket": ["arm"]}, {}, "'arm' is no body of the cell's obstacles; they are cradle, posts"),
     ({"speed_deg_s": 0}, {}, "speed_deg_s"),
