@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from bench.proc import below
 from planner import pipeline
 from planner.batch.cluster import Cluster
 from planner.batch.job import Finished, Job
@@ -108,7 +109,7 @@ def _watched() -> Iterator[list[float]]:
 
     def look() -> None:
         while not stop.wait(0.1):
-            peak[0] = max([peak[0], *(_memory_mb(pid) for pid in _below(os.getpid()))])
+            peak[0] = max([peak[0], *(_memory_mb(pid) for pid in below(os.getpid()))])
 
     thread = threading.Thread(target=look, daemon=True)
     thread.start()
@@ -117,17 +118,6 @@ def _watched() -> Iterator[list[float]]:
     finally:
         stop.set()
         thread.join()
-
-
-def _below(pid: int) -> Iterator[int]:
-    for path in Path(f"/proc/{pid}/task").glob("*/children"):
-        try:
-            children = [int(child) for child in path.read_text().split()]
-        except OSError:
-            continue
-        for child in children:
-            yield child
-            yield from _below(child)
 
 
 def _memory_mb(pid: int) -> float:

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from bench.proc import below, processor_time
 from planner import pipeline, processes
 from planner.cell import clearance
 from planner.motion import solve
@@ -64,9 +65,9 @@ def whole(name: str) -> dict[str, Any]:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=one)
         while process.poll() is None:
             now = 0.0
-            for pid in (process.pid, *_children(process.pid)):
+            for pid in (process.pid, *below(process.pid)):
                 with contextlib.suppress(OSError, StopIteration):  # one that has just ended
-                    time_of[pid] = _processor_time(pid)
+                    time_of[pid] = processor_time(pid)
                     peak_of[pid] = _memory("VmHWM", pid)
                     now += _memory("VmRSS", pid)
             both = max(both, now)
@@ -80,19 +81,6 @@ def whole(name: str) -> dict[str, Any]:
     told += f"{peaks} MB, together {both:.0f} MB, load before {load:.1f}"
     told += f"; ratio is to the goal of {GOAL_S[name]:g} s, {GOAL_MB:g} MB are wanted"
     return {"name": f"{name}: whole command", "median_s": wall, "ratio": wall / GOAL_S[name], "note": told}
-
-
-def _children(pid: int) -> list[int]:
-    with contextlib.suppress(OSError):
-        files = Path(f"/proc/{pid}/task").glob("*/children")
-        return [int(child) for file in files for child in file.read_text().split()]
-    return []
-
-
-def _processor_time(pid: int) -> float:
-    """User and system time [s] of a process so far (proc(5), stat, fields 14 and 15)."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def stages(name: str) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ processor time of all of the browser for a frame, which other work on the machin
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 import planner
+from bench.proc import below, processor_time
 from planner.catalogue import robots
 from planner.report import view3d
 from planner.service import app, cell_view
@@ -62,9 +64,9 @@ def run() -> list[dict[str, Any]]:
             tab = shown.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
             tab.set_content(page(data))
             tab.evaluate("frames_ms(5)")
-            before = _spent_s(os.getpid())
+            before = _spent_s()
             times = np.array(tab.evaluate(f"frames_ms({FRAMES})")) / 1000.0
-            spent = (_spent_s(os.getpid()) - before) / FRAMES
+            spent = (_spent_s() - before) / FRAMES
             cost = f"{1000.0 * spent:.0f} ms of processor time; wanted {GOAL_S:g} s"
             triangles = sum(len(body["faces"]) // 3 for body in data["bodies"])
             tab.close()
@@ -81,24 +83,13 @@ def run() -> list[dict[str, Any]]:
     return rows
 
 
-def _spent_s(root: int) -> float:
-    """Processor time [s] so far of the processes that descend from one, without its own."""
-    parents, spent = {}, {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = path.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue  # it has ended
-        pid = int(path.parent.name)
-        parents[pid] = int(fields[1])
-        spent[pid] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-    total = 0.0
-    for pid, own in spent.items():
-        above = parents[pid]
-        while above not in (0, 1, root):
-            above = parents.get(above, 0)
-        total += own if above == root else 0.0
-    return total
+def _spent_s() -> float:
+    """Processor time [s] so far of the processes below this one."""
+    spent = 0.0
+    for pid in below(os.getpid()):
+        with contextlib.suppress(OSError):  # it has ended
+            spent += processor_time(pid)
+    return spent
 
 
 def page(data: dict[str, Any]) -> str:

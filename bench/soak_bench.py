@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import os
 import random
-import signal
 import socket
 import statistics
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -28,9 +26,11 @@ from typing import Any
 
 import httpx
 
+from bench.proc import below
+from planner.service import bundled
 from tests import small_problem
+from tests.service.support import Process
 
-ROOT = Path(__file__).parents[1]
 MINUTES = "TANDEM_SOAK_MINUTES"
 WARM_SHARE = 0.25
 """Share of the time after which processes, pools and caches are taken as warm."""
@@ -72,39 +72,18 @@ def run() -> list[dict[str, Any]]:
 
 @contextlib.contextmanager
 def _served(folder: Path) -> Iterator[tuple[int, str]]:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        port = int(one.getsockname()[1])
-    command = [sys.executable, "-m", "planner", "serve", "--data", str(folder / "data"), "--port", str(port)]
-    command += ["--requests-per-s", "1000"]
-    with (folder / "log").open("wb") as log:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-        process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
+    process = Process(folder / "data", "--requests-per-s", "1000").wait()
     try:
-        url = f"http://127.0.0.1:{port}"
-        for _ in range(600):
-            with contextlib.suppress(httpx.HTTPError):
-                if httpx.get(f"{url}/v1/health").status_code == 200:
-                    break
-            time.sleep(0.1)
-        yield process.pid, url
-        if "Traceback" in (said := (folder / "log").read_text()):
-            raise RuntimeError(f"the service failed: {said[-2000:]}")
+        yield process.pid, process.url
     finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(60)
+        process.stop()
+    if "Traceback" in (said := process.log.read_text()):
+        raise RuntimeError(f"the service failed: {said[-2000:]}")
 
 
 def _held(pid: int) -> Held:
     """Of a process and all that it started."""
-    parents: dict[int, list[int]] = defaultdict(list)
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            parents[int(stat.read_text().rpartition(")")[2].split()[1])].append(int(stat.parent.name))
-    family, todo = [], [pid]
-    while todo:
-        family.append(todo.pop())
-        todo += parents[family[-1]]
+    family = [pid, *below(pid)]
     memory, files, threads = 0.0, 0, 0
     for one in family:
         with contextlib.suppress(OSError):
@@ -251,16 +230,9 @@ class _Soak:
 
 def _bundle(name: str) -> Files:
     """A bundled problem with its files, as an upload."""
-    folder = ROOT / "problems" / name
-    text = (folder / "problem.yaml").read_bytes()
-    said = text.decode()
-    others = [one for one in folder.rglob("*") if one.is_file() and one.name in said]
-    cells = [one for one in (ROOT / "problems" / "cells").iterdir() if one.name in said]
-    named = {one.name: one for one in (*others, *cells)}
-    return [
-        ("problem", ("problem.yaml", text)),
-        *(("files", (key, one.read_bytes())) for key, one in named.items()),
-    ]
+    known = bundled.problem(name)
+    files = [("files", (one, bundled.file(name, one).read_bytes())) for one in known["files"]]
+    return [("problem", ("problem.json", json.dumps(known["problem"]).encode())), *files]
 
 
 def _row(minutes: float, warm: Held, last: Held, states: Counter[str], soak: _Soak) -> dict[str, Any]:
