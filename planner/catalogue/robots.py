@@ -82,15 +82,35 @@ class ArmForm:
         return 0.0 if self.right is None else float(np.linalg.norm(self.right[:3, 3]))
 
 
+class OrthoParallel(ArmForm):
+    """What ortho-parallel arms share up to the point where axes 4 and 5 meet: lengths [m] as of
+    :class:`OpwParameters`."""
+
+    axes: ClassVar[str] = "zyyzyz"
+    a1: float
+    a2: float
+    c2: float
+    c3: float
+
+    @property
+    def stretched(self) -> float:
+        """From axis 1 to where axes 4 and 5 meet, at most [m], in the plane of the arm."""
+        return float(abs(self.a1) + self.c2 + np.hypot(self.a2, self.c3))
+
+    @property
+    def shoulder(self) -> float:
+        """From axis 1 to the origin of link 2 [m]."""
+        return float(np.hypot(self.a1, self.b))
+
+
 @dataclasses.dataclass(frozen=True)
-class OpwParameters(ArmForm):
+class OpwParameters(OrthoParallel):
     """Geometry of an ortho-parallel arm with a spherical wrist (Brandstoetter, Angerer, Hofbaur 2014).
 
     Lengths [m]. Flange pose in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4)
     Ry(t5) Rz(t6) T(0, 0, c4).
     """
 
-    axes: ClassVar[str] = "zyyzyz"
     singular: ClassVar[tuple[int, ...]] = (1, 2, 4)
     a1: float
     a2: float
@@ -124,19 +144,9 @@ class OpwParameters(ArmForm):
         """From the wrist's centre to the flange at most [m]."""
         return abs(self.c4) + self._beyond
 
-    @property
-    def stretched(self) -> float:
-        """From axis 1 to the wrist's centre, at most [m], in the plane of the arm."""
-        return float(abs(self.a1) + self.c2 + np.hypot(self.a2, self.c3))
-
-    @property
-    def shoulder(self) -> float:
-        """From axis 1 to the origin of link 2 [m]."""
-        return float(np.hypot(self.a1, self.b))
-
 
 @dataclasses.dataclass(frozen=True)
-class OffsetParameters(ArmForm):
+class OffsetParameters(OrthoParallel):
     """Geometry of an ortho-parallel arm with an offset wrist: axes 4 and 5 meet, axis 6 passes beside that
     point, as those of ABB's GoFa and Fanuc's CRX.
 
@@ -147,7 +157,6 @@ class OffsetParameters(ArmForm):
     """
 
     branches: ClassVar[int] = 24
-    axes: ClassVar[str] = "zyyzyz"
     singular: ClassVar[tuple[int, ...]] = (1, 2, 3, 4)
     b: ClassVar[float] = 0.0  # type: ignore[misc]
     a1: float
@@ -182,16 +191,6 @@ class OffsetParameters(ArmForm):
     def hand(self) -> float:
         """From where axes 4 and 5 meet to the flange at most [m]."""
         return float(np.linalg.norm([self.a3, self.b3, self.c4])) + self._beyond
-
-    @property
-    def stretched(self) -> float:
-        """From axis 1 to where axes 4 and 5 meet, at most [m], in the plane of the arm."""
-        return float(abs(self.a1) + self.c2 + np.hypot(self.a2, self.c3))
-
-    @property
-    def shoulder(self) -> float:
-        """From axis 1 to the origin of link 2 [m]."""
-        return abs(self.a1)
 
 
 @dataclasses.dataclass(frozen=True)
