@@ -143,8 +143,7 @@ def wait_function(word: str, number: int, own: int, off: Sequence[str], text: st
         f"while {input_call(number)}!=level or {back}==False:",
         f"if passed>limit or {back}==False:",
         *off,
-        f'popup({_text(text)},"{TITLE}",False,True,blocking=True)',
-        "halt",
+        *_ended(text),
         "end",
         f"sleep({WAIT_STEP})",
         f"passed=passed+{WAIT_STEP}",
@@ -161,8 +160,7 @@ def check_function(line: int, runs: int, own: int, off: Sequence[str], text: str
         f"def {CHECK}(level,own):",
         f"if {wrong}:",
         *off,
-        f'popup({_text(text)},"{TITLE}",False,True,blocking=True)',
-        "halt",
+        *_ended(text),
         "end",
         "end",
     ]
@@ -177,8 +175,7 @@ def watch_thread(number: int, own: int, off: Sequence[str], text: str) -> list[s
         "sync()",
         "end",
         *off,
-        f'popup({_text(text)},"{TITLE}",False,True,blocking=False)',
-        "halt",
+        *_ended(text, blocking=False),
         "end",
     ]
 
@@ -200,8 +197,7 @@ def stays_low(number: int, text: str) -> list[str]:
     """The program ends when the output ``number`` is on before it has switched anything."""
     return [
         f"if {output_call(number)}:",
-        f'popup({_text(text)},"{TITLE}",False,True,blocking=True)',
-        "halt",
+        *_ended(text),
         "end",
     ]
 
@@ -227,6 +223,11 @@ def _text(text: str) -> str:
     return f'"{flat}"'
 
 
+def _ended(text: str, blocking: bool = True) -> list[str]:
+    """The program shows a text, without holding itself unless it is ``blocking``, and ends."""
+    return [f'popup({_text(text)},"{TITLE}",False,True,blocking={blocking})', "halt"]
+
+
 def question(text: str) -> list[str]:
     """A question: Continue is the answer yes; any other button ends the program."""
     return [f'popup({_text(text)},"{QUESTION}",False,False,blocking=True)']
@@ -244,8 +245,7 @@ def kinematics_check(home: str, tip: FloatArray, place: FloatArray, most: float,
     (4, 4) has it in its base, within ``most`` [m], at the joints called ``home``."""
     return [
         f"if point_dist(get_forward_kin({home},{pose(tip)}),{pose(place)})>{real(most, 6)}:",
-        f'popup({_text(text)},"{TITLE}",False,True,blocking=True)',
-        "halt",
+        *_ended(text),
         "end",
     ]
 

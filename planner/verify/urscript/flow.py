@@ -20,6 +20,7 @@ import numpy as np
 
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, exp_rotation, to_quaternion
+from planner.verify.programs.handshake_restarts import SLOW
 from planner.verify.programs.steps import (
     CheckStep,
     Fault,
@@ -70,8 +71,6 @@ MAIN_PROCEDURE: Final = "main"
 LOOK_KIND: Final = "get_forward_kin"
 """Kind of the step that looks whether the controller moves the planned arm; its values are joints, the point
 of the flange and its place as poses, and the distance allowed."""
-STANDS: Final = 1.0
-"""How long [s] a program stands at most between a look, or a question, and the rise of its running wire."""
 SETTLED: Final = 0.1
 """How long [s] a program stands behind the rise of its running wire, so that it reads it back as it is."""
 _EXACT_STOP: Final = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -273,9 +272,8 @@ class _Runner:
             self._fail(
                 statement, "the program waits behind the rise of its running wire, and watches nothing"
             )
-        falls = isinstance(statement, Output) and self._runs(statement.number)
-        self.unwatched = self.unwatched and not (falls or isinstance(statement, Watch | Await))
         own = isinstance(statement, Output) and self._runs(statement.number)
+        self.unwatched = self.unwatched and not (own or isinstance(statement, Watch | Await))
         if self.low is None:
             if not own or not isinstance(statement, Output) or statement.value:
                 return False
@@ -292,9 +290,9 @@ class _Runner:
                 return True
             case Pause(seconds=seconds) if self.asked:
                 self.waited += seconds
-                if self.waited > STANDS:
+                if self.waited > SLOW:  # what is longer the model of both programs does not know
                     self._fail(
-                        statement, f"more than {STANDS} s between a look and the rise of the running wire"
+                        statement, f"more than {SLOW} s between a look and the rise of the running wire"
                     )
                 return True
             case Popup() | Check(own=False):
