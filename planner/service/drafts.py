@@ -17,7 +17,7 @@ from sqlalchemy import Connection, RowMapping, delete, func, insert, select, upd
 from planner.issues import Issue
 from planner.reading.strict_yaml import MAX_YAML_BYTES
 from planner.service import audit
-from planner.service.jobs import put_files
+from planner.service.jobs import job_files, put_files
 from planner.service.models import DRAFT_VERSIONS, DRAFTS, FILES, TOKENS, Database, moment, utc
 from planner.service.security import LOCAL, MB, Limits, RefusedError, Who, too_large
 from planner.service.storage import Blob, Upload
@@ -68,9 +68,8 @@ class Drafts:
                 what = f"draft {draft}: {last['who']} saved version {row['version']} of it meanwhile, {when}"
                 way = "nothing was overwritten: open that version, or keep yours as another draft"
                 raise RefusedError(412, Issue("service.draft", f"{what}; {way}", field="If-Match"))
-            known = {one["name"]: one["sha"] for one in json.loads(last["files"])}
-            files = {name: sha for name, sha in known.items() if name not in without}
-            kept = {name: Blob(sha, _size(db, draft, sha)) for name, sha in files.items()}
+            known, blobs = _files_of(last), job_files(db, draft)
+            kept = {name: blobs[sha] for name, sha in known.items() if name not in without}
             kept |= upload.files
             if len(kept) > self._limits.files:
                 what = f"the draft has {len(kept)} files with these, at most {self._limits.files} may be"
@@ -112,10 +111,8 @@ class Drafts:
         """Problem and files of a version; raises :class:`RefusedError`, 404."""
         with self._database.read() as db:
             row = version_row(db, draft, number)
-            files = {one["name"]: one["sha"] for one in json.loads(row["files"])}
-            sizes = {sha: _size(db, draft, sha) for sha in {row["problem"], *files.values()}}
-        blobs = {name: Blob(sha, sizes[sha]) for name, sha in files.items()}
-        return Blob(row["problem"], sizes[row["problem"]]), blobs
+            blobs = job_files(db, draft)
+        return blobs[row["problem"]], {name: blobs[sha] for name, sha in _files_of(row).items()}
 
     def list(self, owners: Sequence[str], kinds: Sequence[str], most: int) -> Sequence[RowMapping]:
         """Drafts of the owners, what was changed last first."""
@@ -177,9 +174,9 @@ def _with_names() -> Any:
     return select(DRAFTS, more).outerjoin_from(DRAFTS, TOKENS, DRAFTS.c.owner == TOKENS.c.id)
 
 
-def _size(db: Connection, draft: str, sha: str) -> int:
-    query = select(FILES.c.size).where(FILES.c.job == draft, FILES.c.name == sha)
-    return int(db.execute(query).scalar_one())
+def _files_of(version: RowMapping) -> dict[str, str]:
+    """SHA-256 of the files of a version by their names."""
+    return {one["name"]: one["sha"] for one in json.loads(version["files"])}
 
 
 def _forget(db: Connection, draft: str, last: int) -> None:
@@ -189,7 +186,7 @@ def _forget(db: Connection, draft: str, last: int) -> None:
         return
     wanted: set[str] = set()
     for row in db.execute(select(DRAFT_VERSIONS).where(own)).mappings():
-        wanted |= {row["problem"], *(one["sha"] for one in json.loads(row["files"]))}
+        wanted |= {row["problem"], *_files_of(row).values()}
     db.execute(delete(FILES).where(FILES.c.job == draft, FILES.c.name.not_in(sorted(wanted))))
 
 

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from planner.service import releases
 from planner.service.links import LONGEST_LOOK_S, LOOK_S, TO_LOOK_AT
-from planner.service.models import LinkMade, LookLink, LookList, LookOut
+from planner.service.models import LinkMade, LookList, LookOut
 from planner.service.routes import ASKED, Asker, Here, OwnJob, looked_at, refusals
 
 router: Final = APIRouter(prefix="/v1", tags=["links"])
@@ -37,7 +37,7 @@ def make(
 @router.get("/jobs/{job}/looks", responses=ASKED | refusals(404), summary="Links to look at a job")
 def listed(found: OwnJob, here: Here) -> LookList:
     """Those that are not over, without their addresses."""
-    return LookList(links=list[LookLink](here.links.all(found.id)))
+    return LookList(links=here.links.all(found.id))
 
 
 @router.delete(
