@@ -97,7 +97,7 @@ def page(data: dict[str, Any]) -> str:
     own = "\n".join(_text(app.STATIC / name) for name in ("dom.js", "cell_view.js")) + _SCRIPT
     packed = json.dumps(data).replace("<", "\\u003c")
     return (
-        f"<!doctype html><style>{_text(app.STATIC / 'tandem.css')} body {{ margin: 0 }} "
+        f"<!doctype html><style>{_text(view3d.FOLDER / 'theme.css')} body {{ margin: 0 }} "
         "canvas { width: 600px; height: 430px }</style><div></div><canvas></canvas>"
         f"<script type='application/json' id='data'>{packed}</script><script>{view3d.three()}</script>"
         f"<script>{view3d.script(own, view3d.THREE_MODULES)}</script>"

@@ -50,7 +50,7 @@ PATH_SHARE: Final = 0.004
 """Radius of that rod over the size of what is shown at first."""
 BLOCK: Final = "block"
 """Name of the frame of the stock."""
-_FILES: Final = ("replay.css", "replay.js")
+_FILES: Final = ("theme.css", "replay.css", "replay.js")
 
 
 def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> str:
@@ -64,7 +64,7 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
     _cuts(film, problem, plan, run, float(np.ptp(np.array(view["work"]), axis=0).max()) * MM)
     fine = film.settle(run.time - run.time[0])
     layers = _layers(film, problem, plan, proof, fine, clock)
-    style, script = ((view3d.FOLDER / name).read_text("utf-8") for name in _FILES)
+    theme, style, script = ((view3d.FOLDER / name).read_text("utf-8") for name in _FILES)
     data = {
         "time": film.array(run.time - run.time[0]),
         "fine": film.array(fine),
@@ -84,7 +84,7 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
     return (
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>"
-        f"<title>{title}</title><style>{style}</style></head><body>"
+        f"<title>{title}</title><style>{theme}{style}</style></head><body>"
         f"<header><h1 class='unseen'>{title}</h1>{_tools(layers)}</header>"
         "<main><canvas id='scene' tabindex='0' role='img' "
         f"aria-label='3D view of {html.escape(names, quote=True)} at work. Arrow keys turn it, + and - zoom, "
