@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Any
 
 from planner.element.element_page import row_of
 from planner.geometry.mesh_files import objects
+from planner.report.markup import PALETTE
 from planner.report.rhino_file import Rgb, Shape, rhino
-
-COLOURS: Final = ("1f6fb4", "d9662b", "2a9461", "8e5bb5", "b8912a", "c4497f", "3aa5a0", "6b7686")
-"""Colours of groups or rows in turn, as groups have them on the page."""
 
 
 def panels_3dm(data: Mapping[str, Any], bodies: str) -> bytes:
@@ -23,7 +21,7 @@ def panels_3dm(data: Mapping[str, Any], bodies: str) -> bytes:
 def _shapes(data: Mapping[str, Any], bodies: str) -> Iterator[Shape]:
     kind = "group" if data.get("grouped") else "row"
     rows = [row_of(str(panel.get("place", panel["id"]))) for panel in data["panels"]]
-    colours = {row: _rgb(COLOURS[k % len(COLOURS)]) for k, row in enumerate(sorted(set(rows)))}
+    colours = {row: _rgb(PALETTE[k % len(PALETTE)]) for k, row in enumerate(sorted(set(rows)))}
     nested = data.get("blocks", {}).get("blocks", ())
     blocks = {part["id"]: block["id"] for block in nested for part in block["panels"]}
     meshes = objects(bodies)
@@ -42,5 +40,5 @@ def _shapes(data: Mapping[str, Any], bodies: str) -> Iterator[Shape]:
 
 
 def _rgb(hexadecimal: str) -> Rgb:
-    red, green, blue = (value / 255.0 for value in bytes.fromhex(hexadecimal))
+    red, green, blue = (value / 255.0 for value in bytes.fromhex(hexadecimal[1:]))
     return red, green, blue

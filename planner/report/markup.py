@@ -421,11 +421,17 @@ def png(pixels: FloatArray, alpha: FloatArray | None = None, premultiplied: bool
     return _PNG + base64.b64encode(stream.getvalue()).decode()
 
 
-CSS: Final = """
+PALETTE: Final = ("#1f6fb4", "#d9662b", "#2a9461", "#8e5bb5", "#b8912a", "#c4497f", "#3aa5a0", "#6b7686")
+"""Colours c0 to c7 on white, which curves, features and groups take in turn."""
+_ON_WHITE: Final = "".join(f"--c{k}:{colour};" for k, colour in enumerate(PALETTE))
+CSS: Final = (
+    """
 :root{--bg:#f6f7f9;--card:#fff;--ink:#1b2330;--soft:#5a6678;--line:#e2e6ec;--grid:#e9edf2;--accent:#0f6e84;
 --ok:#1a7f4b;--ok-bg:#e3f4ea;--bad:#c0352b;--bad-bg:#fbe7e5;--warn:#96650a;--warn-bg:#fcf1d9;
 --note-bg:#e8eef6;
---c0:#1f6fb4;--c1:#d9662b;--c2:#2a9461;--c3:#8e5bb5;--c4:#b8912a;--c5:#c4497f;--c6:#3aa5a0;--c7:#6b7686;
+"""
+    + _ON_WHITE
+    + """
 --k-cut:#f2a65a2e;--k-other:#7c8aa014;--k-link:#6fa3d826;color-scheme:light dark}
 @media(prefers-color-scheme:dark){:root{--bg:#12161d;--card:#1a2029;--ink:#e7ecf3;--soft:#9aa6b8;
 --line:#2c3542;
@@ -520,6 +526,7 @@ nav{display:none}figure,.tile,tr,.facts div{break-inside:avoid}h2,h3,figcaption{
 .grid.three{grid-template-columns:1fr 1fr 1fr}
 *{-webkit-print-color-adjust:exact;print-color-adjust:exact}@page{margin:14mm}}
 """
+)
 """The style sheet of every page."""
 
 SCRIPT: Final = """
