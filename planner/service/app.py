@@ -15,7 +15,7 @@ import signal
 import ssl
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, get_args
 
 import uvicorn
 from fastapi import APIRouter, FastAPI, Query, Request, Response
@@ -46,6 +46,7 @@ from planner.service import (
     webhook_routes,
 )
 from planner.service.answers import Heads, Hurried, allowed
+from planner.service.models import Act
 from planner.service.routes import REFUSALS, Caller, Here
 from planner.service.runner import Team
 from planner.service.security import LOOPBACK, PROBLEM_JSON, Guard, RefusedError, issue_json
@@ -88,6 +89,7 @@ TEMPLATES: Final = Environment(
     lstrip_blocks=True,
 )
 """Templates of the pages; all that is put in them is escaped."""
+TEMPLATES.globals["ACTS"] = get_args(Act)
 LOG_IN_COOKIE: Final = "tandem_log_in"
 """Name of the cookie of a browser that is at the provider."""
 PAGES: Final = {
