@@ -1,7 +1,7 @@
-// What all pages share: the banner, logging out, badges.
+// What all pages share: the banner, logging out, ages.
 import { json, remove, Refused, Unreachable } from "./api.js";
 import { $, announce, h, show } from "./dom.js";
-import { STATES } from "./words.js";
+import { ago } from "./words.js";
 
 export function banner(text, kind = "bad") {
   const place = $("banner");
@@ -21,12 +21,8 @@ export function tell(error) {
   }
 }
 
-export function badge(state, element = h("span", {})) {
-  const [word, kind] = STATES[state] ?? [state, "off"];
-  element.className = `badge ${kind}`;
-  element.replaceChildren(h("i", { "aria-hidden": "true" }), word);
-  return element;
-}
+// How long ago something was, with the moment itself on touch.
+export const age = (at) => h("time", { dateTime: at, title: new Date(at).toLocaleString("en-GB") }, ago(at));
 
 // Who uses this page; null where that is not known yet. What his role does not allow is not shown.
 export const me = document.body.dataset.page === "login" ? Promise.resolve(null) : json("/v1/session").catch(() => null);

@@ -1,9 +1,10 @@
 // Two jobs side by side: state, figures, what differs in their problems, issues that only one has.
 import { fileOf, job as path, json, text } from "./api.js";
-import { badge, banner, tell } from "./common.js";
+import { banner, tell } from "./common.js";
 import { $, h, icon } from "./dom.js";
 import { short } from "./form.js";
 import { fieldName, issueList } from "./issues.js";
+import { badge } from "./outcome.js";
 import { differences } from "./schema.js";
 import { ago, BETTER, duration, figureName, figureOrder, number, STATES, unitOf } from "./words.js";
 import { readYaml } from "./yaml.js";

@@ -1,8 +1,7 @@
 // The problem that is edited, kept on the server as a draft: saved after changes, stepped back and forth, with its history.
 import { blob, json, post, put, Refused, text, Unreachable, upload } from "./api.js";
-import { tell } from "./common.js";
+import { age, tell } from "./common.js";
 import { $, announce, h, later, show } from "./dom.js";
-import { ago } from "./words.js";
 import { readYaml } from "./yaml.js";
 
 const SAVE_MS = 1500;
@@ -179,7 +178,7 @@ export class Draft {
     };
     $("history-list").replaceChildren(
       ...about.versions.map((one, i) =>
-        h("li", {}, h("span", {}, h("b", {}, `Version ${one.number}`), " ", h("time", { dateTime: one.at, title: new Date(one.at).toLocaleString("en-GB") }, ago(one.at)), ", ", h("bdi", {}, one.by)), i ? h("button", { type: "button", class: "small", "aria-label": `Take version ${one.number}`, onclick: take(one) }, "Take it") : h("span", { class: "soft" }, "the last one"))),
+        h("li", {}, h("span", {}, h("b", {}, `Version ${one.number}`), " ", age(one.at), ", ", h("bdi", {}, one.by)), i ? h("button", { type: "button", class: "small", "aria-label": `Take version ${one.number}`, onclick: take(one) }, "Take it") : h("span", { class: "soft" }, "the last one"))),
     );
     $("history-ask").showModal();
   }

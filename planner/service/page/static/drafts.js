@@ -1,9 +1,8 @@
 // What people keep: drafts, cells, tools, templates; opened, called otherwise, deleted.
 import { json, post, remove } from "./api.js";
 import { ask } from "./ask.js";
-import { banner, me, tell } from "./common.js";
+import { age, banner, me, tell } from "./common.js";
 import { $, announce, h, icon, show } from "./dom.js";
-import { ago } from "./words.js";
 
 const KINDS = { draft: "Draft", cell: "Cell", tool: "Tool", template: "Template" };
 const own = (await me)?.name;
@@ -16,7 +15,7 @@ function row(one) {
   return h("tr", {},
     h("td", {}, opens ? h("a", { href: opens, class: "job-name" }, title) : h("b", {}, title), h("span", { class: "sub" }, [one.by !== own ? `of ${one.by}` : null, `version ${one.version}`].filter(Boolean).join(", "))),
     h("td", {}, KINDS[one.kind]),
-    h("td", { class: "wide" }, h("time", { dateTime: one.changed, title: new Date(one.changed).toLocaleString("en-GB") }, ago(one.changed))),
+    h("td", { class: "wide" }, age(one.changed)),
     h("td", { class: "n" }, h("span", { class: "actions plans" },
       h("button", { type: "button", class: "small", "aria-label": `Rename ${one.title}`, onclick: () => rename(one) }, "Rename"),
       h("button", { type: "button", class: "small danger", "aria-label": `Delete ${one.title}`, onclick: () => drop(one) }, icon("bin")))));

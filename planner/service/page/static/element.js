@@ -1,9 +1,10 @@
 // One building element: divided as its sliders say, its panels as jobs, and the list that is ticked off.
 import { fileOf, json, post, Refused, remove, Unreachable } from "./api.js";
 import { ask } from "./ask.js";
-import { badge, banner, tell } from "./common.js";
+import { banner, tell } from "./common.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { atFields, goTo, issueItem, placeOf, sorted } from "./issues.js";
+import { badge } from "./outcome.js";
 import { COLOURS, PanelView } from "./panel_view.js";
 import { Sliders } from "./sliders.js";
 import { ago, bytes, duration, isOpen, number } from "./words.js";

@@ -1,9 +1,10 @@
 // Building elements: a new one, from files or a bundled one; and those there are.
 import { blob, json, post, Refused, upload } from "./api.js";
-import { badge, banner, tell } from "./common.js";
+import { age, banner, tell } from "./common.js";
 import { $, announce, h, show } from "./dom.js";
 import { issueItem, sorted } from "./issues.js";
-import { ago, isOpen } from "./words.js";
+import { badge } from "./outcome.js";
+import { isOpen } from "./words.js";
 import { readYaml } from "./yaml.js";
 
 const EVERY = 2000;
@@ -34,7 +35,7 @@ function row(one) {
     h("td", {}, badge(one.state), one.state === "running" ? h("span", { class: "sub" }, one.stage ?? "") : null),
     h("td", { class: "wide" }, `${count ? `${count} ` : ""}${one.kind ?? ""}`),
     h("td", { class: "n wide" }, one.planned ? String(one.planned) : ""),
-    h("td", {}, h("time", { dateTime: one.created, title: new Date(one.created).toLocaleString("en-GB") }, ago(one.created))));
+    h("td", {}, age(one.created)));
 }
 
 async function again() {

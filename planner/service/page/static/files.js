@@ -13,25 +13,26 @@ export function naming(data, path = []) {
   return [...own, ...Object.entries(data).flatMap(([key, value]) => naming(value, [...path, Array.isArray(data) ? Number(key) : key]))];
 }
 
+// The last step of a file's name, by which uploads are found.
+export const lastOf = (name) => String(name).split(/[/\\]/).pop();
+
 // The field that names the file that an issue is about.
 export function fieldOfFile(problem, issue) {
-  const last = (name) => String(name).split(/[/\\]/).pop();
-  const found = naming(problem).find(([, one]) => one.file && (last(one.file) === last(issue.file ?? "") || issue.message.startsWith(`${last(one.file)}:`)));
+  const found = naming(problem).find(([, one]) => one.file && (lastOf(one.file) === lastOf(issue.file ?? "") || issue.message.startsWith(`${lastOf(one.file)}:`)));
   return found && [...found[0], issue.code === "mesh.unit" ? "unit" : "file"].join(".");
 }
 
 // The files that the problem names, of those that are at hand.
 export function wanted(state) {
   const names = new Set(naming(state.problem).map(([, one]) => one.file));
-  const last = (name) => String(name).split(/[/\\]/).pop();
-  const lasts = new Set([...names].map(last));
-  return [...state.files].filter(([name]) => names.has(name) || lasts.has(last(name)));
+  const lasts = new Set([...names].map(lastOf));
+  return [...state.files].filter(([name]) => names.has(name) || lasts.has(lastOf(name)));
 }
 
 // Puts a file where the process wants its part; the path of what names it now, or null if nothing does.
 export function assign(problem, name, process) {
   const named = naming(problem);
-  const same = named.find(([, one]) => String(one.file).split(/[/\\]/).pop() === name.split(/[/\\]/).pop());
+  const same = named.find(([, one]) => lastOf(one.file) === lastOf(name));
   if (same) {
     same[1].file = name;
     return same[0];

@@ -1,18 +1,17 @@
 // One job: stages and issues as they happen, then report, replay, programs.
 import { fileOf, job as path, json, post, remove } from "./api.js";
-import { badge, banner, me, tell } from "./common.js";
+import { banner, me, tell } from "./common.js";
 import { drawDescription, setUpDescription } from "./describe.js";
 import { Estimate } from "./estimate.js";
 import { $, announce, h, icon, show } from "./dom.js";
 import { errors, issueItem, issueList, sorted } from "./issues.js";
 import { setUpLooks } from "./looks.js";
-import { outcomeOf } from "./outcome.js";
+import { badge, outcomeOf, tiles } from "./outcome.js";
 import { drawRelease, setUpRelease } from "./release.js";
-import { ago, bytes, duration, figureName, figureOrder, isOpen, number, processName, STATES, unitOf } from "./words.js";
+import { AGAIN, ago, bytes, duration, isOpen, processName, STATES } from "./words.js";
 
 const id = $("job").dataset.id;
 const MOST = 3;
-const AGAIN = ["crashed", "timeout", "memory", "cancelled"]; // the service tries no others
 const STAGES = ["waiting", "targets", "cell", "placement", "motion", "programs", "proof", "report"];
 let job = null;
 const estimate = new Estimate(id, () => job);
@@ -93,15 +92,9 @@ function drawIssues() {
 }
 
 function drawFigures() {
-  const names = figureOrder(Object.keys(job.metrics ?? {}));
-  show($("figures"), names.length > 0);
-  $("figures").replaceChildren(
-    ...names.map((name) => {
-      const unit = unitOf(name);
-      const value = name === "cycle_s" ? duration(job.metrics[name]) : number(job.metrics[name]);
-      return h("div", { class: "tile" }, h("dt", {}, figureName(name)), h("dd", {}, value, unit && name !== "cycle_s" ? h("small", {}, ` ${unit}`) : null));
-    }),
-  );
+  const figures = tiles(job.metrics);
+  show($("figures"), figures.length > 0);
+  $("figures").replaceChildren(...figures);
 }
 
 async function drawFiles() {

@@ -1,9 +1,10 @@
 // The history: found by words and tags, by state, sorted; jobs can be marked, two for comparison, any to be deleted.
 import { json, post } from "./api.js";
 import { ask } from "./ask.js";
-import { badge, banner, me, tell } from "./common.js";
+import { age, banner, me, tell } from "./common.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
-import { ago, bytes, duration, isOpen, number, processName } from "./words.js";
+import { badge } from "./outcome.js";
+import { AGAIN, ago, bytes, duration, isOpen, number, processName } from "./words.js";
 
 const GROUPS = [
   ["All", []],
@@ -13,7 +14,6 @@ const GROUPS = [
   ["No plan", ["infeasible", "bad_input", "unproven"]],
   ["Stopped", ["crashed", "timeout", "memory", "cancelled"]],
 ];
-const AGAIN = ["crashed", "timeout", "memory", "cancelled"]; // the service tries no others
 const EVERY = 1500;
 const SELDOM = 5000; // where nothing is under way: somebody else may send a job
 let drawn = "";
@@ -78,7 +78,7 @@ function row(one) {
     h("td", { class: "n" }, figure("cycle_s", duration)),
     h("td", { class: "n wider" }, figure("clearance_mm", (v) => `${number(v, 3)} mm`)),
     h("td", { class: "n wider" }, one.seconds ? duration(one.seconds) : ""),
-    h("td", {}, h("time", { dateTime: one.created, title: new Date(one.created).toLocaleString("en-GB") }, ago(one.created))),
+    h("td", {}, age(one.created)),
   );
 }
 

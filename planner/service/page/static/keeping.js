@@ -3,10 +3,9 @@ import { json } from "./api.js";
 import { banner, tell } from "./common.js";
 import { $, announce, h, show } from "./dom.js";
 import { fromDraft, keep } from "./draft.js";
-import { naming } from "./files.js";
+import { lastOf, naming } from "./files.js";
 
 const WORDS = { cell: "cell", tool: "tool", template: "template" };
-const lastOf = (name) => String(name).split(/[/\\]/).pop();
 const filesOf = (data, files) => {
   const names = new Set(naming(data).map(([, one]) => lastOf(one.file)));
   return [...files].filter(([name]) => names.has(lastOf(name)));

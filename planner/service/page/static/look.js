@@ -2,31 +2,23 @@
 import { fileOf, job as path, json, Refused } from "./api.js";
 import { $, h, show } from "./dom.js";
 import { issueItem, sorted } from "./issues.js";
-import { outcomeOf } from "./outcome.js";
-import { ago, duration, figureName, figureOrder, isOpen, number, processName, STATES, unitOf } from "./words.js";
+import { badge, outcomeOf, tiles } from "./outcome.js";
+import { ago, duration, isOpen, minute, processName } from "./words.js";
 
 const { job: id, look, signature } = $("look").dataset;
 const EVERY_MS = 5000;
 const WORDS = { released: "programs released", withdrawn: "release of the programs withdrawn", "not-released": "programs not released" };
-const end = (text) => new Date(text).toLocaleString("en-GB", { day: "numeric", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit" });
 
 function draw(job) {
   show($("look"), true);
   document.title = `${job.title || job.name} · Tandem`;
   $("name").textContent = job.title || job.name;
-  const [word, kind] = STATES[job.state] ?? [job.state, "off"];
-  $("state").className = `badge ${kind}`;
-  $("state").replaceChildren(h("i", { "aria-hidden": "true" }), word);
-  const facts = [job.title ? job.name : null, job.processes.map(processName).join(", "), `made ${ago(job.created)}`, isOpen(job.state) ? job.stage : null, job.seconds ? `planned in ${duration(job.seconds)}` : null, WORDS[job.release], `this link ends ${end(job.expires)}`];
+  badge(job.state, $("state"));
+  const facts = [job.title ? job.name : null, job.processes.map(processName).join(", "), `made ${ago(job.created)}`, isOpen(job.state) ? job.stage : null, job.seconds ? `planned in ${duration(job.seconds)}` : null, WORDS[job.release], `this link ends ${minute(job.expires)}`];
   $("facts").textContent = facts.filter(Boolean).join(" · ");
-  const names = figureOrder(Object.keys(job.metrics));
-  show($("figures"), names.length > 0);
-  $("figures").replaceChildren(
-    ...names.map((name) => {
-      const unit = name === "cycle_s" ? "" : unitOf(name);
-      return h("div", { class: "tile" }, h("dt", {}, figureName(name)), h("dd", {}, name === "cycle_s" ? duration(job.metrics[name]) : number(job.metrics[name]), unit ? h("small", {}, ` ${unit}`) : null));
-    }),
-  );
+  const figures = tiles(job.metrics);
+  show($("figures"), figures.length > 0);
+  $("figures").replaceChildren(...figures);
   show($("outcome"), !isOpen(job.state));
   if (!isOpen(job.state)) {
     const outcome = outcomeOf(job, job.issues);

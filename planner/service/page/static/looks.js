@@ -1,8 +1,7 @@
 // Links to look at a job: which there are, a new one, and taking one back.
 import { job as path, json, post, remove } from "./api.js";
 import { $, announce, h, show } from "./dom.js";
-
-const day = (text) => new Date(text).toLocaleString("en-GB", { day: "numeric", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit" });
+import { minute } from "./words.js";
 
 export function setUpLooks(id) {
   const trying = (action) => async () => {
@@ -18,7 +17,7 @@ export function setUpLooks(id) {
     const { links } = await json(`${path(id)}/looks`);
     show($("looks-none"), links.length === 0);
     $("looks-list").replaceChildren(
-      ...links.map((one) => h("li", {}, h("span", {}, "made by ", h("bdi", {}, one.by), ` ${day(one.created)}, ends ${day(one.expires)}`), h("button", { type: "button", class: "small danger", "aria-label": `Withdraw the link that ends ${day(one.expires)}`, onclick: trying(() => withdraw(one)) }, "Withdraw"))),
+      ...links.map((one) => h("li", {}, h("span", {}, "made by ", h("bdi", {}, one.by), ` ${minute(one.created)}, ends ${minute(one.expires)}`), h("button", { type: "button", class: "small danger", "aria-label": `Withdraw the link that ends ${minute(one.expires)}`, onclick: trying(() => withdraw(one)) }, "Withdraw"))),
     );
   };
   const withdraw = async (one) => {

@@ -1,5 +1,7 @@
-// What came of a job, in words: what, and what to do next.
+// What came of a job: its state, its figures, and in words what to do next. It asks the service for nothing.
+import { h } from "./dom.js";
 import { errors } from "./issues.js";
+import { duration, figureName, figureOrder, number, STATES, unitOf } from "./words.js";
 
 const ENDS = {
   verified: ["ok", "Verified: the programs are proven", "Their very text was replayed and held against the problem: shape, clearance, limits, timing. Read the setup sheet in the report before they run."],
@@ -17,4 +19,20 @@ export function outcomeOf(job, issues) {
   const wrong = errors(issues).length;
   const worse = job.state === "infeasible" && !wrong ? " The report tells more." : "";
   return { kind, title, text: text + worse };
+}
+
+export function badge(state, element = h("span", {})) {
+  const [word, kind] = STATES[state] ?? [state, "off"];
+  element.className = `badge ${kind}`;
+  element.replaceChildren(h("i", { "aria-hidden": "true" }), word);
+  return element;
+}
+
+// A tile for each figure of a job.
+export function tiles(metrics) {
+  return figureOrder(Object.keys(metrics ?? {})).map((name) => {
+    const unit = unitOf(name);
+    const value = name === "cycle_s" ? duration(metrics[name]) : number(metrics[name]);
+    return h("div", { class: "tile" }, h("dt", {}, figureName(name)), h("dd", {}, value, unit && name !== "cycle_s" ? h("small", {}, ` ${unit}`) : null));
+  });
 }

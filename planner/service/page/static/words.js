@@ -52,6 +52,8 @@ export const STATES = {
   memory: ["Out of memory", "bad"],
   cancelled: ["Cancelled", "off"],
 };
+// Jobs in these states can be tried again; the service tries no others.
+export const AGAIN = ["crashed", "timeout", "memory", "cancelled"];
 export const isOpen = (state) => state === "queued" || state === "running";
 
 const FIGURES = {
@@ -100,6 +102,9 @@ export function ago(when) {
   if (seconds < 86400) return `${Math.floor(seconds / 3600)} h ago`;
   return new Date(when).toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric" });
 }
+
+// A moment, to the minute.
+export const minute = (when) => new Date(when).toLocaleString("en-GB", { day: "numeric", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit" });
 
 export function bytes(size) {
   if (size < 1000) return `${size} B`;
