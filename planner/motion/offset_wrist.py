@@ -93,8 +93,7 @@ class _Condition:
 
     def room(self, angle: FloatArray, shoulder: FloatArray) -> FloatArray:
         """Above 0 in reach, below 0 out of it."""
-        cosine = self.parts(angle, shoulder)[0]
-        return np.where(np.isnan(cosine), -1.0, 1.0 - cosine * cosine)
+        return _room(self.parts(angle, shoulder)[0])
 
     def value(self, angle: FloatArray, shoulder: FloatArray, elbow: FloatArray) -> FloatArray:
         """The condition; next to the end of reach that at the end. ``elbow``: 1 or -1."""
@@ -121,6 +120,11 @@ class _Condition:
         z5 = np.cross(x5, y5, axis=0)
         theta5 = np.arctan2(-np.sum(axis4 * x5, axis=0), np.sum(axis4 * z5, axis=0))
         return np.concatenate([theta1, theta2, tilt - theta2, theta4, theta5, angle], axis=1)
+
+
+def _room(cosine: FloatArray) -> FloatArray:
+    """1 - cosine^2, -1 where the cosine is not known."""
+    return np.where(np.isnan(cosine), -1.0, 1.0 - cosine * cosine)
 
 
 _Brackets = tuple[IndexArray, FloatArray, FloatArray, FloatArray, FloatArray]
@@ -156,7 +160,7 @@ def _brackets(condition: _Condition, shoulder: float) -> _Brackets:
     step = 2.0 * np.pi / NODES
     side = np.array(shoulder)
     cosine, along, across = condition.parts(angle, side)
-    room = np.where(np.isnan(cosine), -1.0, 1.0 - cosine * cosine)
+    room = _room(cosine)
     inside = room >= 0.0
     with np.errstate(invalid="ignore"):
         sine = np.sqrt(room)
@@ -311,7 +315,8 @@ def _newton(form: OffsetParameters, q: FloatArray, pose: FloatArray) -> tuple[Fl
     for _ in range(_NEWTON):
         here = flange_poses(form, q[open_])
         off[open_] = np.abs(here - pose[open_]).max(axis=(1, 2))
-        open_, here = open_[~(off[open_] <= 0.01 * EXACT)], here[~(off[open_] <= 0.01 * EXACT)]
+        left = ~(off[open_] <= 0.01 * EXACT)
+        open_, here = open_[left], here[left]
         if not len(open_):
             break
         turn = (
