@@ -211,6 +211,7 @@ async function chooseCell(name) {
 }
 
 function changed() {
+  if (!$("banner").classList.contains("warn")) banner("");
   drawChanges();
   draft.changed();
   cell?.follow();
@@ -270,7 +271,7 @@ async function check() {
     present(found.shapes, box ?? found.summary.stock_mm, "", found.summary.stock_mm);
     Object.assign(seen, { signal: own.signal, looked: false });
     cell?.draw(own.signal);
-    if (!goneRobots(state.problem, catalogue)) banner("");
+    if ($("banner").classList.contains("warn") && !goneRobots(state.problem, catalogue)) banner(""); // an error stays until something is done about it
     if (errors(found.issues).length) return tellIssues(found.issues, true);
     say("busy", "Nothing is wrong with the file. Looking at the reach and the clearance of some targets …");
     const some = await (await post(`/v1/check?targets=${FIRST_TARGETS}`, { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
