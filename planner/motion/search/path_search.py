@@ -274,6 +274,10 @@ MOST_LADDER_TURNS = 1
 FINE_SAMPLING = (SPIN_STEP / 2.0, 2 * SLIDE_SAMPLES - 1)
 """Step [rad] of spins and places of slides of the samples that are tried at last."""
 
+AROUND = 16
+"""Targets on either side of a dead end that have to have a path among themselves before more samples are
+tried for all targets."""
+
 
 def find_path(scene: Scene, targets: Targets, fine: bool = True) -> tuple[Grid, Found | Blocked]:
     """The path of least cost, or what is known of why there is none, and the samples that were looked at.
@@ -289,12 +293,19 @@ def find_path(scene: Scene, targets: Targets, fine: bool = True) -> tuple[Grid, 
     if turning(targets) > MOST_LADDER_TURNS:
         return search_wide(scene, targets)
     free = [f for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
-    kept: tuple[Grid, Found] | None = None
-    tried: list[tuple[float, int]] = [(SPIN_STEP, 1)]
-    tried += [(SPIN_STEP, SLIDE_SAMPLES)] if any(slides_only(f) for f in free) else []
-    for step, slides in tried:
-        grid = sample(targets, step, slides)
-        found = search(scene, targets, grid, moves=scene.model is not None)
+    moves, kept = scene.model is not None, None
+    grid = sample(targets, SPIN_STEP, 1)
+    found = search(scene, targets, grid, moves=moves)
+    slide = any(slides_only(f) for f in free)
+    if isinstance(found, Found):
+        if not found.loose:
+            return grid, found
+        kept = grid, found
+    elif slide and not fine and _leads_no_further(scene, targets, found):
+        return grid, found
+    if slide:
+        grid = sample(targets, SPIN_STEP, SLIDE_SAMPLES)
+        found = search(scene, targets, grid, moves=moves)
         if isinstance(found, Found):
             kept = kept or (grid, found)
             if not found.loose:
@@ -304,6 +315,16 @@ def find_path(scene: Scene, targets: Targets, fine: bool = True) -> tuple[Grid, 
         if last is not None and not (kept and isinstance(last[1], Blocked)):
             return last
     return kept or (grid, found)
+
+
+def _leads_no_further(scene: Scene, targets: Targets, found: Blocked) -> bool:
+    """Whether targets about a dead end have no path among themselves with slides at more places either, so
+    that all targets have none."""
+    if found.dead is None or targets.count <= 2 * AROUND:
+        return False
+    end = found.dead.index
+    some = subset(targets, np.arange(max(end - AROUND, 0), min(end + AROUND, targets.count)))
+    return isinstance(search(scene, some, sample(some, SPIN_STEP, SLIDE_SAMPLES)), Blocked)
 
 
 def turning(targets: Targets) -> int:
