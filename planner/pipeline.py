@@ -13,7 +13,7 @@ import itertools
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from planner import processes, spec
 from planner.batch import worker
@@ -462,29 +462,57 @@ def write_pages(folder: str | Path, processes: int = 1) -> Proof:
     return proof
 
 
-def export(folder: str | Path, output: Path, seconds: float = 0.0) -> Path:
+def export(folder: str | Path, output: Path, seconds: float = 0.0, machine: str | None = None) -> Path:
     """Write the cell at ``seconds`` after the plan's first target, with wanted and simulated part, ways of
-    tools and wires, for CAD programs: ``output`` is a .glb or .3dm file.
+    tools and wires, for CAD programs: ``output`` is a .glb or .3dm file. A .ngc file has what was milled as
+    G-code for a five-axis ``machine``, by its name in :data:`planner.milling.gcode.state.KINEMATICS`.
 
-    Raises ``TandemError``: ``problem.field`` for another ending or a time that the plan does not have,
-    ``part.extra_missing``, ``output.folder``, and for what is missing or damaged in the folder.
+    Raises ``TandemError``: ``problem.field`` for another ending, a time that the plan does not have or a
+    machine that cannot do it, ``upload.unproven`` for G-code of what is not proven, ``part.extra_missing``,
+    ``output.folder``, and for what is missing or damaged in the folder.
     """
     from planner.report import cad_export, rhino_file
     from planner.report.output import cell_model
 
-    if output.suffix.lower() not in cad_export.KINDS:
-        what = f"-o: got {output.name}, allowed are files that end in {' or '.join(cad_export.KINDS)}"
+    kinds = (*cad_export.KINDS, GCODE)
+    if output.suffix.lower() not in kinds:
+        what = f"-o: got {output.name}, allowed are files that end in {' or '.join(kinds)}"
         raise TandemError(Issue("problem.field", what, field="output"))
+    if (output.suffix.lower() == GCODE) != (machine is not None):
+        what = f"--machine: got {machine}; {GCODE} files need one, other files have none"
+        raise TandemError(Issue("problem.field", what, field="machine"))
     problem, made = _planned_result(folder)
+    if machine is not None:
+        return _written(output, _milled(Path(folder), problem, made, machine).encode("ascii"))
     at = cad_export.moment(problem, made, seconds)
     cut = cad_export.simulated(Path(folder) / "simulated_part.obj")
     shapes = cad_export.shapes(cell_model(problem, made, at.setup), problem, made, at, cut)
+    if output.suffix.lower() == ".glb":
+        return _written(output, cad_export.glb(shapes))
+    lines, targets = cad_export.lines(problem, made, at), cad_export.targets(problem, made)
+    return _written(output, rhino_file.rhino(itertools.chain(shapes, lines, targets)))
+
+
+GCODE: Final = ".ngc"
+"""Ending of files for five-axis machines."""
+
+
+def _milled(folder: Path, problem: Problem, made: Plan, machine: str) -> str:
+    """What a proven result mills as G-code."""
+    from planner.loading import proven
+    from planner.milling.gcode import inverse_time, state
+
+    if machine not in state.KINEMATICS:
+        what = f"--machine: got {machine}, allowed are {', '.join(state.KINEMATICS)}"
+        raise TandemError(Issue("problem.field", what, field="machine"))
+    proven.read(folder, problem)
+    each = zip(problem.operations, made.operations, strict=True)
+    ways = [inverse_time.way_of(own, done.targets, done.values, done.time) for own, done in each]
+    return inverse_time.program(problem.name, ways, state.KINEMATICS[machine])
+
+
+def _written(output: Path, content: bytes) -> Path:
     try:
-        if output.suffix.lower() == ".glb":
-            content = cad_export.glb(shapes)
-        else:
-            lines, targets = cad_export.lines(problem, made, at), cad_export.targets(problem, made)
-            content = rhino_file.rhino(itertools.chain(shapes, lines, targets))
         write_whole(output, content)
     except OSError as error:
         what = f"{output}: cannot be written ({error.strerror}); choose another place"

@@ -203,16 +203,20 @@ def export(
     folder: tyro.conf.Positional[Path],
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     time: float = 0.0,
+    machine: str | None = None,
 ) -> int:
-    """Write the cell, the part and the ways of a result folder for CAD programs: GLB, or 3DM for Rhino.
+    """Write the cell, the part and the ways of a result folder for CAD programs: GLB, or 3DM for Rhino; or
+    what was milled as G-code for a five-axis machine.
 
     Args:
         folder: a result folder of ``tandem plan``.
-        output: the file, which ends in ``.glb`` or ``.3dm``.
+        output: the file, which ends in ``.glb``, ``.3dm`` or ``.ngc``.
         time: the moment that is shown [s], from the plan's first target.
+        machine: what carries what on the machine that a ``.ngc`` file is for, as ``convention`` says it of
+            G-code files. Nothing is proven of that machine.
     """
     try:
-        written = _pipeline().export(folder, output, time)
+        written = _pipeline().export(folder, output, time, machine)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     out.print(f"written to {written}", highlight=False, markup=False)

@@ -39,7 +39,7 @@ def test_a_path_that_more_samples_have_is_found_though_dead_ends_are_told_from_t
 
     monkeypatch.setattr(path_search, "search", counted)
     spared = found = 0
-    for number, (scene, targets) in enumerate(posts(9)):
+    for number, (scene, targets) in enumerate(posts(7)):
         many = sample(targets, SPIN_STEP, SLIDE_SAMPLES)
         wanted = search(scene, targets, many, moves=True)
         searched.clear()

@@ -1,0 +1,155 @@
+"""Jobs as G93 for five-axis machines: read back by the planner's and the proof's reader of G-code and by
+LinuxCNC's ``rs274`` where it is on the path, and angles against rotations by scipy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from planner import pipeline, processes
+from planner.geometry.arrays import FloatArray
+from planner.issues import TandemError
+from planner.milling.gcode import inverse_time
+from planner.milling.gcode.inverse_time import AXIS_OFF, Way
+from planner.milling.gcode.state import KINEMATICS
+from planner.milling.operation import Milling
+from planner.targets import Action
+from tests import small_problem
+from tests.milling.gcode.gcode_programs import read
+from tests.milling.gcode.test_canon import COMMAND, rs274
+from tests.milling.small_mill import PANEL, problem
+
+TWO = [name for name, one in KINEMATICS.items() if len(one.chain) == 2]
+
+
+def turned(name: str, angles: FloatArray) -> FloatArray:
+    """The tool's axis (N, 3) in the part's frame, by scipy: what carries the tool turns it, what carries the
+    part turns that, and the tool the other way round."""
+    tool, part = Rotation.identity(len(angles)), Rotation.identity(len(angles))
+    for letter, sign in KINEMATICS[name].chain:
+        one = Rotation.from_euler("xyz"["ABC".index(letter)], angles[:, ["ABC".index(letter)]])
+        if sign > 0:
+            tool = tool * one
+        else:
+            part = one * part  # chain of a table: from the part outwards to the bed
+    return (part.inv() * tool).apply([0.0, 0.0, 1.0])
+
+
+def spiral(count: int, lean: float) -> Way:
+    """A way whose axis goes around the pole, and through its neighbourhood."""
+    t = np.linspace(0.0, 1.0, count)
+    tilt, about = lean * np.sin(5.0 * t), 9.0 * t + 0.3
+    axis = np.stack([np.sin(tilt) * np.cos(about), np.sin(tilt) * np.sin(about), np.cos(tilt)], axis=1)
+    tip = 0.1 * np.stack([np.cos(about), np.sin(about), t], axis=1)
+    names = [f"mill/a/{i}" for i in range(count)]
+    on = (Action(0, "on", signal="doSpindle"),)
+    return Way("a", tip, axis, np.cumsum(0.02 + 0.03 * t), names, on, 9000.0, "doSpindle")
+
+
+@pytest.mark.parametrize("name", TWO)
+def test_angles_point_the_tool_along_any_vector_and_go_on_from_one_another(name: str) -> None:
+    rng = np.random.default_rng(11)
+    loose = rng.normal(size=(200, 3))
+    loose[:3] = [0, 0, 1], [0, 0, -1], [1, 0, 0]
+    loose /= np.linalg.norm(loose, axis=1, keepdims=True)
+    for axis in (loose, spiral(400, 0.7).axis):
+        found = inverse_time.angles(axis, KINEMATICS[name])
+        assert np.abs(turned(name, found) - axis).max() < 1e-7
+        assert set(np.flatnonzero(found.any(axis=0))) <= {"ABC".index(c) for c in KINEMATICS[name].letters}
+    assert np.abs(np.diff(found, axis=0)).sum(axis=1).max() < np.pi
+
+
+@pytest.mark.parametrize("name", TWO)
+def test_what_is_written_is_read_back(name: str, tmp_path: Path) -> None:
+    way = spiral(120, 0.4)
+    text = inverse_time.program("a job", [way], KINEMATICS[name])
+    found = read(tmp_path, text, tool_axis="rotary", convention=name, skip=["G40", "G80"], dwell="s").path
+    rows = [int(np.linalg.norm(found.tip - tip, axis=1).argmin()) for tip in way.tip]
+    assert rows == sorted(rows)
+    assert np.linalg.norm(found.tip[rows] - way.tip, axis=1).max() < 1e-7
+    assert np.abs(found.axis[rows] - way.axis).max() < 1e-6
+    step = np.linalg.norm(np.diff(found.tip, axis=0), axis=1)
+    times = np.concatenate([[0.0], np.cumsum(step[rows[0] :] / found.feed[rows[0] + 1 :])])
+    assert times[np.array(rows) - rows[0]] == pytest.approx(way.time - way.time[0], rel=1e-3)
+    between = np.linspace(0, len(way.tip) - 1, 2000)  # the axis is near the great circle everywhere
+    turn = inverse_time.blocks(way, KINEMATICS[name])
+    share = np.interp(between, np.arange(len(way.tip)), way.time)
+    axis = turned(name, np.stack([np.interp(share, turn[2], turn[1][:, k]) for k in range(3)], axis=1))
+    assert np.linalg.norm(axis - inverse_time._axis_at(way, between), axis=1).max() < 1.5 * AXIS_OFF
+
+
+@pytest.mark.parametrize("name", ["head_ca", "table_ac", "head_b_table_c", "head_ba"])
+def test_linuxcnc_reads_all_of_it(name: str, tmp_path: Path) -> None:
+    way = spiral(120, 0.4)
+    tip, turn, time, _ = inverse_time.blocks(way, KINEMATICS[name])
+    output = rs274(tmp_path, inverse_time.program("a job", [way], KINEMATICS[name]))
+    feed, ends, seconds = 0.0, [], []
+    for line in output.splitlines():
+        met = COMMAND.match(line)
+        values = [] if met is None else met[2].replace(",", " ").split()
+        if met is not None and met[1] == "SET_FEED_RATE":
+            feed = float(values[0])
+        if met is not None and met[1] in ("STRAIGHT_FEED", "STRAIGHT_TRAVERSE"):
+            end = np.array(values[:6], dtype=float)
+            if met[1] == "STRAIGHT_FEED":
+                seconds.append(60.0 * np.linalg.norm(end[:3] - ends[-1][:3]) / feed)
+            ends.append(end)
+    got = np.array(ends[-len(tip) :])
+    assert np.abs(got[:, :3] - 1e3 * tip).max() < 1e-4
+    assert np.abs(got[:, 3:] - np.rad2deg(turn)).max() < 1e-4
+    assert seconds == pytest.approx(np.diff(time), rel=1e-3)
+
+
+def test_a_milled_job_has_its_operator_and_its_spindle(tmp_path: Path) -> None:
+    made = problem(
+        tmp_path,
+        PANEL,
+        {**PANEL["cell"]["arms"][0]["tool"], "cutter": "ball"},
+        cuts=[{"lines": "front", "stepover_mm": 3}],
+    )
+    (job,) = processes.jobs(made)
+    targets = job.targets()
+    time = np.cumsum(np.append(0.0, targets.travel[1:] / targets.feed[1:]))
+    way = inverse_time.way_of(made.operations[0], targets, targets.neutral(), time)
+    lines = inverse_time.program(made.name, [way], KINEMATICS["table_ac"]).splitlines()
+    assert [line for line in lines if line[:2] in ("M3", "M5", "M0", "M2", "G9") and "G1" not in line] == [
+        "M0",
+        "M3 S12000",
+        "G94 G4 P1",
+        "M0",
+        "G94 G0 " + lines[lines.index("G94 G4 P1") + 3].removeprefix("G94 G0 "),
+        "M5",
+        "G94 G4 P1",
+        "M0",
+        "M2",
+    ]
+    assert "(NOT proven for this machine: its limits, its bodies and its clamping are not known)" in lines
+    assert all(line.isascii() and line.count("(") <= 1 for line in lines)
+
+
+def test_what_a_machine_cannot_do_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(TandemError) as caught:
+        inverse_time.program("a job", [spiral(50, 0.4)], KINEMATICS["head_a"])
+    (issue,) = caught.value.issues
+    assert "cannot point the tool as 'a' does" in issue.message
+    assert "mill/a/" in issue.message
+    with pytest.raises(TandemError, match="which is G-code"):
+        stated = {"gcode": {"file": "job.nc", "origin": {"xyz_mm": [0, 0, 0]}}}
+        operation = Milling.model_validate({**PANEL["operations"][0], "cuts": [stated]})
+        inverse_time.way_of(operation, None, None, None)  # type: ignore[arg-type]
+    result = pipeline.plan(pipeline.load(small_problem.write(tmp_path)))
+    result.save(tmp_path / "out")
+    for name, machine, said in (
+        ("a.ngc", "table_ac", r"of milling alone, got the operation 'poses' \(targets\)"),
+        ("a.ngc", None, "--machine: got None; .ngc files need one"),
+        ("a.glb", "table_ac", "--machine: got table_ac; .ngc files need one, other files have none"),
+        ("a.ngc", "hexapod", "--machine: got hexapod, allowed are head_a, head_b"),
+    ):
+        with pytest.raises(TandemError, match=said):
+            pipeline.export(tmp_path / "out", tmp_path / name, machine=machine)
+    next((tmp_path / "out" / "programs").rglob("*.mod*")).write_text("changed")
+    with pytest.raises(TandemError, match="the proof names"):
+        pipeline.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac")
