@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -125,3 +126,44 @@ def test_what_is_tilted_keeps_off_the_floor(tmp_path: Path) -> None:
     angle = np.rad2deg(way.at)
     outline = rotate(shapely.box(680, 200, 1080, 250), -angle, origin=(900, 130))
     assert outline.bounds[1] < 11.5
+
+
+def _box(size: list[float], at: list[float]) -> dict[str, Any]:
+    return {"kind": "box", "size_mm": size, "pose": {"xyz_mm": at}}
+
+
+POSTS = positioner_job.POSTS["shapes"]
+SHAFT = {
+    "kind": "cylinder",
+    "radius_mm": 20,
+    "length_mm": 600,
+    "pose": {"xyz_mm": [900, 0, 470], "rpy_deg": [90, 0, 0]},
+}
+CRADLE = positioner_job.CRADLE["shapes"]
+
+
+@pytest.mark.parametrize(
+    ("bracket", "fixed", "clear"),
+    [
+        (CRADLE, POSTS, True),
+        (CRADLE, [*POSTS, _box([60, 100, 440], [816, 0, 220])], False),  # a column 4 mm behind the cradle
+        ([*CRADLE, SHAFT], POSTS, True),  # a shaft that goes into the posts
+        ([*CRADLE, _box([60, 560, 30], [900, 0, 470])], POSTS, False),  # a square one that does
+        # a post at the end of a wide cradle, off the axis
+        ([_box([400, 500, 40], [900, 0, 440])], [*POSTS, _box([40, 40, 490], [1080, 272, 245])], False),
+    ],
+)
+def test_shapes_beside_a_bearing_are_looked_at(
+    tmp_path: Path, bracket: list[Any], fixed: list[Any], clear: bool
+) -> None:
+    """Posts bear the cradle, 2 mm off its ends; other shapes of the same two bodies do not for that."""
+    obstacles = ({"name": "cradle", "shapes": bracket}, {"name": "posts", "shapes": fixed})
+    problem = positioner_job.problem(tmp_path, obstacles=obstacles)
+    setup, table = problem.setups[0], problem.cell.turntable
+    assert setup.stock.place is not None and table is not None
+    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    homes = {arm.name: arm.home for arm in setup.cell.arms}
+    way = axis_way.turning(model, table, "stock/tilt", 0.0, (0.0, np.deg2rad(70.0)), homes, 0.01)
+    assert way.clear == clear
+    if not clear:
+        assert way.pair == ("cradle", "posts")
