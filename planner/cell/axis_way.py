@@ -43,17 +43,26 @@ FLOOR: Final = "the floor"
 """What tilted bodies may come near to that is no body of the cell."""
 
 
+class Look(NamedTuple):
+    """Where bodies that ride were when they were looked at: the ``value`` [m, rad] of the axis and ``poses``
+    (4, 4) in the world by their names."""
+
+    value: float
+    poses: Mapping[str, FloatArray]
+
+
 @dataclasses.dataclass(frozen=True)
 class AxisWay:
     """The least distance [m] on a way, at the value ``at`` [m, rad] of the axis (a bound between looks),
-    between which bodies, and how many looks were taken. ``clear``: they went all the way, and none found
-    bodies nearer than asked."""
+    between which bodies, and how many looks were taken: ``looked`` has them in order. ``clear``: they went
+    all the way, and none found bodies nearer than asked."""
 
     least: float
     at: float
     pair: tuple[str, str]
     looks: int
     clear: bool = False
+    looked: tuple[Look, ...] = dataclasses.field(default=(), compare=False, repr=False)
 
 
 class Travel(NamedTuple):
@@ -88,7 +97,7 @@ def along(
         found = _beside(placed, arm).items()
         return {(f"{arm}/base_link", name): gap for name, gap in found if name not in resting}
 
-    return _looked(at, beside, 1.0, ends, q, enough, ignore)
+    return _looked(at, beside, 1.0, ends, q, enough, (f"{arm}/base_link",), ignore)
 
 
 def turning(
@@ -144,7 +153,8 @@ def turning(
     aside = frozenset(
         map(frozenset, itertools.combinations(others, 2))
     )  # the way changes nothing between them
-    return _looked(at, beside, lever, ends, q, enough, aside)
+    shaped = {solid.body for solid in riders}
+    return _looked(at, beside, lever, ends, q, enough, [name for name in riding if name in shaped], aside)
 
 
 def stood(
@@ -237,16 +247,17 @@ def _looked(
     ends: tuple[float, float],
     q: Mapping[str, FloatArray],
     enough: float,
+    riding: Sequence[str],
     ignore: clearance.Pairs = frozenset(),
 ) -> AxisWay:
     """Looks along a way: ``at`` gives the cell at a value, ``beside`` distances [m] of what rides to what is
     fixed, as two bodies of which neither has joints; ``lever`` [m, m/rad] is the way of the farthest point by
-    a value of 1; pairs to ``ignore``."""
+    a value of 1; bodies that ride; pairs to ``ignore``."""
     begin, end = ends
     rows = {name: np.asarray(joints)[None] for name, joints in q.items()}
     sense, length = float(np.sign(end - begin)), lever * abs(end - begin)
     worst = AxisWay(REACH_M, begin, ("", ""), 0)
-    gone, before, step, looks = 0.0, np.inf, 0.0, 0
+    gone, before, step, seen = 0.0, np.inf, 0.0, list[Look]()
     while True:
         value = begin + sense * (gone / lever if lever > 0.0 else 0.0)
         placed = at(value)
@@ -255,12 +266,14 @@ def _looked(
         for two, other in beside(placed).items():
             if other < gap:
                 gap, pair = other, two
-        looks += 1
+        poses = placed.poses({})
+        seen.append(Look(value, {name: poses[name][0] for name in riding}))
         bound = min(gap, 0.5 * (before + gap - step)) if np.isfinite(before) else gap
         if bound < worst.least:
-            worst = AxisWay(bound, value, pair, looks)
+            worst = AxisWay(bound, value, pair, 0)
         if gone >= length or gap < enough:
-            return dataclasses.replace(worst, looks=looks, clear=gap >= enough)
+            clear = gap >= enough
+            return dataclasses.replace(worst, looks=len(seen), clear=clear, looked=tuple(seen))
         step = min(max(gap - enough, LEAST_STEP_M), length - gone)
         gone, before = gone + step, gap
 

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+from scipy.spatial.transform import Rotation
 from shapely.affinity import rotate
 
 from planner.cell import axis_way, clearance, plant
+from planner.problem import RotaryAxis, Turntable
 from tests import positioner_job, table_job, track_job
 
 
@@ -167,3 +169,33 @@ def test_shapes_beside_a_bearing_are_looked_at(
     assert way.clear == clear
     if not clear:
         assert way.pair == ("cradle", "posts")
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("lean", [0.7, -0.4])
+def test_a_tilted_turn_is_scipys(sense: float, lean: float) -> None:
+    """Where axes take a block, and where the turn axis then lies, by scipy's rotations about axes of either
+    sense whose centres lie apart."""
+    across = np.array([0.6, 0.8, 0.0])
+    tilt = RotaryAxis("left", "STN_1", 0, np.array([0.8, 0.1, 0.4]), across, -1.5, 1.5, 1.0, 0.0)
+    centre = np.array([0.9, 0.0, 0.5])
+    table = Turntable("left", "STN_1", 1, centre, np.array([0.0, 0.0, sense]), -3.0, 3.0, 1.0, 0.0, tilt=tilt)
+    place = np.eye(4)
+    place[:3, :3] = Rotation.from_euler("xyz", [0.1, -0.2, 0.3]).as_matrix()
+    place[:3, 3] = 1.0, 0.2, 0.6
+
+    def seated(turn: float) -> np.ndarray:
+        about, over = Rotation.from_rotvec([0.0, 0.0, sense * turn]), Rotation.from_rotvec(lean * across)
+        out = np.eye(4)
+        out[:3, :3] = (over * about).as_matrix() @ place[:3, :3]
+        out[:3, 3] = tilt.centre + over.apply(centre + about.apply(place[:3, 3] - centre) - tilt.centre)
+        return out
+
+    first = {"stock": 0.5, "stock/tilt": lean}
+    np.testing.assert_allclose(table.placed(place, first), seated(0.5), atol=1e-14)
+    second = table.placed(seated(0.5), {"stock": 1.4, "stock/tilt": lean}, first)
+    np.testing.assert_allclose(second, seated(1.4), atol=1e-14)
+    pivot = table.pivot("stock", lean)
+    np.testing.assert_allclose(pivot.turned(seated(0.5), 0.9), seated(1.4), atol=1e-14)
+    np.testing.assert_allclose(pivot.axis, Rotation.from_rotvec(lean * across).apply([0.0, 0.0, sense]))
+    assert table.pivot("stock/tilt", lean) is tilt

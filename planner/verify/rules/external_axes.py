@@ -18,7 +18,7 @@ from planner.cell.plant import CellModel
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
-from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
+from planner.problem import STOCK, TILT, Cell, RotaryAxis, Setup, Turntable
 from planner.verify.context import (
     MOST_OUTER,
     Context,
@@ -267,14 +267,11 @@ def _moved(context: Context, table: Turntable) -> Iterator[Issue]:
 def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
     """Blocks that are not where the text's values have the stated axes take them: by turns of its own, with
     quaternions, of what the problem says of value 0."""
-    at = context.problem.stock.place
     for index, setup in enumerate(context.setups):
+        at = _clamped(context, index)
         place, value = context.places[index], table.home  # which it has again behind all operations
         lean = 0.0 if table.tilt is None else table.tilt.home
         for number in setup.operations:
-            change = context.problem.changes.get(number)
-            if change is not None and "place" in change.stock:
-                at = change.stock["place"]
             value = context.stations.get(number, {}).get(STOCK, np.nan)
             lean = context.stations.get(number, {}).get(TILT, lean if table.tilt is None else np.nan)
         if at is None or place is None or not np.isfinite(value + lean):
@@ -292,6 +289,16 @@ def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
                 f"{name} is not where {table.unit} at {np.rad2deg(lean):g} deg tilts it in setup {index + 1}"
             )
             yield Issue(_CODE, what)
+
+
+def _clamped(context: Context, index: int) -> FloatArray | None:
+    """Where the problem has the block (4, 4) in a setup with all axes at 0."""
+    at = context.problem.stock.place
+    for setup in context.setups[: index + 1]:
+        for number in setup.operations:
+            change = context.problem.changes.get(number)
+            at = at if change is None else change.stock.get("place", at)
+    return at
 
 
 def _misplaced(context: Context, setup: Setup, table: Turntable, lean: float) -> Iterator[str]:
@@ -353,7 +360,8 @@ def _rim(setup: Setup, table: Turntable, name: str) -> float:
 @rule("verify.track_way")
 def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
     """On the way of a track, turntable or positioner from station to station bodies keep their clearance, all
-    arms folded at home; what is tilted keeps it from the floor, too."""
+    arms folded at home; what is tilted keeps it from the floor, too. Where looks had what rides is held
+    against the values by turns of the proof's own."""
     limit = context.problem.settings.clearance
     issues: list[Issue] = []
     worst, where, looks = np.inf, "", 0
@@ -369,6 +377,12 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
                 what += f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
                 arm = None if axis.carries in (STOCK, TILT) else axis.carries
                 issues.append(Issue(_WAY, what, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm"))
+            strayed = _strayed(context, models(index).cell, index, at, axis, ends, way)
+            if strayed:
+                what = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
+                what += strayed
+                arm = None if axis.carries in (STOCK, TILT) else axis.carries
+                issues.append(Issue(_WAY, what, arm=arm))
             at = {**at, axis.carries: ends[1]}
     if not np.isfinite(worst):
         return Outcome(tuple(issues), where="no track or turntable moves")
@@ -409,3 +423,49 @@ def _way(
             return axis_way.turning(model, table, axis.carries, tilt, ends, homes, limit)
     itself = of_one_arm(model)  # verify.own_clearance has these, which the way does not change
     return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit, itself)
+
+
+def _strayed(
+    context: Context,
+    cell: Cell,
+    index: int,
+    at: dict[str, float],
+    axis: OuterAxis,
+    ends: tuple[float, float],
+    way: AxisWay,
+) -> str:
+    """What is wrong with where looks at a way had what rides, by a model of ``cell``; ``at``: where all axes
+    stand before it."""
+    first, last = way.looked[0].value, way.looked[-1].value
+    if abs(first - ends[0]) > SAME_VALUE or (way.clear and abs(last - ends[1]) > SAME_VALUE):
+        return f"it was looked at from {axis.shown(first)} to {axis.shown(last)}"
+    table, place = context.problem.cell.turntable, _clamped(context, index)
+    if table is None or axis.carries not in table.axes:
+        track = cell.arm(axis.carries).track
+        for look in way.looked:
+            wanted, (pose,) = np.array(context.bases[axis.carries]), look.poses.values()
+            if track is not None:
+                wanted[:3, 3] += look.value * track.axis
+            if not np.allclose(pose, wanted, rtol=0.0, atol=SAME_VALUE):
+                return f"the base was looked at elsewhere than it is at {axis.shown(look.value)}"
+        return ""
+    zero = {body.name: body for body in context.problem.cell.obstacles}
+    now = {body.name: body for body in cell.obstacles}
+    tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    for look in way.looked:
+        here = {**at, axis.carries: look.value}
+        for name, pose in look.poses.items():
+            if name in now and table.tilt is not None:
+                off = 0.0
+                for shape, there in zip(zero[name].shapes, now[name].shapes, strict=True):
+                    wanted = _spun(table.tilt, here[TILT], transform(shape.pose, tips))
+                    off = max(off, float(np.abs(wanted - transform(pose @ there.pose, tips)).max()))
+                astray = off > FRAME_POSITION
+            elif place is None:
+                return "nothing says where the block is"
+            else:
+                off, turn = _off(table, place, (here[STOCK], here.get(TILT, 0.0)), pose)
+                astray = off > 2.0 * FRAME_POSITION or turn > 2.0 * FRAME_ANGLE
+            if astray:
+                return f"{name} was looked at elsewhere than it is at {axis.shown(look.value)}"
+    return ""
