@@ -23,10 +23,12 @@ CONTROLLER = {"tasks": ["T_ROB1"], "units": ["ROB_1"]}
 ROBTARGET = re.compile(r"MoveL \[\[([-\d.,]+)\],\[[-\d.,]+\],\[([-\d,]+)\]")
 
 
-def poses(folder, robot=GOFA):
-    """A row of seven poses with the tool down, which may not spin."""
-    w, x, y, z = to_quaternion(from_rpy([0.0, 0.0, 0.0], [np.pi, 0.0, np.pi / 2])[:3, :3])
-    rows = [f"550,{v},350,{w:.17g},{x:.17g},{y:.17g},{z:.17g},40" for v in range(-60, 61, 20)]
+DOWN = tuple(to_quaternion(from_rpy([0.0, 0.0, 0.0], [np.pi, 0.0, np.pi / 2])[:3, :3]))
+
+
+def poses(folder, robot=GOFA, points=tuple((550, v, 350, *DOWN) for v in range(-60, 61, 20))):
+    """Poses, a row of seven with the tool down unless stated, which may not spin."""
+    rows = [",".join(f"{v:.17g}" for v in (*point, 40)) for point in points]
     source = yaml.safe_load(small_problem.PROBLEM)
     source["stock"]["place"] = {"xyz_mm": [550, 0, 0]}
     arm = source["cell"]["arms"][0]
@@ -69,6 +71,32 @@ def test_poses_are_passed_without_configuration_data_and_wrong_texts_are_refused
     start = re.search(r"j_1_start:=\[\[([-\d.]+),", texts)
     turned = changed(made.programs, re.escape(start[0]), f"j_1_start:=[[{float(start[1]) + 20.0},")
     assert codes(problem, made, turned)
+    for one in ("1,0,0,0", "0,0,0,1"):
+        named = changed(made.programs, r"(MoveL \[\[[^\]]+\],\[[^\]]+\],)\[0,0,0,0\]", rf"\1[{one}]")
+        assert codes(problem, made, named) == {"verify.confdata"}
+
+
+@pytest.mark.parametrize(
+    ("point", "words"),
+    [
+        (
+            (-444.2, 535.0, -296.7, 0.624526, 0.443219, -0.102714, -0.634802),
+            "its wrist cannot take the tool's direction",
+        ),
+        (
+            (690.055, 260.616, -116.723, 0.332537, 0.646293, -0.506274, -0.464124),
+            "its wrist would have to be 25 mm beyond",
+        ),
+    ],
+)
+def test_why_a_pose_is_out_of_reach_is_told(tmp_path, point, words):
+    """Neither pose has a solution, though another direction there has some: of the first where axes 4 and 5
+    meet is in reach, of the second it is 25 mm beyond, wherever axis 6 turns it."""
+    problem = poses(tmp_path, points=[point, point])
+    (issue,) = [i for i in pipeline.check(problem) if i.code == "motion.no_reach"]
+    assert words in issue.message and issue.value == (
+        None if "cannot" in words else pytest.approx(25.13, abs=0.1)
+    )
 
 
 def test_a_forged_length_of_the_wrist_is_found_in_the_urdf(tmp_path):
