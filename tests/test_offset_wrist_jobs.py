@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline
+from planner import pipeline, processes
 from planner.catalogue.robots import data_dir
 from planner.geometry.arrays import from_rpy, to_quaternion
 from planner.issues import TandemError
+from planner.verify.context import Context
 from planner.verify.prove import prove
 from planner.verify.replay import arm_model
 from tests import small_problem
@@ -74,6 +75,26 @@ def test_poses_are_passed_without_configuration_data_and_wrong_texts_are_refused
     for one in ("1,0,0,0", "0,0,0,1"):
         named = changed(made.programs, r"(MoveL \[\[[^\]]+\],\[[^\]]+\],)\[0,0,0,0\]", rf"\1[{one}]")
         assert codes(problem, made, named) == {"verify.confdata"}
+
+
+SPARSE = (
+    (526.1429, -137.6474, 500.7169, 0.01610176, -0.82934803, -0.5135055, -0.21962385),
+    (550.3353, -229.7921, 644.9436, 0.21894320, 0.81221578, 0.35223492, 0.41024379),
+    (555.1492, -341.4526, 751.0543, 0.20813070, 0.93392842, 0.29028031, -0.01402332),
+    (561.8607, -379.5330, 755.8995, 0.18793519, 0.97937397, 0.03065774, -0.06758036),
+)
+
+
+def test_joints_slow_down_to_the_stop_behind_a_straight_move(tmp_path):
+    """Few poses with large turns between them, each a stop. Between stops joints go by one cubic, which asks
+    for 0.9 of what they may at its ends; the last one ends between two samples, where home goes on."""
+    made = pipeline.plan(poses(tmp_path, points=SPARSE))
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    (rule,) = [rule for rule in made.proof.rules if rule.code == "verify.joint_acceleration"]
+    assert 60.0 < rule.worst < 91.0
+    motion = Context(made.problem, processes.claims(made.problem), made.programs).motion
+    goes_on = motion.tcp["left"].place[motion.node_sample[-2] + 1]  # less than a sample behind the stop
+    assert np.linalg.norm(goes_on - 1e-3 * np.array(SPARSE[-1][:3])) < 2e-7
 
 
 @pytest.mark.parametrize(
