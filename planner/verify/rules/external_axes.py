@@ -1,24 +1,21 @@
-"""Rules on tracks under arms and a turntable or positioner under the block: who moves them, where targets
-have them stand, and the way between.
+"""The rule on tracks under arms and a turntable or positioner under the block: who moves them, and where
+targets have them stand.
 
 verify.external_axes: units, values and folded arms, from the text, and the place of the block that follows.
-verify.track_way: what comes near on the way from station to station. Where arms and the block stand in all
-other rules is read here as well.
+Where arms and the block stand in all other rules is read here as well. Ways from station to station are for
+verify.track_way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from planner.cell import axis_way
-from planner.cell.axis_way import AxisWay
-from planner.cell.plant import CellModel
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
-from planner.problem import STOCK, TILT, Cell, RotaryAxis, Setup, Turntable
+from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
 from planner.verify.context import (
     MOST_OUTER,
     Context,
@@ -33,7 +30,6 @@ from planner.verify.job import TaskText
 from planner.verify.krl.flow import AXIS_LOOK
 from planner.verify.programs.steps import UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.verify.rapid.flow import AXES_CHECK
-from planner.verify.rules.clearance import of_one_arm
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
 BLIND_SPEED = 0.25
@@ -46,8 +42,6 @@ OFF_HOME = {"mm": 1.0, "deg": 0.1}
 """How far an axis may be off home where a program begins, by the unit of its values."""
 _CODE = "verify.external_axes"
 """Code of the rule about units and values."""
-_WAY = "verify.track_way"
-"""Code of the rule about the way between stations."""
 
 
 def standing(context: Context) -> Context:
@@ -62,11 +56,11 @@ def standing(context: Context) -> Context:
 
 @rule("verify.external_axes")
 def external_axes(context: Context) -> Outcome:
-    """A track, turntable or positioner is switched on once (RAPID), before anything moves, and looked at
-    right before the first move, which nothing follows unless it is at home; each target has a value of each
-    axis, within its range; it moves as the first thing of a setup, alone, a positioner's turn axis before its
-    tilt axis, what it carries at most at 250 mm/s, all arms folded at home, and is at home at the end; the
-    block is where the values have it."""
+    """A track, turntable or positioner is switched on once (RAPID), before anything moves, with offsets of
+    its axes switched off, and looked at right before the first move, which nothing follows unless it is at
+    home; each target has a value of each axis, within its range; it moves as the first thing of a setup,
+    alone, a positioner's turn axis before its tilt axis, what it carries at most at 250 mm/s, all arms folded
+    at home, and is at home at the end; the block is where the values have it."""
     issues: list[Issue] = []
     told = []
     table = context.problem.cell.turntable
@@ -74,6 +68,7 @@ def external_axes(context: Context) -> Outcome:
         axes = outer_axes(task.arm, table)
         issues += _units(task, axes) if task.rapid else ()
         if axes:
+            issues += _offsets(task, axes) if task.rapid else ()
             issues += _looked(context, task, axes)
             issues += _values(context, task, axes)
         for axis in axes:
@@ -119,6 +114,25 @@ def _units(task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
     for unit in (names[key] for key, count in on.items() if not count):
         what = f"{unit} is not switched on: its values count for nothing"
         yield Issue(_CODE, what, arm=task.arm.name, file=task.name, hint=f"ActUnit {unit};")
+
+
+def _offsets(task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
+    """Moves that offsets of external axes would shift, which another program may have left on: all behind
+    which none are switched off (EOffsOff), and moves of joints that do not say to pass over them (\\NoEOffs),
+    as a start from elsewhere than main passes over the former."""
+    names, off = " and ".join(axis.unit for axis in axes), False
+    for step in task.steps:
+        off |= isinstance(step, SettingStep) and step.kind == "EOffsOff"
+        looks = isinstance(step, SettingStep) and step.kind == AXES_CHECK
+        if not off and (looks or isinstance(step, MoveStep)):
+            what = f"an offset of {names} that another program has left would shift where it is seen and goes"
+            yield at_step(_CODE, what, task, step, "EOffsOff; before all looks and moves")
+            return
+        if not isinstance(step, MoveStep):
+            continue
+        if step.kind == "MoveAbsJ" and "noeoffs" not in step.switches:
+            what = f"an offset of {names} would shift the move"
+            yield at_step(_CODE, what, task, step, "MoveAbsJ with \\NoEOffs")
 
 
 def _looked(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
@@ -268,7 +282,7 @@ def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
     """Blocks that are not where the text's values have the stated axes take them: by turns of its own, with
     quaternions, of what the problem says of value 0."""
     for index, setup in enumerate(context.setups):
-        at = _clamped(context, index)
+        at = clamped(context, index)
         place, value = context.places[index], table.home  # which it has again behind all operations
         lean = 0.0 if table.tilt is None else table.tilt.home
         for number in setup.operations:
@@ -278,7 +292,7 @@ def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
             what = f"nothing says where {table.unit} has the block stand in setup {index + 1}"
             yield Issue(_CODE, what, hint=f"a value of {table.unit} in each target")
             continue
-        off, turn = _off(table, at, (value, lean), place)
+        off, turn = off_place(table, at, (value, lean), place)
         if off > 2.0 * FRAME_POSITION or turn > 2.0 * FRAME_ANGLE:
             shown = " and ".join(f"{np.rad2deg(v):g}" for v in (value, lean)[: len(table.axes)])
             what = f"{table.unit} at {shown} deg has the block {mm(off):.4f} mm and "
@@ -291,7 +305,7 @@ def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
             yield Issue(_CODE, what)
 
 
-def _clamped(context: Context, index: int) -> FloatArray | None:
+def clamped(context: Context, index: int) -> FloatArray | None:
     """Where the problem has the block (4, 4) in a setup with all axes at 0."""
     at = context.problem.stock.place
     for setup in context.setups[: index + 1]:
@@ -308,26 +322,26 @@ def _misplaced(context: Context, setup: Setup, table: Turntable, lean: float) ->
         if table.tilt is not None and body.name in table.tilted_bodies:
             for zero, one in zip(body.shapes, now[body.name].shapes, strict=True):
                 tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-                wanted = _spun(table.tilt, lean, transform(zero.pose, tips))
+                wanted = spun(table.tilt, lean, transform(zero.pose, tips))
                 if np.abs(wanted - transform(one.pose, tips)).max() > FRAME_POSITION:
                     yield body.name
 
 
-def _off(
+def off_place(
     table: Turntable, at: FloatArray, values: tuple[float, float], place: FloatArray
 ) -> tuple[float, float]:
     """How far [m, about rad] the block at ``place`` is off that of values 0, turned about the turn axis and
     then about the tilt axis: its origin, and ends of its axes."""
     tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
     wanted = at[:3, 3] + tips @ at[:3, :3].T
-    wanted = _spun(table, values[0], wanted)
-    wanted = wanted if table.tilt is None else _spun(table.tilt, values[1], wanted)
+    wanted = spun(table, values[0], wanted)
+    wanted = wanted if table.tilt is None else spun(table.tilt, values[1], wanted)
     apart = wanted - (place[:3, 3] + tips @ place[:3, :3].T)
     lean = apart[1:] - apart[0]
     return float(np.linalg.norm(apart[0])), float(np.linalg.norm(lean) / np.sqrt(2.0))
 
 
-def _spun(axis: RotaryAxis, value: float, points: FloatArray) -> FloatArray:
+def spun(axis: RotaryAxis, value: float, points: FloatArray) -> FloatArray:
     """Points (N, 3) turned by a value [rad] about an axis through its centre: q p q* with the unit quaternion
     q = (w, v), which is p + 2 w (v x p) + 2 v x (v x p)."""
     w, v = np.cos(0.5 * value), np.sin(0.5 * value) * axis.axis
@@ -348,124 +362,10 @@ def _rim(setup: Setup, table: Turntable, name: str) -> float:
     points += [transform(shape.pose, corners(shape)) for shape in stock.support]
     seen = transform(place, np.concatenate(points))
     if table.tilt is not None:
-        seen = _spun(table.tilt, -(stock.tilt or 0.0), seen)
+        seen = spun(table.tilt, -(stock.tilt or 0.0), seen)
         bodies = [body for body in setup.upright.cell.obstacles if body.name in table.tilted_bodies]
         riding = [transform(shape.pose, corners(shape)) for body in bodies for shape in body.shapes]
         seen = np.concatenate([seen, *riding]) if name == TILT else seen
     along = (seen - axis.centre) @ axis.axis
     across = seen - axis.centre - along[:, None] * axis.axis
     return float(np.linalg.norm(across, axis=1).max())
-
-
-@rule("verify.track_way")
-def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
-    """On the way of a track, turntable or positioner from station to station bodies keep their clearance, all
-    arms folded at home; what is tilted keeps it from the floor, too. Where looks had what rides is held
-    against the values by turns of the proof's own."""
-    limit = context.problem.settings.clearance
-    issues: list[Issue] = []
-    worst, where, looks = np.inf, "", 0
-    at = context.problem.homes
-    for index, setup in enumerate(context.setups):
-        for axis, ends in _goes(context, setup, at):
-            way = _way(context, models(index), setup, at, axis, ends, limit)
-            looks += way.looks
-            if way.least < worst:
-                worst, where = way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}"
-            if way.least < limit or not way.clear:
-                what = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
-                what += f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
-                arm = None if axis.carries in (STOCK, TILT) else axis.carries
-                issues.append(Issue(_WAY, what, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm"))
-            strayed = _strayed(context, models(index).cell, index, at, axis, ends, way)
-            if strayed:
-                what = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
-                what += strayed
-                arm = None if axis.carries in (STOCK, TILT) else axis.carries
-                issues.append(Issue(_WAY, what, arm=arm))
-            at = {**at, axis.carries: ends[1]}
-    if not np.isfinite(worst):
-        return Outcome(tuple(issues), where="no track or turntable moves")
-    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", f"{where}, {looks} looks")
-
-
-def _goes(
-    context: Context, setup: Setup, at: dict[str, float]
-) -> Iterator[tuple[OuterAxis, tuple[float, float]]]:
-    """The axes that move before a setup, with both ends [m, rad] of their ways."""
-    table = context.problem.cell.turntable
-    for arm in setup.cell.arms:
-        for axis in outer_axes(arm, table):
-            own = setup.stock.stands
-            value = own.get(axis.carries, arm.station)
-            if value is not None and abs(value - at[axis.carries]) > SAME_VALUE:
-                yield axis, (at[axis.carries], value)
-
-
-def _way(
-    context: Context,
-    model: CellModel,
-    setup: Setup,
-    at: dict[str, float],
-    axis: OuterAxis,
-    ends: tuple[float, float],
-    limit: float,
-) -> AxisWay:
-    """The way of one axis; ``at``: where all stand before it."""
-    tracks = {a.name: a.track for a in setup.cell.arms if a.track is not None}
-    model = model.with_bases({n: t.moved(context.bases[n], at[n]) for n, t in tracks.items()})
-    homes = {other.name: other.home for other in setup.cell.arms}
-    table = setup.cell.turntable
-    if table is not None and setup.stock.stands:
-        model = axis_way.stood(model, table, at, setup.stock.stands)
-        if axis.carries in table.axes:
-            tilt = at.get(TILT, 0.0)
-            return axis_way.turning(model, table, axis.carries, tilt, ends, homes, limit)
-    itself = of_one_arm(model)  # verify.own_clearance has these, which the way does not change
-    return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit, itself)
-
-
-def _strayed(
-    context: Context,
-    cell: Cell,
-    index: int,
-    at: dict[str, float],
-    axis: OuterAxis,
-    ends: tuple[float, float],
-    way: AxisWay,
-) -> str:
-    """What is wrong with where looks at a way had what rides, by a model of ``cell``; ``at``: where all axes
-    stand before it."""
-    first, last = way.looked[0].value, way.looked[-1].value
-    if abs(first - ends[0]) > SAME_VALUE or (way.clear and abs(last - ends[1]) > SAME_VALUE):
-        return f"it was looked at from {axis.shown(first)} to {axis.shown(last)}"
-    table, place = context.problem.cell.turntable, _clamped(context, index)
-    if table is None or axis.carries not in table.axes:
-        track = cell.arm(axis.carries).track
-        for look in way.looked:
-            wanted, (pose,) = np.array(context.bases[axis.carries]), look.poses.values()
-            if track is not None:
-                wanted[:3, 3] += look.value * track.axis
-            if not np.allclose(pose, wanted, rtol=0.0, atol=SAME_VALUE):
-                return f"the base was looked at elsewhere than it is at {axis.shown(look.value)}"
-        return ""
-    zero = {body.name: body for body in context.problem.cell.obstacles}
-    now = {body.name: body for body in cell.obstacles}
-    tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-    for look in way.looked:
-        here = {**at, axis.carries: look.value}
-        for name, pose in look.poses.items():
-            if name in now and table.tilt is not None:
-                off = 0.0
-                for shape, there in zip(zero[name].shapes, now[name].shapes, strict=True):
-                    wanted = _spun(table.tilt, here[TILT], transform(shape.pose, tips))
-                    off = max(off, float(np.abs(wanted - transform(pose @ there.pose, tips)).max()))
-                astray = off > FRAME_POSITION
-            elif place is None:
-                return "nothing says where the block is"
-            else:
-                off, turn = _off(table, place, (here[STOCK], here.get(TILT, 0.0)), pose)
-                astray = off > 2.0 * FRAME_POSITION or turn > 2.0 * FRAME_ANGLE
-            if astray:
-                return f"{name} was looked at elsewhere than it is at {axis.shown(look.value)}"
-    return ""
