@@ -84,6 +84,12 @@ PLATE: Final = "turntable"
 """Name of the body of the cell that is a turntable's plate."""
 
 
+AXES_WRITTEN: Final = ("ABB", "KUKA")
+"""Families of arms in whose language tracks and turntables are written,"""
+TILTS_WRITTEN: Final = ("ABB",)
+"""and positioners."""
+
+
 @dataclasses.dataclass(frozen=True)
 class RotaryAxis:
     """An axis that turns the block: with its value v [rad] what it carries is turned by v, by the right hand,

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline
+from planner import pipeline, processes
 from planner.catalogue.robots import data_dir
 from planner.geometry.arrays import from_rpy, to_quaternion
 from planner.issues import TandemError
+from planner.verify.context import Context
 from planner.verify.prove import prove
 from planner.verify.replay import arm_model
 from tests import small_problem
@@ -23,10 +24,12 @@ CONTROLLER = {"tasks": ["T_ROB1"], "units": ["ROB_1"]}
 ROBTARGET = re.compile(r"MoveL \[\[([-\d.,]+)\],\[[-\d.,]+\],\[([-\d,]+)\]")
 
 
-def poses(folder, robot=GOFA):
-    """A row of seven poses with the tool down, which may not spin."""
-    w, x, y, z = to_quaternion(from_rpy([0.0, 0.0, 0.0], [np.pi, 0.0, np.pi / 2])[:3, :3])
-    rows = [f"550,{v},350,{w:.17g},{x:.17g},{y:.17g},{z:.17g},40" for v in range(-60, 61, 20)]
+DOWN = tuple(to_quaternion(from_rpy([0.0, 0.0, 0.0], [np.pi, 0.0, np.pi / 2])[:3, :3]))
+
+
+def poses(folder, robot=GOFA, points=tuple((550, v, 350, *DOWN) for v in range(-60, 61, 20))):
+    """Poses, a row of seven with the tool down unless stated, which may not spin."""
+    rows = [",".join(f"{v:.17g}" for v in (*point, 40)) for point in points]
     source = yaml.safe_load(small_problem.PROBLEM)
     source["stock"]["place"] = {"xyz_mm": [550, 0, 0]}
     arm = source["cell"]["arms"][0]
@@ -69,6 +72,52 @@ def test_poses_are_passed_without_configuration_data_and_wrong_texts_are_refused
     start = re.search(r"j_1_start:=\[\[([-\d.]+),", texts)
     turned = changed(made.programs, re.escape(start[0]), f"j_1_start:=[[{float(start[1]) + 20.0},")
     assert codes(problem, made, turned)
+    for one in ("1,0,0,0", "0,0,0,1"):
+        named = changed(made.programs, r"(MoveL \[\[[^\]]+\],\[[^\]]+\],)\[0,0,0,0\]", rf"\1[{one}]")
+        assert codes(problem, made, named) == {"verify.confdata"}
+
+
+SPARSE = (
+    (526.1429, -137.6474, 500.7169, 0.01610176, -0.82934803, -0.5135055, -0.21962385),
+    (550.3353, -229.7921, 644.9436, 0.21894320, 0.81221578, 0.35223492, 0.41024379),
+    (555.1492, -341.4526, 751.0543, 0.20813070, 0.93392842, 0.29028031, -0.01402332),
+    (561.8607, -379.5330, 755.8995, 0.18793519, 0.97937397, 0.03065774, -0.06758036),
+)
+
+
+def test_joints_slow_down_to_the_stop_behind_a_straight_move(tmp_path):
+    """Few poses with large turns between them, each a stop. Between stops joints go by one cubic, which asks
+    for 0.9 of what they may at its ends; the last one ends between two samples, where home goes on."""
+    made = pipeline.plan(poses(tmp_path, points=SPARSE))
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    (rule,) = [rule for rule in made.proof.rules if rule.code == "verify.joint_acceleration"]
+    assert 60.0 < rule.worst < 91.0
+    motion = Context(made.problem, processes.claims(made.problem), made.programs).motion
+    goes_on = motion.tcp["left"].place[motion.node_sample[-2] + 1]  # less than a sample behind the stop
+    assert np.linalg.norm(goes_on - 1e-3 * np.array(SPARSE[-1][:3])) < 2e-7
+
+
+@pytest.mark.parametrize(
+    ("point", "words"),
+    [
+        (
+            (-444.2, 535.0, -296.7, 0.624526, 0.443219, -0.102714, -0.634802),
+            "its wrist cannot take the tool's direction",
+        ),
+        (
+            (690.055, 260.616, -116.723, 0.332537, 0.646293, -0.506274, -0.464124),
+            "its wrist would have to be 25 mm beyond",
+        ),
+    ],
+)
+def test_why_a_pose_is_out_of_reach_is_told(tmp_path, point, words):
+    """Neither pose has a solution, though another direction there has some: of the first where axes 4 and 5
+    meet is in reach, of the second it is 25 mm beyond, wherever axis 6 turns it."""
+    problem = poses(tmp_path, points=[point, point])
+    (issue,) = [i for i in pipeline.check(problem) if i.code == "motion.no_reach"]
+    assert words in issue.message and issue.value == (
+        None if "cannot" in words else pytest.approx(25.13, abs=0.1)
+    )
 
 
 def test_a_forged_length_of_the_wrist_is_found_in_the_urdf(tmp_path):

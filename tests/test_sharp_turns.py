@@ -117,3 +117,15 @@ def test_the_arm_stops_at_corners_that_it_would_crawl_past(tmp_path: Path) -> No
     (note,) = [issue for issue in outcome.issues if issue.code == "motion.stops"]
     assert note.severity == Severity.NOTE
     assert note.value == 13.0
+
+
+def test_feeds_beyond_the_fastest_that_tools_may_go_are_kept_back(tmp_path: Path) -> None:
+    """Two long ways, each between stops, at a feed of 600 mm/s where tools may go at 250."""
+    places = [(450, -150, 500), (450, 150, 500), (450, 150, 420)]
+    rows = [",".join(map(str, (*place, 0.5, -0.5, 0.5, 0.5, 600))) for place in places]
+    table = "\n".join([small_problem.COLUMNS, *rows]) + "\n"
+    outcome = planner.plan(planner.load(small_problem.write(tmp_path, table=table)))
+    assert outcome.verified, [str(issue) for issue in outcome.proof.issues]
+    assert outcome.proof.rules
+    (rule,) = [rule for rule in outcome.proof.rules if rule.code == "verify.tcp_speed"]
+    assert 250.0 < rule.worst < 275.0

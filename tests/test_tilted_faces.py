@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 
 import planner
 from planner import processes
+from planner.motion import stations
 from planner.pipeline import plan, verify, write_pages
 from planner.report import scene
 from planner.verify.context import Context
-from tests import positioner_job
+from tests import positioner_job, table_job
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 
@@ -36,6 +37,17 @@ def test_without_a_positioner_the_one_that_helps_is_named(tmp_path: Path) -> Non
     (issue,) = [i for i in found if i.code == "motion.no_reach"]
     assert issue.hint is not None and "put the block on a positioner under its middle" in issue.hint
     assert "positioner: {centre_mm: [920, 10, 500], range_deg: [-180, 180], tilt: {" in issue.hint
+
+
+def test_no_positioner_is_advised_for_an_arm_that_takes_none(tmp_path: Path) -> None:
+    """Poses over and under a block, of which no turn alone brings all in reach of a KUKA arm."""
+    arm = {**table_job.ARM, "robot": "kr6_r900"}
+    stand = {"kind": "box", "size_mm": [150, 150, 500], "pose": {"xyz_mm": [900, 0, 250]}}
+    made = positioner_job.problem(
+        tmp_path, None, obstacles=[{"name": "stand", "shapes": [stand]}], arms=(arm,)
+    )
+    targets = [job.targets() for job in processes.jobs(made)]
+    assert "positioner" not in stations.advice(made, targets)
 
 
 def test_report_and_files_show_the_block_as_it_is_tilted(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from planner.cell import clearance, distance
 from planner.cell.bodies import Solid, own_shapes
 from planner.cell.plant import CellModel
 from planner.cell.support import Ground
-from planner.geometry.arrays import FloatArray, Shape, corners, transform
+from planner.geometry.arrays import BoolArray, FloatArray, Shape, corners, transform
 from planner.geometry.units import DEG
 from planner.problem import BLIND_SPEED, PLATE, STOCK, TILT, Arm, Problem, RotaryAxis, Setup, Turntable
 
@@ -28,7 +28,11 @@ LEVEL: Final = 1e-12
 LEAST_STEP_M: Final = 1e-3
 """Looks are no nearer [m]."""
 STANDING_GAP_M: Final = 5e-3
-"""What a base is as near to [m] where its way begins it stands on."""
+"""What a base is as near to [m] where its way begins it stands on; so near are shapes in a bearing."""
+BEARING_M: Final = 0.15
+"""Shapes that meet face to face in a tilt axis' bearing come as near [m] to the axis."""
+TOUCHING_M: Final = 1e-6
+"""What lies as far apart [m] lies in one place."""
 REACH_M: Final = 0.5
 """Distances are looked for up to here [m]."""
 ABB_TURN_RAD_S: Final = 45.0 * DEG
@@ -39,17 +43,26 @@ FLOOR: Final = "the floor"
 """What tilted bodies may come near to that is no body of the cell."""
 
 
+class Look(NamedTuple):
+    """Where bodies that ride were when they were looked at: the ``value`` [m, rad] of the axis and ``poses``
+    (4, 4) in the world by their names."""
+
+    value: float
+    poses: Mapping[str, FloatArray]
+
+
 @dataclasses.dataclass(frozen=True)
 class AxisWay:
     """The least distance [m] on a way, at the value ``at`` [m, rad] of the axis (a bound between looks),
-    between which bodies, and how many looks were taken. ``clear``: they went all the way, and none found
-    bodies nearer than asked."""
+    between which bodies, and how many looks were taken: ``looked`` has them in order. ``clear``: they went
+    all the way, and none found bodies nearer than asked."""
 
     least: float
     at: float
     pair: tuple[str, str]
     looks: int
     clear: bool = False
+    looked: tuple[Look, ...] = dataclasses.field(default=(), compare=False, repr=False)
 
 
 class Travel(NamedTuple):
@@ -84,7 +97,7 @@ def along(
         found = _beside(placed, arm).items()
         return {(f"{arm}/base_link", name): gap for name, gap in found if name not in resting}
 
-    return _looked(at, beside, 1.0, ends, q, enough, ignore)
+    return _looked(at, beside, 1.0, ends, q, enough, (f"{arm}/base_link",), ignore)
 
 
 def turning(
@@ -102,8 +115,9 @@ def turning(
     below ``enough`` [m].
 
     The plate is round about the turn axis, so nothing comes nearer to it by its turning, and what it carries
-    stays as far from it as it is. The tilt axis takes plate and bracket along; what these are within
-    :data:`STANDING_GAP_M` of with the tilt at 0 bears them. What leans as it goes keeps off the floor, too.
+    stays as far from it as it is. The tilt axis takes plate and bracket along; shapes of these are not looked
+    at against the fixed ones that bear them (:func:`_bearing`), whose distance no tilt makes less; against
+    all other shapes of the same bodies they are. What leans as it goes keeps off the floor, too.
     """
     pivot = table.pivot(name, tilt)
     tilts = name == TILT
@@ -120,11 +134,10 @@ def turning(
         moved = model.with_stock(goes @ model.stock_pose)
         return moved.with_tilted(goes @ model.tilted) if tilts else moved
 
-    begun = _apart(at(0.0), riders, fixed) if tilts else {}
-    bearing = {pair for pair, gap in begun.items() if gap < STANDING_GAP_M and pair[0] not in RIDERS}
+    bearing = _bearing(at(0.0), riders, fixed, pivot) if tilts and riders and fixed else None
 
     def beside(placed: CellModel) -> dict[tuple[str, str], float]:
-        out = {pair: gap for pair, gap in _apart(placed, riders, fixed).items() if pair not in bearing}
+        out = _apart(placed, riders, fixed, bearing)
         if level:  # heights stay, and so does the way to the floor
             return out
         poses = placed.poses({})
@@ -140,7 +153,8 @@ def turning(
     aside = frozenset(
         map(frozenset, itertools.combinations(others, 2))
     )  # the way changes nothing between them
-    return _looked(at, beside, lever, ends, q, enough, aside)
+    shaped = {solid.body for solid in riders}
+    return _looked(at, beside, lever, ends, q, enough, [name for name in riding if name in shaped], aside)
 
 
 def stood(
@@ -233,16 +247,17 @@ def _looked(
     ends: tuple[float, float],
     q: Mapping[str, FloatArray],
     enough: float,
+    riding: Sequence[str],
     ignore: clearance.Pairs = frozenset(),
 ) -> AxisWay:
     """Looks along a way: ``at`` gives the cell at a value, ``beside`` distances [m] of what rides to what is
     fixed, as two bodies of which neither has joints; ``lever`` [m, m/rad] is the way of the farthest point by
-    a value of 1; pairs to ``ignore``."""
+    a value of 1; bodies that ride; pairs to ``ignore``."""
     begin, end = ends
     rows = {name: np.asarray(joints)[None] for name, joints in q.items()}
     sense, length = float(np.sign(end - begin)), lever * abs(end - begin)
     worst = AxisWay(REACH_M, begin, ("", ""), 0)
-    gone, before, step, looks = 0.0, np.inf, 0.0, 0
+    gone, before, step, seen = 0.0, np.inf, 0.0, list[Look]()
     while True:
         value = begin + sense * (gone / lever if lever > 0.0 else 0.0)
         placed = at(value)
@@ -251,31 +266,88 @@ def _looked(
         for two, other in beside(placed).items():
             if other < gap:
                 gap, pair = other, two
-        looks += 1
+        poses = placed.poses({})
+        seen.append(Look(value, {name: poses[name][0] for name in riding}))
         bound = min(gap, 0.5 * (before + gap - step)) if np.isfinite(before) else gap
         if bound < worst.least:
-            worst = AxisWay(bound, value, pair, looks)
+            worst = AxisWay(bound, value, pair, 0)
         if gone >= length or gap < enough:
-            return dataclasses.replace(worst, looks=looks, clear=gap >= enough)
+            clear = gap >= enough
+            return dataclasses.replace(worst, looks=len(seen), clear=clear, looked=tuple(seen))
         step = min(max(gap - enough, LEAST_STEP_M), length - gone)
         gone, before = gone + step, gap
 
 
-def _apart(model: CellModel, riders: list[Solid], fixed: list[Solid]) -> dict[tuple[str, str], float]:
-    """Distances [m], at most 0 where they overlap, between solids of the block and fixed ones, by bodies."""
+def _apart(
+    model: CellModel, riders: list[Solid], fixed: list[Solid], without: BoolArray | None
+) -> dict[tuple[str, str], float]:
+    """Distances [m], at most 0 where they overlap, between solids of the block and fixed ones, by bodies;
+    pairs (R, F) ``without`` count for nothing."""
+    out: dict[tuple[str, str], float] = {}
     if not riders or not fixed:
-        return {}
-    both = [*riders, *fixed]
+        return out
+    gaps = _gaps(model, riders, fixed)
+    for i, j in zip(*np.nonzero(np.ones_like(gaps, bool) if without is None else ~without), strict=True):
+        pair = (riders[i].body, fixed[j].body)
+        out[pair] = min(out.get(pair, np.inf), float(gaps[i, j]))
+    return out
+
+
+def _placed(model: CellModel, solids: Sequence[Solid]) -> FloatArray:
+    """Poses (S, 4, 4) in the world of solids of bodies that no joint moves."""
     poses = model.poses({})
-    placed = np.stack([poses[one.body][0] @ one.shape.pose for one in both])
+    return np.stack([poses[one.body][0] @ one.shape.pose for one in solids])
+
+
+def _gaps(model: CellModel, riders: list[Solid], fixed: list[Solid]) -> FloatArray:
+    """Distances (R, F) [m], at most 0 where they overlap, between solids."""
+    both = [*riders, *fixed]
+    placed = _placed(model, both)
     first, second = (v.ravel() for v in np.indices((len(riders), len(fixed))))
     second = second + len(riders)
     gaps, _, _ = distance.distances(distance.cores(both), first, second, placed[first], placed[second])
-    out: dict[tuple[str, str], float] = {}
-    for gap, one, other in zip(gaps, first, second, strict=True):
-        pair = (both[one].body, both[other].body)
-        out[pair] = min(out.get(pair, np.inf), float(gap))
-    return out
+    return gaps.reshape(len(riders), len(fixed))
+
+
+def _bearing(model: CellModel, riders: list[Solid], fixed: list[Solid], axis: RotaryAxis) -> BoolArray:
+    """Which shapes of plate and bracket, of riders, fixed ones bear (R, F), by how they stand with the tilt
+    at 0, where ``model`` has them: less than :data:`STANDING_GAP_M` apart, and of a kind that the tilt cannot
+    bring nearer. One of the two is round about the tilt axis, as a shaft or its seat; or the fixed one begins
+    along the axis where the other ends, and both come within :data:`BEARING_M` of the axis, as a cradle
+    before its posts: turned, the faces slide past each other. Anything else is looked at: a column beside
+    the bracket, and a box that a fixed one overlaps."""
+    both = [*riders, *fixed]
+    kinds, placed = distance.cores(both), _placed(model, both)
+    every = np.arange(len(both))
+    ends = []
+    for sense in (-1.0, 1.0):
+        ray = np.broadcast_to(sense * axis.axis, (len(both), 3))
+        far = kinds.support(every, np.einsum("sc,scd->sd", ray, placed[:, :3, :3]))
+        tips = np.einsum("scd,sd->sc", placed[:, :3, :3], far) + placed[:, :3, 3] - axis.centre
+        ends.append(tips @ axis.axis + sense * kinds.rounding)
+    low, high = ends
+    own, other = slice(len(riders)), slice(len(riders), None)
+    past = np.maximum(low[other] - high[own, None], low[own, None] - high[other])
+
+    line = np.eye(4)  # the axis, as far as shapes lie along it
+    line[:3, 3] = axis.centre + 0.5 * (low.min() + high.max()) * axis.axis
+    line[:3, :3] = np.linalg.svd(axis.axis[None])[2].T[:, [1, 2, 0]]
+    rod = Solid("", Shape("capsule", (TOUCHING_M, float(high.max() - low.min())), np.eye(4)))
+    rods = np.broadcast_to(line, placed.shape)
+    last = np.full(len(both), len(both))
+    off = distance.distances(distance.cores([*both, rod]), every, last, placed, rods)[0]
+    near = off < BEARING_M
+
+    aside = np.cross(placed[:, :3, 3] - axis.centre, axis.axis)
+    skew = np.linalg.norm(np.cross(placed[:, :3, 2], axis.axis), axis=1)
+    ball = np.array([one.shape.kind == "sphere" for one in both])
+    rod_like = np.array([one.shape.kind in ("cylinder", "capsule") for one in both])
+    round_about = (ball | rod_like & (skew < TOUCHING_M)) & (np.linalg.norm(aside, axis=1) < TOUCHING_M)
+
+    slides = (past > -TOUCHING_M) & near[own, None] & near[other]
+    turns = round_about[own, None] | round_about[other]
+    tilted = np.array([one.body not in RIDERS for one in riders])[:, None]
+    return np.asarray(tilted & (_gaps(model, riders, fixed) < STANDING_GAP_M) & (slides | turns))
 
 
 def _beside(model: CellModel, arm: str) -> dict[str, float]:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from planner.catalogue.robots import OffsetParameters, OpwParameters
 from planner.cell import clearance
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.motion import own_clearance
+from planner.motion import offset_wrist, own_clearance
 from planner.motion.placement import reach_gap
 from planner.motion.planning_scene import Scene, holders
 from planner.motion.search.ladder_search import Blocked, Dead
@@ -68,21 +69,19 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
     chain = scene.chains[arm]
     count = int((~r.exists[branch]).sum())
     name = targets.name(index)
-    if not r.solved[branch, index]:
+    if not r.solved[:, index].any():
+        what = f"arm {arm} cannot reach target {name}: "
+        where: dict[str, Any] = {"arm": arm, "index": index, "target": name, "count": count}
         far = _beyond(scene, targets, grid, arm, index)
-        return Issue(
-            "motion.no_reach",
-            f"arm {arm} cannot reach target {name}: its wrist would have to be {far / MM:.0f} mm "
-            f"beyond what the arm reaches ({chain.robot.title})",
-            value=far / MM,
-            limit=0.0,
-            unit="mm",
-            hint=_nearer(targets),
-            arm=arm,
-            index=index,
-            target=name,
-            count=count,
-        )
+        if far <= 0.0 and not isinstance(chain.robot.form, OpwParameters):
+            what += f"its wrist cannot take the tool's direction there ({chain.robot.title})"
+            return Issue("motion.no_reach", what, hint=_elsewhere(targets), **where)
+        what += f"its wrist would have to be {far / MM:.0f} mm beyond what the arm reaches"
+        what += f" ({chain.robot.title})"
+        hint = _nearer(targets)
+        return Issue("motion.no_reach", what, value=far / MM, limit=0.0, unit="mm", hint=hint, **where)
+    if not r.solved[branch, index] and r.exists[:, index].any():  # by branches that end elsewhere
+        return _broken(targets, index)
     pose = scene.tcp(targets, grid.values[index], np.full(grid.samples, index))[arm]
     q = chain.inverse(pose, [branch])[:, 0]
     if np.isnan(q[:, 0]).all():  # numbers of an offset wrist are joined along the path
@@ -132,9 +131,13 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
 
 def _beyond(scene: Scene, targets: Targets, grid: Grid, arm: str, index: int) -> float:
     """How far [m] the wrist's centre of a target lies out of reach, at the samples of its freedoms nearest to
-    it."""
-    pose = scene.tcp(targets, grid.values[index], np.full(grid.samples, index))[arm]
-    return float(reach_gap(scene.chains[arm], pose).min())
+    it; 0 where no more than the tool's direction is."""
+    pose, chain = scene.tcp(targets, grid.values[index], np.full(grid.samples, index))[arm], scene.chains[arm]
+    form = chain.robot.form
+    if isinstance(form, OffsetParameters):
+        flange = np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp)
+        return float(offset_wrist.wrist_gap(form, form.inner(flange)).min())
+    return float(reach_gap(chain, pose).min())
 
 
 def _broken(targets: Targets, index: int) -> Issue:

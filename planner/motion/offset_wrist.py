@@ -396,6 +396,24 @@ def reach_gap(form: OffsetParameters, flange: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(np.maximum(far, abs(form.c2 - forearm) - aside - distance), 0.0))
 
 
+def wrist_gap(form: OffsetParameters, flange: FloatArray) -> FloatArray:
+    """How far (...,) [m] the point where axes 4 and 5 meet lies outside what upper arm and forearm reach, at
+    flange poses (..., 4, 4) in the form's base, with axis 6 turned to where that is least, of :data:`NODES`
+    angles. Where it is 0 and a pose has no solution, the wrist cannot take its direction."""
+    angle = np.append(0.0, _FIRST) + 2.0 * np.pi * np.arange(NODES)[:, None] / NODES
+    c, s = np.cos(angle.reshape(-1)), np.sin(angle.reshape(-1))
+    ex, ey = flange[..., None, :3, 0], flange[..., None, :3, 1]
+    foot = flange[..., :3, 3] - form.c4 * flange[..., :3, 2] - np.array([0.0, 0.0, form.c1])
+    aside = form.a3 * (c[:, None] * ex - s[:, None] * ey) + form.b3 * (s[:, None] * ex + c[:, None] * ey)
+    x, y, up = np.moveaxis(foot[..., None, :] - aside, -1, 0)
+    forearm, ahead = float(np.hypot(form.a2, form.c3)), np.hypot(x, y)
+    gaps = []
+    for out in (ahead - form.a1, -ahead - form.a1):  # before axis 1 and behind it
+        far = np.hypot(out, up)
+        gaps.append(np.maximum(far - (form.c2 + forearm), abs(form.c2 - forearm) - far).min(axis=-1))
+    return np.asarray(np.maximum(np.minimum(*gaps), 0.0))
+
+
 NEAR: Final = 0.5
 """Joints are followed this far at most [rad]."""
 _NEWTON: Final = 12

@@ -475,7 +475,9 @@ def _clock(
     least = least if slowed is None else slowed(targets, least)
     try:
         rounded = functools.partial(joint_path.corner_shares, scene, targets, samples)
-        limits = Limits(speed, settings.acceleration_fraction * strength, least, rounded(least))
+        fastest = np.maximum.reduce(list(lengths.values())) / settings.tcp_speed
+        own = settings.acceleration_fraction * strength
+        limits = Limits(speed, own, least, rounded(least), fastest)
         targets, path, ticks = move_limits.clocked_with_stops(scene, targets, samples, limits, rounded, known)
     except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"

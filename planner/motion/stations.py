@@ -24,7 +24,18 @@ from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.path_search import find_path, with_aims
 from planner.motion.search.subsampling import few_of
-from planner.problem import STOCK, TILT, LinearTrack, Problem, RotaryAxis, Setup, Turntable, any_lean
+from planner.problem import (
+    AXES_WRITTEN,
+    STOCK,
+    TILT,
+    TILTS_WRITTEN,
+    LinearTrack,
+    Problem,
+    RotaryAxis,
+    Setup,
+    Turntable,
+    any_lean,
+)
 from planner.targets import Targets
 
 STEP_M: Final = 0.1
@@ -393,8 +404,6 @@ BASE_ROOM_M: Final = 0.3
 """A block on a turntable that is advised turns so far [m] from the middle of a base."""
 ANGLE_NOISE: Final = 1e-9
 """Turntables that would turn by less [rad] are not advised."""
-WRITTEN: Final = ("ABB", "KUKA")
-"""Families of arms whose programs move external axes."""
 AXES: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
 """Directions of tracks that are advised."""
 
@@ -404,7 +413,7 @@ def advice(problem: Problem, targets: Sequence[Targets]) -> str:
     the shortest track under the arm, or a turntable under the block, whichever will do; empty where neither
     does, or there is one. Bodies in the way are not looked at."""
     (arm, *others), place = problem.cell.arms, problem.stock.place
-    stated = not others and place is not None and arm.data.family in WRITTEN and not arm.base_auto
+    stated = not others and place is not None and arm.data.family in AXES_WRITTEN and not arm.base_auto
     stated = stated and problem.stock.held_by is None and problem.stock.sheet is None
     if not stated or arm.track is not None or problem.cell.turntable is not None or problem.changes:
         return ""
@@ -429,7 +438,8 @@ def _stands(problem: Problem, targets: Sequence[Targets], grid: FloatArray, axis
 
 def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
     """A turntable under the middle of the block, from which every operation is reached; its home is where the
-    block stands now. Where none does, a positioner is looked for, whose tilt axis lies across the plate."""
+    block stands now. Where none does, a positioner is looked for, whose tilt axis lies across the plate, for
+    an arm in whose language positioners are."""
     setup = problem.setups[0]
     bottom = [transform(_place(setup) @ s.pose, corners(s)) for s in setup.stock.support]
     bottom = bottom or [transform(_place(setup), support.block_corners(setup.stock))]
@@ -441,7 +451,8 @@ def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
         return ""
     stands = _stands(problem, targets, _Table(table).values(), _Table(table))
     at = ", ".join(f"{v:.0f}" for v in centre / MM)
-    if stands is None and all(map(any_lean, problem.operations)):
+    tilts = problem.cell.arms[0].data.family in TILTS_WRITTEN
+    if stands is None and tilts and all(map(any_lean, problem.operations)):
         return _tilt_advice(problem, targets, table, at)
     if stands is None or not np.abs(stands).max() > ANGLE_NOISE:
         return ""

@@ -17,8 +17,10 @@ from planner.geometry.arrays import Shape, from_parts
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import (
+    AXES_WRITTEN,
     BLIND_SPEED,
     PLATE,
+    TILTS_WRITTEN,
     Arm,
     Controller,
     LinearTrack,
@@ -34,10 +36,6 @@ LEAST_AXIS: Final = 1e-9
 """Directions shorter than this have none."""
 UPRIGHT: Final = 1e-9
 """Axes whose unit vectors are off the vertical by no more stand upright."""
-LANGUAGES: Final = ("ABB", "KUKA")
-"""Families of arms in whose language external axes are written."""
-TILT_LANGUAGES: Final = ("ABB",)
-"""Those in whose language positioners are."""
 LEAST_SHARE: Final = 0.01
 """Least speed of an external axis in KRL, as a share of its own: $VEL_EXTAX takes whole percents."""
 HOME_DECIMALS: Final = 4
@@ -79,8 +77,8 @@ def track(spec: TrackFile | None, arm: Arm, number: int) -> LinearTrack | None:
     for name, value in (("speed_mm_s", spec.speed_mm_s), ("acceleration_mm_s2", spec.acceleration_mm_s2)):
         if not value > 0.0:
             told(name, f"got {value:g}; allowed: above 0")
-    if arm.data.family not in LANGUAGES:
-        what = f"arm {arm.name} is of {arm.data.family}; tracks are written for {' and '.join(LANGUAGES)} "
+    if arm.data.family not in AXES_WRITTEN:
+        what = f"arm {arm.name} is of {arm.data.family}; tracks are written for {' and '.join(AXES_WRITTEN)} "
         what += "controllers alone; take the track out and move the base, or take such an arm"
         wrong.append(Issue("problem.track", what, field=field, arm=arm.name))
     if arm.base_auto:
@@ -265,7 +263,7 @@ def turntable(
     for name, what in faults:
         told(name, what)
     names = {arm.name: arm for arm in arms}
-    known = LANGUAGES if kind == "turntable" else TILT_LANGUAGES
+    known = AXES_WRITTEN if kind == "turntable" else TILTS_WRITTEN
     mover = names.get(arms[0].name if spec.arm is None else spec.arm)
     if mover is None:
         what = f"{spec.arm!r} is not an arm of the cell; it has {', '.join(names)}"
@@ -356,6 +354,14 @@ def turntable_faults(problem: Problem) -> list[Issue]:
                 f"{what}problems, each of which begins and ends with the plate flat",
                 f"operations.{number}.setup",
             )
+    floor = support.Ground.of(problem.cell).floor
+    (plate,) = next(body.shapes for body in problem.cell.obstacles if body.name == PLATE)
+    low = float(plate.pose[2, 3]) - 0.5 * plate.size[1]
+    if low < floor - MM:
+        above, high = (table.centre[2] - floor) / MM, plate.size[1] / MM
+        what = f"the plate's top is {above:g} mm above the floor and the plate {high:g} mm high, so it goes "
+        what += f"{(floor - low) / MM:g} mm into the floor; make it less high, or centre_mm higher"
+        told(what, f"cell.{kind}.plate.height_mm")
     for setup in (one.upright for one in problem.setups):
         stock, first = setup.stock, setup.operations[0]
         field = "stock" if first == 0 else f"operations.{first}.setup"

@@ -57,6 +57,7 @@ from planner.verify.rules import (
     straight_wire,
     synchronisation,
     text,
+    track_way,
     trim,
     waiting_time,
     wire,
@@ -165,7 +166,7 @@ OTHER_RULES: tuple[Rule[..., Any], ...] = (
     clearance.bodies,
     clearance.own_bodies,
     clearance.step_apart,
-    external_axes.track_way,
+    track_way.track_way,
     clearance.wire_bodies,
 )
 """Rules about any motion that ask the most time; another process may look at the last six of them."""
@@ -367,7 +368,7 @@ class Prover:
         yield clearance.bodies(context, models, begun)
         yield clearance.own_bodies(context, models, begun)
         yield clearance.step_apart(context, models)
-        yield external_axes.track_way(context, models)
+        yield track_way.track_way(context, models)
 
     def _measured(
         self,

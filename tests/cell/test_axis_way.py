@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import shapely
+from scipy.spatial.transform import Rotation
 from shapely.affinity import rotate
 
 from planner.cell import axis_way, clearance, plant
+from planner.problem import RotaryAxis, Turntable
 from tests import positioner_job, table_job, track_job
 
 
@@ -125,3 +128,74 @@ def test_what_is_tilted_keeps_off_the_floor(tmp_path: Path) -> None:
     angle = np.rad2deg(way.at)
     outline = rotate(shapely.box(680, 200, 1080, 250), -angle, origin=(900, 130))
     assert outline.bounds[1] < 11.5
+
+
+def _box(size: list[float], at: list[float]) -> dict[str, Any]:
+    return {"kind": "box", "size_mm": size, "pose": {"xyz_mm": at}}
+
+
+POSTS = positioner_job.POSTS["shapes"]
+SHAFT = {
+    "kind": "cylinder",
+    "radius_mm": 20,
+    "length_mm": 600,
+    "pose": {"xyz_mm": [900, 0, 470], "rpy_deg": [90, 0, 0]},
+}
+CRADLE = positioner_job.CRADLE["shapes"]
+
+
+@pytest.mark.parametrize(
+    ("bracket", "fixed", "clear"),
+    [
+        (CRADLE, POSTS, True),
+        (CRADLE, [*POSTS, _box([60, 100, 440], [816, 0, 220])], False),  # a column 4 mm behind the cradle
+        ([*CRADLE, SHAFT], POSTS, True),  # a shaft that goes into the posts
+        ([*CRADLE, _box([60, 560, 30], [900, 0, 470])], POSTS, False),  # a square one that does
+        # a post at the end of a wide cradle, off the axis
+        ([_box([400, 500, 40], [900, 0, 440])], [*POSTS, _box([40, 40, 490], [1080, 272, 245])], False),
+    ],
+)
+def test_shapes_beside_a_bearing_are_looked_at(
+    tmp_path: Path, bracket: list[Any], fixed: list[Any], clear: bool
+) -> None:
+    """Posts bear the cradle, 2 mm off its ends; other shapes of the same two bodies do not for that."""
+    obstacles = ({"name": "cradle", "shapes": bracket}, {"name": "posts", "shapes": fixed})
+    problem = positioner_job.problem(tmp_path, obstacles=obstacles)
+    setup, table = problem.setups[0], problem.cell.turntable
+    assert setup.stock.place is not None and table is not None
+    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    homes = {arm.name: arm.home for arm in setup.cell.arms}
+    way = axis_way.turning(model, table, "stock/tilt", 0.0, (0.0, np.deg2rad(70.0)), homes, 0.01)
+    assert way.clear == clear
+    if not clear:
+        assert way.pair == ("cradle", "posts")
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("lean", [0.7, -0.4])
+def test_a_tilted_turn_is_scipys(sense: float, lean: float) -> None:
+    """Where axes take a block, and where the turn axis then lies, by scipy's rotations about axes of either
+    sense whose centres lie apart."""
+    across = np.array([0.6, 0.8, 0.0])
+    tilt = RotaryAxis("left", "STN_1", 0, np.array([0.8, 0.1, 0.4]), across, -1.5, 1.5, 1.0, 0.0)
+    centre = np.array([0.9, 0.0, 0.5])
+    table = Turntable("left", "STN_1", 1, centre, np.array([0.0, 0.0, sense]), -3.0, 3.0, 1.0, 0.0, tilt=tilt)
+    place = np.eye(4)
+    place[:3, :3] = Rotation.from_euler("xyz", [0.1, -0.2, 0.3]).as_matrix()
+    place[:3, 3] = 1.0, 0.2, 0.6
+
+    def seated(turn: float) -> np.ndarray:
+        about, over = Rotation.from_rotvec([0.0, 0.0, sense * turn]), Rotation.from_rotvec(lean * across)
+        out = np.eye(4)
+        out[:3, :3] = (over * about).as_matrix() @ place[:3, :3]
+        out[:3, 3] = tilt.centre + over.apply(centre + about.apply(place[:3, 3] - centre) - tilt.centre)
+        return out
+
+    first = {"stock": 0.5, "stock/tilt": lean}
+    np.testing.assert_allclose(table.placed(place, first), seated(0.5), atol=1e-14)
+    second = table.placed(seated(0.5), {"stock": 1.4, "stock/tilt": lean}, first)
+    np.testing.assert_allclose(second, seated(1.4), atol=1e-14)
+    pivot = table.pivot("stock", lean)
+    np.testing.assert_allclose(pivot.turned(seated(0.5), 0.9), seated(1.4), atol=1e-14)
+    np.testing.assert_allclose(pivot.axis, Rotation.from_rotvec(lean * across).apply([0.0, 0.0, sense]))
+    assert table.pivot("stock/tilt", lean) is tilt

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from planner.catalogue.robots import OffsetParameters, robot
 from planner.cell.kinematics import flange_poses, forward
@@ -178,3 +179,19 @@ def test_a_pose_out_of_reach_has_no_solution_and_its_gap_is_told():
     assert told[0] == 0.0 and told[2] == pytest.approx(
         np.hypot(3.0, 0.265 + 0.101) - 0.444 - np.hypot(0.11, 0.47) - 0.08, abs=1e-9
     )
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_how_far_the_wrist_is_beyond_reach_is_that_of_scipys_turns(name):
+    """Where axes 4 and 5 meet, with axis 6 turned step by step; postures that there are have it in reach."""
+    form = FORMS[name]
+    assert offset_wrist.wrist_gap(form, form.inner(flange_poses(form, postures(500)))).max() < 1e-4
+    far = form.inner(flange_poses(form, postures(40, seed=3)))
+    far[:, :3, 3] *= np.linspace(0.1, 4.0, 40)[:, None]
+    turn = Rotation.from_euler("z", np.linspace(0.0, 2.0 * np.pi, 3600, endpoint=False)[:, None]).as_matrix()
+    meet = far[:, None, :3, 3] - far[:, None, :3, :3] @ turn @ [form.a3, form.b3, form.c4] - [0, 0, form.c1]
+    ahead, forearm = np.hypot(meet[..., 0], meet[..., 1]), np.hypot(form.a2, form.c3)
+    reach = np.hypot([ahead - form.a1, -ahead - form.a1], meet[..., 2])
+    gaps = np.maximum(reach - form.c2 - forearm, abs(form.c2 - forearm) - reach).min(axis=(0, 2))
+    assert (gaps > 0.01).sum() > 5
+    np.testing.assert_allclose(offset_wrist.wrist_gap(form, far), np.maximum(gaps, 0.0), atol=1e-4)

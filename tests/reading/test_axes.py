@@ -218,6 +218,7 @@ TILTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({}, {"axis": [0, 1, 1]}, "it leans; allowed"),
     ({}, {"centre_mm": [900, 0, 400]}, "does not stand on the positioner"),
     ({}, {"load_kg": 0.1}, "carries 0.1 kg"),
+    ({}, {"plate": {"diameter_mm": 220, "height_mm": 530}}, "goes 30 mm into the floor; make it less high"),
 ]
 
 

@@ -217,14 +217,33 @@ def ramps(
     """Shares of the joint accelerations (J,) that the first move from a stop and the last one to a stop ask
     for, if the moves between the positions ``knots`` last ``duration`` (n,) [s]: each is a cubic too, which
     is as fast at its other end as its neighbour is."""
-    at, mean = np.searchsorted(spline.x, knots), np.diff(knots) / duration
+    at = np.searchsorted(spline.x, knots)
     values = spline(spline.x)
     first, last = values[: at[1] + 1], values[at[-2] :][::-1]
+    starts, ends = _ends_of_ramps(knots, duration)
+    begins = _cubic(first, starts, acceleration) / duration[0] ** 2
+    return begins, _cubic(last, ends, acceleration) / duration[-1] ** 2
+
+
+def ramp_peaks(knots: FloatArray, duration: FloatArray) -> tuple[float, float]:
+    """How many times as fast as on average the first move from a stop and the last one to a stop get, as
+    :func:`ramps` has them; the only move of a path 1.5 times."""
+    ends = (0.0, 0.0) if len(duration) == 1 else _ends_of_ramps(knots, duration)
+    peaks = []
+    for end in ends:
+        c2, c3 = 3.0 - end, end - 2.0
+        top = -c2 / (3.0 * c3) if c3 < 0.0 else 1.0  # where the cubic is fastest
+        peaks.append(c2 * top if top < 1.0 else end)
+    return peaks[0], peaks[1]
+
+
+def _ends_of_ramps(knots: FloatArray, duration: FloatArray) -> tuple[float, float]:
+    """How many times as fast as on average the first and the last move are where they meet others."""
+    mean = np.diff(knots) / duration
     starts, ends = (
         float(np.clip(next_to / own, 1.0, MOST_RAMP)) for own, next_to in (mean[:2], mean[:-3:-1])
     )
-    begins = _cubic(first, starts, acceleration) / duration[0] ** 2
-    return begins, _cubic(last, ends, acceleration) / duration[-1] ** 2
+    return starts, ends
 
 
 def _ramp(half: float, duration: float, step: float, neighbour: float) -> tuple[float, float]:

@@ -27,6 +27,7 @@ from planner.motion.trajectory.joint_path import (
     JointPath,
     from_stop_to_stop,
     on_grid,
+    ramp_peaks,
     ramps,
 )
 from planner.motion.trajectory.toppra_solver import path_speeds
@@ -110,6 +111,9 @@ points."""
 CORNER_SHARE: Final = 0.9
 """The same at rounded corners, where the rest covers what corners do between targets. Of feeds the clock
 uses ``FEED_SHARE``."""
+RAMP_SPEED: Final = 1.08
+"""From and to stops tools are at most so many times as fast as they may go on average: controllers take such
+moves by cubics, which are faster in between. The proof allows 1.1."""
 CORNER_ROUNDS: Final = 8
 """So often a piece is timed where corners ask for too much,"""
 CORNER_FACTOR: Final = 1.1
@@ -137,12 +141,14 @@ MANY_GRID: Final = 24
 @dataclasses.dataclass(frozen=True)
 class Limits:
     """Joint speeds and accelerations (J,), the least time (N,) [s] that feeds allow for the move to each
-    target, and which share (N,) of the shorter move beside it each corner is rounded over."""
+    target, and which share (N,) of the shorter move beside it each corner is rounded over. ``tcp_time`` (N,)
+    [s]: what each move takes at the fastest that tools may go, None where nothing limits them."""
 
     speed: FloatArray
     acceleration: FloatArray
     least_time: FloatArray
     rounded: FloatArray
+    tcp_time: FloatArray | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -241,12 +247,21 @@ TimedPiece = tuple[FloatArray, FloatArray, Profile, str]
 
 def _key(spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, last: int, least: int) -> bytes:
     """A digest of all numbers that :func:`_piece` looks at."""
-    own = limits.least_time[first + 1 : last + 1], limits.rounded[first + 1 : last]
+    own = (
+        limits.least_time[first + 1 : last + 1],
+        limits.rounded[first + 1 : last],
+        *_tcp(limits, first, last),
+    )
     arrays = (spline.x, spline.c, knots, *own, limits.speed, limits.acceleration)
     out = hashlib.sha256(repr((least, [part.shape for part in arrays])).encode())
     for part in arrays:
         out.update(np.ascontiguousarray(part).tobytes())
     return out.digest()
+
+
+def _tcp(limits: Limits, first: int, last: int) -> tuple[FloatArray, ...]:
+    """What the first and the last move of a piece take at the fastest that tools may go (2,) [s], if any."""
+    return () if limits.tcp_time is None else (limits.tcp_time[[first + 1, last]],)
 
 
 def _piece(
@@ -277,10 +292,17 @@ def _piece(
         time: FloatArray = np.interp(knots, grid, profile.time)
         if len(steps) == 1:
             time[1] = max(time[1], from_stop_to_stop(spline, CORNER_SHARE * limits.acceleration))
+        quick = np.zeros(2)
+        for tools in _tcp(limits, first, last):
+            took = np.diff(time)
+            quick = np.array(ramp_peaks(knots, took)) * tools / took[[0, -1]] / RAMP_SPEED
+        if len(steps) == 1:
+            time[1] *= max(1.0, quick[0])
+            quick[:] = 0.0
         asked = corners.acceleration_shares(np.diff(time), limits.acceleration)
         ends = (0.0, 0.0) if len(steps) == 1 else ramps(spline, knots, np.diff(time), limits.acceleration)
         rounds += 1
-        over = max([*ends, *asked]) / CORNER_SHARE
+        over = max(max([*ends, *asked]) / CORNER_SHARE, quick.max() ** 2)
         if over <= 1.0:
             return time, asked, profile, used
         # all of the piece slower by one factor: accelerations fall with its square
@@ -293,9 +315,11 @@ def _piece(
         mean = steps / np.diff(time)  # a ramp that is faster than its neighbour would brake at the corner
         bound[grid < knots[1]] = np.minimum(bound[grid < knots[1]], mean[1])
         bound[grid > knots[-2]] = np.minimum(bound[grid > knots[-2]], mean[-2])
-        for ramp, hard in zip((grid <= knots[1], grid >= knots[-2]), ends, strict=True):
+        for ramp, hard, fast in zip((grid <= knots[1], grid >= knots[-2]), ends, quick, strict=True):
             if hard > CORNER_SHARE:
                 bound[ramp] *= np.sqrt(CORNER_SHARE / hard / CORNER_FACTOR)
+            if fast > 1.0:
+                bound[ramp] /= fast
 
 
 def _grid(breaks: FloatArray, least: int) -> FloatArray:

@@ -303,7 +303,8 @@ class _Task:
         conf = "Off" if self.task.robot.unnamed else "On"
         body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
         moved = (self.task.arm.track, self.task.table)
-        body += [f"ActUnit {identifier(one.unit)};" for one in moved if one is not None]
+        units = [f"ActUnit {identifier(one.unit)};" for one in moved if one is not None]
+        body += [*units, "EOffsOff;"] if units else []  # offsets of another program would shift the axes
         clear = (vocabulary.CLEAR if self.problem.setups[0].steps else vocabulary.READY).filled()
         if self.partner is not None:
             body += [

@@ -238,6 +238,7 @@ _FORMS = (
     Form("VelSet", ("num", "num")),
     Form("ActUnit", ("mecunit",)),
     Form("DeactUnit", ("mecunit",)),
+    Form("EOffsOff"),
     Form("GripLoad", ("loaddata",)),
     Form("ClkReset", ("clock",)),
     Form("ClkStart", ("clock",)),

@@ -373,6 +373,11 @@ class _Player:
                     tcp[some] = path
                     q[some] = moves.joints_on_way(row, part, a, branch, end, moments, path)
                     end = q[some[-1]]
+                if b < count:  # what goes on begins where the way ends, which is between two samples
+                    last = law.times[b : b + 1]
+                    path = moves.poses_on_way(part, nodes, delta, last)
+                    path = path if carried is None else carried.nodes[b - 1 : b] @ path
+                    end = moves.joints_on_way(row, part, a, branch, end, last, path)[0]
             if not row.joint[a] and row.named[a:b].all() and not row.robot.followed:
                 flange = inverse(row.base) @ world[a:b] @ inverse(row.tool[a:b])
                 conf_q[a:b] = inverse_kinematics.select_by_confdata(row.robot, flange, row.conf[a:b])

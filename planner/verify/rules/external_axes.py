@@ -1,20 +1,17 @@
-"""Rules on tracks under arms and a turntable or positioner under the block: who moves them, where targets
-have them stand, and the way between.
+"""The rule on tracks under arms and a turntable or positioner under the block: who moves them, and where
+targets have them stand.
 
 verify.external_axes: units, values and folded arms, from the text, and the place of the block that follows.
-verify.track_way: what comes near on the way from station to station. Where arms and the block stand in all
-other rules is read here as well.
+Where arms and the block stand in all other rules is read here as well. Ways from station to station are for
+verify.track_way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from planner.cell import axis_way
-from planner.cell.axis_way import AxisWay
-from planner.cell.plant import CellModel
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
@@ -33,7 +30,6 @@ from planner.verify.job import TaskText
 from planner.verify.krl.flow import AXIS_LOOK
 from planner.verify.programs.steps import UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.verify.rapid.flow import AXES_CHECK
-from planner.verify.rules.clearance import of_one_arm
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
 BLIND_SPEED = 0.25
@@ -46,8 +42,6 @@ OFF_HOME = {"mm": 1.0, "deg": 0.1}
 """How far an axis may be off home where a program begins, by the unit of its values."""
 _CODE = "verify.external_axes"
 """Code of the rule about units and values."""
-_WAY = "verify.track_way"
-"""Code of the rule about the way between stations."""
 
 
 def standing(context: Context) -> Context:
@@ -62,11 +56,11 @@ def standing(context: Context) -> Context:
 
 @rule("verify.external_axes")
 def external_axes(context: Context) -> Outcome:
-    """A track, turntable or positioner is switched on once (RAPID), before anything moves, and looked at
-    right before the first move, which nothing follows unless it is at home; each target has a value of each
-    axis, within its range; it moves as the first thing of a setup, alone, a positioner's turn axis before its
-    tilt axis, what it carries at most at 250 mm/s, all arms folded at home, and is at home at the end; the
-    block is where the values have it."""
+    """A track, turntable or positioner is switched on once (RAPID), before anything moves, with offsets of
+    its axes switched off, and looked at right before the first move, which nothing follows unless it is at
+    home; each target has a value of each axis, within its range; it moves as the first thing of a setup,
+    alone, a positioner's turn axis before its tilt axis, what it carries at most at 250 mm/s, all arms folded
+    at home, and is at home at the end; the block is where the values have it."""
     issues: list[Issue] = []
     told = []
     table = context.problem.cell.turntable
@@ -74,6 +68,7 @@ def external_axes(context: Context) -> Outcome:
         axes = outer_axes(task.arm, table)
         issues += _units(task, axes) if task.rapid else ()
         if axes:
+            issues += _offsets(task, axes) if task.rapid else ()
             issues += _looked(context, task, axes)
             issues += _values(context, task, axes)
         for axis in axes:
@@ -119,6 +114,25 @@ def _units(task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
     for unit in (names[key] for key, count in on.items() if not count):
         what = f"{unit} is not switched on: its values count for nothing"
         yield Issue(_CODE, what, arm=task.arm.name, file=task.name, hint=f"ActUnit {unit};")
+
+
+def _offsets(task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
+    """Moves that offsets of external axes would shift, which another program may have left on: all behind
+    which none are switched off (EOffsOff), and moves of joints that do not say to pass over them (\\NoEOffs),
+    as a start from elsewhere than main passes over the former."""
+    names, off = " and ".join(axis.unit for axis in axes), False
+    for step in task.steps:
+        off |= isinstance(step, SettingStep) and step.kind == "EOffsOff"
+        looks = isinstance(step, SettingStep) and step.kind == AXES_CHECK
+        if not off and (looks or isinstance(step, MoveStep)):
+            what = f"an offset of {names} that another program has left would shift where it is seen and goes"
+            yield at_step(_CODE, what, task, step, "EOffsOff; before all looks and moves")
+            return
+        if not isinstance(step, MoveStep):
+            continue
+        if step.kind == "MoveAbsJ" and "noeoffs" not in step.switches:
+            what = f"an offset of {names} would shift the move"
+            yield at_step(_CODE, what, task, step, "MoveAbsJ with \\NoEOffs")
 
 
 def _looked(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
@@ -267,21 +281,18 @@ def _moved(context: Context, table: Turntable) -> Iterator[Issue]:
 def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
     """Blocks that are not where the text's values have the stated axes take them: by turns of its own, with
     quaternions, of what the problem says of value 0."""
-    at = context.problem.stock.place
     for index, setup in enumerate(context.setups):
+        at = clamped(context, index)
         place, value = context.places[index], table.home  # which it has again behind all operations
         lean = 0.0 if table.tilt is None else table.tilt.home
         for number in setup.operations:
-            change = context.problem.changes.get(number)
-            if change is not None and "place" in change.stock:
-                at = change.stock["place"]
             value = context.stations.get(number, {}).get(STOCK, np.nan)
             lean = context.stations.get(number, {}).get(TILT, lean if table.tilt is None else np.nan)
         if at is None or place is None or not np.isfinite(value + lean):
             what = f"nothing says where {table.unit} has the block stand in setup {index + 1}"
             yield Issue(_CODE, what, hint=f"a value of {table.unit} in each target")
             continue
-        off, turn = _off(table, at, (value, lean), place)
+        off, turn = off_place(table, at, (value, lean), place)
         if off > 2.0 * FRAME_POSITION or turn > 2.0 * FRAME_ANGLE:
             shown = " and ".join(f"{np.rad2deg(v):g}" for v in (value, lean)[: len(table.axes)])
             what = f"{table.unit} at {shown} deg has the block {mm(off):.4f} mm and "
@@ -294,6 +305,16 @@ def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
             yield Issue(_CODE, what)
 
 
+def clamped(context: Context, index: int) -> FloatArray | None:
+    """Where the problem has the block (4, 4) in a setup with all axes at 0."""
+    at = context.problem.stock.place
+    for setup in context.setups[: index + 1]:
+        for number in setup.operations:
+            change = context.problem.changes.get(number)
+            at = at if change is None else change.stock.get("place", at)
+    return at
+
+
 def _misplaced(context: Context, setup: Setup, table: Turntable, lean: float) -> Iterator[str]:
     """Bodies of a setup that are not where a positioner's tilt takes those of the problem."""
     now = {body.name: body for body in setup.cell.obstacles}
@@ -301,26 +322,26 @@ def _misplaced(context: Context, setup: Setup, table: Turntable, lean: float) ->
         if table.tilt is not None and body.name in table.tilted_bodies:
             for zero, one in zip(body.shapes, now[body.name].shapes, strict=True):
                 tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-                wanted = _spun(table.tilt, lean, transform(zero.pose, tips))
+                wanted = spun(table.tilt, lean, transform(zero.pose, tips))
                 if np.abs(wanted - transform(one.pose, tips)).max() > FRAME_POSITION:
                     yield body.name
 
 
-def _off(
+def off_place(
     table: Turntable, at: FloatArray, values: tuple[float, float], place: FloatArray
 ) -> tuple[float, float]:
     """How far [m, about rad] the block at ``place`` is off that of values 0, turned about the turn axis and
     then about the tilt axis: its origin, and ends of its axes."""
     tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
     wanted = at[:3, 3] + tips @ at[:3, :3].T
-    wanted = _spun(table, values[0], wanted)
-    wanted = wanted if table.tilt is None else _spun(table.tilt, values[1], wanted)
+    wanted = spun(table, values[0], wanted)
+    wanted = wanted if table.tilt is None else spun(table.tilt, values[1], wanted)
     apart = wanted - (place[:3, 3] + tips @ place[:3, :3].T)
     lean = apart[1:] - apart[0]
     return float(np.linalg.norm(apart[0])), float(np.linalg.norm(lean) / np.sqrt(2.0))
 
 
-def _spun(axis: RotaryAxis, value: float, points: FloatArray) -> FloatArray:
+def spun(axis: RotaryAxis, value: float, points: FloatArray) -> FloatArray:
     """Points (N, 3) turned by a value [rad] about an axis through its centre: q p q* with the unit quaternion
     q = (w, v), which is p + 2 w (v x p) + 2 v x (v x p)."""
     w, v = np.cos(0.5 * value), np.sin(0.5 * value) * axis.axis
@@ -341,71 +362,10 @@ def _rim(setup: Setup, table: Turntable, name: str) -> float:
     points += [transform(shape.pose, corners(shape)) for shape in stock.support]
     seen = transform(place, np.concatenate(points))
     if table.tilt is not None:
-        seen = _spun(table.tilt, -(stock.tilt or 0.0), seen)
+        seen = spun(table.tilt, -(stock.tilt or 0.0), seen)
         bodies = [body for body in setup.upright.cell.obstacles if body.name in table.tilted_bodies]
         riding = [transform(shape.pose, corners(shape)) for body in bodies for shape in body.shapes]
         seen = np.concatenate([seen, *riding]) if name == TILT else seen
     along = (seen - axis.centre) @ axis.axis
     across = seen - axis.centre - along[:, None] * axis.axis
     return float(np.linalg.norm(across, axis=1).max())
-
-
-@rule("verify.track_way")
-def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
-    """On the way of a track, turntable or positioner from station to station bodies keep their clearance, all
-    arms folded at home; what is tilted keeps it from the floor, too."""
-    limit = context.problem.settings.clearance
-    issues: list[Issue] = []
-    worst, where, looks = np.inf, "", 0
-    at = context.problem.homes
-    for index, setup in enumerate(context.setups):
-        for axis, ends in _goes(context, setup, at):
-            way = _way(context, models(index), setup, at, axis, ends, limit)
-            looks += way.looks
-            if way.least < worst:
-                worst, where = way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}"
-            if way.least < limit or not way.clear:
-                what = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
-                what += f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
-                arm = None if axis.carries in (STOCK, TILT) else axis.carries
-                issues.append(Issue(_WAY, what, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm"))
-            at = {**at, axis.carries: ends[1]}
-    if not np.isfinite(worst):
-        return Outcome(tuple(issues), where="no track or turntable moves")
-    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", f"{where}, {looks} looks")
-
-
-def _goes(
-    context: Context, setup: Setup, at: dict[str, float]
-) -> Iterator[tuple[OuterAxis, tuple[float, float]]]:
-    """The axes that move before a setup, with both ends [m, rad] of their ways."""
-    table = context.problem.cell.turntable
-    for arm in setup.cell.arms:
-        for axis in outer_axes(arm, table):
-            own = setup.stock.stands
-            value = own.get(axis.carries, arm.station)
-            if value is not None and abs(value - at[axis.carries]) > SAME_VALUE:
-                yield axis, (at[axis.carries], value)
-
-
-def _way(
-    context: Context,
-    model: CellModel,
-    setup: Setup,
-    at: dict[str, float],
-    axis: OuterAxis,
-    ends: tuple[float, float],
-    limit: float,
-) -> AxisWay:
-    """The way of one axis; ``at``: where all stand before it."""
-    tracks = {a.name: a.track for a in setup.cell.arms if a.track is not None}
-    model = model.with_bases({n: t.moved(context.bases[n], at[n]) for n, t in tracks.items()})
-    homes = {other.name: other.home for other in setup.cell.arms}
-    table = setup.cell.turntable
-    if table is not None and setup.stock.stands:
-        model = axis_way.stood(model, table, at, setup.stock.stands)
-        if axis.carries in table.axes:
-            tilt = at.get(TILT, 0.0)
-            return axis_way.turning(model, table, axis.carries, tilt, ends, homes, limit)
-    itself = of_one_arm(model)  # verify.own_clearance has these, which the way does not change
-    return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit, itself)

@@ -18,7 +18,8 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.problem import Cell
 from planner.verify.context import Context, Outcome, at_node, at_sample, at_step, mm, rule
-from planner.verify.programs.steps import MoveStep
+from planner.verify.job import TaskText
+from planner.verify.programs.steps import MoveStep, RobTarget
 from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.rules.setups_and_frames import at_home
@@ -101,7 +102,8 @@ def continuity(context: Context) -> Outcome:
 
 @rule("verify.confdata")
 def confdata(context: Context) -> Outcome:
-    """RAPID: confdata alone select the joint solution that the motion has at each target."""
+    """RAPID: confdata alone select the joint solution that the motion has at each target; those of an arm of
+    which they are not settled are all 0."""
     motion = context.motion
     issues, worst = [], 0.0
     for task in context.job.tasks:
@@ -109,7 +111,9 @@ def confdata(context: Context) -> Outcome:
         if not task.rapid:
             continue  # verify.status asks the same of KRL; movel keeps the posture that movej has reached
         if task.arm.data.unnamed:
-            continue  # cfx of such arms is not settled; the programs run with ConfL\Off
+            # cfx of such arms is not settled; the programs run with ConfL\Off
+            issues += list(_named_postures(task))
+            continue
         selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]
         straight = _straight(context, arm)
         none = straight & ~np.isfinite(selected).all(axis=1)
@@ -122,6 +126,16 @@ def confdata(context: Context) -> Outcome:
             )
             issues.append(at_node("verify.confdata", f"the confdata {what}", context.motion, arm, int(i)))
     return Outcome(tuple(issues), worst, float(np.rad2deg(JOINT_JUMP)), "deg")
+
+
+def _named_postures(task: TaskText) -> Iterator[Issue]:
+    """Targets that name a posture of an arm of which nobody knows how confdata name them: a controller that
+    heeds them might take another one than the motion has."""
+    for step in task.steps:
+        if isinstance(step, MoveStep) and isinstance(step.target, RobTarget) and any(step.target.conf or ()):
+            shown = ",".join(map(str, step.target.conf or ()))
+            what = f"the confdata are [{shown}]; of this arm they are [0,0,0,0], as postures have no names"
+            yield at_step("verify.confdata", what, task, step)
 
 
 @rule("verify.joint_limits")

@@ -223,3 +223,26 @@ def test_pieces_that_were_timed_before_are_not_timed_again(monkeypatch: pytest.M
             assert np.array_equal(got.asked, plain.asked)
     with pytest.raises(TypeError):
         clock(path, dataclasses.replace(limits, rounded=np.full(40, 0.4)), known)
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_tools_are_no_faster_between_stops_than_the_proof_allows(count: int) -> None:
+    """Long straight moves at the fastest that tools may go, by the proof's own law of time: first and last
+    moves are cubics there, up to 1.5 times as fast as on average. It allows 1.1 times."""
+    way, fastest = 0.2, 0.25
+    knots = np.linspace(0.0, way * (count - 1), count)
+    s = np.linspace(0.0, knots[-1], 10 * (count - 1) + 1)
+    spline = CubicSpline(s, np.stack([s, 0.0 * s], axis=1))
+    path = JointPath(count, (Piece(0, count - 1, spline, knots),), 0.0)
+    took = np.full(count, way / fastest)
+    limits = Limits(np.full(2, 3.0), np.full(2, 20.0), took, np.full(count, 0.05), took)
+    ticks = clock(path, limits)
+    stop = np.zeros(count, bool)
+    stop[[0, -1]] = True
+    duration = np.diff(ticks.time)
+    law = replay_moves.time_law_of(duration, np.diff(knots), stop, np.full((count, 2), 0.05), np.zeros(count))
+    at = np.linspace(0.0, ticks.time[-1], 40_001)
+    node, rest = replay_moves.offsets(law, np.diff(knots)[:, None], at)
+    speed = np.diff(knots[node] + rest[:, 0]) / np.diff(at)
+    assert 1.0 * fastest < speed.max() < 1.1 * fastest
+    assert duration.max() < 1.5 * way / fastest

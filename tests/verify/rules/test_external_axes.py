@@ -56,18 +56,24 @@ def moves(text: str, new: str) -> str:
 ENTRY = "  PROC operation_1()"
 LOOK = "    check_axes;\n"
 """The call of what looks whether the track is at home."""
+HOME = "    MoveAbsJ j_home\\NoEOffs,v_entry,fine,t_ball_tool;\n"
 
 
 def last_home(text: str, new: str) -> str:
     """The last move, which takes the track home, as another line."""
-    line = "    MoveAbsJ j_home\\NoEOffs,v_entry,fine,t_ball_tool;\n"
-    at = text.rindex(line)
-    return text[:at] + new + text[at + len(line) :]
+    at = text.rindex(HOME)
+    return text[:at] + new + text[at + len(HOME) :]
 
 
 MUTANTS = {
     "another unit": ("external_axes", lambda t: first(t, "ActUnit TRACK_1", "ActUnit TRACK_2")),
     "no unit": ("external_axes", lambda t: first(t, "    ActUnit TRACK_1;\n", "")),
+    "offsets left on": ("external_axes", lambda t: first(t, "    EOffsOff;\n", "")),
+    "offsets left on until it has looked": (
+        "external_axes",
+        lambda t: first(first(t, "    EOffsOff;\n", ""), LOOK, f"{LOOK}    EOffsOff;\n"),
+    ),
+    "a move with offsets": ("external_axes", lambda t: last_home(t, HOME.replace(r"\NoEOffs", ""))),
     "switched off": (
         "external_axes",
         lambda t: first(t, "    operation_2;", "    DeactUnit TRACK_1;\n    operation_2;"),

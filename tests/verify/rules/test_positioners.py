@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from planner import processes
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import inverse
-from planner.problem import Cell, Obstacle, RotaryAxis
+from planner.problem import Cell, Obstacle, RotaryAxis, Turntable
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import external_axes
@@ -175,7 +175,7 @@ OTHERS: dict[str, dict[str, Any]] = {
     "direction": {"axis": np.array([0.0, -1.0, 0.0])},
     "another axis": {"axis": np.array([1.0, 0.0, 0.0])},
     "column": {"column": 2},
-    "range": {"high": np.deg2rad(60.0)},
+    "range": {"high": np.deg2rad(55.0)},
     "speed": {"speed": np.deg2rad(2.0)},
     "home": {"home": np.deg2rad(5.0)},
 }
@@ -223,3 +223,21 @@ def test_the_way_of_the_tilt_is_looked_at(prover: Prover, height: float, clear: 
     there = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
     codes = {issue.code for issue in there.prove(positioner_job.planned().programs).issues}
     assert ("verify.track_way" not in codes) == clear
+
+
+def test_a_way_of_the_other_sense_is_refused(prover: Prover, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Looks on the way of a turn of the tilted block the wrong way round about the leaning axis."""
+    right = Turntable.pivot
+
+    def wrong(self: Turntable, name: str, tilt: float) -> RotaryAxis:
+        found = right(self, name, tilt)
+        return dataclasses.replace(found, axis=-found.axis) if name != "stock/tilt" and tilt else found
+
+    programs = positioner_job.planned().programs
+    assert "verify.track_way" not in {
+        i.code for i in Prover(prover.problem, prover.claims).prove(programs).issues
+    }
+    monkeypatch.setattr(Turntable, "pivot", wrong)
+    found = Prover(prover.problem, prover.claims).prove(programs).issues
+    told = [issue.message for issue in found if issue.code == "verify.track_way"]
+    assert [text for text in told if "stock was looked at elsewhere" in text], [str(i) for i in found]

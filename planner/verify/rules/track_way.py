@@ -1,0 +1,139 @@
+"""The rule on the way of tracks, turntables and positioners from station to station: what comes near on it.
+
+Distances are those of the planner's own looks; where these had what rides is held against turns of the
+proof's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from planner.cell import axis_way
+from planner.cell.axis_way import AxisWay
+from planner.cell.plant import CellModel
+from planner.geometry.arrays import transform
+from planner.issues import Issue
+from planner.problem import STOCK, TILT, Cell, Setup
+from planner.verify.context import Context, Outcome, OuterAxis, mm, outer_axes, rule
+from planner.verify.rules.clearance import of_one_arm
+from planner.verify.rules.external_axes import SAME_VALUE, clamped, off_place, spun
+from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION
+
+_WAY = "verify.track_way"
+"""Code of the rule."""
+
+
+@rule("verify.track_way")
+def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
+    """On the way of a track, turntable or positioner from station to station bodies keep their clearance, all
+    arms folded at home; what is tilted keeps it from the floor, too. Where looks had what rides is held
+    against the values by turns of the proof's own."""
+    limit = context.problem.settings.clearance
+    issues: list[Issue] = []
+    worst, where, looks = np.inf, "", 0
+    at = context.problem.homes
+    for index, setup in enumerate(context.setups):
+        for axis, ends in _goes(context, setup, at):
+            way = _way(context, models(index), setup, at, axis, ends, limit)
+            looks += way.looks
+            if way.least < worst:
+                worst, where = way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}"
+            if way.least < limit or not way.clear:
+                what = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
+                what += f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
+                arm = None if axis.carries in (STOCK, TILT) else axis.carries
+                issues.append(Issue(_WAY, what, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm"))
+            strayed = _strayed(context, models(index).cell, index, at, axis, ends, way)
+            if strayed:
+                what = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
+                what += strayed
+                arm = None if axis.carries in (STOCK, TILT) else axis.carries
+                issues.append(Issue(_WAY, what, arm=arm))
+            at = {**at, axis.carries: ends[1]}
+    if not np.isfinite(worst):
+        return Outcome(tuple(issues), where="no track or turntable moves")
+    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", f"{where}, {looks} looks")
+
+
+def _goes(
+    context: Context, setup: Setup, at: dict[str, float]
+) -> Iterator[tuple[OuterAxis, tuple[float, float]]]:
+    """The axes that move before a setup, with both ends [m, rad] of their ways."""
+    table = context.problem.cell.turntable
+    for arm in setup.cell.arms:
+        for axis in outer_axes(arm, table):
+            own = setup.stock.stands
+            value = own.get(axis.carries, arm.station)
+            if value is not None and abs(value - at[axis.carries]) > SAME_VALUE:
+                yield axis, (at[axis.carries], value)
+
+
+def _way(
+    context: Context,
+    model: CellModel,
+    setup: Setup,
+    at: dict[str, float],
+    axis: OuterAxis,
+    ends: tuple[float, float],
+    limit: float,
+) -> AxisWay:
+    """The way of one axis; ``at``: where all stand before it."""
+    tracks = {a.name: a.track for a in setup.cell.arms if a.track is not None}
+    model = model.with_bases({n: t.moved(context.bases[n], at[n]) for n, t in tracks.items()})
+    homes = {other.name: other.home for other in setup.cell.arms}
+    table = setup.cell.turntable
+    if table is not None and setup.stock.stands:
+        model = axis_way.stood(model, table, at, setup.stock.stands)
+        if axis.carries in table.axes:
+            tilt = at.get(TILT, 0.0)
+            return axis_way.turning(model, table, axis.carries, tilt, ends, homes, limit)
+    itself = of_one_arm(model)  # verify.own_clearance has these, which the way does not change
+    return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit, itself)
+
+
+def _strayed(
+    context: Context,
+    cell: Cell,
+    index: int,
+    at: dict[str, float],
+    axis: OuterAxis,
+    ends: tuple[float, float],
+    way: AxisWay,
+) -> str:
+    """What is wrong with where looks at a way had what rides, by a model of ``cell``; ``at``: where all axes
+    stand before it."""
+    first, last = way.looked[0].value, way.looked[-1].value
+    if abs(first - ends[0]) > SAME_VALUE or (way.clear and abs(last - ends[1]) > SAME_VALUE):
+        return f"it was looked at from {axis.shown(first)} to {axis.shown(last)}"
+    table, place = context.problem.cell.turntable, clamped(context, index)
+    if table is None or axis.carries not in table.axes:
+        track = cell.arm(axis.carries).track
+        for look in way.looked:
+            wanted, (pose,) = np.array(context.bases[axis.carries]), look.poses.values()
+            if track is not None:
+                wanted[:3, 3] += look.value * track.axis
+            if not np.allclose(pose, wanted, rtol=0.0, atol=SAME_VALUE):
+                return f"the base was looked at elsewhere than it is at {axis.shown(look.value)}"
+        return ""
+    zero = {body.name: body for body in context.problem.cell.obstacles}
+    now = {body.name: body for body in cell.obstacles}
+    tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    for look in way.looked:
+        here = {**at, axis.carries: look.value}
+        for name, pose in look.poses.items():
+            if name in now and table.tilt is not None:
+                off = 0.0
+                for shape, there in zip(zero[name].shapes, now[name].shapes, strict=True):
+                    wanted = spun(table.tilt, here[TILT], transform(shape.pose, tips))
+                    off = max(off, float(np.abs(wanted - transform(pose @ there.pose, tips)).max()))
+                astray = off > FRAME_POSITION
+            elif place is None:
+                return "nothing says where the block is"
+            else:
+                off, turn = off_place(table, place, (here[STOCK], here.get(TILT, 0.0)), pose)
+                astray = off > 2.0 * FRAME_POSITION or turn > 2.0 * FRAME_ANGLE
+            if astray:
+                return f"{name} was looked at elsewhere than it is at {axis.shown(look.value)}"
+    return ""
