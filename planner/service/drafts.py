@@ -14,11 +14,11 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, RowMapping, delete, func, insert, select, update
 
-from planner.issues import Issue
+from planner.issues import Issue, TandemError
 from planner.reading.strict_yaml import MAX_YAML_BYTES
 from planner.service import audit
 from planner.service.jobs import job_files, put_files
-from planner.service.models import DRAFT_VERSIONS, DRAFTS, FILES, TOKENS, Database, moment, utc
+from planner.service.models import DRAFT_VERSIONS, DRAFTS, FILES, TOKENS, Act, Database, moment, utc
 from planner.service.security import LOCAL, MB, Limits, RefusedError, Who, too_large
 from planner.service.storage import Blob, Upload
 
@@ -26,6 +26,8 @@ VERSIONS: Final = 100
 """So many versions of a draft are kept, the newest."""
 UNTITLED: Final = "Draft"
 """What a draft is called whose title is empty."""
+OPERATOR: Final = "who runs the service"
+"""In whose name drafts of a token are passed on or deleted by the command line."""
 
 
 class Drafts:
@@ -93,9 +95,7 @@ class Drafts:
         with self._database.write() as db:
             self._database.one_at_a_time(db, draft)
             row = draft_row(db, draft)
-            db.execute(delete(DRAFT_VERSIONS).where(DRAFT_VERSIONS.c.draft == draft))
-            db.execute(delete(FILES).where(FILES.c.job == draft))
-            db.execute(delete(DRAFTS).where(DRAFTS.c.id == draft))
+            _remove(db, draft)
             said = {"name": row["title"], "kind": row["kind"]}
             audit.note(self._database, db, by, "deleted", draft, said)
 
@@ -122,6 +122,33 @@ class Drafts:
         query = query.order_by(DRAFTS.c.changed.desc(), DRAFTS.c.id).limit(most)
         with self._database.read() as db:
             return db.execute(query).mappings().all()
+
+    def of_token(self, name: str) -> Sequence[RowMapping]:
+        """All drafts of the token of that name, also of one that is over, the newest first. Raises
+        ``TandemError`` where there is no such token."""
+        with self._database.read() as db:
+            own = DRAFTS.c.owner == token_named(db, name)
+            return db.execute(_with_names().where(own).order_by(DRAFTS.c.changed.desc())).mappings().all()
+
+    def pass_on(self, name: str, to: str | None) -> int:
+        """Give all drafts of the token of that name to the one called ``to``, or delete them; how many they
+        were. It is who runs the service that does so: no limit of the other token holds. Raises
+        ``TandemError`` where there is no such token."""
+        with self._database.write() as db:
+            owner = token_named(db, name)
+            other = None if to is None else token_named(db, to)
+            rows = db.execute(select(DRAFTS).where(DRAFTS.c.owner == owner)).mappings().all()
+            for row in rows:
+                self._database.one_at_a_time(db, row["id"])
+                if other is None:
+                    _remove(db, row["id"])
+            if other is not None:
+                db.execute(update(DRAFTS).where(DRAFTS.c.owner == owner).values(owner=other))
+            for row in rows:
+                said = {"name": row["title"], "kind": row["kind"]} | ({} if to is None else {"to": to})
+                act: Act = "deleted" if to is None else "passed"
+                audit.note(self._database, db, owner, act, row["id"], said, OPERATOR)
+            return len(rows)
 
     def owner(self, draft: str) -> str | None:
         """Whose draft it is; None where there is none."""
@@ -167,6 +194,21 @@ def version_row(db: Connection, draft: str, number: int) -> RowMapping:
         what = f"draft {draft[:40]}: it has no version {number}, or no more; list its versions"
         raise RefusedError(404, Issue("service.draft", what, field="number"))
     return row
+
+
+def token_named(db: Connection, name: str) -> str:
+    """The identifier of the token of that name, also of one that is over. Raises ``TandemError``."""
+    found: str | None = db.execute(select(TOKENS.c.id).where(TOKENS.c.name == name)).scalar()
+    if found is None:
+        what = f"name: got {name[:80]!r}; there is no token of that name: list them with tandem token list"
+        raise TandemError(Issue("service.token", what, field="name"))
+    return found
+
+
+def _remove(db: Connection, draft: str) -> None:
+    db.execute(delete(DRAFT_VERSIONS).where(DRAFT_VERSIONS.c.draft == draft))
+    db.execute(delete(FILES).where(FILES.c.job == draft))
+    db.execute(delete(DRAFTS).where(DRAFTS.c.id == draft))
 
 
 def _with_names() -> Any:

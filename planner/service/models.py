@@ -469,7 +469,16 @@ jobs, and to hand links out; to release programs."""
 Sort = Literal["newest", "oldest", "title", "turn"]
 Mark = Literal["cut", "glued", "broken"]
 Act = Literal[
-    "submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked", "unlinked"
+    "submitted",
+    "cancelled",
+    "retried",
+    "deleted",
+    "released",
+    "withdrew",
+    "downloaded",
+    "linked",
+    "unlinked",
+    "passed",
 ]
 
 

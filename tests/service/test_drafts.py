@@ -12,6 +12,8 @@ from typing import Any, Final
 
 import pytest
 
+from planner.cli import service as commands
+from planner.issues import TandemError
 from planner.service import backup, drafts
 from tests.service import postgres
 from tests.service.support import TABLE, codes
@@ -176,6 +178,42 @@ def test_a_link_to_a_deleted_draft_has_a_sentence(shop: Shop) -> None:
         assert "it was deleted, or belongs to others" in answer.json()["detail"]
     acts = shop.ask("bob", "GET", f"/v1/audit?job={draft}").json()["acts"]
     assert [(one["by"], one["act"], one["about"]["kind"]) for one in acts] == [("bob", "deleted", "draft")]
+
+
+@pytest.mark.parametrize("way", ["to", "delete"])
+def test_drafts_of_who_left_are_passed_on_or_deleted(
+    tmp_path: Path, way: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A revoked token without a team: nobody else sees its drafts."""
+    data = tmp_path / "data"
+    with opened(data, None) as here:
+        made = Shop(here)
+        draft, _ = kept(made, "dan", '"kept"', "dome.stl"), kept(made, "ann")
+        here.service.auth.revoke("dan")
+        commands.token(commands.Drafts("dan", data=data))
+        assert f"{draft}  " in capsys.readouterr().out
+        assert made.ask("bob", "GET", f"/v1/drafts/{draft}").status_code == 404
+        commands.token(
+            commands.Drafts("dan", **({"to": "bob"} if way == "to" else {"delete": True}), data=data)
+        )
+        assert "dan: 1 drafts" in capsys.readouterr().out
+        if way == "to":
+            assert content(made, draft, 1, "ann") == ('"kept"', {"dome.stl": TABLE + b"dome.stl"})
+            assert made.ask("bob", "DELETE", f"/v1/drafts/{draft}").status_code == 204
+        with here.service.database.read() as db:
+            assert not db.execute(drafts.select(drafts.FILES).where(drafts.FILES.c.job == draft)).all()
+        assert len(made.ask("ann", "GET", "/v1/drafts").json()["drafts"]) == 1
+        commands.audit(commands.Audit(job=draft, data=data))
+        told = capsys.readouterr().out
+        assert f"{drafts.OPERATOR}  {'passed' if way == 'to' else 'deleted'}  {draft}  Vault" in told
+    for wrong in (
+        {"name": "nobody"},
+        {"name": "dan", "to": "nobody"},
+        {"name": "dan", "to": "bob", "delete": True},
+    ):
+        with pytest.raises(TandemError) as caught:
+            commands.token(commands.Drafts(**wrong, data=data))
+        assert [one.code for one in caught.value.issues] == ["service.token"]
 
 
 def test_count_and_size_are_limited_and_room_is_charged(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
