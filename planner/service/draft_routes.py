@@ -16,7 +16,7 @@ from planner.issues import Issue
 from planner.service.answers import stored_file
 from planner.service.drafts import tag_of, unknown_draft
 from planner.service.models import FileOut, Sent, utc
-from planner.service.routes import ASKED, JOB_ID, PARTS, UPLOADED, Asker, Caller, Here, refusals
+from planner.service.routes import ASKED, CURSOR, JOB_ID, PARTS, UPLOADED, Asker, Caller, Here, refusals
 from planner.service.security import RefusedError
 from planner.service.storage import Blob, documented, take_upload
 from planner.service.texts import Line, described, read_body
@@ -57,9 +57,10 @@ class DraftVersions(DraftOut):
 
 
 class DraftList(Sent):
-    """Drafts, what was changed last first."""
+    """A page of drafts, what was changed last first; ``next`` is the ``cursor`` of the page that follows."""
 
     drafts: list[DraftOut]
+    next: str | None = None
 
 
 class DraftContent(Sent):
@@ -118,11 +119,12 @@ def page(
     here: Here,
     kind: Annotated[list[DraftKind] | None, Query(description="these kinds alone")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 200,
+    cursor: CURSOR = None,
 ) -> DraftList:
-    """Yours and those of your team."""
+    """Yours and those of your team, a page at a time."""
     del owner
-    rows = here.drafts.list(here.auth.owners(who), kind or (), limit)
-    return DraftList(drafts=[_told(row) for row in rows])
+    rows, following = here.drafts.page(here.auth.owners(who), kind or (), limit, cursor)
+    return DraftList(drafts=[_told(row) for row in rows], next=following)
 
 
 @router.get("/{draft}", responses=refusals(404), summary="A draft with its versions")

@@ -12,7 +12,7 @@ import secrets
 from collections.abc import Sequence
 from typing import Any, Final
 
-from sqlalchemy import Connection, RowMapping, delete, func, insert, select, update
+from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, or_, select, update
 
 from planner.issues import Issue, TandemError
 from planner.reading.strict_yaml import MAX_YAML_BYTES
@@ -114,14 +114,23 @@ class Drafts:
             blobs = job_files(db, draft)
         return blobs[row["problem"]], {name: blobs[sha] for name, sha in _files_of(row).items()}
 
-    def list(self, owners: Sequence[str], kinds: Sequence[str], most: int) -> Sequence[RowMapping]:
-        """Drafts of the owners, what was changed last first."""
+    def page(
+        self, owners: Sequence[str], kinds: Sequence[str], count: int, cursor: str | None = None
+    ) -> tuple[list[RowMapping], str | None]:
+        """Up to ``count`` drafts of the owners, what was changed last first, behind the ``cursor`` of the page
+        before; and the cursor behind which more follow, if any do."""
         query = _with_names().where(DRAFTS.c.owner.in_(owners))
         if kinds:
             query = query.where(DRAFTS.c.kind.in_(kinds))
-        query = query.order_by(DRAFTS.c.changed.desc(), DRAFTS.c.id).limit(most)
+        if cursor is not None:  # that draft may have been changed since, or deleted
+            at, draft = float(cursor.split("-")[0]), cursor.split("-")[1]
+            older = and_(DRAFTS.c.changed == at, DRAFTS.c.id < draft)
+            query = query.where(or_(DRAFTS.c.changed < at, older))
+        query = query.order_by(DRAFTS.c.changed.desc(), DRAFTS.c.id.desc()).limit(count + 1)
         with self._database.read() as db:
-            return db.execute(query).mappings().all()
+            rows = list(db.execute(query).mappings())
+        more = len(rows) > count
+        return rows[:count], f"{rows[count - 1]['changed']!r}-{rows[count - 1]['id']}" if more else None
 
     def of_token(self, name: str) -> Sequence[RowMapping]:
         """All drafts of the token of that name, also of one that is over, the newest first. Raises

@@ -166,6 +166,28 @@ def test_drafts_are_those_of_the_team_and_of_nobody_else(shop: Shop) -> None:
         assert shop.ask("lea", way, url, content=b"{}").status_code == 403
 
 
+def test_pages_of_drafts_miss_none(shop: Shop) -> None:
+    """Also where many were changed at one moment."""
+    made = [kept(shop, "eve", str(n)) for n in range(5)]
+    with shop.here.service.database.write() as db:
+        db.execute(drafts.update(drafts.DRAFTS).where(drafts.DRAFTS.c.id.in_(made)).values(changed=1e9))
+    found, asked = list[str](), dict[str, Any](limit=2)
+    while True:
+        page = shop.ask("eve", "GET", "/v1/drafts", params=asked).json()
+        assert len(page["drafts"]) <= 2
+        found += [one["id"] for one in page["drafts"]]
+        if page["next"] is None:
+            break
+        asked["cursor"] = page["next"]
+    assert [one for one in found if one in made] == sorted(made, reverse=True)
+    assert len(found) == len(set(found))
+    whole = shop.ask("eve", "GET", "/v1/drafts").json()
+    assert (found, whole["next"]) == ([one["id"] for one in whole["drafts"]], None)
+    for wrong in ("x", "1-2", "~" + "0" * 32):
+        refused = shop.ask("eve", "GET", "/v1/drafts", params={"cursor": wrong})
+        assert (refused.status_code, codes(refused)) == (422, [("service.request", "cursor")])
+
+
 def test_a_link_to_a_deleted_draft_has_a_sentence(shop: Shop) -> None:
     draft = kept(shop)
     assert shop.ask("bob", "DELETE", f"/v1/drafts/{draft}").status_code == 204

@@ -5,6 +5,8 @@ import { age, banner, me, tell } from "./common.js";
 import { $, announce, h, icon, show } from "./dom.js";
 
 const KINDS = { draft: "Draft", cell: "Cell", tool: "Tool", template: "Template" };
+const PAGE = 100;
+const MOST = 1000; // of one answer
 const own = (await me)?.name;
 const path = (id) => `/v1/drafts/${encodeURIComponent(id)}`;
 let named = null;
@@ -21,12 +23,29 @@ function row(one) {
       h("button", { type: "button", class: "small danger", "aria-label": `Delete ${one.title}`, onclick: () => drop(one) }, icon("bin")))));
 }
 
+let shown = PAGE; // as many as were asked for stay in view
+
 async function load() {
-  const { drafts } = await json("/v1/drafts?limit=1000");
+  let drafts = [];
+  let next = null;
+  do {
+    const asked = new URLSearchParams({ limit: Math.min(shown - drafts.length, MOST), ...(next && { cursor: next }) });
+    const page = await json(`/v1/drafts?${asked}`);
+    drafts = drafts.concat(page.drafts);
+    next = page.next;
+  } while (next && drafts.length < shown);
   show($("table"), drafts.length > 0);
   show($("empty"), !drafts.length);
+  show($("more"), Boolean(next));
   $("rows").replaceChildren(...drafts.map(row));
 }
+
+$("more").addEventListener("click", async () => {
+  const first = shown;
+  shown += PAGE;
+  await load().catch(tell);
+  $("rows").children[first]?.querySelector("a, button")?.focus();
+});
 
 function rename(one) {
   named = one;
