@@ -12,13 +12,24 @@ import secrets
 from collections.abc import Sequence
 from typing import Any, Final
 
-from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, or_, select, update
+from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, or_, outerjoin, select, update
 
 from planner.issues import Issue, TandemError
 from planner.reading.strict_yaml import MAX_YAML_BYTES
 from planner.service import audit
 from planner.service.jobs import job_files, put_files
-from planner.service.models import DRAFT_VERSIONS, DRAFTS, FILES, TOKENS, Act, Database, moment, utc
+from planner.service.models import (
+    CANCELLED,
+    DRAFT_VERSIONS,
+    DRAFTS,
+    FILES,
+    JOBS,
+    TOKENS,
+    Act,
+    Database,
+    moment,
+    utc,
+)
 from planner.service.security import LOCAL, MB, Limits, RefusedError, Who, too_large
 from planner.service.storage import Blob, Upload
 
@@ -90,6 +101,13 @@ class Drafts:
             db.execute(update(DRAFTS).where(DRAFTS.c.id == draft).values(title=title or UNTITLED))
             return draft_row(db, draft)
 
+    def mark_sent(self, draft: str, number: int, job: str) -> RowMapping:
+        """Note that a version was sent as that job; raises :class:`RefusedError`, 404."""
+        with self._database.write() as db:
+            version_row(db, draft, number)
+            db.execute(update(DRAFTS).where(DRAFTS.c.id == draft).values(sent=number, job=job))
+            return draft_row(db, draft)
+
     def delete(self, draft: str, by: str) -> None:
         """Delete a draft with its versions; raises :class:`RefusedError`, 404."""
         with self._database.write() as db:
@@ -117,8 +135,8 @@ class Drafts:
     def page(
         self, owners: Sequence[str], kinds: Sequence[str], count: int, cursor: str | None = None
     ) -> tuple[list[RowMapping], str | None]:
-        """Up to ``count`` drafts of the owners, what was changed last first, behind the ``cursor`` of the page
-        before; and the cursor behind which more follow, if any do."""
+        """Up to ``count`` drafts of the owners, what was changed last first, behind the ``cursor`` of the
+        page before; and the cursor behind which more follow, if any do."""
         query = _with_names().where(DRAFTS.c.owner.in_(owners))
         if kinds:
             query = query.where(DRAFTS.c.kind.in_(kinds))
@@ -221,8 +239,10 @@ def _remove(db: Connection, draft: str) -> None:
 
 
 def _with_names() -> Any:
-    more = func.coalesce(TOKENS.c.name, LOCAL).label("made_by")
-    return select(DRAFTS, more).outerjoin_from(DRAFTS, TOKENS, DRAFTS.c.owner == TOKENS.c.id)
+    more = (func.coalesce(TOKENS.c.name, LOCAL).label("made_by"), JOBS.c.id.label("sent_as"))
+    named = outerjoin(DRAFTS, TOKENS, DRAFTS.c.owner == TOKENS.c.id)
+    there = and_(DRAFTS.c.job == JOBS.c.id, JOBS.c.cancel <= CANCELLED)
+    return select(DRAFTS, *more).select_from(outerjoin(named, JOBS, there))
 
 
 def _files_of(version: RowMapping) -> dict[str, str]:

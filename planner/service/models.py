@@ -255,9 +255,12 @@ DRAFTS: Final = Table(
     Column("version", Integer, nullable=False),
     Column("created", Float, nullable=False),
     Column("changed", Float, nullable=False),
+    Column("job", String(32)),
+    Column("sent", Integer),
 )
 """Problems in the making, and cells, tools and templates that people keep, by ``kind``; the number of the
-last ``version``. Their content is in `FILES`, by its hash, under the draft's id."""
+last ``version``, and the one that was ``sent`` last, with its ``job``. Their content is in `FILES`, by its
+hash, under the draft's id."""
 
 DRAFT_VERSIONS: Final = Table(
     "tandem_draft_versions",
@@ -433,12 +436,13 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 13
+API: Final = 14
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
 log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks like, maps of a freedom.
-13: drafts, the order of the queue, sweeps, estimates of what is left, links to look."""
+13: drafts, the order of the queue, sweeps, estimates of what is left, links to look. 14: pages of drafts, and
+which of them were sent."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[

@@ -146,6 +146,7 @@ def test_drafts_are_those_of_the_team_and_of_nobody_else(shop: Shop) -> None:
         ("GET", "/versions/1/files/dome.stl"),
         ("PUT", ""),
         ("PATCH", ""),
+        ("POST", "/sent"),
         ("DELETE", ""),
     ]
     for other in ("eve", "dan"):
@@ -164,6 +165,27 @@ def test_drafts_are_those_of_the_team_and_of_nobody_else(shop: Shop) -> None:
     for way in ("PUT", "PATCH", "DELETE", "POST"):
         url = "/v1/drafts" if way == "POST" else f"/v1/drafts/{draft}"
         assert shop.ask("lea", way, url, content=b"{}").status_code == 403
+
+
+def test_a_draft_says_as_which_job_it_was_sent(shop: Shop) -> None:
+    draft, job = kept(shop), shop.job("bob", "sent")
+    told = {"version": 1, "job": job}
+    marked = shop.ask("ann", "POST", f"/v1/drafts/{draft}/sent", json=told).json()
+    assert (marked["sent"], marked["job"], marked["version"]) == (1, job, 1)
+    changed = save(shop, draft, '"1"', '{"b": 2}').json()
+    assert (changed["sent"], changed["job"], changed["version"]) == (1, job, 2)  # what is newer was not sent
+    eves = shop.job("eve", "hers")
+    for wrong, code in (
+        ({"version": 9, "job": job}, ("service.draft", "number")),
+        ({"version": 1, "job": eves}, ("service.unknown_job", None)),
+        ({"version": 0, "job": job}, ("service.request", "version")),
+        ({"version": 1, "job": "x"}, ("service.request", "job")),
+    ):
+        refused = shop.ask("ann", "POST", f"/v1/drafts/{draft}/sent", json=wrong)
+        assert codes(refused) == [code]
+    assert shop.ask("bob", "DELETE", f"/v1/jobs/{job}").status_code == 204
+    (listed,) = (one for one in shop.ask("ann", "GET", "/v1/drafts").json()["drafts"] if one["id"] == draft)
+    assert (listed["sent"], listed["job"]) == (1, None)
 
 
 def test_pages_of_drafts_miss_none(shop: Shop) -> None:

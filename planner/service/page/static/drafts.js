@@ -3,6 +3,7 @@ import { json, post, remove } from "./api.js";
 import { ask } from "./ask.js";
 import { age, banner, me, tell } from "./common.js";
 import { $, announce, h, icon, show } from "./dom.js";
+import { wasSent } from "./draft.js";
 
 const KINDS = { draft: "Draft", cell: "Cell", tool: "Tool", template: "Template" };
 const PAGE = 100;
@@ -11,11 +12,18 @@ const own = (await me)?.name;
 const path = (id) => `/v1/drafts/${encodeURIComponent(id)}`;
 let named = null;
 
+// As which job it was planned, and whether it is newer than that.
+function sent(one) {
+  if (!one.sent) return null;
+  const job = one.job ? h("a", { href: `/ui/jobs/${one.job}` }, "a job") : "a job that was deleted";
+  return [wasSent(one) ? ", sent as " : `, version ${one.sent} sent as `, job];
+}
+
 function row(one) {
   const opens = { draft: `/ui/new?draft=${one.id}`, template: `/ui/new?template=${one.id}` }[one.kind];
   const title = h("bdi", {}, one.title);
   return h("tr", {},
-    h("td", {}, opens ? h("a", { href: opens, class: "job-name" }, title) : h("b", {}, title), h("span", { class: "sub" }, [one.by !== own ? `of ${one.by}` : null, `version ${one.version}`].filter(Boolean).join(", "))),
+    h("td", {}, opens ? h("a", { href: opens, class: "job-name" }, title) : h("b", {}, title), h("span", { class: "sub" }, [one.by !== own ? `of ${one.by}` : null, `version ${one.version}`].filter(Boolean).join(", "), sent(one))),
     h("td", {}, KINDS[one.kind]),
     h("td", { class: "wide" }, age(one.changed)),
     h("td", { class: "n" }, h("span", { class: "actions plans" },

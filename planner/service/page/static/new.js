@@ -400,6 +400,7 @@ async function start() {
   say("busy", "Sending …");
   try {
     const made = await (await post("/v1/jobs", { body: upload(state.problem, wanted(state)) })).json();
+    await draft.sentAs(made.id).catch(() => null); // the job is made, whatever becomes of its draft
     state.sent = true;
     location.assign(`/ui/jobs/${made.id}`);
   } catch (error) {
