@@ -7,6 +7,7 @@ where panels are marked. The store has which jobs are those of its panels.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import hashlib
 import io
@@ -26,20 +27,34 @@ from planner.issues import Issue, Severity, TandemError
 from planner.service import audit, idempotency
 from planner.service.finding import Wanted
 from planner.service.idempotency import Once
-from planner.service.jobs import NewJob, OfElement, job_files, job_out, job_row, put_files, remove
+from planner.service.jobs import (
+    LAST_RELEASE,
+    NewJob,
+    OfElement,
+    job_files,
+    job_out,
+    job_row,
+    put_files,
+    remove,
+)
 from planner.service.models import (
     CANCELLED,
     ELEMENT_JOBS,
     JOBS,
     MARKS,
     OPEN,
+    RELEASES,
     ElementOut,
     ElementPanels,
+    ElementReleases,
     JobOut,
     Mark,
     PanelOut,
+    PanelRefused,
+    PanelRelease,
+    Shown,
 )
-from planner.service.security import RefusedError
+from planner.service.security import RefusedError, Who
 from planner.service.storage import Blob, Upload
 from planner.service.upload_processes import Examined, Reading
 
@@ -214,6 +229,41 @@ class Elements:
             )
         return self._jobs.create_all(list(made.values()), once)
 
+    def release(
+        self, element: str, shown: Mapping[str, Shown], who: Who, name: str | None, note: str
+    ) -> ElementReleases:
+        """Release the programs of panels by one act, each as it was ``shown``: those that are proven, not
+        released, and still what was shown; the others are refused by name. Raises :class:`RefusedError`: 404,
+        409 where none can be released, 422."""
+        self._divided(element)
+        with self._database.read() as db:
+            now = {panel: one.job for panel, one in _panels(db, element).items()}
+        strange = sorted(shown.keys() - now.keys())
+        if strange:
+            what = (
+                f"panels: got {', '.join(one[:32] for one in strange[:5])}, of which no panel has a job here"
+            )
+            raise RefusedError(422, Issue("service.request", f"{what}; see its list", field="panels"))
+        past = {one for one, of in shown.items() if of.job != now[one]}
+        good = {one: of for one, of in shown.items() if one not in past}
+        made, refused = self._service.releases.release_panels(element, good, who, name, note)
+        for one in past:
+            what = f"it was planned again meanwhile, as job {now[one]}; look at it again"
+            refused[one] = RefusedError(409, Issue("service.release", what))
+        if not made:
+            told = [
+                dataclasses.replace(one, message=f"{panel}: {one.message}")
+                for panel in sorted(refused)
+                for one in refused[panel].issues
+            ]
+            raise RefusedError(409, told)
+        return ElementReleases(
+            releases=[PanelRelease(panel=one, **made[one].model_dump()) for one in shown if one in made],
+            refused=[
+                PanelRefused(panel=one, issues=list(refused[one].issues)) for one in shown if one in refused
+            ],
+        )
+
     def cancel(self, element: str, by: str) -> None:
         """Cancel what of an element waits or runs, as the token ``by`` asks: its division, panels, and a
         report."""
@@ -318,8 +368,9 @@ class Elements:
 def _panels(db: Connection, element: str) -> dict[str, _Panel]:
     """The last job of each panel that was planned, by its id."""
     asked = (
-        select(JOBS, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like)
+        select(JOBS, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like, RELEASES.c.withdrawn, RELEASES.c.number)
         .join_from(ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.job == JOBS.c.id)
+        .outerjoin(RELEASES, LAST_RELEASE)
         .where(ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "panel", JOBS.c.cancel <= CANCELLED)
         .order_by(JOBS.c.created, JOBS.c.id)
     )
@@ -340,6 +391,10 @@ def _panel(row: Mapping[str, Any], planned: _Panel | None, found: progress.Progr
         issues = [Issue.from_dict(one) for one in json.loads(job["issues"])]
         wrong = [one for one in issues if one.severity is Severity.ERROR]
         known = {"job": planned.job, "state": job["state"], "stage": job["stage"]}
+        known["digest"] = job["digest"]
+        if job["state"] == "verified":
+            held = "released" if job["withdrawn"] is None else "withdrawn"
+            known["release"] = "not-released" if job["number"] is None else held
         known["cycle_s"] = json.loads(job["metrics"]).get("cycle_s")
         known["issue"] = wrong[0] if wrong and job["state"] != "verified" else None
     return PanelOut(

@@ -495,7 +495,7 @@ def _release(row: RowMapping) -> Release | None:
     return Release(by=row["release_who"], at=at, note=note, withdrawn=withdrawn)
 
 
-_LAST: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOBS.c.releases)
+LAST_RELEASE: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOBS.c.releases)
 """The last release of a job."""
 _RELEASE: Final = ("who", "at", "note", "withdrawn", "withdrawn_who", "reason")
 """What is told of it with its job."""
@@ -505,7 +505,7 @@ def jobs_to_send() -> Select[Any]:
     """Jobs as the store has them, with what else :func:`job_out` tells."""
     more = [TOKENS.c.name.label("made_by"), *(RELEASES.c[name].label(f"release_{name}") for name in _RELEASE)]
     with_names = select(JOBS, *more).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
-    return with_names.outerjoin(RELEASES, _LAST)
+    return with_names.outerjoin(RELEASES, LAST_RELEASE)
 
 
 def job_row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:

@@ -43,6 +43,10 @@ GOOD: Final[Mapping[str, dict[str, Any]]] = {
     "POST /v1/jobs/{job}/withdraw": {"json": {"reason": "the clamp moved"}},
     "POST /v1/elements/{element}/divide": {"json": {"fields": {"panels.hexagons.count": 26}}},
     "POST /v1/elements/{element}/plan": {"json": {"panels": ["A02"]}},
+    "POST /v1/elements/{element}/release": {
+        "json": {"panels": {"A01": {"job": NOBODY, "digest": NOBODY}}, "note": "north side"}
+    },
+    "POST /v1/drafts/{draft}/sent": {"json": {"version": 1, "job": NOBODY}},
     "POST /v1/drafts": {"files": FILES, "params": {"title": "Gewölbe 3"}},
     "PUT /v1/drafts/{draft}": {"files": FILES, "headers": {"If-Match": "*"}},
     "PATCH /v1/drafts/{draft}": {"json": {"title": "Gewölbe 4"}},
