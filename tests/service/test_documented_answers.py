@@ -37,6 +37,13 @@ GOOD: Final[Mapping[str, dict[str, Any]]] = {
         "files": [("problem", ("p.yaml", named("swept"))), FILES[1]],
         "params": {"field": "name", "value": ["swept_a", "swept_b"]},
     },
+    "POST /v1/batches": {
+        "files": [
+            ("problem", ("p.yaml", named("batch_a"))),
+            ("problem", ("q.yaml", named("batch_b"))),
+            FILES[1],
+        ]
+    },
     "POST /v1/jobs/{job}/links": {"params": {"name": "report.html"}},
     "GET /v1/jobs/{job}/looks/{look}": {"params": LOOK},
     "POST /v1/jobs/{job}/release": {"json": {"note": "cut of Tuesday"}},
