@@ -99,7 +99,7 @@ class Elements:
 
     def create(self, owner: str, upload: Upload, reading: Reading, once: Once | None = None) -> ElementOut:
         """Divide an uploaded element; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
-        return self._divide(owner, upload.problem.sha, upload.files, {}, {}, reading, once)
+        return self._divide(owner, upload.problem.sha, upload.files, {}, {}, None, reading, once)
 
     def change(
         self,
@@ -109,14 +109,15 @@ class Elements:
         reading: Reading,
         once: Once | None = None,
     ) -> ElementOut:
-        """Divide an element anew with fields replaced, as another one with the marks of this one; raises as
-        :meth:`create`."""
+        """Divide an element anew with fields replaced, as another one with the marks of this one, and called
+        as it; raises as :meth:`create`."""
+        _, before = self._jobs.get(element)
         files = self._jobs.files(element)
         prefix = "problem/"
         given = {name.removeprefix(prefix): blob for name, blob in files.items() if name.startswith(prefix)}
         document = given.pop(ELEMENT)
         marks = {MARKS: files[MARKS]} if MARKS in files else {}
-        return self._divide(owner, document.sha, given, fields, marks, reading, once)
+        return self._divide(owner, document.sha, given, fields, marks, before, reading, once)
 
     def _divide(
         self,
@@ -125,20 +126,23 @@ class Elements:
         uploads: Mapping[str, Blob],
         fields: Mapping[str, Any],
         more: Mapping[str, Blob],
+        before: JobOut | None,
         reading: Reading,
         once: Once | None,
     ) -> ElementOut:
         read = self._service.examine_element(sha, uploads, fields, reading)
         of = OfElement("division", about=read.summary)
         files = {**self._service.stored(owner, {ELEMENT: read}, uploads)[ELEMENT], **more}
-        made = self._jobs.create(self._service.new_job(owner, read.name, read, files, of=of), once)
+        new = self._service.new_job(owner, read.name, read, files, of=of)
+        if before is not None:
+            called = {"title": before.title, "tags": tuple(before.tags), "notes": before.notes}
+            new = dataclasses.replace(new, **called)
+        made = self._jobs.create(new, once)
         return self._head(made, json.dumps(read.summary), 0)
 
-    def page(
-        self, owners: Sequence[str], cursor: str | None, count: int
-    ) -> tuple[list[ElementOut], str | None]:
+    def page(self, owners: Sequence[str], wanted: Wanted, count: int) -> tuple[list[ElementOut], str | None]:
         """Elements of the owners as :meth:`planner.service.jobs.Jobs.page` gives jobs."""
-        found, following = self._jobs.page(owners, Wanted(cursor=cursor), count, "division")
+        found, following = self._jobs.page(owners, wanted, count, "division")
         own = [one.id for one in found]
         about = select(ELEMENT_JOBS.c.job, ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job.in_(own))
         planned = (

@@ -99,6 +99,7 @@ class NewJob:
     of: OfElement | None = None
     title: str = ""
     tags: tuple[str, ...] = ()
+    notes: str = ""
     id: str = dataclasses.field(default_factory=lambda: secrets.token_hex(16))
 
 
@@ -165,7 +166,7 @@ class Jobs:
             "timeout_s": new.timeout_s,
             "memory_mb": new.memory_mb,
             "issues": issues_json(new.issues),
-            **finding.described(new.name, new.title, new.tags, ""),
+            **finding.described(new.name, new.title, new.tags, new.notes),
         }
         db.execute(insert(JOBS).values(row))
         put_files(db, job, new.files)

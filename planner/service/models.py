@@ -442,7 +442,7 @@ data. 4: readiness, jobs that are tried again. 5: first looks, lists that are kn
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
 log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks like, maps of a freedom.
 13: drafts, the order of the queue, sweeps, estimates of what is left, links to look. 14: pages of drafts, and
-which of them were sent, releases of panels, several problems at once."""
+which of them were sent, releases of panels, several problems at once, titles of elements."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[

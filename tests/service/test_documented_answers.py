@@ -50,6 +50,7 @@ GOOD: Final[Mapping[str, dict[str, Any]]] = {
     "POST /v1/jobs/{job}/withdraw": {"json": {"reason": "the clamp moved"}},
     "POST /v1/elements/{element}/divide": {"json": {"fields": {"panels.hexagons.count": 26}}},
     "POST /v1/elements/{element}/plan": {"json": {"panels": ["A02"]}},
+    "PATCH /v1/elements/{element}": {"json": {"title": "Gewölbe 3"}},
     "POST /v1/elements/{element}/release": {
         "json": {"panels": {"A01": {"job": NOBODY, "digest": NOBODY}}, "note": "north side"}
     },

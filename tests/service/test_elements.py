@@ -154,6 +154,38 @@ def test_fields_are_changed_by_dividing_anew(here: Elements, dome: dict[str, Any
     assert (third["state"], third["from_store"]) == ("done", True)
 
 
+def test_elements_have_titles_tags_and_notes_and_are_found_by_them(
+    here: Elements, dome: dict[str, Any]
+) -> None:
+    url = f"/v1/elements/{dome['id']}"
+    said = {"title": "Gewölbe ٣", "tags": ["Halle", "قبو"], "notes": "<b>Dienstag</b>"}
+    told = here.http.patch(url, json=said).json()
+    assert {name: told[name] for name in said} == said
+    assert (told["name"], len(told["panels"])) == ("dome", COUNT)
+    for asked, is_found in (
+        ({"search": "gewölbe dienstag"}, True),
+        ({"tag": ["halle", "قبو"]}, True),
+        ({"search": "wand"}, False),
+        ({"tag": "Hall"}, False),
+    ):
+        found = here.http.get("/v1/elements", params=asked).json()["elements"]
+        assert (dome["id"] in [one["id"] for one in found]) is is_found, asked
+    page = here.http.get("/v1/elements?sort=title&limit=1").json()
+    rest = (
+        here.http.get("/v1/elements", params={"sort": "title", "cursor": page["next"]}).json()
+        if page["next"]
+        else {"elements": []}
+    )
+    listed = here.http.get("/v1/elements?limit=200").json()["elements"]
+    assert len(page["elements"] + rest["elements"]) == len(listed)
+    again = here.http.post(f"{url}/divide", json={"fields": {"panels.hexagons.count": 23}}).json()
+    assert {name: again[name] for name in said} == said
+    assert here.http.patch(url, json={"notes": ""}).json()["title"] == "Gewölbe ٣"  # what is left out stays
+    wrong = here.http.patch(url, json={"title": "a\u202eb"})
+    assert (wrong.status_code, codes(wrong)) == (422, [("service.request", "title")])
+    assert here.http.patch(f"/v1/elements/{'0' * 32}", json=said).status_code == 404
+
+
 def test_a_new_division_takes_the_place_of_one_that_runs(here: Elements, dome: dict[str, Any]) -> None:
     here.team.hold.set()
     try:

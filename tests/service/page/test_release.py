@@ -201,7 +201,7 @@ def test_a_link_to_look_is_made_shown_and_withdrawn(
     stranger.close()
 
 
-def test_all_proven_panels_are_released_by_one_act(page: Page, server: str, tmp_path: Path) -> None:
+def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(page: Page, server: str, tmp_path: Path) -> None:
     """What the service does with it is for tests/service/test_elements.py: here it is played."""
     state = {"A01": "verified", "A02": "verified", "A03": "infeasible"}
     said: dict[str, str] = {}
@@ -245,3 +245,22 @@ def test_all_proven_panels_are_released_by_one_act(page: Page, server: str, tmp_
     expect(page.get_by_role("button", name="Release 1 proven panel")).to_be_visible()
     shown = {"job": "ab" * 16, "digest": "cd" * 32}
     assert sent == [{"panels": {"A01": shown, "A02": shown}, "note": "<b>Nordseite</b>", "name": "רות"}]
+    page.get_by_role("button", name="Title, tags, notes").click()
+    ask = page.get_by_role("dialog", name="What people call this element")
+    ask.get_by_label("Title").fill("Gewölbe <b>٣</b>")
+    ask.get_by_label("Tags, with commas between").fill("Halle, قبو")
+    ask.get_by_label("Notes").fill("Dienstag")
+    ask.get_by_role("button", name="Keep").click()
+    expect(page.locator("#name")).to_have_text("Gewölbe <b>٣</b>")
+    expect(page.locator("#job-notes")).to_have_text("Dienstag")
+    page.get_by_role("link", name="Halle").click()
+    names = page.locator(".job-name")
+    expect(names).to_have_text(["Gewölbe <b>٣</b>"])
+    page.get_by_label("Find elements").fill("wand")
+    expect(page.get_by_text("No element is so.")).to_be_visible()
+    page.get_by_label("Find elements").fill("dienstag gewölbe")
+    expect(names).to_have_text(["Gewölbe <b>٣</b>"])
+    expect(page).to_have_url(re.compile("tag=Halle.*search=dienstag"))
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])

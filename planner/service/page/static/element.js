@@ -2,6 +2,7 @@
 import { fileOf, json, post, Refused, remove, Unreachable } from "./api.js";
 import { ask } from "./ask.js";
 import { banner, tell } from "./common.js";
+import { drawDescription, setUpDescription } from "./describe.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { atFields, goTo, issueItem, placeOf, sorted } from "./issues.js";
 import { badge } from "./outcome.js";
@@ -81,11 +82,10 @@ async function drawData() {
 
 function draw() {
   show($("element"), true);
-  document.title = `${element.name} · Tandem`;
-  $("name").textContent = element.name;
+  drawDescription(element, "/ui/elements");
   badge(element.state, $("state"));
   const panels = element.panels ?? [];
-  $("facts").textContent = [divided() ? plural(panels.length, "panel") : null, element.kind, `made ${ago(element.created)}`].filter(Boolean).join(" · ");
+  $("facts").textContent = [element.title ? element.name : null, divided() ? plural(panels.length, "panel") : null, element.kind, `made ${ago(element.created)}`].filter(Boolean).join(" · ");
   const left = panels.filter((panel) => stateOf(panel) === "not_planned").length;
   $("plan").disabled = !left || planning;
   $("plan").textContent = planning ? "Making jobs …" : left && left < panels.length ? `Make jobs of the other ${left}` : left ? `Make jobs of all ${left}` : "All panels have jobs";
@@ -327,6 +327,7 @@ function again(wait) {
   }, wait ?? (under ? SOON + EACH * (element.panels ?? []).length : SELDOM));
 }
 
+setUpDescription(() => element, () => refresh().catch(failed));
 setUpReleasePanels(path, () => element?.panels ?? [], () => refresh().catch(failed));
 $("cancel").prepend(icon("stop"));
 $("delete").prepend(icon("bin"));
