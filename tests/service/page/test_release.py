@@ -201,7 +201,9 @@ def test_a_link_to_look_is_made_shown_and_withdrawn(
     stranger.close()
 
 
-def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(page: Page, server: str, tmp_path: Path) -> None:
+def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(
+    page: Page, server: str, tmp_path: Path
+) -> None:
     """What the service does with it is for tests/service/test_elements.py: here it is played."""
     state = {"A01": "verified", "A02": "verified", "A03": "infeasible"}
     said: dict[str, str] = {}
