@@ -265,12 +265,18 @@ def test_drafts_sweeps_and_links_to_look(served: tuple[Process, str], tmp_path: 
     assert [one["title"] for one in client.drafts()] == ["Greifer"]
 
     problem = small_problem.write(tmp_path)
-    jobs = client.sweep(problem, "operations.0.feed_mm_s", [20, 30.5], "Vorschub ٣", key="sweep-1")
-    assert client.sweep(problem, "operations.0.feed_mm_s", [20, 30.5], "Vorschub ٣", key="sweep-1") == jobs
+    files = {"targets.csv": tmp_path / "targets.csv"}
+
+    def swept(*values: float) -> list[str]:
+        key = None if -1 in values else "sweep-1"
+        return client.sweep(problem, "operations.0.feed_mm_s", values, "Vorschub ٣", files, key)
+
+    jobs = swept(20, 30.5)
+    assert swept(20, 30.5) == jobs
     assert sorted(one["id"] for one in client.jobs(tags=["vorschub ٣"])) == sorted(jobs)
     titles = [client.job(one)["title"].rpartition(": ")[2] for one in jobs]
     assert titles == ["operations.0.feed_mm_s = 20", "operations.0.feed_mm_s = 30.5"]
-    (issue,) = refusal(lambda: client.sweep(problem, "operations.0.feed_mm_s", [20, -1]))
+    (issue,) = refusal(lambda: swept(20, -1))
     assert issue.message.startswith("operations.0.feed_mm_s = -1: ")
     for one in jobs:
         client.cancel(one)
