@@ -135,8 +135,8 @@ class Elements:
         files = {**self._service.stored(owner, {ELEMENT: read}, uploads)[ELEMENT], **more}
         new = self._service.new_job(owner, read.name, read, files, of=of)
         if before is not None:
-            called = {"title": before.title, "tags": tuple(before.tags), "notes": before.notes}
-            new = dataclasses.replace(new, **called)
+            tags = tuple(before.tags)
+            new = dataclasses.replace(new, title=before.title, tags=tags, notes=before.notes)
         made = self._jobs.create(new, once)
         return self._head(made, json.dumps(read.summary), 0)
 

@@ -451,7 +451,7 @@ def _fault(field: str, what: str) -> Issue:
 def documented(problem: Mapping[str, Any], most: int = 1) -> dict[str, Any]:
     """The request body for OpenAPI, of up to ``most`` problems; ``problem`` is the schema of their files."""
     text = {"type": "string", "maxLength": MAX_YAML_BYTES, "description": "the same as YAML or JSON text"}
-    form = {
+    form: dict[str, Any] = {
         "type": "object",
         "required": ["problem"],
         "additionalProperties": False,
