@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
 
-API: Final = 13
+API: Final = 14
 """Number of the service's interface that this client was made for."""
 LINKS_API: Final = 2
 """The interface from which on there are links."""
@@ -61,6 +61,8 @@ AUDIT_API: Final = 10
 """The interface from which on there is a log of who did what."""
 FINDING_API: Final = 11
 """The interface from which on jobs have titles, tags and notes, and are searched."""
+DRAFTS_API: Final = 13
+"""The interface from which on there are drafts, sweeps, and links to look."""
 RELEASE: Final = "release.json"
 """What stands beside the programs, and says whether they are released."""
 PLANNED: Final = ("verified", "unproven")
@@ -205,6 +207,74 @@ class Client:
         query = urllib.parse.urlencode({name: value for name, value in asked.items() if value is not None})
         body, kind = _multipart(*self._bundle(problem, files or {}))
         return str(self._make(f"/v1/jobs?{query}", body, kind, key)["id"])
+
+    def sweep(
+        self,
+        problem: Any,
+        field: str,
+        values: Sequence[Any],
+        tag: str = "sweep",
+        files: Mapping[str, Content] | None = None,
+        key: str | None = None,
+    ) -> list[str]:
+        """Plan a problem with a field (``operations.0.feed_mm_s``) at several values: numbers, truth, words.
+        The ids of the jobs, all or none, which have that ``tag``. ``key`` as of :meth:`submit`."""
+        self._check_key(key)
+        self._want(DRAFTS_API, "sweeps")
+        texts = [one if isinstance(one, str) else json.dumps(one) for one in values]
+        query = urllib.parse.urlencode({"field": field, "value": texts, "tag": tag}, doseq=True)
+        body, kind = _multipart(*self._bundle(problem, files or {}))
+        return [str(one["id"]) for one in self._make(f"/v1/sweeps?{query}", body, kind, key)["jobs"]]
+
+    def keep_draft(
+        self, problem: Any, title: str = "", kind: str = "draft", files: Mapping[str, Content] | None = None
+    ) -> dict[str, Any]:
+        """Keep a problem as it is, right or wrong, or a ``kind``: draft, cell, tool or template. Its ``id``
+        and ``version``, from 1."""
+        self._want(DRAFTS_API, "drafts")
+        asked = urllib.parse.urlencode({"title": title, "kind": kind})
+        return self._upload(f"/v1/drafts?{asked}", problem, files)
+
+    def save_draft(
+        self,
+        draft: str,
+        version: int,
+        problem: Any,
+        files: Mapping[str, Content] | None = None,
+        without: Sequence[str] = (),
+    ) -> dict[str, Any]:
+        """The next version of a draft, for who has ``version``: the problem, ``files`` that are new, and
+        those of before but ``without`` some. Raises ``TandemError``: ``service.draft`` where somebody else
+        has saved it since."""
+        self._want(DRAFTS_API, "drafts")
+        asked = urllib.parse.urlencode({"without": list(without)}, doseq=True)
+        body, kind = _multipart(*self._bundle(problem, files or {}))
+        headers = {"Content-Type": kind, "If-Match": f'"{version}"'}
+        return self._read_json(self._request(_of(draft, f"?{asked}", "drafts"), body, headers, "PUT"))
+
+    def drafts(self, kind: str | None = None) -> Iterator[dict[str, Any]]:
+        """Drafts of the token and of its team, or those of a ``kind``, what was changed last first."""
+        self._want(DRAFTS_API, "drafts")
+        asked = {"limit": "200", **({} if kind is None else {"kind": kind})}
+        while True:
+            page = self._json(f"/v1/drafts?{urllib.parse.urlencode(asked)}")
+            yield from page["drafts"]
+            if page.get("next") is None:
+                return
+            asked["cursor"] = str(page["next"])
+
+    def draft(self, draft: str, version: int | None = None) -> tuple[bytes, dict[str, bytes]]:
+        """Text and files of a draft as it is, or as it was."""
+        self._want(DRAFTS_API, "drafts")
+        number = self._json(_of(draft, kind="drafts"))["version"] if version is None else version
+        own = _of(draft, f"/versions/{number}", "drafts")
+        names = [one["name"] for one in self._json(own)["files"]]
+        files = {name: self._request(f"{own}/files/{urllib.parse.quote(name)}") for name in names}
+        return self._request(f"{own}/problem"), files
+
+    def delete_draft(self, draft: str) -> None:
+        """Delete a draft with its versions."""
+        self._request(_of(draft, kind="drafts"), method="DELETE")
 
     def job(self, job: str) -> dict[str, Any]:
         """State, stage and ``fraction`` of it, issues and figures of a job, at once."""
@@ -377,6 +447,20 @@ class Client:
         self._want(LINKS_API, "links")
         asked = urllib.parse.urlencode({"name": name, "seconds": seconds})
         return f"{self._url}{self._json(_of(job, f'/links?{asked}'), method='POST')['path']}"
+
+    def look(self, job: str, seconds: int = 7 * 86400) -> str:
+        """The address of a page that shows a job to whoever has it, and nothing else, for so long."""
+        self._want(DRAFTS_API, "links to look")
+        return f"{self._url}{self._json(_of(job, f'/looks?seconds={seconds}'), method='POST')['path']}"
+
+    def looks(self, job: str) -> list[dict[str, Any]]:
+        """The links to look at a job that are good: ``id``, ``by`` whom, and when it ``expires``."""
+        self._want(DRAFTS_API, "links to look")
+        return list(self._json(_of(job, "/looks"))["links"])
+
+    def withdraw_look(self, job: str, look: str) -> None:
+        """Withdraw a link to look, by its ``id``."""
+        self._request(_of(job, f"/looks/{urllib.parse.quote(look, safe='')}"), method="DELETE")
 
     def _issue(self, data: Mapping[str, Any]) -> Any:
         """An issue as it was sent."""

@@ -135,6 +135,19 @@ class Revoke(_Store):
 
 
 @dataclasses.dataclass(frozen=True)
+class Drafts(_Store):
+    """List what a token keeps as drafts, cells, tools and templates, or pass that on, or delete it: of who
+    left, and of a token that was revoked."""
+
+    name: tyro.conf.Positional[str]
+    """whose they are"""
+    to: str | None = None
+    """name of the token that gets all of them"""
+    delete: bool = False
+    """delete all of them"""
+
+
+@dataclasses.dataclass(frozen=True)
 class Audit(_Store):
     """List who submitted, cancelled, deleted, released, withdrew, downloaded programs and made links, the
     newest first."""
@@ -143,7 +156,7 @@ class Audit(_Store):
     """of this job alone, by its id"""
     act: tuple[str, ...] = ()
     """these acts alone: submitted, cancelled, retried, deleted, released, withdrew, downloaded, linked,
-    unlinked"""
+    unlinked, passed"""
     most: int = 100
     """so many entries"""
     json: bool = False
@@ -175,6 +188,7 @@ Token = tyro.conf.OmitSubcommandPrefixes[
     Annotated[Add, tyro.conf.subcommand("add")]
     | Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Revoke, tyro.conf.subcommand("revoke")]
+    | Annotated[Drafts, tyro.conf.subcommand("drafts")]
 ]
 
 
@@ -238,9 +252,9 @@ def _oidc(asked: Serve, issuer: str) -> Oidc:
     return oidc.read(issuer, *given, asked.oidc_scope)
 
 
-def token(asked: Add | List | Revoke) -> None:
+def token(asked: Add | List | Revoke | Drafts) -> None:
     """Make, list or end tokens; raises ``TandemError``."""
-    database = _opened(asked, make=True)
+    database = _opened(asked, make=not isinstance(asked, Drafts))
     from planner.service.security import Auth
 
     auth = Auth(database)
@@ -250,12 +264,33 @@ def token(asked: Add | List | Revoke) -> None:
     elif isinstance(asked, Revoke):
         auth.revoke(asked.name)
         out.print(f"{asked.name}: revoked", highlight=False)
+    elif isinstance(asked, Drafts):
+        _drafts(asked, database)
     else:
         table = Table("name", "role", "team", "made", "ends", "revoked")
         for known in auth.list():
             times = (_moment(one) for one in (known.created, known.expires, known.revoked))
             table.add_row(known.name, known.role, known.team or "", *times)
         out.print(table)
+
+
+def _drafts(asked: Drafts, database: Database) -> None:
+    from planner.service.drafts import Drafts as Kept
+    from planner.service.models import moment, utc
+    from planner.service.security import Limits
+
+    kept = Kept(database, Limits())
+    if asked.delete and asked.to is not None:
+        raise TandemError(
+            Issue("service.token", "to: it is either --to or --delete; leave one out", field="to")
+        )
+    if asked.delete or asked.to is not None:
+        count = kept.pass_on(asked.name, asked.to)
+        done = "deleted" if asked.to is None else f"passed to {asked.to}"
+        _tell(f"{asked.name}: {count} drafts, cells, tools and templates {done}")
+    else:
+        for row in kept.of_token(asked.name):
+            _tell(f"{row['id']}  {moment(utc(row['changed']))}  {row['kind']}  {row['title']}")
 
 
 def audit(asked: Audit) -> None:

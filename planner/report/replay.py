@@ -93,7 +93,7 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
         "<p id='none' hidden>This browser draws no 3D (WebGL 2).</p></main>"
         f"<footer>{time_bar(problem.name, run, clock, plan.duration or None)}</footer>"
         f"{embedded('film', data)}<script>{view3d.three()}</script>"
-        f"<script>{view3d.script(script, view3d.THREE_MODULES)}</script></body></html>\n"
+        f"<script>{view3d.script(script, view3d.FILM_MODULES)}</script></body></html>\n"
     )
 
 

@@ -16,7 +16,18 @@ from planner.issues import Issue
 from planner.service.answers import stored_file
 from planner.service.drafts import tag_of, unknown_draft
 from planner.service.models import FileOut, Sent, utc
-from planner.service.routes import ASKED, JOB_ID, PARTS, UPLOADED, Asker, Caller, Here, refusals
+from planner.service.routes import (
+    ASKED,
+    CURSOR,
+    JOB_ID,
+    PARTS,
+    UPLOADED,
+    Asker,
+    Caller,
+    Here,
+    job_of,
+    refusals,
+)
 from planner.service.security import RefusedError
 from planner.service.storage import Blob, documented, take_upload
 from planner.service.texts import Line, described, read_body
@@ -39,6 +50,8 @@ class DraftOut(Sent):
     by: str = Field(description="name of the token that made it")
     created: dt.datetime
     changed: dt.datetime
+    sent: int | None = Field(None, description="the version that was planned last; what is newer was not")
+    job: str | None = Field(None, description="the job that it was planned as, while there is that")
 
 
 class VersionOut(Sent):
@@ -57,9 +70,10 @@ class DraftVersions(DraftOut):
 
 
 class DraftList(Sent):
-    """Drafts, what was changed last first."""
+    """A page of drafts, what was changed last first; ``next`` is the ``cursor`` of the page that follows."""
 
     drafts: list[DraftOut]
+    next: str | None = None
 
 
 class DraftContent(Sent):
@@ -74,6 +88,14 @@ class Titled(Sent):
 
     model_config = ConfigDict(extra="forbid")
     title: Line
+
+
+class Planned(Sent):
+    """The job that a version was sent as."""
+
+    model_config = ConfigDict(extra="forbid")
+    version: int = Field(ge=1, lt=2**31)
+    job: str = Field(pattern=JOB_ID.pattern, max_length=32)
 
 
 def own_draft(draft: str, owner: Caller, who: Asker, here: Here) -> str:
@@ -118,11 +140,12 @@ def page(
     here: Here,
     kind: Annotated[list[DraftKind] | None, Query(description="these kinds alone")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 200,
+    cursor: CURSOR = None,
 ) -> DraftList:
-    """Yours and those of your team."""
+    """Yours and those of your team, a page at a time."""
     del owner
-    rows = here.drafts.list(here.auth.owners(who), kind or (), limit)
-    return DraftList(drafts=[_told(row) for row in rows])
+    rows, following = here.drafts.page(here.auth.owners(who), kind or (), limit, cursor)
+    return DraftList(drafts=[_told(row) for row in rows], next=following)
 
 
 @router.get("/{draft}", responses=refusals(404), summary="A draft with its versions")
@@ -185,6 +208,20 @@ async def rename(request: Request, response: Response, found: OwnDraft, here: He
     return _told(await anyio.to_thread.run_sync(here.drafts.rename, found, given.title), response)
 
 
+@router.post(
+    "/{draft}/sent",
+    responses=refusals(404, 413, 422),
+    openapi_extra=described(Planned),
+    summary="Note that a draft was sent",
+)
+async def sent(request: Request, response: Response, found: OwnDraft, who: Asker, here: Here) -> DraftOut:
+    """``{"version": 3, "job": "24d8..."}``: so the draft is no unsent work any more, until it is changed."""
+    given = await read_body(request, Planned)
+    await anyio.to_thread.run_sync(job_of, given.job, who, here)
+    row = await anyio.to_thread.run_sync(here.drafts.mark_sent, found, given.version, given.job)
+    return _told(row, response)
+
+
 @router.delete("/{draft}", responses=refusals(404), status_code=204, summary="Delete a draft")
 def delete(found: OwnDraft, owner: Caller, here: Here) -> Response:
     """With all its versions."""
@@ -236,6 +273,7 @@ def _told(row: RowMapping, response: Response | None = None) -> DraftOut:
     if response is not None:
         response.headers["ETag"] = tag_of(row)
     known |= {"created": utc(row["created"]), "changed": utc(row["changed"]), "by": row["made_by"]}
+    known |= {"sent": row["sent"], "job": row["sent_as"]}
     return DraftOut(**known)
 
 

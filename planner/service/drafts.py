@@ -12,13 +12,24 @@ import secrets
 from collections.abc import Sequence
 from typing import Any, Final
 
-from sqlalchemy import Connection, RowMapping, delete, func, insert, select, update
+from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, or_, outerjoin, select, update
 
-from planner.issues import Issue
+from planner.issues import Issue, TandemError
 from planner.reading.strict_yaml import MAX_YAML_BYTES
 from planner.service import audit
 from planner.service.jobs import job_files, put_files
-from planner.service.models import DRAFT_VERSIONS, DRAFTS, FILES, TOKENS, Database, moment, utc
+from planner.service.models import (
+    CANCELLED,
+    DRAFT_VERSIONS,
+    DRAFTS,
+    FILES,
+    JOBS,
+    TOKENS,
+    Act,
+    Database,
+    moment,
+    utc,
+)
 from planner.service.security import LOCAL, MB, Limits, RefusedError, Who, too_large
 from planner.service.storage import Blob, Upload
 
@@ -26,6 +37,8 @@ VERSIONS: Final = 100
 """So many versions of a draft are kept, the newest."""
 UNTITLED: Final = "Draft"
 """What a draft is called whose title is empty."""
+OPERATOR: Final = "who runs the service"
+"""In whose name drafts of a token are passed on or deleted by the command line."""
 
 
 class Drafts:
@@ -88,14 +101,19 @@ class Drafts:
             db.execute(update(DRAFTS).where(DRAFTS.c.id == draft).values(title=title or UNTITLED))
             return draft_row(db, draft)
 
+    def mark_sent(self, draft: str, number: int, job: str) -> RowMapping:
+        """Note that a version was sent as that job; raises :class:`RefusedError`, 404."""
+        with self._database.write() as db:
+            version_row(db, draft, number)
+            db.execute(update(DRAFTS).where(DRAFTS.c.id == draft).values(sent=number, job=job))
+            return draft_row(db, draft)
+
     def delete(self, draft: str, by: str) -> None:
         """Delete a draft with its versions; raises :class:`RefusedError`, 404."""
         with self._database.write() as db:
             self._database.one_at_a_time(db, draft)
             row = draft_row(db, draft)
-            db.execute(delete(DRAFT_VERSIONS).where(DRAFT_VERSIONS.c.draft == draft))
-            db.execute(delete(FILES).where(FILES.c.job == draft))
-            db.execute(delete(DRAFTS).where(DRAFTS.c.id == draft))
+            _remove(db, draft)
             said = {"name": row["title"], "kind": row["kind"]}
             audit.note(self._database, db, by, "deleted", draft, said)
 
@@ -114,14 +132,50 @@ class Drafts:
             blobs = job_files(db, draft)
         return blobs[row["problem"]], {name: blobs[sha] for name, sha in _files_of(row).items()}
 
-    def list(self, owners: Sequence[str], kinds: Sequence[str], most: int) -> Sequence[RowMapping]:
-        """Drafts of the owners, what was changed last first."""
+    def page(
+        self, owners: Sequence[str], kinds: Sequence[str], count: int, cursor: str | None = None
+    ) -> tuple[list[RowMapping], str | None]:
+        """Up to ``count`` drafts of the owners, what was changed last first, behind the ``cursor`` of the
+        page before; and the cursor behind which more follow, if any do."""
         query = _with_names().where(DRAFTS.c.owner.in_(owners))
         if kinds:
             query = query.where(DRAFTS.c.kind.in_(kinds))
-        query = query.order_by(DRAFTS.c.changed.desc(), DRAFTS.c.id).limit(most)
+        if cursor is not None:  # that draft may have been changed since, or deleted
+            at, draft = float(cursor.split("-")[0]), cursor.split("-")[1]
+            older = and_(DRAFTS.c.changed == at, DRAFTS.c.id < draft)
+            query = query.where(or_(DRAFTS.c.changed < at, older))
+        query = query.order_by(DRAFTS.c.changed.desc(), DRAFTS.c.id.desc()).limit(count + 1)
         with self._database.read() as db:
-            return db.execute(query).mappings().all()
+            rows = list(db.execute(query).mappings())
+        more = len(rows) > count
+        return rows[:count], f"{rows[count - 1]['changed']!r}-{rows[count - 1]['id']}" if more else None
+
+    def of_token(self, name: str) -> Sequence[RowMapping]:
+        """All drafts of the token of that name, also of one that is over, the newest first. Raises
+        ``TandemError`` where there is no such token."""
+        with self._database.read() as db:
+            own = DRAFTS.c.owner == token_named(db, name)
+            return db.execute(_with_names().where(own).order_by(DRAFTS.c.changed.desc())).mappings().all()
+
+    def pass_on(self, name: str, to: str | None) -> int:
+        """Give all drafts of the token of that name to the one called ``to``, or delete them; how many they
+        were. It is who runs the service that does so: no limit of the other token holds. Raises
+        ``TandemError`` where there is no such token."""
+        with self._database.write() as db:
+            owner = token_named(db, name)
+            other = None if to is None else token_named(db, to)
+            rows = db.execute(select(DRAFTS).where(DRAFTS.c.owner == owner)).mappings().all()
+            for row in rows:
+                self._database.one_at_a_time(db, row["id"])
+                if other is None:
+                    _remove(db, row["id"])
+            if other is not None:
+                db.execute(update(DRAFTS).where(DRAFTS.c.owner == owner).values(owner=other))
+            for row in rows:
+                said = {"name": row["title"], "kind": row["kind"]} | ({} if to is None else {"to": to})
+                act: Act = "deleted" if to is None else "passed"
+                audit.note(self._database, db, owner, act, row["id"], said, OPERATOR)
+            return len(rows)
 
     def owner(self, draft: str) -> str | None:
         """Whose draft it is; None where there is none."""
@@ -169,9 +223,26 @@ def version_row(db: Connection, draft: str, number: int) -> RowMapping:
     return row
 
 
+def token_named(db: Connection, name: str) -> str:
+    """The identifier of the token of that name, also of one that is over. Raises ``TandemError``."""
+    found: str | None = db.execute(select(TOKENS.c.id).where(TOKENS.c.name == name)).scalar()
+    if found is None:
+        what = f"name: got {name[:80]!r}; there is no token of that name: list them with tandem token list"
+        raise TandemError(Issue("service.token", what, field="name"))
+    return found
+
+
+def _remove(db: Connection, draft: str) -> None:
+    db.execute(delete(DRAFT_VERSIONS).where(DRAFT_VERSIONS.c.draft == draft))
+    db.execute(delete(FILES).where(FILES.c.job == draft))
+    db.execute(delete(DRAFTS).where(DRAFTS.c.id == draft))
+
+
 def _with_names() -> Any:
-    more = func.coalesce(TOKENS.c.name, LOCAL).label("made_by")
-    return select(DRAFTS, more).outerjoin_from(DRAFTS, TOKENS, DRAFTS.c.owner == TOKENS.c.id)
+    more = (func.coalesce(TOKENS.c.name, LOCAL).label("made_by"), JOBS.c.id.label("sent_as"))
+    named = outerjoin(DRAFTS, TOKENS, DRAFTS.c.owner == TOKENS.c.id)
+    there = and_(DRAFTS.c.job == JOBS.c.id, JOBS.c.cancel <= CANCELLED)
+    return select(DRAFTS, *more).select_from(outerjoin(named, JOBS, there))
 
 
 def _files_of(version: RowMapping) -> dict[str, str]:

@@ -3,7 +3,7 @@ state are those of ``/v1/jobs/ID``."""
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Query, Request, Response
@@ -11,6 +11,8 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from planner.issues import Issue
 from planner.service import idempotency
 from planner.service.answers import tagged
+from planner.service.finding import Wanted
+from planner.service.finding_routes import Describing
 from planner.service.logs import about
 from planner.service.models import (
     Change,
@@ -24,21 +26,22 @@ from planner.service.models import (
 )
 from planner.service.routes import (
     ASKED,
-    CURSOR,
     JOB_ID,
     KNOWN,
+    LIST_CURSOR,
     PAGE_SIZE,
     UPLOADED,
     Asker,
     Caller,
     Here,
     Key,
+    Tag,
     refusals,
 )
 from planner.service.security import RefusedError, Who
 from planner.service.service import Service
 from planner.service.storage import documented, take_upload
-from planner.service.texts import described, read_body
+from planner.service.texts import Line, described, read_body
 
 router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=ASKED)
 _FILE: Final = {"type": "object", "description": "an element file as data; see docs/element.md"}
@@ -93,12 +96,18 @@ def page(
     who: Asker,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
-    cursor: CURSOR = None,
+    cursor: LIST_CURSOR = None,
+    search: Annotated[Line, Query(description="all of these words in name, title, tags or notes")] = "",
+    tag: Annotated[list[Tag] | None, Query(max_length=10, description="with all of these tags")] = None,
+    sort: Annotated[
+        Literal["newest", "oldest", "title"], Query(description="when made, or title or name")
+    ] = "newest",
 ) -> Response:
-    """Yours and those of your team, the newest first, a page at a time; 304 for who asks again with
-    ``If-None-Match`` and has it as it is."""
+    """Yours and those of your team, a page at a time; 304 for who asks again with ``If-None-Match`` and has
+    it as it is."""
     del owner
-    found, following = here.elements.page(here.auth.owners(who), cursor, limit)
+    wanted = Wanted((), search, tag or (), sort, cursor)
+    found, following = here.elements.page(here.auth.owners(who), wanted, limit)
     return tagged(request, ElementList(elements=found, next=following))
 
 
@@ -111,6 +120,20 @@ def page(
 def get(found: OwnElement, here: Here) -> ElementPanels:
     """State of the division, of each panel, and how far it is made."""
     return here.elements.get(found)
+
+
+@router.patch(
+    "/elements/{element}",
+    responses=refusals(404, 413, 422),
+    openapi_extra=described(Describing),
+    response_model_exclude_none=True,
+    summary="Give an element a title, tags, notes",
+)
+async def describe(request: Request, found: OwnElement, here: Here) -> ElementPanels:
+    """As a job; an element that is divided anew keeps them."""
+    given = await read_body(request, Describing)
+    await anyio.to_thread.run_sync(here.jobs.describe, found, given.change())
+    return await anyio.to_thread.run_sync(here.elements.get, found)
 
 
 @router.post(

@@ -7,6 +7,7 @@ where panels are marked. The store has which jobs are those of its panels.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import hashlib
 import io
@@ -26,20 +27,34 @@ from planner.issues import Issue, Severity, TandemError
 from planner.service import audit, idempotency
 from planner.service.finding import Wanted
 from planner.service.idempotency import Once
-from planner.service.jobs import NewJob, OfElement, job_files, job_out, job_row, put_files, remove
+from planner.service.jobs import (
+    LAST_RELEASE,
+    NewJob,
+    OfElement,
+    job_files,
+    job_out,
+    job_row,
+    put_files,
+    remove,
+)
 from planner.service.models import (
     CANCELLED,
     ELEMENT_JOBS,
     JOBS,
     MARKS,
     OPEN,
+    RELEASES,
     ElementOut,
     ElementPanels,
+    ElementReleases,
     JobOut,
     Mark,
     PanelOut,
+    PanelRefused,
+    PanelRelease,
+    Shown,
 )
-from planner.service.security import RefusedError
+from planner.service.security import RefusedError, Who
 from planner.service.storage import Blob, Upload
 from planner.service.upload_processes import Examined, Reading
 
@@ -84,7 +99,7 @@ class Elements:
 
     def create(self, owner: str, upload: Upload, reading: Reading, once: Once | None = None) -> ElementOut:
         """Divide an uploaded element; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
-        return self._divide(owner, upload.problem.sha, upload.files, {}, {}, reading, once)
+        return self._divide(owner, upload.problem.sha, upload.files, {}, {}, None, reading, once)
 
     def change(
         self,
@@ -94,14 +109,15 @@ class Elements:
         reading: Reading,
         once: Once | None = None,
     ) -> ElementOut:
-        """Divide an element anew with fields replaced, as another one with the marks of this one; raises as
-        :meth:`create`."""
+        """Divide an element anew with fields replaced, as another one with the marks of this one, and called
+        as it; raises as :meth:`create`."""
+        _, before = self._jobs.get(element)
         files = self._jobs.files(element)
         prefix = "problem/"
         given = {name.removeprefix(prefix): blob for name, blob in files.items() if name.startswith(prefix)}
         document = given.pop(ELEMENT)
         marks = {MARKS: files[MARKS]} if MARKS in files else {}
-        return self._divide(owner, document.sha, given, fields, marks, reading, once)
+        return self._divide(owner, document.sha, given, fields, marks, before, reading, once)
 
     def _divide(
         self,
@@ -110,20 +126,23 @@ class Elements:
         uploads: Mapping[str, Blob],
         fields: Mapping[str, Any],
         more: Mapping[str, Blob],
+        before: JobOut | None,
         reading: Reading,
         once: Once | None,
     ) -> ElementOut:
         read = self._service.examine_element(sha, uploads, fields, reading)
         of = OfElement("division", about=read.summary)
         files = {**self._service.stored(owner, {ELEMENT: read}, uploads)[ELEMENT], **more}
-        made = self._jobs.create(self._service.new_job(owner, read.name, read, files, of=of), once)
+        new = self._service.new_job(owner, read.name, read, files, of=of)
+        if before is not None:
+            tags = tuple(before.tags)
+            new = dataclasses.replace(new, title=before.title, tags=tags, notes=before.notes)
+        made = self._jobs.create(new, once)
         return self._head(made, json.dumps(read.summary), 0)
 
-    def page(
-        self, owners: Sequence[str], cursor: str | None, count: int
-    ) -> tuple[list[ElementOut], str | None]:
+    def page(self, owners: Sequence[str], wanted: Wanted, count: int) -> tuple[list[ElementOut], str | None]:
         """Elements of the owners as :meth:`planner.service.jobs.Jobs.page` gives jobs."""
-        found, following = self._jobs.page(owners, Wanted(cursor=cursor), count, "division")
+        found, following = self._jobs.page(owners, wanted, count, "division")
         own = [one.id for one in found]
         about = select(ELEMENT_JOBS.c.job, ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job.in_(own))
         planned = (
@@ -213,6 +232,41 @@ class Elements:
                 owner, f"{name}-{one}", read[one], stored[one], of=of, after=key
             )
         return self._jobs.create_all(list(made.values()), once)
+
+    def release(
+        self, element: str, shown: Mapping[str, Shown], who: Who, name: str | None, note: str
+    ) -> ElementReleases:
+        """Release the programs of panels by one act, each as it was ``shown``: those that are proven, not
+        released, and still what was shown; the others are refused by name. Raises :class:`RefusedError`: 404,
+        409 where none can be released, 422."""
+        self._divided(element)
+        with self._database.read() as db:
+            now = {panel: one.job for panel, one in _panels(db, element).items()}
+        strange = sorted(shown.keys() - now.keys())
+        if strange:
+            what = (
+                f"panels: got {', '.join(one[:32] for one in strange[:5])}, of which no panel has a job here"
+            )
+            raise RefusedError(422, Issue("service.request", f"{what}; see its list", field="panels"))
+        past = {one for one, of in shown.items() if of.job != now[one]}
+        good = {one: of for one, of in shown.items() if one not in past}
+        made, refused = self._service.releases.release_panels(element, good, who, name, note)
+        for one in past:
+            what = f"it was planned again meanwhile, as job {now[one]}; look at it again"
+            refused[one] = RefusedError(409, Issue("service.release", what))
+        if not made:
+            told = [
+                dataclasses.replace(one, message=f"{panel}: {one.message}")
+                for panel in sorted(refused)
+                for one in refused[panel].issues
+            ]
+            raise RefusedError(409, told)
+        return ElementReleases(
+            releases=[PanelRelease(panel=one, **made[one].model_dump()) for one in shown if one in made],
+            refused=[
+                PanelRefused(panel=one, issues=list(refused[one].issues)) for one in shown if one in refused
+            ],
+        )
 
     def cancel(self, element: str, by: str) -> None:
         """Cancel what of an element waits or runs, as the token ``by`` asks: its division, panels, and a
@@ -318,8 +372,9 @@ class Elements:
 def _panels(db: Connection, element: str) -> dict[str, _Panel]:
     """The last job of each panel that was planned, by its id."""
     asked = (
-        select(JOBS, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like)
+        select(JOBS, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like, RELEASES.c.withdrawn, RELEASES.c.number)
         .join_from(ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.job == JOBS.c.id)
+        .outerjoin(RELEASES, LAST_RELEASE)
         .where(ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "panel", JOBS.c.cancel <= CANCELLED)
         .order_by(JOBS.c.created, JOBS.c.id)
     )
@@ -340,6 +395,10 @@ def _panel(row: Mapping[str, Any], planned: _Panel | None, found: progress.Progr
         issues = [Issue.from_dict(one) for one in json.loads(job["issues"])]
         wrong = [one for one in issues if one.severity is Severity.ERROR]
         known = {"job": planned.job, "state": job["state"], "stage": job["stage"]}
+        known["digest"] = job["digest"]
+        if job["state"] == "verified":
+            held = "released" if job["withdrawn"] is None else "withdrawn"
+            known["release"] = "not-released" if job["number"] is None else held
         known["cycle_s"] = json.loads(job["metrics"]).get("cycle_s")
         known["issue"] = wrong[0] if wrong and job["state"] != "verified" else None
     return PanelOut(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import anyio.to_thread
 from fastapi import APIRouter, Request
@@ -24,6 +24,10 @@ class Describing(Sent):
     tags: list[Tag] | None = Field(None, max_length=20)
     notes: Lines | None = None
 
+    def change(self) -> dict[str, Any]:
+        """What is said, by its name."""
+        return {name: value for name, value in self.model_dump().items() if value is not None}
+
 
 class Deleting(Sent):
     """Jobs to be deleted."""
@@ -43,8 +47,7 @@ async def describe(request: Request, found: OwnJob, here: Here) -> JobOut:
     """What people call it, beside the name that its problem has: ``{"title": "Gewölbe 3", "tags": ["dome"],
     "notes": "..."}``. What is left out stays as it is."""
     given = await read_body(request, Describing)
-    change = {name: value for name, value in given.model_dump().items() if value is not None}
-    return await anyio.to_thread.run_sync(here.jobs.describe, found.id, change)
+    return await anyio.to_thread.run_sync(here.jobs.describe, found.id, given.change())
 
 
 @router.post(

@@ -99,6 +99,7 @@ class NewJob:
     of: OfElement | None = None
     title: str = ""
     tags: tuple[str, ...] = ()
+    notes: str = ""
     id: str = dataclasses.field(default_factory=lambda: secrets.token_hex(16))
 
 
@@ -165,7 +166,7 @@ class Jobs:
             "timeout_s": new.timeout_s,
             "memory_mb": new.memory_mb,
             "issues": issues_json(new.issues),
-            **finding.described(new.name, new.title, new.tags, ""),
+            **finding.described(new.name, new.title, new.tags, new.notes),
         }
         db.execute(insert(JOBS).values(row))
         put_files(db, job, new.files)
@@ -495,7 +496,7 @@ def _release(row: RowMapping) -> Release | None:
     return Release(by=row["release_who"], at=at, note=note, withdrawn=withdrawn)
 
 
-_LAST: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOBS.c.releases)
+LAST_RELEASE: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOBS.c.releases)
 """The last release of a job."""
 _RELEASE: Final = ("who", "at", "note", "withdrawn", "withdrawn_who", "reason")
 """What is told of it with its job."""
@@ -505,7 +506,7 @@ def jobs_to_send() -> Select[Any]:
     """Jobs as the store has them, with what else :func:`job_out` tells."""
     more = [TOKENS.c.name.label("made_by"), *(RELEASES.c[name].label(f"release_{name}") for name in _RELEASE)]
     with_names = select(JOBS, *more).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
-    return with_names.outerjoin(RELEASES, _LAST)
+    return with_names.outerjoin(RELEASES, LAST_RELEASE)
 
 
 def job_row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:

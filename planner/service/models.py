@@ -255,9 +255,12 @@ DRAFTS: Final = Table(
     Column("version", Integer, nullable=False),
     Column("created", Float, nullable=False),
     Column("changed", Float, nullable=False),
+    Column("job", String(32)),
+    Column("sent", Integer),
 )
 """Problems in the making, and cells, tools and templates that people keep, by ``kind``; the number of the
-last ``version``. Their content is in `FILES`, by its hash, under the draft's id."""
+last ``version``, and the one that was ``sent`` last, with its ``job``. Their content is in `FILES`, by its
+hash, under the draft's id."""
 
 DRAFT_VERSIONS: Final = Table(
     "tandem_draft_versions",
@@ -433,12 +436,13 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 13
+API: Final = 14
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
 log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks like, maps of a freedom.
-13: drafts, the order of the queue, sweeps, estimates of what is left, links to look."""
+13: drafts, the order of the queue, sweeps, estimates of what is left, links to look. 14: pages of drafts, and
+which of them were sent, releases of panels, several problems at once, titles of elements."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -469,7 +473,16 @@ jobs, and to hand links out; to release programs."""
 Sort = Literal["newest", "oldest", "title", "turn"]
 Mark = Literal["cut", "glued", "broken"]
 Act = Literal[
-    "submitted", "cancelled", "retried", "deleted", "released", "withdrew", "downloaded", "linked", "unlinked"
+    "submitted",
+    "cancelled",
+    "retried",
+    "deleted",
+    "released",
+    "withdrew",
+    "downloaded",
+    "linked",
+    "unlinked",
+    "passed",
 ]
 
 
@@ -553,6 +566,34 @@ class JobOut(Sent):
     release: Release | None = Field(None, description="the last release")
 
 
+class Shown(Sent):
+    """The job of a panel as it was shown to who releases it."""
+
+    model_config = ConfigDict(extra="forbid")
+    job: str = Field(pattern="^[0-9a-f]{32}$", max_length=32)
+    digest: str = Field(max_length=64, description="`digest` of the panel")
+
+
+class PanelRelease(ReleaseOut):
+    """The release of the job of a panel."""
+
+    panel: str
+
+
+class PanelRefused(Sent):
+    """Why a panel was not released."""
+
+    panel: str
+    issues: list[Issue]
+
+
+class ElementReleases(Sent):
+    """What one act released of an element, and what it did not."""
+
+    releases: list[PanelRelease]
+    refused: list[PanelRefused]
+
+
 class Deleted(Sent):
     """Which of the jobs that were to be deleted were, and which there are not."""
 
@@ -593,7 +634,11 @@ class PanelOut(Sent):
     block: str = Field("", description="the raw block that this is cut from")
     cut_min: dict[str, float] = Field({}, description="estimate of the cuts alone [min], by arm")
     job: str | None = Field(None, description="the job that plans it")
+    digest: str | None = Field(None, description="SHA-256 over the values and files of its problem")
     state: State | Literal["not_planned"] = "not_planned"
+    release: Literal["not-released", "released", "withdrawn"] | None = Field(
+        None, description="of its programs, where they are proven"
+    )
     stage: str = ""
     cycle_s: float | None = Field(None, description="time from first to last target [s]")
     issue: Issue | None = Field(None, description="the first of what stands in its way")

@@ -1,4 +1,5 @@
-"""The API's routes of the queue: whose turn it is, a sweep of a field, how long a job may still take."""
+"""The API's routes of the queue: whose turn it is, a sweep of a field, several problems
+at once, how long a job may still take."""
 
 from __future__ import annotations
 
@@ -27,12 +28,12 @@ from planner.service.routes import (
     refusals,
 )
 from planner.service.security import RefusedError
-from planner.service.storage import take_upload
+from planner.service.storage import documented, take_upload, take_uploads
 from planner.service.texts import Line
 
 router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=ASKED)
 MOST_VALUES: Final = 50
-"""Values of a sweep."""
+"""Values of a sweep, problems of a batch."""
 Scalar = Annotated[Line, Query()]
 
 
@@ -95,6 +96,34 @@ async def sweep(
     if not jobs:
         jobs = await here.in_turn(
             request, owner, lambda reading: here.sweep(owner, upload, field, values, tag, reading, once)
+        )
+    return JobList(jobs=jobs)
+
+
+@router.post(
+    "/batches",
+    status_code=201,
+    response_model_exclude_none=True,
+    responses=UPLOADED,
+    openapi_extra={"requestBody": documented({"$ref": "#/components/schemas/ProblemFile"}, MOST_VALUES)},
+    summary="Plan several problems",
+)
+async def batch(
+    request: Request,
+    owner: Caller,
+    here: Here,
+    key: Key,
+    tag: Annotated[Tag, Query(description="a tag that all of them get")] = "batch",
+) -> JobList:
+    """A job for each part ``problem``, all or none, with the ``files`` in common and a tag. What is wrong
+    with problems that cannot be read is told of each, by the name of its file."""
+    uploads = await take_uploads(request, here.storage, owner, here.limits, MOST_VALUES)
+    content = {name: one.content for name, one in uploads.items()}
+    once = idempotency.once(owner, key, "batches", content, tag)
+    jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
+    if not jobs:
+        jobs = await here.in_turn(
+            request, owner, lambda reading: here.batch(owner, uploads, tag, reading, once)
         )
     return JobList(jobs=jobs)
 

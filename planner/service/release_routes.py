@@ -9,12 +9,26 @@ from fastapi import APIRouter, Depends, Query, Request
 from pydantic import ConfigDict, Field
 
 from planner.service import audit
-from planner.service.models import Act, AuditList, JobOut, ReleaseList, ReleaseOut, Sent
+from planner.service.element_routes import element_of
+from planner.service.models import (
+    Act,
+    AuditList,
+    ElementReleases,
+    JobOut,
+    ReleaseList,
+    ReleaseOut,
+    Sent,
+    Shown,
+)
 from planner.service.routes import ASKED, JOB_ID, PAGE_SIZE, Asker, Here, OwnJob, job_of, refusals
 from planner.service.security import Who
 from planner.service.texts import Line, Lines, described, read_body
 
 router: Final = APIRouter(prefix="/v1", tags=["releases"], responses=ASKED)
+
+
+MOST_PANELS: Final = 5000
+"""Panels that one act releases."""
 
 
 class Releasing(Sent):
@@ -23,6 +37,12 @@ class Releasing(Sent):
     model_config = ConfigDict(extra="forbid")
     note: Lines = ""
     name: Line | None = None
+
+
+class ReleasingPanels(Releasing):
+    """Panels to be released, as they were shown."""
+
+    panels: dict[str, Shown] = Field(min_length=1, max_length=MOST_PANELS)
 
 
 class Withdrawing(Sent):
@@ -77,6 +97,26 @@ async def withdraw(request: Request, found: ToRelease, who: Releaser, here: Here
     """With a ``reason``; the release stays written down. 409 where the job is not released."""
     given = await read_body(request, Withdrawing)
     return await anyio.to_thread.run_sync(here.releases.withdraw, found.id, who, given.name, given.reason)
+
+
+@router.post(
+    "/elements/{element}/release",
+    status_code=201,
+    responses=refusals(404, 409, 413, 422),
+    openapi_extra=described(ReleasingPanels),
+    response_model_exclude_none=True,
+    summary="Release the programs of panels of an element",
+)
+async def release_panels(request: Request, element: str, who: Releaser, here: Here) -> ElementReleases:
+    """By one act, each panel by the job and digest that it had when it was looked at:
+    ``{"panels": {"A01": {"job": "24d8...", "digest": "9f2c..."}}, "note": "north side"}``. Panels that are
+    not proven, were changed or planned again meanwhile, or are released already, are named in ``refused``;
+    409 where that is all of them."""
+    found = await anyio.to_thread.run_sync(element_of, element, who, here)
+    given = await read_body(request, ReleasingPanels)
+    return await anyio.to_thread.run_sync(
+        here.elements.release, found, given.panels, who, given.name, given.note
+    )
 
 
 @router.get(

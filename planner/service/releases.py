@@ -24,6 +24,7 @@ from planner.service.models import (
     JobOut,
     Release,
     ReleaseOut,
+    Shown,
     Withdrawal,
     moment,
     utc,
@@ -47,6 +48,14 @@ class Told(NamedTuple):
     content: bytes
 
 
+class _Seen(NamedTuple):
+    """A job that was looked at: its files, and the SHA-256 of its programs by name."""
+
+    job: str
+    files: dict[str, Blob]
+    programs: dict[str, str]
+
+
 class Releases:
     """The releases of one database, of programs among ``files``."""
 
@@ -57,27 +66,69 @@ class Releases:
         """Release the programs of a job in the name of ``who``, or by that ``name`` where no tokens are asked
         for. Raises :class:`RefusedError`: 404, 409 where it is not proven or released already, 422."""
         person = _person(who, name)
+        seen = self._look(job)
+        with self._database.write() as db:
+            made = self._write(db, seen, who, person, note)
+            self._note(db, made, who, {})
+        return made
+
+    def release_panels(
+        self, element: str, panels: Mapping[str, Shown], who: Who, name: str | None, note: str
+    ) -> tuple[dict[str, ReleaseOut], dict[str, RefusedError]]:
+        """Release the programs of panels of an element, by one act of one person: those that are as they were
+        shown, proven, and not released yet, and why the others are not, by their ids. Raises
+        :class:`RefusedError`, 422."""
+        person = _person(who, name)
+        seen: dict[str, _Seen] = {}
+        made: dict[str, ReleaseOut] = {}
+        refused: dict[str, RefusedError] = {}
+        for panel, shown in panels.items():
+            try:
+                seen[panel] = self._look(shown.job, shown.digest)
+            except RefusedError as error:
+                refused[panel] = error
+        with self._database.write() as db:
+            for panel in sorted(seen, key=lambda one: seen[one].job):  # two who do so wait in one order
+                try:
+                    made[panel] = self._write(db, seen[panel], who, person, note)
+                except RefusedError as error:
+                    refused[panel] = error
+            for panel in made:
+                self._note(db, made[panel], who, {"element": element, "panel": panel})
+        return made, refused
+
+    def _look(self, job: str, digest: str | None = None) -> _Seen:
+        """A job whose programs may be released, if it has that ``digest``; raises :class:`RefusedError`, 404
+        or 409."""
         with self._database.read() as db:
             row, files = job_row(db, job), job_files(db, job)
-        programs = self._proven(row, files)
-        with self._database.write() as db:
-            self._database.one_at_a_time(db, job)
-            row = _held(db, job)
-            last = _last(db, job)
-            if last is not None and last["withdrawn"] is None:
-                what = f"job {job}: {last['who']} released it, {moment(utc(last['at']))}; withdraw that first"
-                raise RefusedError(409, Issue("service.release", what))
-            if job_files(db, job) != files:  # whatever made them others, it was not looked at
-                raise _not_releasable(job, "its files were changed meanwhile", "look at it again")
-            number = row["releases"] + 1
-            values = {"job": job, "number": number, "token": who.token, "who": person, "note": note}
-            values |= {"digest": row["digest"], "proof": files[PROOF].sha, "programs": json.dumps(programs)}
-            db.execute(insert(RELEASES).values(**values, at=self._database.clock()))
-            db.execute(update(JOBS).where(JOBS.c.id == job).values(releases=number))
-            made = _out(row, _known(_last(db, job)))
-            said = made.model_dump(mode="json", include={"name", "note", "digest", "proof", "programs"})
-            audit.note(self._database, db, who.token, "released", job, said, person)
-            return made
+        if digest is not None and row["digest"] != digest:
+            what = f"its problem has the digest {row['digest'][:16]}, you were shown {digest[:16]}"
+            raise _not_releasable(job, what, "look at it again")
+        return _Seen(job, files, self._proven(row, files))
+
+    def _write(self, db: Connection, seen: _Seen, who: Who, person: str, note: str) -> ReleaseOut:
+        """Write a release down; raises :class:`RefusedError`, 404 or 409, before anything is written."""
+        job = seen.job
+        self._database.one_at_a_time(db, job)
+        row = _held(db, job)
+        last = _last(db, job)
+        if last is not None and last["withdrawn"] is None:
+            what = f"job {job}: {last['who']} released it, {moment(utc(last['at']))}; withdraw that first"
+            raise RefusedError(409, Issue("service.release", what))
+        if job_files(db, job) != seen.files:  # whatever made them others, it was not looked at
+            raise _not_releasable(job, "its files were changed meanwhile", "look at it again")
+        number = row["releases"] + 1
+        values = {"job": job, "number": number, "token": who.token, "who": person, "note": note}
+        values |= {"digest": row["digest"], "proof": seen.files[PROOF].sha}
+        values |= {"programs": json.dumps(seen.programs), "at": self._database.clock()}
+        db.execute(insert(RELEASES).values(**values))
+        db.execute(update(JOBS).where(JOBS.c.id == job).values(releases=number))
+        return _out(row, _known(_last(db, job)))
+
+    def _note(self, db: Connection, made: ReleaseOut, who: Who, more: Mapping[str, str]) -> None:
+        said = made.model_dump(mode="json", include={"name", "note", "digest", "proof", "programs"})
+        audit.note(self._database, db, who.token, "released", made.job, said | dict(more), made.by)
 
     def withdraw(self, job: str, who: Who, name: str | None, reason: str) -> ReleaseOut:
         """Take a release back. Raises :class:`RefusedError`: 404, 409 where there is none, 422."""

@@ -453,6 +453,10 @@ WHEN: Final = r"^[0-9]{1,12}\.[0-9]{1,9}-[0-9a-f]{32}$"
 NEXT: Final = "`next` of the page before"
 """What a cursor is."""
 CURSOR = Annotated[str | None, Query(pattern=WHEN, description=NEXT)]
+LIST_CURSOR = Annotated[
+    str | None, Query(pattern=f"{WHEN}|^[A-Za-z0-9_-]{{0,1100}}~[0-9a-f]{{32}}$", description=NEXT)
+]
+"""The same of lists that are sorted by titles, too."""
 EVENT_SCHEMA: Final = {
     "type": "object",
     "description": "one event of the stream",
@@ -596,9 +600,7 @@ def page(
     who: Asker,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
-    cursor: Annotated[
-        str | None, Query(pattern=f"{WHEN}|^[A-Za-z0-9_-]{{0,1100}}~[0-9a-f]{{32}}$", description=NEXT)
-    ] = None,
+    cursor: LIST_CURSOR = None,
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
     search: Annotated[Line, Query(description="all of these words in name, title, tags or notes")] = "",
     tag: Annotated[list[Tag] | None, Query(max_length=10, description="with all of these tags")] = None,

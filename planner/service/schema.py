@@ -13,7 +13,7 @@ from typing import Final
 
 from sqlalchemy import Connection, MetaData, inspect, text
 
-VERSION: Final = 6
+VERSION: Final = 7
 """Version of the tables that this program reads and writes."""
 UNNUMBERED: Final = 1
 """Version of a store that has jobs and does not say which it is."""
@@ -83,6 +83,10 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
         "token VARCHAR(32) NOT NULL, who VARCHAR(200) NOT NULL, created FLOAT NOT NULL, "
         "expires FLOAT NOT NULL, PRIMARY KEY (id))",
         "CREATE INDEX ix_tandem_links_job ON tandem_links (job)",
+    ),
+    6: (
+        "ALTER TABLE tandem_drafts ADD COLUMN job VARCHAR(32)",
+        "ALTER TABLE tandem_drafts ADD COLUMN sent INTEGER",
     ),
 }
 """What brings a store of each version to the next one."""

@@ -15,7 +15,7 @@ import shutil
 import socket
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
 
@@ -289,12 +289,9 @@ class Service:
         """A job for each value of a field, all or none; raises as :meth:`create`."""
         read: dict[str, Examined] = {}
         for number, value in enumerate(values):
-            try:
+            said = f"{field} = {json.dumps(value, ensure_ascii=False)[:80]}: "
+            with _said_of(said):
                 read[str(number)] = self.examine(upload, reading=reading, fields={field: value})
-            except RefusedError as refused:
-                said = f"{field} = {json.dumps(value, ensure_ascii=False)[:80]}: "
-                issues = [dataclasses.replace(one, message=said + one.message) for one in refused.issues]
-                raise RefusedError(refused.status, issues, refused.headers) from refused
         files = self.stored(owner, read, upload.files, PROBLEM)
         jobs = []
         for (name, one), value in zip(read.items(), values, strict=True):
@@ -304,6 +301,33 @@ class Service:
             new = self.new_job(owner, one.name, one, files[name])
             jobs.append(dataclasses.replace(new, title=title, tags=(tag,)))
         return self.jobs.create_all(jobs, once)
+
+    def batch(
+        self,
+        owner: str,
+        uploads: Mapping[str, Upload],
+        tag: str,
+        reading: Reading,
+        once: Once | None = None,
+    ) -> list[JobOut]:
+        """A job for each of several problems with common files, all or none; raises as :meth:`create`, for
+        all problems that cannot be read at once."""
+        read: dict[str, Examined] = {}
+        refused: list[RefusedError] = []
+        for name, upload in uploads.items():
+            try:
+                with _said_of(f"{name[:80]}: "):
+                    read[name] = self.examine(upload, reading=reading)
+            except RefusedError as error:
+                if error.status != 422:
+                    raise
+                refused.append(error)
+        if refused:
+            raise RefusedError(422, [issue for one in refused for issue in one.issues])
+        files = {name: blob for upload in uploads.values() for name, blob in upload.files.items()}
+        stored = self.stored(owner, read, files, PROBLEM)
+        jobs = [self.new_job(owner, one.name, one, stored[name]) for name, one in read.items()]
+        return self.jobs.create_all([dataclasses.replace(one, tags=(tag,)) for one in jobs], once)
 
     def examine_element(
         self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: Reading
@@ -368,6 +392,16 @@ def _log_in(database: Database, auth: Auth, oidc: Oidc) -> LogIn:
     from planner.service.oidc import LogIn
 
     return LogIn(database, auth, oidc)
+
+
+@contextlib.contextmanager
+def _said_of(what: str) -> Iterator[None]:
+    """Refusals begin with ``what``: of which of several things they are."""
+    try:
+        yield
+    except RefusedError as refused:
+        issues = [dataclasses.replace(one, message=what + one.message) for one in refused.issues]
+        raise RefusedError(refused.status, issues, refused.headers) from refused
 
 
 def _readable(read: Examined) -> Examined:

@@ -348,6 +348,15 @@ async def take_upload(request: Request, storage: Storage, owner: str, limits: Li
 
     Raises :class:`RefusedError`, 413, 422 or 507.
     """
+    (found,) = (await take_uploads(request, storage, owner, limits, 1)).values()
+    return found
+
+
+async def take_uploads(
+    request: Request, storage: Storage, owner: str, limits: Limits, most: int
+) -> dict[str, Upload]:
+    """The uploads of a request that may have up to ``most`` parts ``problem``, by the names of these, with
+    the ``files`` in common; raises as :func:`take_upload`."""
     kind = request.headers.get("content-type", "").split(";")[0].strip().lower()
     if kind in PLAIN:
         body = bytearray()
@@ -356,16 +365,16 @@ async def take_upload(request: Request, storage: Storage, owner: str, limits: Li
             if len(body) > MAX_YAML_BYTES:
                 raise too_large("the problem", MAX_YAML_BYTES / MB, "problem")
         (blob,) = await anyio.to_thread.run_sync(storage.put, owner, [io.BytesIO(body)])
-        return Upload(blob, {})
+        return {"problem": Upload(blob, {})}
     if kind != "multipart/form-data":
         what = f"got the content type {kind[:80]!r}; send multipart/form-data, or {', '.join(PLAIN)}"
         raise RefusedError(422, _fault("Content-Type", what))
     try:
         async with request.form(
-            max_files=limits.files + 1, max_fields=len(FIELDS), max_part_size=MAX_YAML_BYTES
+            max_files=limits.files + most, max_fields=len(FIELDS) - 1 + most, max_part_size=MAX_YAML_BYTES
         ) as form:
-            problem, uploads = _sorted(form, limits)
-            return await anyio.to_thread.run_sync(_store, storage, owner, problem, uploads)
+            problems, uploads = _sorted(form, limits, most)
+            return await anyio.to_thread.run_sync(_store, storage, owner, problems, uploads)
     except HTTPException as error:
         raise RefusedError(422, _fault("body", f"the form cannot be read: {error.detail}")) from error
     except ClientDisconnect as error:
@@ -378,16 +387,29 @@ async def take_upload(request: Request, storage: Storage, owner: str, limits: Li
         raise RefusedError(422, _fault("body", "the form cannot be read; send UTF-8")) from error
 
 
-def _sorted(form: FormData, limits: Limits) -> tuple[UploadFile | str, dict[str, UploadFile]]:
-    """The problem and the files; raises :class:`RefusedError` with every fault of the form."""
+def _sorted(
+    form: FormData, limits: Limits, most: int
+) -> tuple[dict[str, UploadFile | str], dict[str, UploadFile]]:
+    """Up to ``most`` problems, and the files, by their names; raises :class:`RefusedError` with every fault
+    of the form."""
     faults = [
         _fault(name[:80], f"unknown field {name[:80]!r}; the fields are {', '.join(FIELDS)}")
         for name in dict.fromkeys(form)
         if name not in FIELDS
     ]
     problems, uploads = form.getlist("problem"), form.getlist("files")
-    if len(problems) != 1:
-        faults.append(_fault("problem", f"got {len(problems)} problems, one is wanted; add the problem file"))
+    if not 1 <= len(problems) <= most:
+        wanted = (
+            "one is wanted; add the problem file" if most == 1 else f"1 to {most} may be; send others apart"
+        )
+        faults.append(_fault("problem", f"got {len(problems)} problems, {wanted}"))
+    jobs: dict[str, UploadFile | str] = {}
+    for number, problem in enumerate(problems, 1):
+        called = problem if isinstance(problem, str) else problem.filename
+        own = f"problem {number}" if isinstance(problem, str) or not called else called[-LONGEST_NAME:]
+        if own in jobs:
+            faults.append(_fault("problem", f"two problems have the name {own[:80]!r}; rename one"))
+        jobs[own] = problem
     named: dict[str, UploadFile] = {}
     for number, one in enumerate(uploads):
         field = f"files.{number}"
@@ -408,25 +430,28 @@ def _sorted(form: FormData, limits: Limits) -> tuple[UploadFile | str, dict[str,
                 raise too_large(f"{name[:80]!r}", limits.mesh_mb, field)
     if faults:
         raise RefusedError(422, faults)
-    return problems[0], named
+    return jobs, named
 
 
 def _store(
-    storage: Storage, owner: str, problem: UploadFile | str, uploads: Mapping[str, UploadFile]
-) -> Upload:
-    stream: BinaryIO = io.BytesIO(problem.encode()) if isinstance(problem, str) else problem.file
-    first, *others = storage.put(owner, [stream, *(one.file for one in uploads.values())])
-    return Upload(first, dict(zip(uploads, others, strict=True)))
+    storage: Storage, owner: str, problems: Mapping[str, UploadFile | str], uploads: Mapping[str, UploadFile]
+) -> dict[str, Upload]:
+    streams: list[BinaryIO] = [
+        io.BytesIO(one.encode()) if isinstance(one, str) else one.file for one in problems.values()
+    ]
+    blobs = storage.put(owner, [*streams, *(one.file for one in uploads.values())])
+    files = dict(zip(uploads, blobs[len(problems) :], strict=True))
+    return {name: Upload(blob, files) for name, blob in zip(problems, blobs, strict=False)}
 
 
 def _fault(field: str, what: str) -> Issue:
     return Issue("service.request", f"{field}: {what}", field=field)
 
 
-def documented(problem: Mapping[str, Any]) -> dict[str, Any]:
-    """The request body for OpenAPI; ``problem`` is the schema of problem files."""
+def documented(problem: Mapping[str, Any], most: int = 1) -> dict[str, Any]:
+    """The request body for OpenAPI, of up to ``most`` problems; ``problem`` is the schema of their files."""
     text = {"type": "string", "maxLength": MAX_YAML_BYTES, "description": "the same as YAML or JSON text"}
-    form = {
+    form: dict[str, Any] = {
         "type": "object",
         "required": ["problem"],
         "additionalProperties": False,
@@ -442,6 +467,10 @@ def documented(problem: Mapping[str, Any]) -> dict[str, Any]:
     }
     encoding = {"problem": {"contentType": "application/json"}}
     content: dict[str, Any] = {"multipart/form-data": {"schema": form, "encoding": encoding}}
+    if most > 1:
+        many = {"type": "array", "items": form["properties"]["problem"], "minItems": 1, "maxItems": most}
+        form["properties"] = {**form["properties"], "problem": many}
+        return {"required": True, "content": content}
     content["application/json"] = {"schema": dict(problem)}
     content["application/yaml"] = {"schema": dict(problem)}
     return {"required": True, "content": content}

@@ -37,12 +37,24 @@ GOOD: Final[Mapping[str, dict[str, Any]]] = {
         "files": [("problem", ("p.yaml", named("swept"))), FILES[1]],
         "params": {"field": "name", "value": ["swept_a", "swept_b"]},
     },
+    "POST /v1/batches": {
+        "files": [
+            ("problem", ("p.yaml", named("batch_a"))),
+            ("problem", ("q.yaml", named("batch_b"))),
+            FILES[1],
+        ]
+    },
     "POST /v1/jobs/{job}/links": {"params": {"name": "report.html"}},
     "GET /v1/jobs/{job}/looks/{look}": {"params": LOOK},
     "POST /v1/jobs/{job}/release": {"json": {"note": "cut of Tuesday"}},
     "POST /v1/jobs/{job}/withdraw": {"json": {"reason": "the clamp moved"}},
     "POST /v1/elements/{element}/divide": {"json": {"fields": {"panels.hexagons.count": 26}}},
     "POST /v1/elements/{element}/plan": {"json": {"panels": ["A02"]}},
+    "PATCH /v1/elements/{element}": {"json": {"title": "Gewölbe 3"}},
+    "POST /v1/elements/{element}/release": {
+        "json": {"panels": {"A01": {"job": NOBODY, "digest": NOBODY}}, "note": "north side"}
+    },
+    "POST /v1/drafts/{draft}/sent": {"json": {"version": 1, "job": NOBODY}},
     "POST /v1/drafts": {"files": FILES, "params": {"title": "Gewölbe 3"}},
     "PUT /v1/drafts/{draft}": {"files": FILES, "headers": {"If-Match": "*"}},
     "PATCH /v1/drafts/{draft}": {"json": {"title": "Gewölbe 4"}},

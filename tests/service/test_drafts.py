@@ -12,6 +12,8 @@ from typing import Any, Final
 
 import pytest
 
+from planner.cli import service as commands
+from planner.issues import TandemError
 from planner.service import backup, drafts
 from tests.service import postgres
 from tests.service.support import TABLE, codes
@@ -144,6 +146,7 @@ def test_drafts_are_those_of_the_team_and_of_nobody_else(shop: Shop) -> None:
         ("GET", "/versions/1/files/dome.stl"),
         ("PUT", ""),
         ("PATCH", ""),
+        ("POST", "/sent"),
         ("DELETE", ""),
     ]
     for other in ("eve", "dan"):
@@ -164,6 +167,49 @@ def test_drafts_are_those_of_the_team_and_of_nobody_else(shop: Shop) -> None:
         assert shop.ask("lea", way, url, content=b"{}").status_code == 403
 
 
+def test_a_draft_says_as_which_job_it_was_sent(shop: Shop) -> None:
+    draft, job = kept(shop), shop.job("bob", "sent")
+    told = {"version": 1, "job": job}
+    marked = shop.ask("ann", "POST", f"/v1/drafts/{draft}/sent", json=told).json()
+    assert (marked["sent"], marked["job"], marked["version"]) == (1, job, 1)
+    changed = save(shop, draft, '"1"', '{"b": 2}').json()
+    assert (changed["sent"], changed["job"], changed["version"]) == (1, job, 2)  # what is newer was not sent
+    eves = shop.job("eve", "hers")
+    for wrong, code in (
+        ({"version": 9, "job": job}, ("service.draft", "number")),
+        ({"version": 1, "job": eves}, ("service.unknown_job", None)),
+        ({"version": 0, "job": job}, ("service.request", "version")),
+        ({"version": 1, "job": "x"}, ("service.request", "job")),
+    ):
+        refused = shop.ask("ann", "POST", f"/v1/drafts/{draft}/sent", json=wrong)
+        assert codes(refused) == [code]
+    assert shop.ask("bob", "DELETE", f"/v1/jobs/{job}").status_code == 204
+    (listed,) = (one for one in shop.ask("ann", "GET", "/v1/drafts").json()["drafts"] if one["id"] == draft)
+    assert (listed["sent"], listed["job"]) == (1, None)
+
+
+def test_pages_of_drafts_miss_none(shop: Shop) -> None:
+    """Also where many were changed at one moment."""
+    made = [kept(shop, "eve", str(n)) for n in range(5)]
+    with shop.here.service.database.write() as db:
+        db.execute(drafts.update(drafts.DRAFTS).where(drafts.DRAFTS.c.id.in_(made)).values(changed=1e9))
+    found, asked = list[str](), dict[str, Any](limit=2)
+    while True:
+        page = shop.ask("eve", "GET", "/v1/drafts", params=asked).json()
+        assert len(page["drafts"]) <= 2
+        found += [one["id"] for one in page["drafts"]]
+        if page["next"] is None:
+            break
+        asked["cursor"] = page["next"]
+    assert [one for one in found if one in made] == sorted(made, reverse=True)
+    assert len(found) == len(set(found))
+    whole = shop.ask("eve", "GET", "/v1/drafts").json()
+    assert (found, whole["next"]) == ([one["id"] for one in whole["drafts"]], None)
+    for wrong in ("x", "1-2", "~" + "0" * 32):
+        refused = shop.ask("eve", "GET", "/v1/drafts", params={"cursor": wrong})
+        assert (refused.status_code, codes(refused)) == (422, [("service.request", "cursor")])
+
+
 def test_a_link_to_a_deleted_draft_has_a_sentence(shop: Shop) -> None:
     draft = kept(shop)
     assert shop.ask("bob", "DELETE", f"/v1/drafts/{draft}").status_code == 204
@@ -176,6 +222,42 @@ def test_a_link_to_a_deleted_draft_has_a_sentence(shop: Shop) -> None:
         assert "it was deleted, or belongs to others" in answer.json()["detail"]
     acts = shop.ask("bob", "GET", f"/v1/audit?job={draft}").json()["acts"]
     assert [(one["by"], one["act"], one["about"]["kind"]) for one in acts] == [("bob", "deleted", "draft")]
+
+
+@pytest.mark.parametrize("way", ["to", "delete"])
+def test_drafts_of_who_left_are_passed_on_or_deleted(
+    tmp_path: Path, way: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A revoked token without a team: nobody else sees its drafts."""
+    data = tmp_path / "data"
+    with opened(data, None) as here:
+        made = Shop(here)
+        draft, _ = kept(made, "dan", '"kept"', "dome.stl"), kept(made, "ann")
+        here.service.auth.revoke("dan")
+        commands.token(commands.Drafts("dan", data=data))
+        assert f"{draft}  " in capsys.readouterr().out
+        assert made.ask("bob", "GET", f"/v1/drafts/{draft}").status_code == 404
+        commands.token(
+            commands.Drafts("dan", **({"to": "bob"} if way == "to" else {"delete": True}), data=data)
+        )
+        assert "dan: 1 drafts" in capsys.readouterr().out
+        if way == "to":
+            assert content(made, draft, 1, "ann") == ('"kept"', {"dome.stl": TABLE + b"dome.stl"})
+            assert made.ask("bob", "DELETE", f"/v1/drafts/{draft}").status_code == 204
+        with here.service.database.read() as db:
+            assert not db.execute(drafts.select(drafts.FILES).where(drafts.FILES.c.job == draft)).all()
+        assert len(made.ask("ann", "GET", "/v1/drafts").json()["drafts"]) == 1
+        commands.audit(commands.Audit(job=draft, data=data))
+        told = capsys.readouterr().out
+        assert f"{drafts.OPERATOR}  {'passed' if way == 'to' else 'deleted'}  {draft}  Vault" in told
+    for wrong in (
+        {"name": "nobody"},
+        {"name": "dan", "to": "nobody"},
+        {"name": "dan", "to": "bob", "delete": True},
+    ):
+        with pytest.raises(TandemError) as caught:
+            commands.token(commands.Drafts(**wrong, data=data))
+        assert [one.code for one in caught.value.issues] == ["service.token"]
 
 
 def test_count_and_size_are_limited_and_room_is_charged(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@ and every refusal."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -11,10 +12,13 @@ from typing import Any
 
 import pytest
 import yaml
+from sqlalchemy import update
 
 from planner.batch.job import ELEMENT, PLANNED, Done, Event, Finished, Job
 from planner.batch.run import solve
 from planner.issues import Issue
+from planner.service import audit
+from planner.service.models import JOBS
 from planner.service.security import Auth, Limits
 from tests.element.shells import cap, shell
 from tests.element.test_saw_jobs import SAW
@@ -150,6 +154,38 @@ def test_fields_are_changed_by_dividing_anew(here: Elements, dome: dict[str, Any
     assert (third["state"], third["from_store"]) == ("done", True)
 
 
+def test_elements_have_titles_tags_and_notes_and_are_found_by_them(
+    here: Elements, dome: dict[str, Any]
+) -> None:
+    url = f"/v1/elements/{dome['id']}"
+    said = {"title": "Gewölbe ٣", "tags": ["Halle", "قبو"], "notes": "<b>Dienstag</b>"}
+    told = here.http.patch(url, json=said).json()
+    assert {name: told[name] for name in said} == said
+    assert (told["name"], len(told["panels"])) == ("dome", COUNT)
+    for asked, is_found in (
+        ({"search": "gewölbe dienstag"}, True),
+        ({"tag": ["halle", "قبو"]}, True),
+        ({"search": "wand"}, False),
+        ({"tag": "Hall"}, False),
+    ):
+        found = here.http.get("/v1/elements", params=asked).json()["elements"]
+        assert (dome["id"] in [one["id"] for one in found]) is is_found, asked
+    page = here.http.get("/v1/elements?sort=title&limit=1").json()
+    rest = (
+        here.http.get("/v1/elements", params={"sort": "title", "cursor": page["next"]}).json()
+        if page["next"]
+        else {"elements": []}
+    )
+    listed = here.http.get("/v1/elements?limit=200").json()["elements"]
+    assert len(page["elements"] + rest["elements"]) == len(listed)
+    again = here.http.post(f"{url}/divide", json={"fields": {"panels.hexagons.count": 23}}).json()
+    assert {name: again[name] for name in said} == said
+    assert here.http.patch(url, json={"notes": ""}).json()["title"] == "Gewölbe ٣"  # what is left out stays
+    wrong = here.http.patch(url, json={"title": "a\u202eb"})
+    assert (wrong.status_code, codes(wrong)) == (422, [("service.request", "title")])
+    assert here.http.patch(f"/v1/elements/{'0' * 32}", json=said).status_code == 404
+
+
 def test_a_new_division_takes_the_place_of_one_that_runs(here: Elements, dome: dict[str, Any]) -> None:
     here.team.hold.set()
     try:
@@ -191,6 +227,53 @@ def test_panels_are_planned_as_jobs_each_like_one_beside_it(here: Elements, tmp_
     }
     assert {one["name"] for one in rest} <= like
     assert not {f"planned-{one}" for one in some} <= like  # one was first
+
+
+def test_proven_panels_are_released_by_one_act_and_the_others_named(here: Elements, tmp_path: Path) -> None:
+    element = here.divided(here.upload(tmp_path, name="released").json()["id"])
+    address = f"/v1/elements/{element['id']}"
+    good, old, bad, other, unplanned = (one["id"] for one in element["panels"][:5])
+    (first,) = here.http.post(f"{address}/plan", json={"panels": [bad]}).json()["jobs"]
+    here.ended(first["id"])
+    for one in here.http.post(f"{address}/plan", json={"panels": [good, old, other]}).json()["jobs"]:
+        here.ended(one["id"])
+
+    def seen() -> dict[str, Any]:
+        return {one["id"]: one for one in here.http.get(address).json()["panels"] if "job" in one}
+
+    before = seen()
+    with here.service.database.write() as db:  # it was proven, and is not any more
+        db.execute(update(JOBS).where(JOBS.c.id == before[bad]["job"]).values(state="unproven"))
+    (again,) = here.http.post(f"{address}/plan", json={"panels": [old]}).json()["jobs"]
+    here.ended(again["id"])
+    shown = {one: {"job": panel["job"], "digest": panel["digest"]} for one, panel in before.items()}
+    shown[other]["digest"] = "0" * 64
+    asked = {"panels": shown, "note": "Nordseite", "name": "Ann"}
+    answer = here.http.post(f"{address}/release", json=asked)
+    assert answer.status_code == 201, answer.text
+    told = answer.json()
+    (made,) = told["releases"]
+    assert (made["panel"], made["by"], made["note"]) == (good, "Ann", "Nordseite")
+    assert (made["job"], made["digest"]) == (before[good]["job"], before[good]["digest"])
+    assert made["programs"] == {"main.mod": hashlib.sha256(b"MODULE main").hexdigest()}
+    why = {one["panel"]: one["issues"][0]["message"] for one in told["refused"]}
+    assert why.keys() == {old, bad, other}
+    assert f"planned again meanwhile, as job {again['id']}" in why[old]
+    assert "it is unproven" in why[bad]
+    assert "you were shown 0000000000000000" in why[other]
+    after = seen()
+    states = {one: after[one].get("release") for one in (good, old, bad, other)}
+    assert states == {good: "released", old: "not-released", bad: None, other: "not-released"}
+    log = audit.everything(here.service.database, made["job"], ("released",), 9)
+    assert [(one.by, one.about["panel"], one.about["element"]) for one in log] == [
+        ("Ann", good, element["id"])
+    ]
+    twice = here.http.post(f"{address}/release", json=asked)
+    assert (twice.status_code, {code for code, _ in codes(twice)}) == (409, {"service.release"})
+    assert f"{good}: job {made['job']}: Ann released it" in twice.json()["detail"]
+    strange = {unplanned: shown[good]}
+    for wrong in ({"panels": strange, "name": "Ann"}, {"panels": {}, "name": "Ann"}, {"panels": shown}):
+        assert here.http.post(f"{address}/release", json=wrong).status_code == 422
 
 
 def test_an_elements_panels_count_as_one_job_that_waits(here: Elements, dome: dict[str, Any]) -> None:

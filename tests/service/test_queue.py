@@ -19,7 +19,7 @@ from planner.service.security import Limits
 from planner.service.storage import Blob
 from tests import small_problem
 from tests.service import postgres
-from tests.service.support import TABLE, InProcess, codes
+from tests.service.support import TABLE, InProcess, codes, named
 from tests.service.test_finding import put
 from tests.service.test_roles import Shop, opened
 
@@ -121,6 +121,49 @@ def test_a_sweep_makes_a_job_of_each_value_or_none(tmp_path: Path) -> None:
         wrong = swept(here, {**query, "value": ["20", "-1"]})
         assert wrong.json()["issues"][0]["message"].startswith("operations.0.feed_mm_s = -1: ")
         assert len(here.http.get("/v1/jobs?limit=200").json()["jobs"]) == 3
+
+
+def test_several_problems_make_a_job_each_or_none(tmp_path: Path) -> None:
+    with InProcess(tmp_path / "data", examiners=1) as here:
+        url, params, header = "/v1/batches", {"tag": "Wand ٣"}, {"Idempotency-Key": "batch-1"}
+
+        def sent(*texts: str, names: tuple[str, ...] = ("a.yaml", "b.yaml", "c.yaml"), **more: Any) -> Any:
+            parts = [("problem", (name, text)) for name, text in zip(names, texts, strict=False)]
+            files = [*parts, ("files", ("targets.csv", TABLE))]
+            return here.http.post(url, files=files, **{"params": params, **more})
+
+        good = [named("first"), named("second"), small_problem.PROBLEM]
+        made, again = sent(*good, headers=header), sent(*good, headers=header)
+        assert made.status_code == 201, made.text
+        jobs = made.json()["jobs"]
+        assert [one["name"] for one in jobs] == ["first", "second", "small"]
+        assert {tuple(one["tags"]) for one in jobs} == {("Wand ٣",)}
+        assert [one["id"] for one in again.json()["jobs"]] == [one["id"] for one in jobs]
+        listed = here.http.get(f"/v1/jobs/{jobs[0]['id']}/files").json()["files"]
+        assert any(one["name"].startswith("problem/files/targets-") for one in listed)
+        other = sent(*reversed(good), headers=header)
+        assert codes(other) == [("service.idempotency", "Idempotency-Key")]
+        bad = named("bad") + "\nnonsense: 1\n"
+        wrong = sent(named("fine"), bad, "]")
+        assert wrong.status_code == 422
+        said = [one["message"].partition(": ")[0] for one in wrong.json()["issues"]]
+        assert said == ["b.yaml", "c.yaml"], wrong.text
+        for refused, what in (
+            (sent(*good, names=("a.yaml", "a.yaml", "b.yaml")), "two problems have the name 'a.yaml'"),
+            (
+                sent(*["{}"] * 51, names=tuple(f"{n}.yaml" for n in range(51))),
+                "got 51 problems, 1 to 50 may be",
+            ),
+            (sent(), "got 0 problems, 1 to 50 may be"),
+            (sent(*good, params={"tag": "a\u202eb"}), "right-to-left override"),
+        ):
+            assert refused.status_code == 422
+            assert what in refused.text, refused.text
+        assert len(here.http.get("/v1/jobs?limit=200").json()["jobs"]) == 3
+        here.team.hold.set()
+        object.__setattr__(here.service.limits, "open_jobs", 1)
+        many = sent(named("n"), named("m"))
+        assert (many.status_code, codes(many)) == (429, [("service.too_many", None)])
 
 
 def test_a_sweep_opens_no_more_jobs_than_one_may(tmp_path: Path) -> None:

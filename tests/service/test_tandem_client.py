@@ -14,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.request
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -242,6 +243,51 @@ def test_an_element_is_divided_and_its_panels_are_meshes(served: tuple[Process, 
     client.cancel(job)
     again = {one["id"]: one.get("job") for one in client.element(found)["panels"]}
     assert [name for name, own in again.items() if own == job] == [panels[0]["id"]]
+
+
+def test_drafts_sweeps_and_links_to_look(served: tuple[Process, str], tmp_path: Path) -> None:
+    """As the service answers; what it does is for the tests of each."""
+    process, token = served
+    client = tandem_client.Client(process.url, token)
+    table = {"Gewölbe ٣/t.csv": b"1,2"}
+    first = client.keep_draft(b'{"a": [not a problem', "Gewölbe ٣", files=table)
+    client.keep_draft({"kind": "none"}, "Greifer", "tool")
+    assert (first["title"], first["version"]) == ("Gewölbe ٣", 1)
+    second = client.save_draft(first["id"], 1, {"b": 2}, {"u.csv": b"3"}, without=["Gewölbe ٣/t.csv"])
+    assert second["version"] == 2
+    assert client.draft(first["id"]) == (b'{"b": 2}', {"u.csv": b"3"})
+    assert client.draft(first["id"], 1) == (b'{"a": [not a problem', table)
+    (issue,) = refusal(lambda: client.save_draft(first["id"], 1, {"c": 3}))
+    assert (issue.code, issue.field) == ("service.draft", "If-Match")
+    assert [one["title"] for one in client.drafts()] == ["Gewölbe ٣", "Greifer"]
+    assert [one["kind"] for one in client.drafts("tool")] == ["tool"]
+    client.delete_draft(first["id"])
+    assert [one["title"] for one in client.drafts()] == ["Greifer"]
+
+    problem = small_problem.write(tmp_path)
+    files = {"targets.csv": tmp_path / "targets.csv"}
+
+    def swept(*values: float) -> list[str]:
+        key = None if -1 in values else "sweep-1"
+        return client.sweep(problem, "operations.0.feed_mm_s", values, "Vorschub ٣", files, key)
+
+    jobs = swept(20, 30.5)
+    assert swept(20, 30.5) == jobs
+    assert sorted(one["id"] for one in client.jobs(tags=["vorschub ٣"])) == sorted(jobs)
+    titles = [client.job(one)["title"].rpartition(": ")[2] for one in jobs]
+    assert titles == ["operations.0.feed_mm_s = 20", "operations.0.feed_mm_s = 30.5"]
+    (issue,) = refusal(lambda: swept(20, -1))
+    assert issue.message.startswith("operations.0.feed_mm_s = -1: ")
+    for one in jobs:
+        client.cancel(one)
+
+    address = client.look(jobs[0], 3600)
+    with urllib.request.urlopen(address) as page:
+        assert page.status == 200
+    (made,) = client.looks(jobs[0])
+    assert made["by"] == "ann"
+    client.withdraw_look(jobs[0], made["id"])
+    assert client.looks(jobs[0]) == []
 
 
 def test_a_file_that_is_no_mesh_is_told(odd: tuple[type[Odd], str]) -> None:

@@ -14,6 +14,8 @@ MODULES: Final = ("matrix.js", "orbit.js", "panels.js")
 """Modules of plain WebGL in the order in which they need one another."""
 THREE_MODULES: Final = ("matrix.js", "orbit.js", "stage.js")
 """Modules that draw by three.js, the same."""
+FILM_MODULES: Final = (*THREE_MODULES, "film.js")
+"""Modules that draw a plan, the same."""
 
 
 def script(own: str, modules: Sequence[str] = MODULES) -> str:

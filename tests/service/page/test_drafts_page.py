@@ -94,6 +94,47 @@ def test_what_is_edited_is_kept_and_opened_on_another_machine(
     other.context.close()
 
 
+def test_a_name_that_no_title_may_have_is_kept_all_the_same(page: Page, server: str) -> None:
+    begun(page, server)
+    called(page, "a\u202eb\u0007 Gewölbe " + "\U0001f3db" * 200)
+    expect(page.locator("#draft-state")).to_contain_text("Kept as the draft ab Gewölbe ")
+    expect(page.locator("#draft-state")).to_contain_text("what no title may have of the name is left out")
+    kept = asked(server, f"/v1/drafts/{draft_of(page)}")
+    assert kept["title"] == "ab Gewölbe " + "\U0001f3db" * 189
+    assert asked(server, f"/v1/drafts/{kept['id']}/versions/1/problem")["name"].startswith("a\u202eb\u0007")
+
+
+def test_a_draft_that_was_sent_is_no_unsent_work(page: Page, server: str) -> None:
+    """Also where it was not kept yet when it was sent."""
+    begun(page, server)
+    called(page, "sent_1")
+    draft = draft_of(page)
+    page.locator("#f-name").fill("sent_2")
+    expect(page.get_by_role("button", name="Start planning")).to_be_enabled()
+    page.get_by_role("button", name="Start planning").click()
+    expect(page).to_have_url(re.compile("/ui/jobs/[0-9a-f]{32}"))
+    job = page.url.rpartition("/")[2]
+    asked(server, f"/v1/jobs/{job}/cancel", "POST")
+    kept = asked(server, f"/v1/drafts/{draft}")
+    assert (kept["sent"], kept["job"]) == (kept["version"], job)
+    assert asked(server, f"/v1/drafts/{draft}/versions/{kept['version']}/problem")["name"] == "sent_2"
+    page.goto(f"{server}/ui/drafts")
+    row = page.locator("#rows tr").filter(has_text=kept["title"]).filter(has_text="sent as a job").first
+    expect(row.get_by_role("link", name="a job")).to_have_attribute("href", f"/ui/jobs/{job}")
+    page.goto(f"{server}/ui/new")
+    expect(page.locator("#processes label").first).to_be_visible()
+    expect(page.locator(f"#kept option[value='{draft}']")).to_have_count(0)
+    page.goto(f"{server}/ui/new?draft={draft}")
+    expect(page.locator("#draft-state")).to_contain_text("was sent; changes go on from there")
+    expect(page.get_by_role("link", name="Its job")).to_be_visible()
+    called(page, "sent_3")
+    expect(page.locator("#draft-state")).to_have_text(KEPT)
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
+    asked(server, f"/v1/jobs/{job}", "DELETE")
+
+
 def test_a_draft_that_was_deleted_is_told(page: Page, server: str) -> None:
     begun(page, server)
     called(page, "gone")

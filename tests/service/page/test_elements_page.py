@@ -17,6 +17,10 @@ COUNT = 24
 
 @pytest.fixture
 def files(tmp_path: Path) -> list[Path]:
+    return shell_files(tmp_path)
+
+
+def shell_files(tmp_path: Path) -> list[Path]:
     """The files of a small shell, as a user has them on disk."""
     path = shell(tmp_path, cap(n=9), {"count": COUNT, "off_surface_mm": 60})
     cell = Path(yaml.safe_load((tmp_path / "held.yaml").read_text())["cell"])

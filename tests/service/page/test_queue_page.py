@@ -76,3 +76,39 @@ def test_a_field_is_swept_on_the_page(page: Page, held: Process, small: list[Pat
     expect(page.locator(".job-name")).to_have_count(3)
     expect(page.locator(".job-name").first).to_contain_text("operations.0.feed_mm_s = 40.5")
     expect(page.get_by_role("button", name="Without the tag Vorschub ٣")).to_be_visible()
+
+
+def test_several_problem_files_become_jobs_all_or_none(page: Page, held: Process, tmp_path: Path) -> None:
+    small_problem.write(tmp_path)
+    paths = [tmp_path / "targets.csv", tmp_path / "cell.yaml"]
+    paths[1].write_text("arms: []\n")  # no problem
+    for name in ("one", "two", "<b>three"):
+        paths.append(tmp_path / f"{name}.yaml")
+        paths[-1].write_text(named(name.strip("<b>")))
+    page.goto(f"{held.url}/ui/new")
+    expect(page.locator("#processes label").first).to_be_visible()
+    paths[-1].write_text(named("three") + "nonsense: 1\n")
+    page.locator("#problem-file").set_input_files(paths)
+    batch = page.get_by_role("region", name="3 problems")
+    expect(batch.locator("#batch-list > li")).to_have_text(["one.yaml", "two.yaml", "<b>three.yaml"])
+    expect(batch.locator("#batch-files")).to_contain_text("With targets.csv, cell.yaml")
+    expect(page.locator("#rest")).to_be_hidden()
+    batch.get_by_label("Tag").fill("Wand ٣")
+    batch.get_by_role("button", name="Make 3 jobs").click()
+    expect(page.locator("#banner")).to_have_text("1 of 3 problems cannot be read, so no job was made.")
+    expect(batch.locator("#batch-list > li").nth(2)).to_contain_text("nonsense")
+    expect(batch.locator("#batch-list > li").nth(0).locator(".issue")).to_have_count(0)
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
+    assert not list(planner.Client(held.url).jobs())
+    paths[-1].write_text(named("three"))
+    page.locator("#problem-file").set_input_files(paths)
+    batch.get_by_label("Tag").fill("Wand ٣")
+    batch.get_by_role("button", name="Make 3 jobs").click()
+    expect(page).to_have_url(re.compile("tag=Wand"))
+    expect(page.locator(".job-name")).to_have_text(["three", "two", "one"])
+    page.goto(f"{held.url}/ui/new")
+    expect(page.locator("#processes label").first).to_be_visible()
+    page.locator("#problem-file").set_input_files(paths[:3])  # one problem, its cell and its table
+    expect(page.locator("#f-name")).to_have_value("one")

@@ -5,15 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 
 import planner
 from planner.service.models import Database, default_url
 from planner.service.security import Auth
 from tests import small_problem
 from tests.service.page.test_access import CUT_OFF, NAMELESS
+from tests.service.page.test_elements_page import COUNT, shell_files, upload
 from tests.service.support import Process
 
 
@@ -197,3 +199,70 @@ def test_a_link_to_look_is_made_shown_and_withdrawn(
     tab.reload()
     expect(tab.get_by_role("alert")).to_contain_text("there is no such link: it is over, was withdrawn")
     stranger.close()
+
+
+def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(
+    page: Page, server: str, tmp_path: Path
+) -> None:
+    """What the service does with it is for tests/service/test_elements.py: here it is played."""
+    state = {"A01": "verified", "A02": "verified", "A03": "infeasible"}
+    said: dict[str, str] = {}
+    sent: list[dict[str, Any]] = []
+
+    def told(route: Route) -> None:
+        answer = route.fetch()
+        body = answer.json()
+        for one in body.get("panels", []):
+            if one["id"] in state:
+                one |= {"state": state[one["id"]], "job": "ab" * 16, "digest": "cd" * 32}
+                if one["state"] == "verified":
+                    one["release"] = said.get(one["id"], "not-released")
+        route.fulfill(response=answer, json=body)
+
+    def release(route: Route) -> None:
+        sent.append(route.request.post_data_json)
+        said["A01"] = "released"
+        why = {"code": "service.release", "severity": "error", "message": "it was planned again meanwhile"}
+        refused = [{"panel": "A02", "issues": [why]}]
+        route.fulfill(status=201, json={"releases": [{"panel": "A01"}], "refused": refused})
+
+    page.route(re.compile("/v1/elements/[0-9a-f]{32}$"), told)
+    page.route(re.compile("/v1/elements/[0-9a-f]{32}/release$"), release)
+    upload(page, server, shell_files(tmp_path))
+    row = page.locator('[data-panel="A01"]')
+    expect(row).to_contain_text("not released")
+    page.get_by_role("button", name="Release all 2 proven panels").click()
+    ask = page.get_by_role("dialog", name="Release the programs of these panels?")
+    expect(ask.locator("#release-count")).to_have_text(
+        f"2 panels; {COUNT - 2} others are not proven, or released already."
+    )
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
+    ask.get_by_label("Who releases").fill("רות")
+    ask.get_by_label("Note").fill("<b>Nordseite</b>")
+    ask.get_by_role("button", name="Release", exact=True).click()
+    expect(page.locator("#banner")).to_have_text("A02 was not released: it was planned again meanwhile")
+    expect(row.locator(".released-released")).to_have_text("released")
+    expect(page.get_by_role("button", name="Release 1 proven panel")).to_be_visible()
+    shown = {"job": "ab" * 16, "digest": "cd" * 32}
+    assert sent == [{"panels": {"A01": shown, "A02": shown}, "note": "<b>Nordseite</b>", "name": "רות"}]
+    page.get_by_role("button", name="Title, tags, notes").click()
+    ask = page.get_by_role("dialog", name="What people call this element")
+    ask.get_by_label("Title").fill("Gewölbe <b>٣</b>")
+    ask.get_by_label("Tags, with commas between").fill("Halle, قبو")
+    ask.get_by_label("Notes").fill("Dienstag")
+    ask.get_by_role("button", name="Keep").click()
+    expect(page.locator("#name")).to_have_text("Gewölbe <b>٣</b>")
+    expect(page.locator("#job-notes")).to_have_text("Dienstag")
+    page.get_by_role("link", name="Halle").click()
+    names = page.locator(".job-name")
+    expect(names).to_have_text(["Gewölbe <b>٣</b>"])
+    page.get_by_label("Find elements").fill("wand")
+    expect(page.get_by_text("No element is so.")).to_be_visible()
+    page.get_by_label("Find elements").fill("dienstag gewölbe")
+    expect(names).to_have_text(["Gewölbe <b>٣</b>"])
+    expect(page).to_have_url(re.compile("tag=Halle.*search=dienstag"))
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])

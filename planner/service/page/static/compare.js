@@ -27,7 +27,8 @@ async function compare() {
   if (!a || !b) return $("result").replaceChildren(h("div", { class: "card empty" }, h("p", {}, "Choose two jobs, and what differs between them is shown here.")));
   const [one, two] = await Promise.all([a, b].map((id) => json(path(id))));
   const [p, q] = await Promise.all([a, b].map(async (id) => readYaml(await text(fileOf(id, "problem/problem.yaml")))));
-  $("result").replaceChildren(figures(one, two), fields(p, q), issues(one, two));
+  const lists = await Promise.all([a, b].map(async (id) => (await json(`${path(id)}/files`)).files));
+  $("result").replaceChildren(figures(one, two), ...inView(a, b, lists), programs(a, b, lists), fields(p, q), issues(one, two));
   banner("");
 }
 
@@ -60,6 +61,61 @@ function figures(one, two) {
         h("tr", {}, h("th", { scope: "row" }, "Planned in"), [one, two].map((job) => h("td", { class: "n" }, job.seconds ? duration(job.seconds) : "–")), h("td", {}, "")),
       ))),
   );
+}
+
+// Both plans in one picture, where both have a replay; it is loaded when it is wanted.
+function inView(a, b, lists) {
+  if (a === b || !lists.every((files) => files.some((file) => file.name === "replay.html"))) return [];
+  const place = h("div", {});
+  const open = async () => {
+    button.disabled = true;
+    button.textContent = "Loading …";
+    try {
+      const { openBoth } = await import("./compare_view.js");
+      globalThis.both = await openBoth(place, a, b);
+      button.remove();
+    } catch (error) {
+      button.disabled = false;
+      button.textContent = "Try again";
+      tell(error);
+    }
+  };
+  const button = h("button", { type: "button", class: "small", id: "both-open", onclick: open }, "Draw both over each other");
+  return [h("section", { class: "card flush view", "aria-labelledby": "both-title" }, h("div", { class: "view-head" }, h("h2", { id: "both-title" }, "Both in 3D"), button), place)];
+}
+
+const MOST_LINES = 12;
+
+// The lines that differ, from the first to the last that does.
+function between(x, y) {
+  let [start, back] = [0, 0];
+  while (start < Math.min(x.length, y.length) && x[start] === y[start]) start += 1;
+  while (back < Math.min(x.length, y.length) - start && x.at(-1 - back) === y.at(-1 - back)) back += 1;
+  return [start, x.slice(start, x.length - back), y.slice(start, y.length - back)];
+}
+
+// Programs by name: the same, of one alone, or with other lines, which are read when somebody asks for them.
+function programs(a, b, lists) {
+  const [one, two] = lists.map((files) => new Map(files.filter((file) => file.name.startsWith("programs/")).map((file) => [file.name, file.sha256])));
+  const names = [...new Set([...one.keys(), ...two.keys()])].sort();
+  const row = (name) => {
+    const place = h("div", {});
+    const read = async () => {
+      try {
+        const [x, y] = await Promise.all([a, b].map(async (id) => (await text(fileOf(id, name))).split("\n")));
+        const [start, left, right] = between(x, y);
+        const side = (title, some) => h("div", {}, h("h3", {}, title), h("pre", { class: "lines", tabIndex: 0 }, some.slice(0, MOST_LINES).join("\n"), some.length > MOST_LINES ? `\n… ${some.length - MOST_LINES} more` : ""));
+        place.replaceChildren(h("p", { class: "soft" }, `From line ${start + 1}: ${left.length} lines of ${x.length} in the first, ${right.length} of ${y.length} in the second.`), h("div", { class: "columns" }, side("First", left), side("Second", right)));
+        button.remove();
+      } catch (error) {
+        tell(error);
+      }
+    };
+    const button = h("button", { type: "button", class: "small", "aria-label": `Show what differs in ${name.slice(9)}`, onclick: read }, "Show");
+    const says = !two.has(name) ? "in the first alone" : !one.has(name) ? "in the second alone" : one.get(name) === two.get(name) ? "the same" : "differs";
+    return h("li", {}, h("span", {}, h("code", {}, name.slice(9)), ` ${says} `), says === "differs" ? button : null, place);
+  };
+  return h("section", { class: "card" }, h("h2", {}, "Programs"), names.length ? h("ul", { class: "programs" }, names.map(row)) : h("p", { class: "soft" }, "Neither has any."));
 }
 
 function fields(p, q) {

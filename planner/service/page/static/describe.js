@@ -1,19 +1,20 @@
-// What people call a job, beside the name that its problem has: title, tags, notes.
+// What people call a job, or an element, which is one, beside the name that its problem has: title, tags, notes.
 import { job as path, post } from "./api.js";
 import { tell } from "./common.js";
 import { $, announce, h, show } from "./dom.js";
 
-export function drawDescription(job) {
+// list: the page that a tag leads to
+export function drawDescription(job, list = "/") {
   document.title = `${job.title || job.name} · Tandem`;
   $("name").textContent = job.title || job.name;
   const tags = job.tags ?? [];
   show($("job-tags"), tags.length > 0);
-  $("job-tags").replaceChildren(...tags.map((tag) => h("a", { class: "tag", href: `/?${new URLSearchParams({ tag })}` }, h("bdi", {}, tag))));
+  $("job-tags").replaceChildren(...tags.map((tag) => h("a", { class: "tag", href: `${list}?${new URLSearchParams({ tag })}` }, h("bdi", {}, tag))));
   show($("job-notes"), Boolean(job.notes));
   $("job-notes").textContent = job.notes ?? "";
 }
 
-export function setUpDescription(id, job, after) {
+export function setUpDescription(job, after) {
   $("describe").addEventListener("click", () => {
     $("describe-name").value = job().title ?? "";
     $("describe-tags").value = (job().tags ?? []).join(", ");
@@ -26,7 +27,7 @@ export function setUpDescription(id, job, after) {
     const tags = [...new Set($("describe-tags").value.split(",").map((tag) => tag.trim()).filter(Boolean))];
     const said = { title: $("describe-name").value, tags, notes: $("describe-notes").value };
     try {
-      await post(path(id), { method: "PATCH", body: JSON.stringify(said), headers: { "Content-Type": "application/json" } });
+      await post(path(job().id), { method: "PATCH", body: JSON.stringify(said), headers: { "Content-Type": "application/json" } });
       announce("Kept");
       await after();
     } catch (error) {

@@ -11,6 +11,16 @@ const MOST_CHARACTERS = 2e7;
 const drafts = "/v1/drafts";
 const pathOf = (id) => `${drafts}/${encodeURIComponent(id)}`;
 
+// What the name of a problem leaves for a title: what has no place in one is left out (planner/service/texts.py).
+export function titleOf(name) {
+  const refused = /[\p{Cc}\p{Cf}\p{Co}\p{Cs}\p{Zl}\p{Zp}]/gu;
+  const plain = name.normalize("NFC").replace(refused, (one) => (one === "\u200c" || one === "\u200d" ? one : ""));
+  return [...plain.trim()].slice(0, 200).join("");
+}
+
+// Whether a draft is as it was when it was sent.
+export const wasSent = (about) => about.sent === about.version;
+
 // What is kept, and of which version: {problem, files, source} for the page, and how it is called.
 export async function fromDraft(id, number = null) {
   const about = await json(pathOf(id));
@@ -55,7 +65,8 @@ export class Draft {
     this.now = this.snapshot();
     this.wait(false);
     show($("draft-bar"), Boolean(Object.keys(this.state.problem).length));
-    this.say(about ? `Kept as the draft ${about.title}` : "");
+    if (about && wasSent(about)) this.say(`The draft ${about.title} was sent; changes go on from there. `, about.job && h("a", { href: `/ui/jobs/${about.job}` }, "Its job"));
+    else this.say(about ? `Kept as the draft ${about.title}` : "");
     this.buttons();
   }
 
@@ -103,8 +114,8 @@ export class Draft {
     $("draft-bar").dataset.kept = String(this.kept()); // whether all of it is on the server
   }
 
-  say(words) {
-    if ($("draft-state").textContent !== words) $("draft-state").textContent = words;
+  say(words, link = null) {
+    if ($("draft-state").textContent !== words || link) $("draft-state").replaceChildren(words, ...(link ? [link] : []));
   }
 
   // Whether somebody else's version has to be settled first.
@@ -114,9 +125,21 @@ export class Draft {
     $("draft-conflict-text").textContent = words;
   }
 
-  async save() {
-    if (this.saving || this.waits || !this.dirty) return;
-    this.saving = true;
+  save() {
+    if (!this.saving && !this.waits && this.dirty) this.saving = this.send();
+    return this.saving ?? Promise.resolve();
+  }
+
+  // Keeps what is not kept yet, and notes that it was sent as that job: it is no unsent work any more.
+  async sentAs(job) {
+    await this.save();
+    if (this.dirty) await this.save();
+    if (!this.kept()) return;
+    const body = JSON.stringify({ version: Number(this.tag.slice(1, -1)), job });
+    await post(`${pathOf(this.id)}/sent`, { body, headers: { "Content-Type": "application/json" } });
+  }
+
+  async send() {
     this.dirty = false;
     const saved = this.now;
     const { text: body, files } = saved;
@@ -124,15 +147,18 @@ export class Draft {
     const news = [...files].filter(([name, file]) => this.sent.get(name) !== file);
     try {
       const content = new Blob([body], { type: "application/json" });
+      const name = String(JSON.parse(body).name ?? "");
+      const title = titleOf(name);
       const without = new URLSearchParams([...this.sent.keys()].filter((name) => !files.has(name)).map((name) => ["without", name]));
       const answer = this.id
         ? await put(`${pathOf(this.id)}?${without}`, { body: upload(content, news), headers: { "If-Match": this.tag } })
-        : await post(`${drafts}?${new URLSearchParams({ title: String(JSON.parse(body).name ?? "").slice(0, 200) })}`, { body: upload(content, news) });
+        : await post(`${drafts}?${new URLSearchParams({ title })}`, { body: upload(content, news) });
       const about = await answer.json();
       if (own !== this.past) return;
       Object.assign(this, { id: about.id, tag: `"${about.version}"`, sent: files });
       history.replaceState(null, "", `/ui/new?draft=${about.id}${location.hash}`);
-      this.say(`Kept as the draft ${about.title}, version ${about.version}`);
+      const other = about.version === 1 && title !== name.normalize("NFC").trim() ? "; what no title may have of the name is left out of it" : "";
+      this.say(`Kept as the draft ${about.title}, version ${about.version}${other}`);
       this.buttons();
     } catch (error) {
       if (own !== this.past) return;
@@ -149,7 +175,7 @@ export class Draft {
         if ([429, 503, 507].includes(error.status)) setTimeout(() => this.save(), 10_000);
       } else throw error;
     } finally {
-      this.saving = false;
+      this.saving = null;
       if (this.dirty && this.now !== saved) this.soon();
       this.buttons();
     }

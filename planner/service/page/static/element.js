@@ -2,10 +2,12 @@
 import { fileOf, json, post, Refused, remove, Unreachable } from "./api.js";
 import { ask } from "./ask.js";
 import { banner, tell } from "./common.js";
+import { drawDescription, setUpDescription } from "./describe.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { atFields, goTo, issueItem, placeOf, sorted } from "./issues.js";
 import { badge } from "./outcome.js";
 import { COLOURS, PanelView } from "./panel_view.js";
+import { drawReleasePanels, released, setUpReleasePanels } from "./release_panels.js";
 import { Sliders } from "./sliders.js";
 import { ago, bytes, duration, isOpen, number } from "./words.js";
 
@@ -80,11 +82,10 @@ async function drawData() {
 
 function draw() {
   show($("element"), true);
-  document.title = `${element.name} · Tandem`;
-  $("name").textContent = element.name;
+  drawDescription(element, "/ui/elements");
   badge(element.state, $("state"));
   const panels = element.panels ?? [];
-  $("facts").textContent = [divided() ? plural(panels.length, "panel") : null, element.kind, `made ${ago(element.created)}`].filter(Boolean).join(" · ");
+  $("facts").textContent = [element.title ? element.name : null, divided() ? plural(panels.length, "panel") : null, element.kind, `made ${ago(element.created)}`].filter(Boolean).join(" · ");
   const left = panels.filter((panel) => stateOf(panel) === "not_planned").length;
   $("plan").disabled = !left || planning;
   $("plan").textContent = planning ? "Making jobs …" : left && left < panels.length ? `Make jobs of the other ${left}` : left ? `Make jobs of all ${left}` : "All panels have jobs";
@@ -93,6 +94,7 @@ function draw() {
   $("report").disabled = reporting || !panels.some((panel) => panel.job && !isOpen(panel.state));
   $("report").textContent = reporting ? "The report is being written …" : "Report on what is planned";
   show($("cancel"), open > 0 || isOpen(element.state));
+  drawReleasePanels(panels);
   const made = panels.some((panel) => panel.job || panel.mark);
   show($("keeps"), made);
   $("keeps").textContent = made ? "Panels of it are planned or marked. A change makes another element beside this one; marks go along, jobs stay here." : "";
@@ -212,6 +214,7 @@ function row(panel) {
       h("span", { class: `badge ${STATE_KIND[state]}` }, h("i", { "aria-hidden": "true" }), stateWords(panel).replace(/^./, (c) => c.toUpperCase())),
       panel.job ? h("a", { href: `/ui/jobs/${panel.job}`, "aria-label": `Job of ${own}`, data: { key: `job-${own}` } }, "job") : null,
       panel.state === "verified" ? h("a", { href: `/v1/jobs/${panel.job}/programs.zip`, "aria-label": `Programs of ${own}`, data: { key: `programs-${own}` } }, "programs") : null,
+      released(panel),
       panel.job && !["refused", "not_planned"].includes(state) ? null : h("button", { type: "button", class: "small", "aria-label": `${panel.job ? "Plan again" : "Make job"} of ${own}`, data: { key: `plan-${own}` }, onclick: () => plan([own]) }, panel.job ? "Plan again" : "Make job"),
       panel.issue ? h("p", { class: "why" }, h("b", {}, panel.issue.code), " ", panel.issue.message, panel.issue.hint ? h("span", { class: "soft" }, ` What to do: ${panel.issue.hint}`) : null) : null,
     ),
@@ -324,6 +327,8 @@ function again(wait) {
   }, wait ?? (under ? SOON + EACH * (element.panels ?? []).length : SELDOM));
 }
 
+setUpDescription(() => element, () => refresh().catch(failed));
+setUpReleasePanels(path, () => element?.panels ?? [], () => refresh().catch(failed));
 $("cancel").prepend(icon("stop"));
 $("delete").prepend(icon("bin"));
 $("plan").addEventListener("click", () => plan());

@@ -1,7 +1,7 @@
 // Building elements: a new one, from files or a bundled one; and those there are.
 import { blob, json, post, Refused, upload } from "./api.js";
 import { age, banner, tell } from "./common.js";
-import { $, announce, h, show } from "./dom.js";
+import { $, announce, h, icon, later, show } from "./dom.js";
 import { issueItem, sorted } from "./issues.js";
 import { badge } from "./outcome.js";
 import { isOpen } from "./words.js";
@@ -14,13 +14,29 @@ let next = null;
 let examples = {};
 let sending = false;
 
+const given = new URLSearchParams(location.search);
+let tags = given.getAll("tag");
+let turn = 0; // of what was asked last; answers to former questions are dropped
+
+function query(cursor) {
+  const asked = new URLSearchParams({ limit: 50 });
+  for (const tag of tags) asked.append("tag", tag);
+  if ($("search").value.trim()) asked.append("search", $("search").value.trim());
+  if (cursor) asked.append("cursor", cursor);
+  return `/v1/elements?${asked}`;
+}
+const narrowed = () => tags.length > 0 || Boolean($("search").value.trim());
+
 async function load(cursor = null) {
-  const page = await json(`/v1/elements?limit=50${cursor ? `&cursor=${cursor}` : ""}`);
+  const mine = turn;
+  const page = await json(query(cursor));
+  if (mine !== turn) return;
   if (cursor) for (const one of page.elements) elements.set(one.id, one);
   else elements = new Map([...page.elements.map((one) => [one.id, one]), ...[...elements].slice(50)]);
   if (cursor || elements.size <= 50) next = page.next ?? null;
   show($("table"), elements.size > 0);
-  show($("empty"), !elements.size);
+  show($("empty"), !elements.size && !narrowed());
+  show($("none"), !elements.size && narrowed());
   show($("older"), Boolean(next));
   const focus = document.activeElement?.dataset.key;
   $("rows").replaceChildren(...[...elements.values()].map(row));
@@ -31,11 +47,29 @@ async function load(cursor = null) {
 function row(one) {
   const count = one.fields?.["panels.hexagons.count"];
   return h("tr", {},
-    h("td", {}, h("a", { href: `/ui/elements/${one.id}`, class: "job-name", data: { key: one.id } }, one.name), h("span", { class: "sub" }, one.id.slice(0, 8))),
+    h("td", {}, h("a", { href: `/ui/elements/${one.id}`, class: "job-name", data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.id.slice(0, 8)].filter(Boolean).join(", "))),
     h("td", {}, badge(one.state), one.state === "running" ? h("span", { class: "sub" }, one.stage ?? "") : null),
     h("td", { class: "wide" }, `${count ? `${count} ` : ""}${one.kind ?? ""}`),
     h("td", { class: "n wide" }, one.planned ? String(one.planned) : ""),
     h("td", {}, age(one.created)));
+}
+
+function narrow(some) {
+  tags = some;
+  show($("tags"), tags.length > 0);
+  $("tags").replaceChildren("With the tags", ...tags.map((tag) => h("button", { type: "button", class: "chip", "aria-label": `Without the tag ${tag}`, onclick: () => narrow(tags.filter((one) => one !== tag)) }, h("bdi", {}, tag), icon("cross"))));
+  return anew();
+}
+
+// Asks anew, from the first page on, and keeps in the address what was asked.
+function anew() {
+  turn += 1;
+  elements = new Map();
+  next = null;
+  const kept = new URLSearchParams(tags.map((tag) => ["tag", tag]));
+  if ($("search").value.trim()) kept.append("search", $("search").value.trim());
+  history.replaceState(null, "", kept.size ? `/ui/elements?${kept}` : "/ui/elements");
+  return load().catch(tell);
 }
 
 async function again() {
@@ -116,7 +150,9 @@ for (const name of ["dragover", "drop"])
     if (name === "drop") take([...event.dataTransfer.files]);
   });
 addEventListener("dragleave", () => $("drop").classList.remove("over"));
+$("search").value = given.get("search") ?? "";
+$("search").addEventListener("input", later(250, anew));
 $("older").addEventListener("click", () => load(next).catch(tell));
 
-await Promise.all([begin(), load()]).catch(tell);
+await Promise.all([begin(), tags.length ? narrow(tags) : load()]).catch(tell);
 setTimeout(again, EVERY);

@@ -294,7 +294,7 @@ $("cancel").prepend(icon("stop"));
 $("delete").prepend(icon("bin"));
 $("again").prepend(icon("again"));
 $("compare").prepend(icon("swap"));
-setUpDescription(id, () => job, () => refresh().catch(tell));
+setUpDescription(() => job, () => refresh().catch(tell));
 setUpRelease(id, () => refresh().catch(tell), await me);
 setUpLooks(id);
 $("retry").prepend(icon("again"));

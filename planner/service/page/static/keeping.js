@@ -2,7 +2,7 @@
 import { json } from "./api.js";
 import { banner, tell } from "./common.js";
 import { $, announce, h, show } from "./dom.js";
-import { fromDraft, keep } from "./draft.js";
+import { fromDraft, keep, wasSent } from "./draft.js";
 import { lastOf, naming } from "./files.js";
 
 const WORDS = { cell: "cell", tool: "tool", template: "template" };
@@ -35,7 +35,7 @@ export class Keeping {
 
   async load() {
     const lists = await Promise.all(["cell", "tool", "template", "draft"].map((kind) => json(`/v1/drafts?kind=${kind}`)));
-    this.kept = lists.flatMap((list) => list.drafts); // many drafts crowd nothing out that was kept
+    this.kept = lists.flatMap((list) => list.drafts).filter((one) => one.kind !== "draft" || !wasSent(one)); // many drafts crowd nothing out that was kept
     const options = (kind) => this.kept.filter((one) => one.kind === kind).map((one) => h("option", { value: one.id, dir: "auto" }, one.title));
     for (const kind of ["cell", "tool"]) {
       $(`kept-${kind}`).replaceChildren(h("option", { value: "" }, "choose one"), ...options(kind));

@@ -1,6 +1,7 @@
 // Makes a job: where to begin, cell, part, operations; the part and what is wrong with it show at once.
 import { json, post, Refused, upload } from "./api.js";
 import { ask } from "./ask.js";
+import { closeBatch, openBatch, setUpBatch, sortFiles } from "./batch.js";
 import { drawCells, takeCell } from "./cell.js";
 import { banner, tell } from "./common.js";
 import { Draft, fromDraft } from "./draft.js";
@@ -371,8 +372,12 @@ async function addFiles(list) {
   changed([]);
 }
 
-async function openProblem(list) {
+async function openProblem(chosen) {
+  const { problems, files } = await sortFiles(chosen);
+  if (problems.length > 1) return openBatch({ problems, files }); // beside what is edited here
+  const list = [...problems, ...files];
   if (!(await mayLeave("Drop them and open the file"))) return;
+  closeBatch();
   state.example = "";
   choices += 1;
   try {
@@ -401,6 +406,7 @@ async function start() {
   say("busy", "Sending …");
   try {
     const made = await (await post("/v1/jobs", { body: upload(state.problem, wanted(state)) })).json();
+    await draft.sentAs(made.id).catch(() => null); // the job is made, whatever becomes of its draft
     state.sent = true;
     location.assign(`/ui/jobs/${made.id}`);
   } catch (error) {
@@ -410,6 +416,7 @@ async function start() {
   }
 }
 
+setUpBatch();
 $("go").addEventListener("click", start);
 $("form").addEventListener("submit", (event) => event.preventDefault());
 $("choose").addEventListener("click", () => $("files").click());

@@ -1,0 +1,76 @@
+// Several problem files at once: a job for each, all or none.
+import { post, Refused } from "./api.js";
+import { banner, tell } from "./common.js";
+import { $, announce, h, icon, show } from "./dom.js";
+import { issueItem, sorted } from "./issues.js";
+import { isMap, parse } from "./yaml.js";
+
+const READ = /\.(ya?ml|json)$/i;
+
+// Whether a text is a problem, and not a cell, an element or a table beside one; one that cannot be read may be.
+export function isProblem(text) {
+  try {
+    const found = parse(text);
+    return isMap(found) && "operations" in found;
+  } catch {
+    return true;
+  }
+}
+
+// {problems, files} of what was chosen.
+export async function sortFiles(chosen) {
+  const kinds = await Promise.all(chosen.map(async (file) => READ.test(file.name) && isProblem(await file.text())));
+  return { problems: chosen.filter((_, i) => kinds[i]), files: chosen.filter((_, i) => !kinds[i]) };
+}
+
+let now = { problems: [], files: [] };
+
+// Shows what was chosen, to be made into jobs.
+export function openBatch(found) {
+  now = found;
+  show($("batch"), true);
+  $("batch-title").textContent = `${now.problems.length} problems`;
+  $("batch-list").replaceChildren(...now.problems.map((one) => h("li", { data: { name: one.name } }, icon("file"), h("bdi", {}, one.name), h("ul", { class: "issues" }))));
+  $("batch-files").textContent = now.files.length ? `With ${now.files.map((one) => one.name).join(", ")}: each problem takes what it names.` : "No other files were chosen with them.";
+  $("batch-go").textContent = `Make ${now.problems.length} jobs`;
+  $("batch-go").disabled = false;
+  $("batch").scrollIntoView({ block: "nearest" });
+  $("batch-title").focus();
+  announce(`${now.problems.length} problems are chosen`);
+}
+
+export const closeBatch = () => show($("batch"), false);
+
+// What is wrong, at the problems that it is wrong of; the others have nothing.
+function tellFaults(issues) {
+  const rows = [...$("batch-list").children];
+  const left = [];
+  for (const row of rows) row.lastChild.replaceChildren();
+  for (const issue of sorted(issues)) {
+    const row = rows.find((one) => issue.message.startsWith(`${one.dataset.name.slice(0, 80)}: `));
+    if (row) row.lastChild.append(issueItem({ ...issue, message: issue.message.slice(Math.min(row.dataset.name.length, 80) + 2) }));
+    else left.push(issue.message);
+  }
+  const wrong = rows.filter((row) => row.lastChild.children.length).length;
+  banner(left.length ? left.join(" · ") : `${wrong} of ${rows.length} problems cannot be read, so no job was made.`);
+}
+
+export function setUpBatch() {
+  $("batch-close").addEventListener("click", closeBatch);
+  $("batch-go").addEventListener("click", async () => {
+    $("batch-go").disabled = true;
+    banner("");
+    const tag = $("batch-tag").value.trim().normalize("NFC");
+    const form = new FormData();
+    for (const one of now.problems) form.append("problem", one, one.name);
+    for (const one of now.files) form.append("files", one, one.name);
+    try {
+      await post(`/v1/batches?${new URLSearchParams({ tag })}`, { body: form });
+      location.assign(`/?${new URLSearchParams({ tag })}`);
+    } catch (error) {
+      if (error instanceof Refused && error.status === 422) tellFaults(error.issues);
+      else tell(error);
+      $("batch-go").disabled = false;
+    }
+  });
+}

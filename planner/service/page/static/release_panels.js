@@ -1,0 +1,61 @@
+// Releases the proven panels of an element by one act, each as it was shown; those that are refused are named.
+import { post } from "./api.js";
+import { banner, me, tell } from "./common.js";
+import { $, announce, h, icon, show } from "./dom.js";
+
+const NAME = "tandem-name"; // who said so the last time, where the service asks for no tokens
+export const toRelease = (panels) => panels.filter((panel) => panel.state === "verified" && panel.release !== "released");
+const plural = (n, one) => `${n.toLocaleString("en-GB")} ${one}${n === 1 ? "" : "s"}`;
+
+// How the button stands for these panels.
+export function drawReleasePanels(panels) {
+  const some = toRelease(panels);
+  const proven = panels.filter((panel) => panel.state === "verified").length;
+  show($("release-all"), proven > 0);
+  $("release-all").disabled = !some.length;
+  $("release-all").textContent = some.length ? `Release ${some.length === proven ? "all " : ""}${plural(some.length, "proven panel")}` : "All proven panels are released";
+}
+
+// path(): the element's address; panels(): as they are shown now; after(): reads them anew.
+export async function setUpReleasePanels(path, panels, after) {
+  const who = await me;
+  const named = Boolean(who && !who.tokens); // nobody is known by a token
+  let shown = [];
+  show($("release-who"), named);
+  $("release-name").required = named;
+  $("release-all").addEventListener("click", () => {
+    shown = toRelease(panels());
+    const left = panels().length - shown.length;
+    $("release-count").textContent = `${plural(shown.length, "panel")}${left ? `; ${left.toLocaleString("en-GB")} others are not proven, or released already` : ", all that there are"}.`;
+    $("release-what").replaceChildren(...shown.flatMap((one) => [h("dt", {}, one.id), h("dd", {}, h("code", { title: one.digest }, one.digest.slice(0, 16)))]));
+    $("release-name").value = localStorage.getItem(NAME) ?? "";
+    $("release-ask").returnValue = "";
+    $("release-ask").showModal();
+  });
+  $("release-ask").addEventListener("close", async () => {
+    if ($("release-ask").returnValue !== "yes") return;
+    const by = named ? { name: $("release-name").value } : {};
+    if (named) localStorage.setItem(NAME, by.name);
+    const asked = Object.fromEntries(shown.map((one) => [one.id, { job: one.job, digest: one.digest }]));
+    let done = null;
+    try {
+      const body = JSON.stringify({ panels: asked, note: $("release-note").value, ...by });
+      done = await (await post(`${path()}/release`, { body, headers: { "Content-Type": "application/json" } })).json();
+      $("release-note").value = "";
+    } catch (error) {
+      tell(error);
+    }
+    await after();
+    if (!done) return;
+    announce(`${plural(done.releases.length, "panel")} released`);
+    banner(done.refused.map((one) => `${one.panel} was not released: ${one.issues.map((issue) => issue.message).join("; ")}`).join(" · "), "warn");
+    $("release-all").focus();
+  });
+}
+
+// Whether the programs of a panel may run, in a word.
+export function released(panel) {
+  if (panel.state !== "verified" || !panel.release) return null;
+  const words = { released: "released", withdrawn: "release withdrawn", "not-released": "not released" }[panel.release];
+  return h("span", { class: `sub released-${panel.release}` }, panel.release === "released" ? icon("check") : null, words);
+}
