@@ -404,7 +404,8 @@ class Sheet:
     ``formed`` are the convex solids, in the stock frame, that hold what stands out of the flat sheet once the
     part is formed, or at any time before; bodies of the cell keep clear of them from the beginning.
     ``holes``: along which curves earlier operations have cut it. ``stages``: which others form it, as one
-    operation finds it; None where nothing says so, and where none does.
+    operation finds it; None where nothing says so, and where none does. ``die``: an operation has one behind
+    it, of which nothing says that it is ever taken away.
     """
 
     metal: SheetMetal
@@ -413,6 +414,7 @@ class Sheet:
     formed: tuple[Shape, ...] = ()
     holes: tuple[Hole, ...] = ()
     stages: Stages | None = None
+    die: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -524,6 +526,11 @@ def any_lean(operation: Operation) -> bool:
     """Whether targets and claims of an operation are the same however the block leans: only where its process
     says so (``any_lean = True`` of its schema)."""
     return bool(getattr(operation, "any_lean", False))
+
+
+def lights_torch(operation: Operation) -> bool:
+    """Whether the signal of an operation lights a torch: that of one that trims, but by a mill."""
+    return operation.process == "trim" and getattr(getattr(operation, "by", None), "kind", "torch") == "torch"
 
 
 @runtime_checkable

@@ -56,7 +56,7 @@ def with_die(die: Die, side: int, stock: Stock, part: Part | None) -> Stock:
             "box", tuple(stock.size), from_rpy([0.0, 0.0, 0.5 * float(stock.size[2])], [0.0, 0.0, 0.0])
         )
         solids.append(_drawn(sheet, side * sunk))
-    made = dataclasses.replace(stock.sheet, formed=(*stock.sheet.formed, *solids))
+    made = dataclasses.replace(stock.sheet, formed=(*stock.sheet.formed, *solids), die=True)
     return dataclasses.replace(stock, sheet=made, support=support)
 
 

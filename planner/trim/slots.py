@@ -101,7 +101,15 @@ def _require_whole(one: Wanted, middle: FloatArray, half: float, tolerance: floa
         where = one.laid.point[0] if len(middle) < 2 else middle[int(np.argmax(step))]
         what = f"{one.spec.name}: about ({where[0] / MM:.1f}, {where[1] / MM:.1f}) mm the waste is narrower "
         what += f"than the kerf of {2.0 * half / MM:g} mm, so that its slot does not close"
-        raise TandemError(Issue("trim.narrow", what, limit=2.0 * half / MM, unit="mm", hint="widen it there"))
+        raise TandemError(
+            Issue(
+                "trim.narrow",
+                what,
+                limit=2.0 * half / MM,
+                unit="mm",
+                hint="widen it there, or take a narrower kerf",
+            )
+        )
     left = apart(one.laid.point, middle) - half
     k = int(np.argmax(left))
     if left[k] > tolerance:

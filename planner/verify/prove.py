@@ -58,6 +58,7 @@ from planner.verify.rules import (
     synchronisation,
     text,
     trim,
+    trim_mill,
     waiting_time,
     wire,
 )
@@ -208,6 +209,8 @@ TRIM_RULES: tuple[Rule[[Context, Trimming], Outcome], ...] = (
     trim.trim_order,
     trim.trim_feed,
     trim.trim_clear,
+    trim_mill.trim_mill,
+    trim_mill.trim_spindle,
 )
 """Rules about sheets that are trimmed."""
 
