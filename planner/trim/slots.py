@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import shapely
 
-from planner.geometry.arrays import FloatArray, unit
+from planner.geometry.arrays import BoolArray, FloatArray, unit
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.trim.face import Face, Laid, apart, offset
@@ -50,7 +50,7 @@ class Wanted:
         """Whether what is inside drops."""
         return self.spec.drops == "inside"
 
-    def waste(self, xy: FloatArray) -> FloatArray:
+    def waste(self, xy: FloatArray) -> BoolArray:
         """(N,) whether places in plan lie in its waste."""
         return np.asarray(shapely.contains_xy(self.area, xy[:, 0], xy[:, 1]) == self.inside)
 

@@ -150,7 +150,7 @@ def _leaves(context: Context, work: TrimWork, key: str) -> Found:
     claim, out, worst = work.claim, list[Issue](), 0.0
     own = Segment(TRIM, key.split("/", 1)[1])
     for phase in ("in", "out"):
-        track = work.of_slot(own.at(phase).key)  # type: ignore[arg-type]
+        track = work.of_slot(own.at(phase).key)
         if not len(track.rows):
             continue
         feet, deep = work.feet(track.tip, track.axis)
