@@ -220,8 +220,9 @@ def _route(
         for leant in check.leans(axis, op.cone_deg * DEG):
             ok &= check.clear_of(tool.body, places, pivot - tool.deep * leant, leant) >= op.clear_mm * MM
         lean = np.where(ok & np.append(ok[1:], True) & np.append(True, ok[:-1]), cone, 0.0)
-        if tool.cutter is not None:  # straight down, and straight out again
-            lean[[0, 1, -1]] = 0.0
+        if tool.cutter is not None:  # not turned on the way down, and straight out again
+            lean[(raised > 0.0) | np.append(True, raised[:-1] > 0.0)] = 0.0
+            lean[-1] = 0.0
         above = [tip[k] + max((level - tip[k, 2]) / axis[k, 2], 2.0 * MM) * axis[k] for k in (0, -1)]
         feed = op.feed_mm_s * MM / np.maximum(np.abs(axis[:, 2]), 0.1)
         if op.feed_most_mm_s is not None:
@@ -264,6 +265,8 @@ def _route(
     ), issues
 
 
+PLUNGE_SHARE: Final = 0.8
+"""Share of its plunge feed at which a cutter goes down: on a bent face it does not go down evenly."""
 LEAST_SHARE: Final = 0.05
 """Of a feed along the face, that of a tip behind it at least."""
 
@@ -280,7 +283,8 @@ def _of_tip(
     share = np.maximum(way / np.maximum(along, 1e-9), LEAST_SHARE)
     out[1:] *= np.where(along > 1e-9, np.minimum(share, 1.0), 1.0)
     steep = down > 1e-9
-    out[1:][steep] = np.minimum(out[1:], tool.plunge * way / np.maximum(down, 1e-9))[steep]
+    most = PLUNGE_SHARE * tool.plunge * way / np.maximum(down, 1e-9)
+    out[1:][steep] = np.minimum(out[1:], most)[steep]
     return out
 
 
