@@ -7,7 +7,7 @@ rest of the house needs of one is :class:`Operation`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, runtime_checkable
 
@@ -408,9 +408,10 @@ class Sheet:
     does not move.
 
     ``formed`` are the convex solids, in the stock frame, that hold what stands out of the flat sheet once the
-    part is formed; bodies of the cell keep clear of them from the beginning. ``holes``: along which curves
-    earlier operations have cut it. ``stages``: which others form it, as one operation finds it; None where
-    nothing says so, and where none does.
+    part is formed, or at any time before; bodies of the cell keep clear of them from the beginning.
+    ``holes``: along which curves earlier operations have cut it. ``stages``: which others form it, as one
+    operation finds it; None where nothing says so, and where none does. ``die``: an operation has one behind
+    it, of which nothing says that it is ever taken away.
     """
 
     metal: SheetMetal
@@ -419,6 +420,7 @@ class Sheet:
     formed: tuple[Shape, ...] = ()
     holes: tuple[Hole, ...] = ()
     stages: Stages | None = None
+    die: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -532,12 +534,18 @@ def any_lean(operation: Operation) -> bool:
     return bool(getattr(operation, "any_lean", False))
 
 
+def lights_torch(operation: Operation) -> bool:
+    """Whether the signal of an operation lights a torch: that of one that trims, but by a mill."""
+    return operation.process == "trim" and getattr(getattr(operation, "by", None), "kind", "torch") == "torch"
+
+
 @runtime_checkable
 class Fixed(Protocol):
-    """An operation that brings fixtures of its own."""
+    """An operation that brings fixtures of its own, or shapes of the stock that others do not know."""
 
-    def with_fixtures(self, stock: Stock, part: Part | None) -> Stock:
-        """The stock with bodies of fixtures, by which bodies of the cell keep clear."""
+    def with_fixtures(self, stock: Stock, part: Part | None, before: Sequence[Operation]) -> Stock:
+        """The stock with bodies of fixtures, by which bodies of the cell keep clear; ``before``: the
+        operations before this one."""
 
 
 FORMING: Final = "forming"

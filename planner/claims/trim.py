@@ -7,7 +7,7 @@ import dataclasses
 from pathlib import Path
 
 from planner.claims.milling import DrawnCurve
-from planner.tooling import Torch
+from planner.tooling import Cutter, Torch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,22 +43,41 @@ class SurfaceFile:
 
 
 @dataclasses.dataclass(frozen=True)
+class TrimCutter:
+    """A mill that goes through the sheet, square to it: ``cutter``, whose tip is ``below`` [m] lower than a
+    sheet of its whole thickness.
+
+    It comes down, not turned, to ``start`` [m] over the face, far enough off all curves, and from there into
+    the waste, where ``ramp`` on its way in, else straight, along its axis no faster than ``plunge`` [m/s].
+    Its spindle has been on for ``spin_up`` [s] then, and is until it is ``start`` over the face again.
+    """
+
+    cutter: Cutter
+    below: float
+    start: float
+    ramp: bool
+    plunge: float
+    spin_up: float
+
+
+@dataclasses.dataclass(frozen=True)
 class TrimsSheet:
-    """In trimming segments ``torch`` on ``arm`` cuts all of ``outlines``, laid along z on one face of the
-    formed sheet, each closed but for its joints, inner ones before outer ones.
+    """In trimming segments ``torch``, or the mill ``mill``, on ``arm`` cuts all of ``outlines``, laid along z
+    on one face of the formed sheet, each closed but for its joints, inner ones before outer ones.
 
     The face is the upper one (``side`` +1) or the lower one of the part of the problem, or of the mesh
     ``surface``; ``thickness`` [m] is the flat sheet's. The proof reads part and curves itself.
 
-    The slot lies in the waste, its edge on the curve within ``tolerance`` [m]. The TCP is on the face within
-    ``height`` [m], and where it leads in no higher than the nozzle's ``pierce_height`` [m] says; the torch
-    leans no farther than ``cone`` [rad] off the normal, and no part of it is nearer to the sheet than
+    The slot, ``kerf`` [m] wide, lies in the waste, its edge on the curve within ``tolerance`` [m]. The TCP of
+    a torch is on the face within ``height`` [m], and where it leads in no higher than the nozzle's
+    ``pierce_height`` [m] says; of a mill it is as deep as wanted within that. The tool leans no farther than
+    ``cone`` [rad] off the normal, and no part of it, but for what cuts of a mill, is nearer to the sheet than
     ``clear`` [m]. It goes at ``feed`` [m/s] over the cosine of the wall's angle, at ``feed_most`` at most and
     at the share ``least_feed`` of that on average.
 
-    The output ``signal`` is on in trimming segments alone, and goes on at rest in the waste, ``pierce_off``
-    [m] off all curves; then the program waits for the input ``ok_signal``, if there is one, ``timeout`` [s]
-    at most, and ``pierce_seconds`` [s] more.
+    The output ``signal`` of a torch is on in trimming segments alone, and goes on at rest in the waste,
+    ``pierce_off`` [m] off all curves, as far as a mill goes into the sheet; then the program waits for the
+    input ``ok_signal``, if there is one, ``timeout`` [s] at most, and ``pierce_seconds`` [s] more.
     """
 
     arm: str
@@ -66,7 +85,9 @@ class TrimsSheet:
     thickness: float
     surface: SurfaceFile | None
     outlines: tuple[TrimOutline, ...]
-    torch: Torch
+    kerf: float
+    torch: Torch | None
+    mill: TrimCutter | None
     tolerance: float
     height: float
     cone: float

@@ -326,6 +326,17 @@ TORCH_COLD: Final = Sentence(
     "Torch off and edges cold? What is cut out lies hot below the sheet. "
     "Take dross off before it is formed on."
 )
+TRIM_MILL: Final = Sentence(
+    "Sheet of {t_mm:g} mm, {metal}; {kind} mill of {diameter_mm:g} mm, {rpm:g} 1/min, "
+    "{below_mm:g} mm through the sheet"
+)
+TRIM_MILL_READY: Final = Sentence(
+    "Sheet and cutter clamped, none of these slots in it yet, nothing below the sheet where they are, "
+    "nobody in the cell?"
+)
+TRIM_MILL_STANDS: Final = Sentence(
+    "Spindle stands? Take loose pieces out, and burrs off before it is formed on."
+)
 
 
 Figure = float | str | None

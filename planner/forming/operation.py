@@ -16,22 +16,23 @@ flat sheet: bodies keep clear of both at every height at once, whenever they are
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
+from planner.forming.features.tree import LEAST_BUMP, build
+from planner.forming.stages import order_of, with_states
 from planner.geometry.arrays import Shape, from_rpy
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.mesh_files import read_mesh
 from planner.geometry.mesh_queries import outer_hull
-from planner.geometry.units import LENGTH_UNITS
-from planner.problem import Part, Stock
+from planner.geometry.units import LENGTH_UNITS, MM
+from planner.issues import TandemError
+from planner.problem import FORMING, Forms, Operation, Part, Stock
 from planner.reading.strict_yaml import Angle, Name, Strict, Unit
-
-if TYPE_CHECKING:
-    pass
 
 
 def die_mesh(die: Die) -> TriangleMesh:
@@ -55,7 +56,7 @@ def with_die(die: Die, side: int, stock: Stock, part: Part | None) -> Stock:
             "box", tuple(stock.size), from_rpy([0.0, 0.0, 0.5 * float(stock.size[2])], [0.0, 0.0, 0.0])
         )
         solids.append(_drawn(sheet, side * sunk))
-    made = dataclasses.replace(stock.sheet, formed=(*stock.sheet.formed, *solids))
+    made = dataclasses.replace(stock.sheet, formed=(*stock.sheet.formed, *solids), die=True)
     return dataclasses.replace(stock, sheet=made, support=support)
 
 
@@ -418,6 +419,20 @@ class Forming(Strict):
         """The sheet as it stays clamped: what stands out of it is part of its solids from the beginning."""
         return stock
 
-    def with_fixtures(self, stock: Stock, part: Part | None) -> Stock:
-        """The sheet with the die behind it, and all over the heights at which a clamp that sinks has it."""
-        return stock if self.die is None else with_die(self.die, 1 if self.side == "top" else -1, stock, part)
+    def with_fixtures(self, stock: Stock, part: Part | None, before: Sequence[Operation]) -> Stock:
+        """The sheet with the die behind it, all over the heights at which a clamp that sinks has it, and
+        with all that stands out of it before the part is finished."""
+        if self.die is not None:
+            stock = with_die(self.die, 1 if self.side == "top" else -1, stock, part)
+        if self.strategy != "virgin" or part is None or part.formed is None:
+            return stock
+        done = [
+            k for op in before if isinstance(op, Forms) and op.process == FORMING for k in op.features or ()
+        ]
+        mesh, noise = part.formed.mesh, max(LEAST_BUMP, part.formed.tolerance)
+        try:
+            tree = build(mesh, self.feature_step_mm * MM, noise)
+            order = order_of(tree, True, self.order, self.features, done)
+        except TandemError:
+            return stock  # the job itself says what is wrong
+        return with_states(stock, mesh, tree, order, [k for k in done if k <= len(tree.features)])

@@ -24,7 +24,7 @@ from planner.forming.paths.adsif_path import adsif_tool_path, pressed_by_support
 from planner.forming.paths.contact_path import make_path
 from planner.forming.paths.spiral import MISSED_DISTANCE, PathOptions
 from planner.forming.sheet_mechanics import steepest
-from planner.forming.stages import formed_sheet, own_features, require_within
+from planner.forming.stages import formed_sheet, order_of, own_features
 from planner.forming.stated_force import Stated, stated
 from planner.forming.support.clearance import Clamp, clamp_of
 from planner.forming.support.modes import tool_path
@@ -151,11 +151,9 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
     tolerance = part.formed.tolerance if part is not None and part.formed is not None else 0.0
     tree = feature_tree.build(mesh, operation.feature_step_mm * MM, max(feature_tree.LEAST_BUMP, tolerance))
     before, own = own_features(operation.name, operation.features, sheet.stages, tree)
-    order = _order(operation, tree, own, before)
+    some = None if operation.features is None else own
+    order = order_of(tree, operation.strategy == "virgin", operation.order, some, before)
     thickness = float(setup.stock.size[2])
-    if operation.features is not None and operation.strategy == "virgin":
-        states = [(*before, *(step.feature for step in order[: k + 1])) for k in range(len(order))]
-        require_within(operation.name, mesh, tree, states, sheet.formed, thickness)
     made = passes(tree, order, mesh, thickness, operation, sheet.metal)
     _require_sides(operation, made)
     controller = setup.cell.controller
@@ -164,16 +162,6 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
     found = Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp, tolerance, every, before)
     _ = found.stated  # what is wrong with it is said before anything is laid
     return found
-
-
-def _order(
-    op: Forming, tree: FeatureTree, own: tuple[int, ...], before: tuple[int, ...]
-) -> tuple[OrderStep, ...]:
-    some = None if op.features is None else own
-    if op.order is not None:
-        return feature_tree.given_order(tree, op.order, op.strategy == "virgin", some, before)
-    by = feature_tree.on_virgin_sheet if op.strategy == "virgin" else feature_tree.in_place
-    return by(tree, some, before)
 
 
 def _heads(op: Forming, setup: Setup) -> dict[str, FormingHead]:

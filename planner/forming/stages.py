@@ -10,19 +10,23 @@ a stated margin, seen along z; a hole that nothing formed later comes near to st
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
 import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from planner.forming.contact import Pass, ToolPath
-from planner.forming.features.tree import FeatureTree
+from planner.forming.features.tree import FeatureTree, OrderStep, given_order, in_place, on_virgin_sheet
 from planner.geometry.arrays import FloatArray, Mesh, Shape, transform
 from planner.geometry.mesh import small_pieces
+from planner.geometry.mesh_queries import outer_hull
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
-from planner.problem import Hole, Stages
+from planner.problem import Hole, Stages, Stock
 
 
 def own_features(
@@ -79,38 +83,78 @@ def formed_sheet(mesh: Mesh, tree: FeatureTree, done: Sequence[int]) -> Mesh:
 
 
 STANDS_OUT: Final = 0.2 * MM
-"""How far [m] the sheet may stand out of the solids of the part between stages, and off the flat unseen."""
+"""How far [m] the sheet may stand out of the solids by which bodies keep clear of it, and off the flat
+unseen."""
 
 
-def require_within(
-    name: str,
-    mesh: Mesh,
+def order_of(
     tree: FeatureTree,
-    states: Sequence[Sequence[int]],
-    solids: Sequence[Shape],
-    up: float,
-) -> None:
-    """Whether a sheet ``up`` [m] thick that has the features of each of ``states`` stays in the ``solids`` of
-    the finished part, by which bodies of the cell keep clear. Raises ``TandemError`` (forming.features)."""
-    planes = [_planes(one) for one in solids]
-    for done in states:
-        points = formed_sheet(mesh, tree, sorted(done)).vertices
-        points = points[np.abs(points[:, 2] - tree.level) > STANDS_OUT]
-        points = np.concatenate([points, points + np.array([0.0, 0.0, up])])
-        off = np.full(len(points), np.inf)
-        for normal, reach in planes:
-            own = np.full(len(points), -np.inf)
-            for n, r in zip(normal, reach, strict=True):
-                np.maximum(own, points @ n - r, out=own)
+    virgin: bool,
+    given: Sequence[int] | None,
+    some: Sequence[int] | None,
+    before: Sequence[int],
+) -> tuple[OrderStep, ...]:
+    """The order in which an operation forms features: ``some``, None for all, behind those ``before``; as
+    ``given``, or as its strategy has it. Raises ``TandemError`` (forming.order)."""
+    if given is not None:
+        return given_order(tree, given, virgin, some, before)
+    by = on_virgin_sheet if virgin else in_place
+    return by(tree, some, before)
+
+
+def with_states(
+    stock: Stock, mesh: Mesh, tree: FeatureTree, order: Sequence[OrderStep], before: Sequence[int]
+) -> Stock:
+    """The sheet with solids of what stands out of it before the part, of the lower face ``mesh``, is
+    finished: once each step of an ``order`` is done, behind the features ``before``.
+
+    What is formed on the virgin sheet stands higher, or lower, than in the part until what is around it
+    takes it along, straight along z, through the solids of both.
+    """
+    sheet = stock.sheet
+    if sheet is None:
+        return stock
+    solids = list(sheet.formed)
+    for k in range(len(order)):
+        done = sorted({*before, *(step.feature for step in order[: k + 1])})
+        solids += _standing(formed_sheet(mesh, tree, done), tree.level, float(stock.size[2]), solids)
+    return dataclasses.replace(stock, sheet=dataclasses.replace(sheet, formed=tuple(solids)))
+
+
+def _standing(mesh: Mesh, level: float, thickness: float, known: Sequence[Shape]) -> list[Shape]:
+    """Hulls, each of one piece of a sheet that stands off its flat ``level`` [m] and out of the solids that
+    are ``known``."""
+    planes = [_planes(one) for one in known]
+    rise = np.array([0.0, 0.0, thickness])
+    out = []
+    for side in (-1.0, 1.0):
+        off = side * (mesh.vertices[:, 2] - level) > STANDS_OUT
+        faces = mesh.faces[off[mesh.faces].any(axis=1)]
+        edges = np.concatenate([faces[:, :2], faces[:, 1:]])
+        count = len(mesh.vertices)
+        graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
+        label = connected_components(graph, directed=False)[1]
+        for piece in np.unique(label[faces[:, 0]]) if len(faces) else ():
+            own = mesh.vertices[np.unique(faces[label[faces[:, 0]] == piece])]
+            both = np.concatenate([own, own + rise])
+            beyond = both[np.abs(both[:, 2] - level - 0.5 * thickness) > 0.5 * thickness + STANDS_OUT]
+            if _out_of(beyond, planes) <= STANDS_OUT:
+                continue
+            hull = outer_hull(both)
+            out.append(Shape("mesh", (), np.eye(4), hull.vertices, hull.faces))
+    return out
+
+
+def _out_of(points: FloatArray, planes: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+    """How far [m] the farthest of ``points`` (P, 3) is out of the nearest of solids."""
+    off = np.full(len(points), np.inf)
+    for normal, reach in planes:
+        own = np.full(len(points), -np.inf)
+        for n, r in zip(normal, reach, strict=True):
+            np.maximum(own, points @ n - r, out=own)
+        if len(normal):
             np.minimum(off, own, out=off)
-        if not len(off) or off.max() <= STANDS_OUT:
-            continue
-        at = ", ".join(f"{x / MM:.1f}" for x in points[int(off.argmax())])
-        what = (
-            f"{name}: once {_features(sorted(done))} formed, the sheet stands {min(off.max(), 1e3) / MM:.1f} "
-        )
-        what += f"mm out of the finished part, at ({at}) mm, and arms keep clear of the finished part alone"
-        raise TandemError(_issue(what, "form what is around it first, in place (strategy: in_place)"))
+    return float(off.max(initial=-np.inf))
 
 
 def _planes(solid: Shape) -> tuple[FloatArray, FloatArray]:

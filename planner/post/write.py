@@ -29,7 +29,7 @@ from planner.post.rapid import program as rapid_program
 from planner.post.rapid.syntax import alike, procedure
 from planner.post.steps import build
 from planner.post.urscript import program as ur_program
-from planner.problem import Arm, Problem
+from planner.problem import Arm, Problem, lights_torch
 from planner.targets import Targets
 
 CONTROLLER_FOLDER: Final = "controller"
@@ -82,7 +82,7 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
 
 def _torches(problem: Problem, signals: Sequence[str]) -> list[str]:
     """Those of the ``signals`` that light the torch of an operation."""
-    own = {getattr(one, "signal", None) for one in problem.operations if one.process == "trim"}
+    own = {getattr(one, "signal", None) for one in problem.operations if lights_torch(one)}
     return [signal for signal in signals if signal in own]
 
 

@@ -390,6 +390,12 @@ _POWERED: Final = {"milling": "spindle", "trim": "torch"}
 """What a signal of an operation powers that is no wire, by process."""
 
 
+def _powered(operation: Operation) -> str:
+    """What the signal of an operation powers."""
+    by = getattr(getattr(operation, "by", None), "kind", "")
+    return "spindle" if by == "mill" else _POWERED.get(operation.process, "wire")
+
+
 def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
     """Each name has one use; requests of one use may come again."""
     controller = cell.controller
@@ -423,7 +429,7 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
             use(die.signal, "the pulse of a clamp that sinks", f"{field}.die.signal", MAX_SWITCHED_NAME)
         signal = getattr(operation, "signal", None)
         if isinstance(signal, str):
-            what = f"the power of a {_POWERED.get(operation.process, 'wire')}"
+            what = f"the power of a {_powered(operation)}"
             use(signal, what, f"{field}.signal", MAX_SWITCHED_NAME)
             use(lock.of(signal).signal, f"the output that {signal} drives", f"{place}.outputs")
         given = _waited(operation)

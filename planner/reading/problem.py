@@ -240,8 +240,9 @@ def build(document: Document, models: OperationModels) -> Problem:
         try:
             part = part_file.build(spec.part, path.parent, stock)
             stock = sheet_file.with_formed(stock, part)
-            for operation in operations:
-                stock = operation.with_fixtures(stock, part) if isinstance(operation, Fixed) else stock
+            for k, operation in enumerate(operations):
+                if isinstance(operation, Fixed):
+                    stock = operation.with_fixtures(stock, part, operations[:k])
         except TandemError as error:
             issues += [_placed(issue, document) for issue in error.issues]
     if spec is None or cell is None or stock is None or issues:

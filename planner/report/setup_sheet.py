@@ -16,7 +16,17 @@ from planner.claims.forming import SinksHolder
 from planner.geometry.arrays import FloatArray, inverse, to_quaternion, to_rpy, transform
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Controller, LinearTrack, Problem, RotaryAxis, Setup, Stock, Turntable
+from planner.problem import (
+    Arm,
+    Controller,
+    LinearTrack,
+    Problem,
+    RotaryAxis,
+    Setup,
+    Stock,
+    Turntable,
+    lights_torch,
+)
 from planner.report import exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import kerf_shown, operation_starts
@@ -378,7 +388,7 @@ def _torches(
 ) -> list[tuple[str, str]]:
     """What follows a stop at which a torch burned; ``anew``: how a program begins again; ``arm``: the one of
     this controller where the other one has another."""
-    own = {getattr(one, "signal", None) for one in problem.operations if one.process == "trim"}
+    own = {getattr(one, "signal", None) for one in problem.operations if lights_torch(one)}
     there = (
         {one.name: set(_powered(problem, plan, one.name)) & own for one in problem.cell.arms} if arm else {}
     )

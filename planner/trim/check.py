@@ -1,4 +1,4 @@
-"""What would go wrong while a sheet is trimmed: curves that cross or leave the sheet, torches in the wall."""
+"""What would go wrong while a sheet is trimmed: curves that cross or leave the sheet, tools in the wall."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from typing import Final
 
 import numpy as np
 import shapely
+from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, unit
 from planner.geometry.mesh import small_pieces
 from planner.geometry.swept_body import RoundBody
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue
-from planner.tooling import Torch
-from planner.trim.face import Face
+from planner.trim.cutting import Cutting
+from planner.trim.face import Face, apart
 from planner.trim.operation import Trim
 from planner.trim.slots import Slot, Wanted
 
@@ -73,31 +74,64 @@ def _nearest(one: Wanted, free: shapely.Polygon) -> int:
     return int(np.argmin(shapely.distance(free.exterior, shapely.points(one.laid.point[:, :2]))))
 
 
-def body(torch: Torch) -> RoundBody:
-    """A torch as a body of revolution about its axis, from the TCP backwards. Its distances are those from
-    the planes of nozzle's end, cone and body, never more than the true ones."""
-    slope = np.arctan2(torch.body - torch.nozzle, torch.cone)
-
-    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
-        cone = (beside - torch.nozzle) * np.cos(slope) - (back - torch.standoff) * np.sin(slope)
-        ends = np.maximum(torch.standoff - back, back - torch.back)
-        return np.asarray(np.maximum(np.maximum(cone, beside - torch.body), ends))
-
-    return RoundBody(torch.standoff, torch.back, torch.body, distance)
-
-
-def clear_of(torch: Torch, places: FloatArray, tips: FloatArray, axes: FloatArray) -> FloatArray:
-    """Least distance (N,) [m] of the torch, at each of ``tips`` with ``axes`` (N, 3) from there into the
-    torch, from ``places`` (P, 3); at most ``SIGHT``."""
-    own = body(torch)
+def clear_of(own: RoundBody, places: FloatArray, tips: FloatArray, axes: FloatArray) -> FloatArray:
+    """Least distance (N,) [m] of a tool's body, at each of ``tips`` with ``axes`` (N, 3) from there into the
+    tool, from ``places`` (P, 3); at most ``SIGHT``."""
     out = np.empty(len(tips))
     for k, (tip, axis) in enumerate(zip(tips, axes, strict=True)):
         back = places @ axis - tip @ axis
-        some = (back > torch.standoff - SIGHT) & (back < torch.back + SIGHT)
+        some = (back > own.start - SIGHT) & (back < own.end + SIGHT)
         rest, back = places[some] - tip, back[some]
         beside = np.sqrt(np.maximum(np.einsum("ij,ij->i", rest, rest) - back * back, 0.0))
         out[k] = own.distance(back, beside).min(initial=SIGHT)
     return out
+
+
+def gouged(
+    one: Wanted,
+    tool: Cutting,
+    places: FloatArray,
+    thickness: float,
+    side: int,
+    way: tuple[FloatArray, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """How far (N,) [m] over its outline the cutter is in the part, and where (N, 3), at each row of a
+    ``way``: its tips and its axes (N, 3). ``places`` (P, 3) are those of the face, the other one
+    is lower by the ``thickness`` [m]: of that so much counts as the edge of the cut."""
+    deep, where = np.zeros(len(way[0])), np.zeros((len(way[0]), 3))
+    if tool.cutter is None:
+        return deep, where
+    cutter = tool.cutter
+    part = places[~one.waste(places[:, :2])]
+    off = apart(part, one.laid.point)
+    both = np.concatenate([part, part - np.array([0.0, 0.0, side * thickness])])
+    off = np.concatenate([off, off - thickness])
+    tree = cKDTree(both)
+    for k, (tip, axis) in enumerate(zip(*way, strict=True)):
+        some = tree.query_ball_point(tip + 0.5 * cutter.flute * axis, 0.5 * cutter.flute + cutter.radius)
+        if not some:
+            continue
+        rest = both[some] - tip
+        back = rest @ axis
+        beside = np.linalg.norm(rest - back[:, None] * axis, axis=1)
+        inside = (beside < cutter.radius) & (back > 0.0) & (back < cutter.flute)
+        found = np.where(inside, off[some], 0.0)
+        j = int(np.argmax(found))
+        deep[k], where[k] = found[j], both[some[j]]
+    return deep, where
+
+
+def gouge_issue(slot: Slot, deep: FloatArray, where: FloatArray, op: Trim) -> Iterator[Issue]:
+    """A cutter that goes into the part where that is bent."""
+    k = int(np.argmax(deep))
+    if deep[k] <= op.shape_tol_mm * MM:
+        return
+    x, y, z = where[k] / MM
+    what = f"{slot.outline}: the cutter goes {deep[k] / MM:.2f} mm over the curve into the part, at "
+    what += f"({x:.1f}, {y:.1f}, {z:.1f}) mm; allowed: {op.shape_tol_mm:g} mm"
+    hint = "move the curve away from the wall there, take a thinner cutter, or less below_mm"
+    value, limit = float(deep[k]) / MM, op.shape_tol_mm
+    yield Issue("trim.wall", what, value=value, limit=limit, unit="mm", hint=hint)
 
 
 def face_places(face: Face, size: FloatArray) -> FloatArray:
@@ -108,29 +142,35 @@ def face_places(face: Face, size: FloatArray) -> FloatArray:
     )
 
 
-def wall_issue(slot: Slot, tips: FloatArray, off: FloatArray, op: Trim, torch: Torch) -> Iterator[Issue]:
-    """A torch square to the face that is nearer to the sheet than it may be."""
+def wall_issue(slot: Slot, tips: FloatArray, off: FloatArray, op: Trim, tool: Cutting) -> Iterator[Issue]:
+    """A tool square to the face that is nearer to the sheet than it may be."""
     k = int(np.argmin(off))
     if off[k] >= op.clear_mm * MM:
         return
     x, y, z = tips[k] / MM
-    what = f"{slot.outline}: at ({x:.1f}, {y:.1f}, {z:.1f}) mm the torch, square to the sheet, "
+    what = f"{slot.outline}: at ({x:.1f}, {y:.1f}, {z:.1f}) mm the {_named(tool)}, square to the sheet, "
     what += (
         f"{'stands in it by' if off[k] < 0.0 else 'is off its wall by'} {abs(off[k]) / MM:.2f} mm; wanted: "
     )
     what += f"{op.clear_mm:g} mm"
-    hint = f"move the curve away from the wall, take a slimmer nozzle (now {2e3 * torch.nozzle:g} mm, "
-    hint += f"{2e3 * torch.body:g} mm from {torch.cone / MM:g} mm on), or a larger standoff_mm"
+    hint = "move the curve away from the wall, take a longer flute or a slimmer holder"
+    if tool.cutter is None:
+        hint = "move the curve away from the wall, take a slimmer nozzle, or a larger standoff_mm"
     yield Issue("trim.wall", what, value=float(off[k]) / MM, limit=op.clear_mm, unit="mm", hint=hint)
 
 
+def _named(tool: Cutting) -> str:
+    """What keeps clear of the sheet, in words."""
+    return tool.word if tool.cutter is None else f"{tool.word}'s shank or holder"
+
+
 def rise_issue(slot: Slot, axes: FloatArray, side: int) -> Iterator[Issue]:
-    """A torch so flat at a pierce point or at an end that it never rises to the safe plane."""
+    """A tool so flat at a pierce point or at an end that it never rises to the safe plane."""
     up = float((side * axes[[0, -1], 2]).min())
     if up < np.sin(LEAST_RISE):
         lean = float(np.rad2deg(np.arccos(np.clip(up, -1.0, 1.0))))
         most = 90.0 - LEAST_RISE / DEG
-        what = f"{slot.outline}: where its slot begins or ends the wall is {lean:.0f} deg steep, and a torch "
+        what = f"{slot.outline}: where its slot begins or ends the wall is {lean:.0f} deg steep, and a tool "
         what += f"square to it does not come down to it from the safe plane; allowed: {most:g} deg"
         yield Issue(
             "trim.wall", what, value=lean, limit=most, unit="deg", hint="let it begin on a flatter place"

@@ -6,17 +6,24 @@ import dataclasses
 from pathlib import Path
 
 from planner.claims import vocabulary
-from planner.claims.claim import Claim
+from planner.claims.claim import Claim, ContactOnlyIn
 from planner.claims.milling import DrawnCurve
-from planner.claims.trim import SurfaceFile, TrimOutline, TrimsSheet
-from planner.claims.vocabulary import OperatorDialogue, message_step, question_step
+from planner.claims.trim import SurfaceFile, TrimCutter, TrimOutline, TrimsSheet
+from planner.claims.vocabulary import (
+    OperatorDialogue,
+    message_step,
+    power_off_steps,
+    power_on_steps,
+    question_step,
+)
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
-from planner.tooling import Torch
-from planner.trim.operation import OutlineFile, Trim
+from planner.tooling import Mill, Torch
+from planner.trim.cutting import kerf_of
+from planner.trim.operation import MillCut, OutlineFile, Trim
 
 
-def claims(op: Trim, setup: Setup, torch: Torch) -> tuple[Claim, ...]:
+def claims(op: Trim, setup: Setup, tool: Torch | Mill) -> tuple[Claim, ...]:
     """The curves that are cut, and what the operator is told; what is switched at each curve, the proof works
     out from these."""
     surface = None
@@ -24,13 +31,17 @@ def claims(op: Trim, setup: Setup, torch: Torch) -> tuple[Claim, ...]:
         own = op.surface
         surface = SurfaceFile(Path(own.file), own.unit, own.face, own.frame, own.down, own.tolerance_mm)
     most = float("inf") if op.feed_most_mm_s is None else op.feed_most_mm_s * MM
+    torch = tool if isinstance(tool, Torch) else None
+    standoff = 0.0 if torch is None else torch.standoff
     cuts = TrimsSheet(
         arm=op.arms[0],
         side=1 if op.side == "top" else -1,
         thickness=float(setup.stock.size[2]),
         surface=surface,
         outlines=tuple(_outline(one) for one in op.outlines),
+        kerf=kerf_of(tool),
         torch=torch,
+        mill=_cutter(op.by, tool) if isinstance(op.by, MillCut) and isinstance(tool, Mill) else None,
         tolerance=op.shape_tol_mm * MM,
         height=op.height_tol_mm * MM,
         cone=op.cone_deg * DEG,
@@ -41,28 +52,66 @@ def claims(op: Trim, setup: Setup, torch: Torch) -> tuple[Claim, ...]:
         signal=op.signal,
         ok_signal=op.ok_signal,
         timeout=op.ok_timeout_s,
-        pierce_height=torch.standoff if op.pierce.height_mm is None else op.pierce.height_mm * MM,
+        pierce_height=standoff if op.pierce.height_mm is None else op.pierce.height_mm * MM,
         pierce_seconds=op.pierce.seconds,
         pierce_off=op.pierce.off_mm * MM,
     )
-    return cuts, _dialogue(op, setup, torch)
+    if isinstance(op.by, MillCut):
+        powered = ContactOnlyIn(("trim",), op.signal, op.by.spin_up_s)
+        return powered, cuts, _dialogue(op, setup, tool)
+    return cuts, _dialogue(op, setup, tool)
 
 
-def told(setup: Setup, torch: Torch) -> dict[str, float | str]:
-    """Figures of what the operator is told of sheet and torch."""
+def _cutter(by: MillCut, tool: Mill) -> TrimCutter:
+    return TrimCutter(
+        tool.cutter,
+        by.below_mm * MM,
+        by.start_mm * MM,
+        by.entry == "ramp",
+        by.plunge_mm_s * MM,
+        by.spin_up_s,
+    )
+
+
+def told(op: Trim, setup: Setup, torch: Torch | Mill) -> dict[str, float | str]:
+    """Figures of what the operator is told of sheet and tool."""
     sheet = setup.stock.sheet
-    return {
+    own: dict[str, float | str] = {
         "t_mm": float(setup.stock.size[2]) / MM,
         "metal": "" if sheet is None else sheet.metal.name,
+    }
+    if isinstance(op.by, MillCut) and isinstance(torch, Mill):
+        return own | {
+            "kind": torch.cutter.kind,
+            "diameter_mm": 2.0 * torch.cutter.radius / MM,
+            "rpm": op.by.spindle_rpm,
+            "below_mm": op.by.below_mm,
+        }
+    if not isinstance(torch, Torch):
+        return own
+    return own | {
         "cuts_by": torch.cuts_by,
         "kerf_mm": torch.kerf / MM,
         "off_mm": torch.standoff / MM,
     }
 
 
-def _dialogue(op: Trim, setup: Setup, torch: Torch) -> OperatorDialogue:
+def _dialogue(op: Trim, setup: Setup, torch: Torch | Mill) -> OperatorDialogue:
+    if isinstance(op.by, MillCut):
+        return OperatorDialogue(
+            op.arms,
+            (
+                message_step(vocabulary.TRIM_MILL, **told(op, setup, torch)),
+                question_step(vocabulary.TRIM_MILL_READY),
+                *power_on_steps(op.signal, op.by.spin_up_s),
+            ),
+            (
+                *power_off_steps(op.signal, op.by.spin_down_s),
+                question_step(vocabulary.TRIM_MILL_STANDS),
+            ),
+        )
     first = (
-        message_step(vocabulary.TORCH, **told(setup, torch)),
+        message_step(vocabulary.TORCH, **told(op, setup, torch)),
         message_step(vocabulary.TORCH_STOPPED),
         question_step(vocabulary.TORCH_READY),
     )

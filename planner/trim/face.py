@@ -115,11 +115,18 @@ def apart(points: FloatArray, curve: FloatArray) -> FloatArray:
     return best
 
 
+REACH_ROUNDS: Final = 8
+"""Times that a place is looked for anew which is the half width of a slot off its curve."""
+REACH_SCALES: Final = (0.2, 2.0)
+"""How much nearer, and how much farther along the tangent plane, it may be."""
+
+
 def offset(laid: Laid, face: Face, half: float, inside: bool) -> tuple[FloatArray, FloatArray]:
     """The middle (M, 3) [m] of a slot of the ``half`` width [m] along a curve, in the waste ``inside`` of it
     or outside, and the directions (M, 3) into the waste there; a closed way, the first place not repeated.
 
-    Each place of the curve is moved by the half width across the curve in the face's tangent plane. Where
+    Each place of the curve is moved across it in the face's tangent plane and from there along z onto the
+    face, so far that it is the half width off. Where
     the curve turns away from the slot, that goes round the corner; where it turns toward it, what is nearer
     to the curve than the half width is left out, so that the two sides meet.
     """
@@ -144,7 +151,11 @@ def offset(laid: Laid, face: Face, half: float, inside: bool) -> tuple[FloatArra
         rows.append(some)
         owner.append(np.full(len(some), i))
     out, own = np.concatenate(rows), np.concatenate(owner)
-    middle, _ = face.at((point[own] + half * out)[:, :2])
+    scale = np.ones(len(own))
+    for _ in range(REACH_ROUNDS):  # where the face is bent, so far that it is the half width off all the same
+        middle, _ = face.at((point[own] + (half * scale)[:, None] * out)[:, :2])
+        reach = np.linalg.norm(middle - point[own], axis=1)
+        scale = np.clip(scale * half / np.maximum(reach, 0.2 * half), *REACH_SCALES)
     kept = apart(middle, point) >= half - NEAR
     return _met(middle, unit(out), kept)
 

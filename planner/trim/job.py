@@ -1,10 +1,11 @@
-"""The process `trim`: from closed curves on a formed sheet and a torch to targets of one arm, and its claims.
+"""The process `trim`: from closed curves on a formed sheet to targets of one arm's torch or mill, and claims.
 
 See `face` (curves laid on the face, slots beside them), `slots` (ways in and out, micro-joints),
-`check` (what would go wrong), `claims`.
+`cutting` (what cuts), `check` (what would go wrong), `claims`.
 
-**Poses**: the TCP is the place that is cut, z the torch's axis, which points into the sheet. Motion may
-spin the torch, and lean it within its cone where that keeps it clear of the sheet.
+**Poses**: a torch's TCP is the place that is cut, a mill's its tip, as far behind that as it goes through
+the sheet; z is the tool's axis, which points into the sheet. Motion may spin the tool, and lean it about
+the place that is cut within its cone where that keeps it clear of the sheet.
 """
 
 from __future__ import annotations
@@ -31,11 +32,12 @@ from planner.milling.tool_path import sharp, thinned
 from planner.problem import Hole, Setup
 from planner.reading import sheet as sheet_file
 from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
-from planner.tooling import Torch
+from planner.tooling import Mill, Torch
 from planner.trim import check
 from planner.trim.claims import claims, told
+from planner.trim.cutting import Cutting, cutting, mounted
 from planner.trim.face import Face, lay
-from planner.trim.operation import Trim, every_outline
+from planner.trim.operation import MillCut, Trim, every_outline
 from planner.trim.slots import Slot, Wanted, slots
 
 TRIM: Final = "trim"
@@ -79,15 +81,14 @@ class TrimJob(Job[Trim]):
     """An operation that trims, with the torch and the sheet that it finds."""
 
     @functools.cached_property
-    def torch(self) -> Torch:
-        """The torch of the arm. Raises ``TandemError`` (trim.tool)."""
-        tool = self.setup.cell.arm(self.operation.arms[0]).tool
-        if not isinstance(tool, Torch):
-            what = f"{self.operation.name}: arm {self.operation.arms[0]} carries {tool.name}, no torch"
-            raise TandemError(
-                Issue("trim.tool", what, hint="give it tool: {kind: torch, ...}, by a setup if need be")
-            )
-        return tool
+    def tool(self) -> Torch | Mill:
+        """The tool of the arm. Raises ``TandemError`` (trim.tool)."""
+        return mounted(self.operation, self.setup.cell.arm(self.operation.arms[0]).tool)
+
+    @functools.cached_property
+    def cutting(self) -> Cutting:
+        """How it cuts. Raises ``TandemError`` (trim.tool)."""
+        return cutting(self.operation, self.tool, float(self.setup.stock.size[2]))
 
     @functools.cached_property
     def face(self) -> Face:
@@ -131,29 +132,33 @@ class TrimJob(Job[Trim]):
 
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``trim.*``."""
-        op, torch, wanted = self.operation, self.torch, self.wanted
+        op, tool, wanted = self.operation, self.cutting, self.wanted
         sheet = self.setup.stock.sheet
         if sheet is None:
             raise TandemError(Issue("trim.no_sheet", f"{op.name}: there is no sheet to trim", field="sheet"))
-        reach = torch.kerf + op.lead.length_mm * MM
+        if tool.cutter is not None and sheet.die:
+            what = f"{op.name}: there is a die behind the sheet, into which the cutter would go"
+            hint = "take the die out, and trim by a problem of its own (surface:), or by a torch or laser"
+            raise TandemError(Issue("trim.die", what, field="operations.die", hint=hint))
+        reach = tool.kerf + op.lead.length_mm * MM
         issues = list(check.curve_issues(wanted, sheet.opening, reach))
         if issues:
             raise TandemError(aggregate(issues))
         made: list[Slot] = []
         for one in wanted:
             try:
-                made += slots(op, one, [o for o in wanted if o is not one], self.face, torch.kerf)
+                made += slots(op, one, [o for o in wanted if o is not one], self.face, tool.kerf)
             except TandemError as error:
                 issues += error.issues
         if issues:
             raise TandemError(aggregate(issues))
-        route, issues = _route(op, self.setup, self.face, torch, made)
+        route, issues = _route(op, self.setup, self.face, tool, made, wanted)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         free = [w for w in wanted if not w.spec.joints]  # what hangs by joints stays
         cut = [Hole(w.spec.name, w.laid.point[:, :2], w.spec.drops == "inside") for w in free]
         left = shown(self.formed, (*sheet.holes, *cut), op.name) if sheet.stages is not None else {}
-        return _targets(op, self.setup, torch, made, wanted, route, self.claims(), left)
+        return _targets(op, self.setup, self.tool, tool, made, wanted, route, self.claims(), left)
 
     def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
         """Slots in which the arm is slower on average than the operation allows: the torch then burns away
@@ -179,12 +184,14 @@ class TrimJob(Job[Trim]):
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
-        return claims(self.operation, self.setup, self.torch)
+        _ = self.cutting  # a cutter that does not go through is told before all else
+        return claims(self.operation, self.setup, self.tool)
 
 
-def _route(op: Trim, setup: Setup, face: Face, torch: Torch, made: list[Slot]) -> tuple[Route, list[Issue]]:
-    """The way through all slots: down along the torch's axis to where it pierces, along the slot, up
-    again."""
+def _route(
+    op: Trim, setup: Setup, face: Face, tool: Cutting, made: list[Slot], wanted: tuple[Wanted, ...]
+) -> tuple[Route, list[Issue]]:
+    """The way through all slots: down along the tool's axis to where it pierces, along the slot, up again."""
     level, issues = _level(op, setup, face), list[Issue]()
     size = setup.stock.size[:2]
     places = check.face_places(face, size)
@@ -196,27 +203,33 @@ def _route(op: Trim, setup: Setup, face: Face, torch: Torch, made: list[Slot]) -
     segments: list[Segment] = []
     pierce: list[int] = []
     end: list[int] = []
-    lift = (op.pierce.height_mm * MM if op.pierce.height_mm is not None else torch.standoff) - torch.standoff
     cone = LEAN_SHARE * op.cone_deg * DEG
     for number, slot in enumerate(made):
-        rows = _rows(slot, op)
+        rows, raised = _rows(slot, op, tool)
         point, axis = slot.point[rows], face.side * slot.normal[rows]
-        raised = lift * _above(slot, op)[rows]
-        tip = point + raised[:, None] * axis
-        off = check.clear_of(torch, places, tip, axis)
-        issues += [*check.wall_issue(slot, tip, off, op, torch), *check.rise_issue(slot, axis, face.side)]
+        pivot = point + raised[:, None] * axis
+        tip = pivot - tool.deep * axis
+        off = check.clear_of(tool.body, places, tip, axis)
+        issues += [*check.wall_issue(slot, tip, off, op, tool), *check.rise_issue(slot, axis, face.side)]
+        own_outline = next(one for one in wanted if one.spec.name == slot.outline)
+        cut = (own_outline, tool, places, float(setup.stock.size[2]), face.side)
+        issues += check.gouge_issue(slot, *check.gouged(*cut, (tip, axis)), op)
         if has_errors(issues):
             continue
         ok = np.ones(len(tip), dtype=bool)
         for leant in check.leans(axis, op.cone_deg * DEG):
-            ok &= check.clear_of(torch, places, tip, leant) >= op.clear_mm * MM
+            ok &= check.clear_of(tool.body, places, pivot - tool.deep * leant, leant) >= op.clear_mm * MM
         lean = np.where(ok & np.append(ok[1:], True) & np.append(True, ok[:-1]), cone, 0.0)
+        if tool.cutter is not None:  # not turned on the way down, and straight out again
+            lean[(raised > 0.0) | np.append(True, raised[:-1] > 0.0)] = 0.0
+            lean[-1] = 0.0
         above = [tip[k] + max((level - tip[k, 2]) / axis[k, 2], 2.0 * MM) * axis[k] for k in (0, -1)]
         feed = op.feed_mm_s * MM / np.maximum(np.abs(axis[:, 2]), 0.1)
         if op.feed_most_mm_s is not None:
             feed = np.minimum(feed, op.feed_most_mm_s * MM)
         # on the way to a target the wall may be flatter than there
         feed[1:] = np.minimum(feed[1:], feed[:-1])
+        feed = _of_tip(feed, tool, point, tip, raised)
         own = Segment(TRIM, slot.name)
         pierce.append(sum(map(len, tips)) + 1)
         end.append(pierce[-1] + len(tip) - 1)
@@ -228,7 +241,7 @@ def _route(op: Trim, setup: Setup, face: Face, torch: Torch, made: list[Slot]) -
             np.array([op.rapid_mm_s * MM]),
         ]
         leans += [lean[:1], lean, lean[-1:]]
-        heights += [np.full(1, np.nan), torch.standoff + raised, np.full(1, np.nan)]
+        heights += [np.full(1, np.nan), raised - tool.deep, np.full(1, np.nan)]
         segments += [Segment("approach" if number == 0 else "link"), own.at("in")]
         segments += [own] * (len(tip) - 1) + [own.at("out")]
     if has_errors(issues):
@@ -252,6 +265,29 @@ def _route(op: Trim, setup: Setup, face: Face, torch: Torch, made: list[Slot]) -
     ), issues
 
 
+PLUNGE_SHARE: Final = 0.8
+"""Share of its plunge feed at which a cutter goes down: on a bent face it does not go down evenly."""
+LEAST_SHARE: Final = 0.05
+"""Of a feed along the face, that of a tip behind it at least."""
+
+
+def _of_tip(
+    feed: FloatArray, tool: Cutting, point: FloatArray, tip: FloatArray, raised: FloatArray
+) -> FloatArray:
+    """The feed (N,) [m/s] of a tip that is not on the face: so that it is ``feed`` there, and down no faster
+    than a plunge."""
+    if tool.cutter is None:
+        return feed
+    out, along = feed.copy(), np.linalg.norm(np.diff(point, axis=0), axis=1)
+    way, down = np.linalg.norm(np.diff(tip, axis=0), axis=1), -np.diff(raised)
+    share = np.maximum(way / np.maximum(along, 1e-9), LEAST_SHARE)
+    out[1:] *= np.where(along > 1e-9, np.minimum(share, 1.0), 1.0)
+    steep = down > 1e-9
+    most = PLUNGE_SHARE * tool.plunge * way / np.maximum(down, 1e-9)
+    out[1:][steep] = np.minimum(out[1:], most)[steep]
+    return out
+
+
 def _nowhere() -> Route:
     none = np.zeros((0, 3))
     return Route(none, none, none[:, 0], none[:, 0], (), none[:, 0] > 0.0, none[:, 0], (), ())
@@ -269,16 +305,22 @@ def _above(slot: Slot, op: Trim) -> FloatArray:
     return np.asarray(np.clip((left - low) / max(float(left[0]) - low, 1e-9), 0.0, 1.0))
 
 
-def _rows(slot: Slot, op: Trim) -> IntArray:
-    """Rows of a slot's places that become targets."""
-    points = np.stack([slot.point, slot.point + AXIS_LEVER * slot.normal], axis=1)
+def _rows(slot: Slot, op: Trim, tool: Cutting) -> tuple[IntArray, FloatArray]:
+    """Rows of a slot's places that become targets, and how much higher (N,) [m] than in the slot the TCP is
+    there. A cutter that plunges has its first place twice."""
+    lever = np.array([0.0, AXIS_LEVER, -tool.deep])[: 2 if tool.cutter is None else 3]
+    points = slot.point[:, None] + lever[:, None] * slot.normal[:, None]
     chord = CHORD_SHARE * min(op.shape_tol_mm, op.height_tol_mm) * MM
-    low = int(np.argmax(_above(slot, op) == 0.0))
+    above = _above(slot, op)
+    low = int(np.argmax(above == 0.0))
     breaks = np.unique([0, low, slot.first, slot.last, len(slot.point) - 1])
     found = [np.zeros(1, dtype=np.int64)]
     for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
         found.append(first + thinned(points[first : last + 1], chord, op.step_mm * MM)[1:])
-    return np.concatenate(found)
+    rows = np.concatenate(found)
+    if tool.ramp:
+        return rows, tool.lift * above[rows]
+    return np.append(0, rows), tool.lift * np.append(1.0, np.zeros(len(rows)))
 
 
 def _level(op: Trim, setup: Setup, face: Face) -> float:
@@ -291,7 +333,8 @@ def _level(op: Trim, setup: Setup, face: Face) -> float:
 def _targets(
     op: Trim,
     setup: Setup,
-    torch: Torch,
+    mounted_tool: Torch | Mill,
+    tool: Cutting,
     made: list[Slot],
     wanted: tuple[Wanted, ...],
     route: Route,
@@ -299,7 +342,7 @@ def _targets(
     sheet: dict[str, Any],
 ) -> Targets:
     arm, count = op.arms[0], len(route.segment)
-    actions = _actions(op, setup, torch, route)
+    actions = _actions(op, setup, mounted_tool, route)
     stop = route.stop.copy()
     stop[[action.at for action in actions]] = True
     rest = np.append(False, stop[:-1]) | stop
@@ -307,7 +350,7 @@ def _targets(
         arms=op.arms,
         pose={arm: poses(route.tip, -route.axis)},
         frame={arm: "stock"},
-        freedoms=_freedoms(arm, route.lean),
+        freedoms=_freedoms(arm, route.lean, tool.deep),
         feed=np.where(rest, MEAN_FEED_FROM_REST, 1.0) * route.feed,
         feed_min=np.zeros(count),
         travel=_travel(route),
@@ -315,20 +358,22 @@ def _targets(
         segment=route.segment,
         actions=actions,
         claims=stated,
-        exhibits=exhibits(op, torch, made, wanted, route) | sheet,
+        exhibits=exhibits(op, mounted_tool, tool, made, wanted, route) | sheet,
         rounding=_rounding(op, arm),
         may_stop=True,
         may_join=True,
     )
 
 
-def _freedoms(arm: str, lean: FloatArray) -> tuple[ScrewFreedom, ...]:
-    """Spin of the torch, and leans about its x and y within the circle of ``lean`` (N,) [rad]; all turn about
-    the place that is cut."""
+def _freedoms(arm: str, lean: FloatArray, deep: float) -> tuple[ScrewFreedom, ...]:
+    """Spin of the tool, and leans about x and y within the circle of ``lean`` (N,) [rad]; all turn about the
+    place of the face that is cut, ``deep`` [m] behind the TCP."""
     out = []
-    for name, k in (("tilt_x", 0), ("tilt_y", 1)):
+    # a turn w about a place p of the TCP's frame moves its origin by -w x p
+    for name, k, moved in (("tilt_x", 0, [0.0, -deep, 0.0]), ("tilt_y", 1, [deep, 0.0, 0.0])):
         bound = lean / np.sqrt(2.0)
-        out.append(ScrewFreedom(f"{name}_{arm}", {arm: np.eye(6)[k]}, -bound, bound))
+        twist = np.concatenate([np.eye(3)[k], moved])
+        out.append(ScrewFreedom(f"{name}_{arm}", {arm: twist}, -bound, bound))
     turn = np.full(len(lean), np.pi)
     return (*out, ScrewFreedom(f"spin_{arm}", {arm: np.eye(6)[2]}, -turn, turn, None, True))
 
@@ -352,45 +397,45 @@ def _travel(route: Route) -> FloatArray:
     return out
 
 
-def _actions(op: Trim, setup: Setup, torch: Torch, route: Route) -> tuple[Action, ...]:
-    """What the operator is told and asked, and the arc."""
+def _actions(op: Trim, setup: Setup, torch: Torch | Mill, route: Route) -> tuple[Action, ...]:
+    """What the operator is told and asked, and the arc, or the spindle."""
+    last = len(route.segment) - 1
+    if isinstance(op.by, MillCut):
+        return (
+            Action(0, "message", vocabulary.TRIM_MILL.filled(**told(op, setup, torch))),
+            Action(0, "confirm", vocabulary.TRIM_MILL_READY.filled()),
+            Action(0, "on", signal=op.signal),
+            Action(0, "wait", seconds=op.by.spin_up_s),
+            Action(last, "off", signal=op.signal),
+            Action(last, "wait", seconds=op.by.spin_down_s),
+            Action(last, "confirm", vocabulary.TRIM_MILL_STANDS.filled()),
+        )
     out = [
-        Action(0, "message", vocabulary.TORCH.filled(**told(setup, torch))),
+        Action(0, "message", vocabulary.TORCH.filled(**told(op, setup, torch))),
         Action(0, "message", vocabulary.TORCH_STOPPED.filled()),
         Action(0, "confirm", vocabulary.TORCH_READY.filled()),
     ]
-    for first, last in zip(route.pierce, route.end, strict=True):
+    for first, end in zip(route.pierce, route.end, strict=True):
         out.append(Action(first, "on", signal=op.signal))
         if op.ok_signal is not None:
             out.append(Action(first, "input", signal=op.ok_signal, seconds=op.ok_timeout_s))
         if op.pierce.seconds > 0.0:
             out.append(Action(first, "wait", seconds=op.pierce.seconds))
-        out.append(Action(last, "off", signal=op.signal))
-    return (*out, Action(len(route.segment) - 1, "confirm", vocabulary.TORCH_COLD.filled()))
+        out.append(Action(end, "off", signal=op.signal))
+    return (*out, Action(last, "confirm", vocabulary.TORCH_COLD.filled()))
 
 
 def exhibits(
-    op: Trim, torch: Torch, made: list[Slot], wanted: tuple[Wanted, ...], route: Route
+    op: Trim,
+    torch: Torch | Mill,
+    tool: Cutting,
+    made: list[Slot],
+    wanted: tuple[Wanted, ...],
+    route: Route,
 ) -> dict[str, Any]:
     """Exhibits by name, in the forms that the report knows."""
-    ok = (
-        "none: the program does not wait"
-        if op.ok_signal is None
-        else f"{op.ok_signal}, {op.ok_timeout_s:g} s at most"
-    )
-    items = [
-        ("torch", f"{torch.cuts_by}, nozzle {2.0 * torch.nozzle / MM:g} mm, kerf {torch.kerf / MM:g} mm"),
-        ("TCP", f"{torch.standoff / MM:g} mm before the nozzle, on its axis; z out of the torch"),
-        ("output that starts the arc", op.signal),
-        ("input that says it burns", ok),
-        ("configure at the controller", "both signals; the programs do not load without them"),
-        ("pierce", f"{op.pierce.seconds:g}", "s behind that, at rest in the waste"),
-        ("feed in the flat sheet", f"{op.feed_mm_s:g}", "mm/s; over the cosine of the wall's angle"),
-        ("safe plane", f"{op.safe_mm:g} mm off clamp and sheet, {op.side}"),
-        ("before", "return lead on the sheet, grease off it, fumes drawn off, nothing that burns near by"),
-        ("below the sheet", "a way for sparks and for what drops, and a tray for it; it is hot"),
-        ("afterwards", "dross off, micro-joints broken, edges broken before the sheet is formed on"),
-    ]
+    items = _torch_items(op, torch) if isinstance(torch, Torch) else _mill_items(op, torch)
+    ahead = torch.standoff if isinstance(torch, Torch) else 0.0  # from the TCP to the tool's end
     rows = []
     for slot in made:
         way = float(np.linalg.norm(np.diff(slot.point[slot.first : slot.last + 1], axis=0), axis=1).sum())
@@ -405,19 +450,21 @@ def exhibits(
     for slot, first, last in zip(made, route.pierce, route.end, strict=True):
         steps = np.linalg.norm(np.diff(route.tip[first : last + 1], axis=0), axis=1)
         along = np.append(0.0, np.cumsum(steps))
-        series.append({"name": slot.name, "x": along / MM, "y": route.height[first : last + 1] / MM})
-    off = torch.standoff / MM
+        series.append(
+            {"name": slot.name, "x": along / MM, "y": (route.height[first : last + 1] + ahead) / MM}
+        )
+    off, end = (ahead - tool.deep) / MM, "Nozzle" if isinstance(torch, Torch) else "Cutter's tip"
     return {
         "setup": {"kind": "setup", "title": "Trimming", "items": items},
         "slots": {"kind": "table", "title": "Slots in order", "columns": columns, "rows": rows},
         "curves": {
             "kind": "paths",
-            "title": "Cut curves, with the nozzle's end over them and pierce points",
+            "title": f"Cut curves, with the way of the {end.lower()} and pierce points",
             "near": True,
             "curves": [
                 *(np.concatenate([w.laid.point, w.laid.point[:1]]) for w in wanted),
                 *(
-                    route.tip[a : b + 1] + torch.standoff * route.axis[a : b + 1]
+                    route.tip[a : b + 1] + ahead * route.axis[a : b + 1]
                     for a, b in zip(route.pierce, route.end, strict=True)
                 ),
             ],
@@ -425,9 +472,9 @@ def exhibits(
         },
         "standoff": {
             "kind": "curve",
-            "title": "Nozzle over the sheet, from where it pierces",
+            "title": f"{end} over the sheet's face, from where it pierces",
             "x_label": "way of the TCP [mm]",
-            "y_label": "nozzle off the sheet [mm]",
+            "y_label": f"{end.lower()} over the face [mm]",
             "series": tuple(series[:6]),
             "limits": (
                 {"name": "highest", "value": off + op.height_tol_mm},
@@ -435,3 +482,43 @@ def exhibits(
             ),
         },
     }
+
+
+def _torch_items(op: Trim, torch: Torch) -> list[tuple[str, ...]]:
+    ok = (
+        "none: the program does not wait"
+        if op.ok_signal is None
+        else f"{op.ok_signal}, {op.ok_timeout_s:g} s at most"
+    )
+    return [
+        ("torch", f"{torch.cuts_by}, nozzle {2.0 * torch.nozzle / MM:g} mm, kerf {torch.kerf / MM:g} mm"),
+        ("TCP", f"{torch.standoff / MM:g} mm before the nozzle, on its axis; z out of the torch"),
+        ("output that starts the arc", op.signal),
+        ("input that says it burns", ok),
+        ("configure at the controller", "both signals; the programs do not load without them"),
+        ("pierce", f"{op.pierce.seconds:g}", "s behind that, at rest in the waste"),
+        ("feed in the flat sheet", f"{op.feed_mm_s:g}", "mm/s; over the cosine of the wall's angle"),
+        ("safe plane", f"{op.safe_mm:g} mm off clamp and sheet, {op.side}"),
+        ("before", "return lead on the sheet, grease off it, fumes drawn off, nothing that burns near by"),
+        ("below the sheet", "a way for sparks and for what drops, and a tray for it; it is hot"),
+        ("afterwards", "dross off, micro-joints broken, edges broken before the sheet is formed on"),
+    ]
+
+
+def _mill_items(op: Trim, tool: Mill) -> list[tuple[str, ...]]:
+    by, cutter = op.by, tool.cutter
+    if not isinstance(by, MillCut):
+        return []
+    entry = "a ramp along each way in" if by.entry == "ramp" else "straight down at each pierce point"
+    return [
+        ("cutter", f"{cutter.kind}, {2.0 * cutter.radius / MM:g} mm, flute {cutter.flute / MM:g} mm"),
+        ("TCP", "the cutter's tip, on its axis; z out of the spindle"),
+        ("spindle's speed, set by hand", f"{by.spindle_rpm:g}", "1/min"),
+        ("output that switches the spindle", op.signal),
+        ("tip through the sheet", f"{by.below_mm:g} mm"),
+        ("into the sheet", f"{entry}, from {by.start_mm:g} mm over it, at {by.plunge_mm_s:g} mm/s"),
+        ("feed in the flat sheet", f"{op.feed_mm_s:g}", "mm/s; over the cosine of the wall's angle"),
+        ("safe plane", f"{op.safe_mm:g} mm off clamp and sheet, {op.side}"),
+        ("below the sheet", f"free for {by.below_mm:g} mm and more; chips and what is cut out drop there"),
+        ("afterwards", "burrs and micro-joints off, edges broken before the sheet is formed on"),
+    ]

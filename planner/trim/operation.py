@@ -119,20 +119,51 @@ def _resolved(value: SheetMeshFile | str, info: ValidationInfo) -> SheetMeshFile
     return value.model_copy(update={"file": str(folder / value.file)})
 
 
-class Trim(Strict):
-    """One arm's torch cuts closed curves out of the formed sheet, inner ones before outer ones.
+class TorchCut(Strict):
+    """A torch cuts, by an arc, a beam or a jet."""
 
-    ``surface``: the face that the torch follows: the ``wanted`` part, or a mesh of the sheet as it really is,
+    kind: Literal["torch"]
+
+
+class MillCut(Strict):
+    """A mill cuts, whose kerf is its cutter's diameter. It goes through the sheet: its tip is ``below_mm``
+    lower than a sheet of its whole thickness would be. On the way in it goes down in the waste, as a ``ramp``
+    along the lead, or straight at its beginning (``plunge``)."""
+
+    kind: Literal["mill"]
+    below_mm: Annotated[float, Field(ge=0.2, le=100, description="of the tip through the sheet")] = 1.0
+    entry: Annotated[Literal["ramp", "plunge"], Field(description="into the waste")] = "ramp"
+    start_mm: Annotated[
+        float, Field(ge=0.5, le=100, description="over the sheet, from where it goes down at its plunge feed")
+    ] = 2.0
+    plunge_mm_s: Annotated[
+        float, Field(ge=0.1, le=200, description="along the cutter's axis, into the sheet")
+    ] = 2.0
+    spindle_rpm: Annotated[float, Field(ge=1, le=100_000, description="told to the operator")] = 12_000.0
+    spin_up_s: Annotated[float, Field(ge=0, le=600)] = 5.0
+    spin_down_s: Annotated[float, Field(ge=0, le=600)] = 10.0
+
+
+SPINDLE_SIGNAL: Final = "doSpindle"
+"""The output that switches a mill's spindle, where no other is stated."""
+
+
+class Trim(Strict):
+    """One arm cuts closed curves out of the formed sheet ``by`` a torch or a mill, inner ones before outer
+    ones.
+
+    ``surface``: the face that the tool follows: the ``wanted`` part, or a mesh of the sheet as it really is,
     scanned or released, in the sheet's frame. ``feed_mm_s`` is for the sheet's own thickness t0; on walls of
-    the angle a, where t0 cos a is left of it, the torch goes at ``feed_mm_s`` / cos a.
+    the angle a, where t0 cos a is left of it, it goes at ``feed_mm_s`` / cos a.
     """
 
     name: Name
     process: Literal["trim"]
     arms: Annotated[tuple[Name, ...], Field(min_length=1, max_length=1)]
-    side: Annotated[Literal["top", "bottom"], Field(description="of the sheet, on which the torch is")] = (
-        "top"
+    by: Annotated[TorchCut | MillCut, Field(discriminator="kind", description="what cuts")] = TorchCut(
+        kind="torch"
     )
+    side: Annotated[Literal["top", "bottom"], Field(description="of the sheet, on which the tool is")] = "top"
     surface: Annotated[Literal["wanted"] | SheetMeshFile, AfterValidator(_resolved)] = "wanted"
     outlines: Annotated[tuple[OutlineFile, ...], Field(min_length=1, max_length=500)]
     lead: LeadFile = LeadFile()
@@ -146,9 +177,11 @@ class Trim(Strict):
         Field(ge=0.05, le=0.95, description="share of its feed that each cut has to reach on average"),
     ] = 0.5
     cone_deg: Annotated[
-        float, Field(ge=1, le=45, description="how far the torch may lean off the sheet's normal")
+        float, Field(ge=1, le=45, description="how far the tool may lean off the sheet's normal")
     ] = 5.0
-    signal: Annotated[Signal, Field(description="output that starts the arc, or the beam")] = "doArc"
+    signal: Annotated[
+        Signal, Field(description="output that starts the arc, or the beam; of a mill the spindle: doSpindle")
+    ] = "doArc"
     ok_signal: Annotated[
         Signal | None, Field(description="input that says that it burns; none: no such wait")
     ] = "diArcOk"
@@ -156,16 +189,34 @@ class Trim(Strict):
         float, Field(ge=0.1, le=60, description="behind which the program breaks off")
     ] = 5.0
     shape_tol_mm: Annotated[float, Field(ge=0.02, le=10, description="of the cut edge to the curve")] = 0.3
-    height_tol_mm: Annotated[float, Field(ge=0.02, le=10, description="of the stand-off")] = 0.5
+    height_tol_mm: Annotated[
+        float, Field(ge=0.02, le=10, description="of the stand-off, or of how deep a mill is")
+    ] = 0.5
     clear_mm: Annotated[
-        float, Field(ge=0.1, le=50, description="least distance of the torch to the formed sheet")
+        float,
+        Field(ge=0.1, le=50, description="least distance of what does not cut to the formed sheet"),
     ] = 1.0
     safe_mm: Annotated[
         float, Field(ge=1, le=2000, description="of the safe plane off clamp and formed sheet")
     ] = 30.0
-    plunge_mm_s: Annotated[float, Field(ge=0.5, le=500, description="down to the pierce height")] = 40.0
+    plunge_mm_s: Annotated[float, Field(ge=0.5, le=500, description="down to where a slot begins")] = 40.0
     rapid_mm_s: Annotated[float, Field(ge=1, le=5000, description="on the safe plane")] = 150.0
     step_mm: Annotated[float, Field(ge=0.2, le=100, description="longest way between targets of a cut")] = 4.0
+
+    @model_validator(mode="after")
+    def _no_arc(self) -> Self:
+        """A mill has no arc, and another output unless one is stated."""
+        if not isinstance(self.by, MillCut):
+            return self
+        for name, value in (("signal", SPINDLE_SIGNAL), ("ok_signal", None)):
+            if name not in self.model_fields_set:
+                object.__setattr__(self, name, value)  # the model is frozen, and not yet anybody's
+        own = [f"pierce.{name}" for name in ("height_mm", "seconds") if name in self.pierce.model_fields_set]
+        own += ["ok_signal"] * (self.ok_signal is not None)
+        own += ["ok_timeout_s"] * ("ok_timeout_s" in self.model_fields_set)
+        if own:
+            raise ValueError(f"{', '.join(own)}: of a torch; a mill has by.start_mm and by.spin_up_s")
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import shapely
 
-from planner.geometry.arrays import FloatArray, unit
+from planner.geometry.arrays import BoolArray, FloatArray, unit
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.trim.face import Face, Laid, apart, offset
@@ -50,7 +50,7 @@ class Wanted:
         """Whether what is inside drops."""
         return self.spec.drops == "inside"
 
-    def waste(self, xy: FloatArray) -> FloatArray:
+    def waste(self, xy: FloatArray) -> BoolArray:
         """(N,) whether places in plan lie in its waste."""
         return np.asarray(shapely.contains_xy(self.area, xy[:, 0], xy[:, 1]) == self.inside)
 
@@ -101,7 +101,15 @@ def _require_whole(one: Wanted, middle: FloatArray, half: float, tolerance: floa
         where = one.laid.point[0] if len(middle) < 2 else middle[int(np.argmax(step))]
         what = f"{one.spec.name}: about ({where[0] / MM:.1f}, {where[1] / MM:.1f}) mm the waste is narrower "
         what += f"than the kerf of {2.0 * half / MM:g} mm, so that its slot does not close"
-        raise TandemError(Issue("trim.narrow", what, limit=2.0 * half / MM, unit="mm", hint="widen it there"))
+        raise TandemError(
+            Issue(
+                "trim.narrow",
+                what,
+                limit=2.0 * half / MM,
+                unit="mm",
+                hint="widen it there, or take a narrower kerf",
+            )
+        )
     left = apart(one.laid.point, middle) - half
     k = int(np.argmax(left))
     if left[k] > tolerance:

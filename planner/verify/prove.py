@@ -59,6 +59,7 @@ from planner.verify.rules import (
     text,
     track_way,
     trim,
+    trim_mill,
     waiting_time,
     wire,
 )
@@ -209,6 +210,8 @@ TRIM_RULES: tuple[Rule[[Context, Trimming], Outcome], ...] = (
     trim.trim_order,
     trim.trim_feed,
     trim.trim_clear,
+    trim_mill.trim_mill,
+    trim_mill.trim_spindle,
 )
 """Rules about sheets that are trimmed."""
 

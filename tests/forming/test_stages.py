@@ -10,12 +10,17 @@ import numpy as np
 import pytest
 
 from planner import pipeline, processes
+from planner.cell.clearance import overlaps
+from planner.cell.plant import build
 from planner.forming.job import FormingJob
 from planner.forming.process_plan import lay_all
 from planner.forming.stages import formed_sheet, hole_issues, shown
 from planner.issues import Issue, TandemError
 from planner.problem import Hole, Problem, Stock
 from planner.trim.job import TrimJob
+from planner.verify.context import Context
+from planner.verify.forming.state import Forming
+from planner.verify.rules.forming_part import forming_part
 from tests.forming.staged import BALL, DEPTHS, HOLE, SUMP_RADIUS, part, problem
 from tests.small_forming import die, dish, dish_with_a_dome, upside_down, write
 from tests.small_forming import problem as one_forming
@@ -126,23 +131,52 @@ def test_the_part_may_be_formed_from_the_inside_out_over_two_stages(tmp_path: Pa
     assert issue.message.startswith("hole, which was cut before, lies in what f1 forms")
 
 
-def test_what_would_stand_out_of_the_finished_part_between_stages_is_refused(tmp_path: Path) -> None:
-    """A dome up in a dish that is deeper: on the virgin sheet it stands 5 mm above the flat, where the
-    finished part has nothing; arms would not keep clear of it."""
-    whole = one_forming("dsif")
+def on_a_virgin_sheet(folder: Path, stages: bool, **cell: Any) -> Problem:
+    """A dome of 5 mm up in a dish of 8 mm, formed first on the virgin sheet: there it stands 5 mm above the
+    flat, where the finished part has nothing. By one operation, or by two."""
+    whole = one_forming("dsif", strategy="virgin")
     (own,) = whole["operations"]
-    whole["operations"] = [
-        {**own, "name": "dome", "features": [2], "strategy": "virgin"},
-        {**own, "name": "dish", "features": [1], "setup": {"note": "as told"}},
-    ]
+    if stages:
+        whole["operations"] = [
+            {**own, "name": "dome", "features": [2]},
+            {**own, "name": "dish", "features": [1], "strategy": "in_place", "setup": {"note": "as told"}},
+        ]
     whole["sheet"] |= {"size_mm": [220, 220], "opening_mm": 150}
-    with pytest.raises(TandemError) as error:
-        _ = processes.job(pipeline.load(write(tmp_path, whole, dish_with_a_dome())), 0).targets()
-    (issue,) = error.value.issues
-    assert issue.code == "forming.features"
-    assert "dome: once feature 2 is formed, the sheet stands " in issue.message
-    assert "and arms keep clear of the finished part alone" in issue.message
-    assert issue.hint == "form what is around it first, in place (strategy: in_place)"
+    whole["cell"] |= cell
+    return pipeline.load(write(folder, whole, dish_with_a_dome(60)))
+
+
+def test_bodies_keep_clear_of_what_stands_out_before_the_part_is_finished(tmp_path: Path) -> None:
+    """A bar 3 mm over the sheet is clear of the finished part, whose highest place is its rim, but inside of
+    the dome as that is at first, 5 mm high; both planner and proof ask this model."""
+    shape = {"kind": "box", "size_mm": [60, 4, 4], "pose": {"xyz_mm": [0, 0, 6]}}
+    found = on_a_virgin_sheet(tmp_path, False, obstacles=[{"name": "bar", "shapes": [shape]}])
+    setup = found.setups[0]
+    (pair,) = [
+        one for one in overlaps(build(setup.cell, setup.stock, np.eye(4))) if set(one[:2]) == {"bar", "stock"}
+    ]
+    assert pair[2] == pytest.approx(0.002, abs=2e-4)  # dome of 5 mm and sheet of 1 mm, less 4 mm
+    assert processes.job(found, 0).targets().arms == ("left", "right")
+
+
+@pytest.mark.parametrize("stages", [False, True])
+def test_the_proof_finds_states_that_bodies_do_not_keep_clear_of(tmp_path: Path, stages: bool) -> None:
+    found = on_a_virgin_sheet(tmp_path, stages)
+    assert not stands_out(found)
+    sheet = found.stock.sheet
+    assert sheet is not None
+    finished = dataclasses.replace(sheet, formed=sheet.formed[:1])
+    (message,) = stands_out(
+        dataclasses.replace(found, stock=dataclasses.replace(found.stock, sheet=finished))
+    )
+    assert message.startswith("once form/f2 is formed the sheet stands out of the solids")
+
+
+def stands_out(found: Problem) -> list[str]:
+    """What the proof says, of claims alone, of the part that is formed."""
+    forming = Forming.__new__(Forming)  # of a text there is no need
+    forming.context = Context(found, processes.claims(found), {})
+    return [issue.message for issue in forming_part(forming.context, forming).issues]
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,7 @@ ELSEWHERE: Final = {
     ),
     "trim.open": ("trim/test_input", "test_an_open_drawing_is_refused"),
     "trim.tool": ("trim/test_input", "test_a_forming_tool_cuts_no_sheet"),
+    "trim.die": ("trim/test_mill", "test_a_die_behind_the_sheet_is_not_cut"),
     "trim.no_sheet": ("trim/test_input", "test_without_a_formed_sheet_nothing_is_trimmed"),
     "trim.slow": ("trim/test_input", "test_an_arm_that_is_too_slow_is_told"),
     "problem.track": ("reading/test_axes", "test_what_cannot_be_a_track_is_told"),

@@ -55,14 +55,35 @@ TRIM: dict[str, Any] = {
     "pierce": {"height_mm": 4, "off_mm": 1.5},
 }
 
+MILL: dict[str, Any] = {
+    "kind": "mill",
+    "diameter_mm": 2,
+    "flute_mm": 8,
+    "overhang_mm": 30,
+    "holder": [{"length_mm": 30, "diameter_mm": 20}],
+    "spindle_diameter_mm": 50,
+    "spindle_length_mm": 120,
+    "mass_kg": 3,
+}
+
+
+def milled(tool: dict[str, Any] | None = None, **by: Any) -> dict[str, Any]:
+    """Fields of an operation in which a mill cuts, and its tool."""
+    return {
+        "tool": {**MILL, **(tool or {})},
+        "by": {"kind": "mill", **by},
+        "pierce": {"off_mm": 1.5},
+    }
+
 
 def data(**fields: Any) -> dict[str, Any]:
-    """The problem as a file has it; ``fields`` are the operation's own, ``tool`` those of the torch, ``arm``
-    and ``controller`` those of the cell."""
+    """The problem as a file has it; ``fields`` are the operation's own, ``tool`` those of the torch, or a
+    whole tool, ``arm`` and ``controller`` those of the cell."""
     cell = yaml.safe_load((CELLS / "irb140_ball.yaml").read_text())
     cell["arms"][0] |= fields.pop("arm", {})
     cell["controller"] = fields.pop("controller", cell["controller"])
-    cell["arms"][0]["tool"] = {**TORCH, **fields.pop("tool", {})}
+    tool = fields.pop("tool", {})
+    cell["arms"][0]["tool"] = tool if "kind" in tool else {**TORCH, **tool}
     outlines = copy.deepcopy(fields.pop("outlines", OUTLINES))
     return {
         "tandem": 1,
@@ -96,7 +117,7 @@ class Job:
         self.programs: dict[str, str] = dict(post.programs(self.plan, self.problem))
         self.prover = Prover(self.problem, processes.claims(self.problem))
 
-    def prove(self, programs: dict[str, str], last: str | None = "verify.trim_clear") -> Proof:
+    def prove(self, programs: dict[str, str], last: str | None = "verify.trim_spindle") -> Proof:
         return self.prover.prove(programs, last=last)
 
     def broken(self, programs: dict[str, str]) -> set[str]:

@@ -90,7 +90,8 @@ def forming_part(context: Context, forming: Forming) -> Outcome:
             issues += _level(made, k, feature)
             issues += _between(made.part, feature)
         issues += _order(made)
-        issues += [] if made.part.features is None else _stands_out(context, made)
+        if made.part.features is not None or len(made.own) > 1:
+            issues += _stands_out(context, made)
     if not np.isfinite(worst):
         return Outcome(tuple(issues), where=NO_PART)
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
@@ -115,7 +116,7 @@ def _once(forming: Forming) -> Iterator[Issue]:
 
 
 def _stands_out(context: Context, made: PartShapes) -> Iterator[Issue]:
-    """Whether the sheet stays, from stage to stage, in the hulls of the part that bodies keep clear of."""
+    """Whether the sheet stays, from feature to feature, in the solids of it that bodies keep clear of."""
     sheet = context.problem.stock.sheet
     hulls = [] if sheet is None else [one for one in sheet.formed if one.vertices is not None]
     planes = [ConvexHull(transform(one.pose, corners(one))).equations for one in hulls]
@@ -130,9 +131,9 @@ def _stands_out(context: Context, made: PartShapes) -> Iterator[Issue]:
         if len(off) and float(off.max()) > STANDS_OUT:
             at = ", ".join(f"{mm(x):.1f}" for x in points[int(off.argmax())])
             what = (
-                f"once {feature.final.claim.segment} is formed the sheet stands out of the finished part, of "
+                f"once {feature.final.claim.segment} is formed the sheet stands out of the solids, of which "
             )
-            what += f"which alone bodies keep clear, at ({at}) mm"
+            what += f"alone bodies keep clear, at ({at}) mm"
             yield _issue(what, feature)
 
 

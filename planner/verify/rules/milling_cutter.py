@@ -23,6 +23,7 @@ from planner.claims.milling import (
     MillsSurface,
     SparesPart,
 )
+from planner.claims.trim import TrimsSheet
 from planner.claims.vocabulary import Phase, Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
@@ -485,6 +486,10 @@ def spindle(context: Context, milling: Milling) -> Outcome:
             labels = tuple(sorted(set(motion.node_label.tolist())))
             track = milling.track(index, arm.name, labels)
             inside = np.flatnonzero(in_block(track, cutter.overhang, cutter.radius, context.stock(index)))
+            if any(isinstance(c, TrimsSheet) and c.arm == arm.name for c in context.claims):
+                inside = inside[
+                    motion.node_kind[motion.node[track.rows[inside]]] != "trim"
+                ]  # of its own rule
             if not len(inside):
                 continue
             seen = True

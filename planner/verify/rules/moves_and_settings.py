@@ -150,7 +150,7 @@ def undo(context: Context) -> Outcome:
 
 def powers(context: Context, task: TaskText) -> list[str]:
     """Signals of power that a task can switch: all of one controller's tasks, or those of its own one."""
-    lit = (claim.signal for claim in context.claims if isinstance(claim, TrimsSheet))
+    lit = (claim.signal for claim in context.claims if isinstance(claim, TrimsSheet) and claim.torch)
     everywhere = sorted({*(claim.signal for claim in context.contacts), *lit})
     if context.job.readings is None:
         return everywhere

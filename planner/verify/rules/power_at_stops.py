@@ -41,7 +41,8 @@ _ENDED_WORDS: Final = (
 
 def torches(context: Context, signals: Sequence[str]) -> frozenset[str]:
     """Those of the ``signals`` that light a torch, by what is claimed of trimmed sheets."""
-    lit = {claim.signal.lower() for claim in context.claims if isinstance(claim, TrimsSheet)}
+    trims = (claim for claim in context.claims if isinstance(claim, TrimsSheet))
+    lit = {claim.signal.lower() for claim in trims if claim.torch is not None}
     return frozenset(signal for signal in signals if signal.lower() in lit)
 
 

@@ -462,7 +462,8 @@ def _moves_with_power(context: Context) -> list[Issue]:
         setup = context.setup_claims[context.spans.of_stage[number]]
         lone = not stage.synchronised or stage.is_way
         for task in context.job.tasks:
-            edged = task.arm.name in setup.straight or bool(setup.mills(task.arm.name))
+            arm = task.arm.name
+            edged = arm in setup.straight or bool(setup.mills(arm) or setup.trims(arm))
             for step in stage.steps[task.name]:
                 if isinstance(step, SignalStep) and step.signal.lower() in signals:
                     name = step.signal.lower()

@@ -1,4 +1,4 @@
-"""Rules on sheets that a torch trims: what is cut and what stays, the torch, its arc, order, feed and room.
+"""Rules on trimmed sheets: what is cut and what stays, a torch and its arc, order, feed and room.
 
 verify.trim_cut: each outline is cut, closed but for its joints. verify.trim_kept: nothing is cut off
 the part. verify.trim_torch: stand-off and lean. verify.trim_arc: when it burns. verify.trim_order,
@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from planner.claims.trim import TrimsSheet
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
+from planner.tooling import Cutter
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.files import UnreadError
 from planner.verify.job import TaskText
@@ -33,6 +34,8 @@ STANDING = 0.05e-3
 """A torch that moves by no more than this [m] stands."""
 AVERAGE_SLACK = 0.95
 """Share of the least average feed that is accepted, as ramps of the replay are those of no controller."""
+GOING_DOWN = 2.0
+"""A mill that is higher by more than so many tolerances is still on its way down."""
 CLEAR_SHARE = 0.1
 """How much less than the wanted room is accepted between targets, as a share of it."""
 WAIT_ROUNDING = 0.001
@@ -69,7 +72,7 @@ def trim_cut(context: Context, trimming: Trimming) -> Outcome:
 
 def _closed(work: TrimWork, curve: Curve, ways: list[Way]) -> tuple[float, list[Issue]]:
     """How far [m] the slot's edge is off the outline where it is cut, and what is wrong with its joints."""
-    claim, one, half = work.claim, curve.one, 0.5 * work.claim.torch.kerf
+    claim, one, half = work.claim, curve.one, 0.5 * work.claim.kerf
     near = claim.tolerance + work.sheet.tolerance + PLACE_ERROR
     foot = np.concatenate([way.feet.foot for way in ways])
     off, at = (np.concatenate([getattr(way, name) for way in ways]) for name in ("off", "at"))
@@ -129,13 +132,13 @@ def _unclaimed(context: Context, trimming: Trimming) -> Iterator[Issue]:
 
 @rule("verify.trim_kept", TrimsSheet)
 def trim_kept(context: Context, trimming: Trimming) -> Outcome:
-    """What must stay stays: the slot of a burning torch, with its pierce point and its ways in and out, lies
-    in what its outline lets drop, and reaches no farther over the outline than the tolerance."""
+    """What must stay stays: the slot of a tool, with its pierce point and its ways in and out, lies in what
+    its outline lets drop, and reaches no farther over the outline than the tolerance."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
-    for work, curve, key, way in _every(trimming):
+    for work, curve, key, way in every(trimming):
         near = work.claim.tolerance + work.sheet.tolerance + PLACE_ERROR
-        deep = 0.5 * work.claim.torch.kerf - way.off
+        deep = 0.5 * work.claim.kerf - way.off
         if float(deep.max()) > worst:
             worst, limit, where = float(deep.max()), mm(near), key
         bad = np.flatnonzero(deep > near)
@@ -157,27 +160,29 @@ def trim_torch(context: Context, trimming: Trimming) -> Outcome:
     pierce height where it leads in, and the torch leans off the sheet's normal no farther than its cone."""
     issues: list[Issue] = []
     worst, where = 0.0, ""
-    for work, _, key, way in _every(trimming):
-        claim = work.claim
+    for work, _, key, way in every(trimming):
+        claim, torch = work.claim, work.claim.torch
+        if torch is None:
+            continue
         near = claim.height + work.sheet.tolerance
-        lift = max(claim.pierce_height - claim.torch.standoff, 0.0)
-        drop = min(claim.pierce_height - claim.torch.standoff, 0.0)
-        leads = way.off > 0.5 * claim.torch.kerf + claim.tolerance
+        lift = max(claim.pierce_height - torch.standoff, 0.0)
+        drop = min(claim.pierce_height - torch.standoff, 0.0)
+        leads = way.off > 0.5 * claim.kerf + claim.tolerance
         high = near + PLACE_ERROR + np.where(leads, lift, 0.0)
         low = -near - PLACE_ERROR + np.where(leads, drop, 0.0)
         lean = np.arccos(np.clip((way.axis * way.feet.normal).sum(axis=1), -1.0, 1.0))
         share = np.maximum(way.feet.height / high, way.feet.height / low)
         turned = lean / (claim.cone + ANGLE_ERROR)
-        pierced = abs(float(way.feet.height[0]) - (claim.pierce_height - claim.torch.standoff)) / near
+        pierced = abs(float(way.feet.height[0]) - (claim.pierce_height - torch.standoff)) / near
         for rate, kind in ((share, "height"), (turned, "lean"), (np.array([pierced]), "pierce")):
             if float(rate.max()) > worst:
                 worst, where = float(rate.max()), f"{kind} in {key}"
             bad = np.flatnonzero(rate > 1.0)
             for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
-                nozzle = mm(float(way.feet.height[i]) + claim.torch.standoff)
+                nozzle = mm(float(way.feet.height[i]) + torch.standoff)
                 said = {
                     "height": f"the nozzle is {nozzle:.2f} mm off the sheet; wanted: "
-                    f"{mm(claim.torch.standoff):g} mm within {mm(claim.height):g}",
+                    f"{mm(torch.standoff):g} mm within {mm(claim.height):g}",
                     "lean": f"the torch leans {np.rad2deg(lean[i]):.1f} deg off the sheet's normal; allowed: "
                     f"{np.rad2deg(claim.cone):g} deg",
                     "pierce": f"the sheet is pierced from {nozzle:.2f} mm; wanted: "
@@ -198,7 +203,8 @@ def trim_arc(context: Context, trimming: Trimming) -> Outcome:
     waits for it, no longer than it may; it burns all along its slot and nowhere else."""
     issues: list[Issue] = []
     count = 0
-    for work in trimming.works:
+    torches = [work for work in trimming.works if work.claim.torch is not None]
+    for work in torches:
         claim, motion = work.claim, context.motion
         issues += _waits(context, claim)
         track, burning = work.track, work.burning
@@ -224,7 +230,7 @@ def trim_arc(context: Context, trimming: Trimming) -> Outcome:
             for i in dark[:1]:
                 what = f"{claim.signal} is off in {key}: nothing is cut there"
                 issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(own.rows[i])))
-    return Outcome(tuple(issues), where=f"{count} slots" if trimming.works else NOTHING_TRIMMED)
+    return Outcome(tuple(issues), where=f"{count} slots" if torches else NOTHING_TRIMMED)
 
 
 def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin: float) -> Iterator[Issue]:
@@ -310,15 +316,15 @@ def trim_order(context: Context, trimming: Trimming) -> Outcome:
 
 @rule("verify.trim_feed", TrimsSheet)
 def trim_feed(context: Context, trimming: Trimming) -> Outcome:
-    """While it cuts the torch goes no faster than its feed over the cosine of the wall's angle, by the
+    """While it cuts the tool goes no faster than its feed over the cosine of the wall's angle, by the
     thickness that the sine law leaves there, and on average no slower than the wanted share of that."""
     issues: list[Issue] = []
     worst, where = 0.0, ""
-    for work, _, key, _way in _every(trimming):
+    for work, _, key, _way in every(trimming):
         claim, track = work.claim, work.of_slot(key)
         time, length = np.diff(track.time), np.linalg.norm(np.diff(track.tip, axis=0), axis=1)
         time, length = time[track.joined], length[track.joined]
-        feet = work.sheet.feet(track.tip)
+        feet, deep = work.feet(track.tip, track.axis)
         wall = np.maximum(np.abs(feet.normal[:, 2]), 0.05)
         limit = np.minimum(claim.feed / wall, claim.feed_most)
         there = np.maximum(limit[:-1], limit[1:])[track.joined]
@@ -329,15 +335,19 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
         rows = track.rows[1:][track.joined]
         bad = np.flatnonzero(share > FEED_SLACK)
         for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
-            what = f"the torch cuts at {mm(float(speed[i])):.2f} mm/s in {key}; allowed there: "
+            what = f"the tool cuts at {mm(float(speed[i])):.2f} mm/s in {key}; allowed there: "
             what += f"{mm(float(there[i])):.2f}"
             measure = (mm(float(speed[i])), mm(float(there[i])), "mm/s")
             issues.append(
                 at_sample("verify.trim_feed", what, context.motion, claim.arm, int(rows[i]), measure)
             )
+        if claim.mill is not None:  # on its way down another feed counts
+            least = claim.thickness + claim.mill.below - GOING_DOWN * claim.height
+            down = (deep[1:] >= least)[track.joined]
+            time, length, there = time[down], length[down], there[down]
         mean = float((length / there).sum() / max(float(time.sum()), 1e-9))
         if mean < AVERAGE_SLACK * claim.least_feed:
-            what = f"the torch cuts at {100 * mean:.0f} % of its feed in {key} on average; wanted: "
+            what = f"the tool cuts at {100 * mean:.0f} % of its feed in {key} on average; wanted: "
             what += f"{100 * claim.least_feed:.0f} %"
             issues.append(Issue("verify.trim_feed", what, field=key, value=mean, limit=claim.least_feed))
     if not where:
@@ -347,8 +357,8 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
 
 @rule("verify.trim_clear", TrimsSheet)
 def trim_clear(context: Context, trimming: Trimming) -> Outcome:
-    """The torch that is mounted is the claimed one, and in slots and on the ways to them and from them no
-    part of it is nearer to the formed sheet than it may be."""
+    """The tool that is mounted is the claimed one, and in slots and on the ways to them and from them no part
+    of it, of a mill none that does not cut, is nearer to the formed sheet than it may be."""
     issues: list[Issue] = []
     worst, limit, where = np.inf, None, ""
     for work in trimming.works:
@@ -368,7 +378,7 @@ def trim_clear(context: Context, trimming: Trimming) -> Outcome:
         if off < worst:
             worst, limit, where = off, mm(least), str(work.track.label[row])
         if off < least:
-            what = f"in {work.track.label[row]} the torch is {mm(off):.2f} mm off the sheet; wanted: "
+            what = f"in {work.track.label[row]} the tool is {mm(off):.2f} mm off the sheet; wanted: "
             what += f"{mm(claim.clear):g} mm"
             measure = (mm(off), mm(least), "mm")
             sample = int(work.track.rows[row])
@@ -379,14 +389,28 @@ def trim_clear(context: Context, trimming: Trimming) -> Outcome:
 
 
 def _same_torch(context: Context, work: TrimWork) -> Iterator[Issue]:
-    own, said = context.setups[work.index].cell.arm(work.claim.arm).tool, work.claim.torch
-    names = ("standoff", "kerf", "nozzle", "cone", "body", "back")
-    if not all(abs(getattr(own, name, np.inf) - getattr(said, name)) < 1e-9 for name in names):
-        what = f"the tool of {work.claim.arm} in setup {work.index + 1} is another torch than the claimed one"
+    own: object = context.setups[work.index].cell.arm(work.claim.arm).tool
+    said = work.claim.torch if work.claim.mill is None else work.claim.mill.cutter
+    if said is None:
+        yield Issue("verify.trim_clear", f"no tool is claimed for {work.claim.arm}", arm=work.claim.arm)
+        return
+    names: tuple[str, ...] = ("standoff", "kerf", "nozzle", "cone", "body", "back")
+    if work.claim.mill is not None:
+        own, said = getattr(own, "cutter", None), work.claim.mill.cutter
+        names = ("radius", "corner", "flute", "overhang", "shank", "behind")
+    wanted = abs(work.claim.kerf - (2.0 * said.radius if isinstance(said, Cutter) else said.kerf)) < 1e-9
+    if not wanted or not all(_alike(getattr(own, name, np.inf), getattr(said, name)) for name in names):
+        what = f"the tool of {work.claim.arm} in setup {work.index + 1} is another one than the claimed"
         yield Issue("verify.trim_clear", what, arm=work.claim.arm)
 
 
-def _every(trimming: Trimming) -> Iterator[tuple[TrimWork, Curve, str, Way]]:
+def _alike(one: object, other: object) -> bool:
+    """Whether sizes are the same."""
+    a, b = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
+    return a.shape == b.shape and bool(np.all(np.abs(a - b) < 1e-9))
+
+
+def every(trimming: Trimming) -> Iterator[tuple[TrimWork, Curve, str, Way]]:
     """All slots that are cut."""
     for work in trimming.works:
         for curve in work.curves:

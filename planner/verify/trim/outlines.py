@@ -116,7 +116,9 @@ def slot_names(one: TrimOutline) -> list[str]:
 
 
 def dialogue(claim: OperatorDialogue, trims: TrimsSheet) -> OperatorDialogue:
-    """The dialogue with what is switched and waited for at each slot. Raises `UnreadError`."""
+    """The dialogue with what is switched and waited for at each slot of a torch. Raises `UnreadError`."""
+    if trims.torch is None:
+        return claim
     begin = [DialogueStep("on", signal=trims.signal)]
     if trims.ok_signal is not None:
         begin.append(DialogueStep("input", signal=trims.ok_signal, seconds=trims.timeout))

@@ -1,4 +1,5 @@
-"""Where a torch is while it trims, whether its arc burns then, and how far its body is off the sheet."""
+"""Where a torch or a mill is while it trims, whether its arc burns then, and how far its body is off the
+sheet."""
 
 from __future__ import annotations
 
@@ -69,17 +70,36 @@ class Burning:
         return out
 
 
+CROSS_ROUNDS = 8
+"""Times that the place is looked for anew in which an axis goes through a face."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Way:
-    """Places of the torch in one slot, ``PLACE_STEP`` apart at most: ``axis`` (N, 3), from the TCP into the
-    torch, ``feet`` on the face, and ``rows`` (N,) of the motion; ``off`` (N,) [m] from the curve that it
-    cuts, below zero on the part, and where along that, ``at`` (N,) [m]."""
+    """Places of the tool in one slot, ``PLACE_STEP`` apart at most: ``tip`` and ``axis`` (N, 3), from the TCP
+    into the tool, ``feet`` on the face, and ``rows`` (N,) of the motion; ``off`` (N,) [m] from the curve that
+    it cuts, below zero on the part, and where along that, ``at`` (N,) [m]. ``deep`` (N,) [m]: of a mill, how
+    far along its axis the tip is behind the face, below zero over it; zero of a torch."""
 
+    tip: FloatArray
     axis: FloatArray
     feet: Feet
     rows: IntArray
     off: FloatArray
     at: FloatArray
+    deep: FloatArray
+
+
+def behind(sheet: SheetSide, tip: FloatArray, axis: FloatArray) -> FloatArray:
+    """How far (N,) [m] from a ``tip`` along its ``axis`` (N, 3) the axis goes through the face."""
+    out = np.zeros(len(tip))
+    for _ in range(CROSS_ROUNDS):
+        place = tip + out[:, None] * axis
+        point, normal = sheet.at(place[:, :2])
+        slope = (axis * normal).sum(axis=1)
+        slope = np.where(np.abs(slope) < 0.1, np.copysign(0.1, slope), slope)
+        out = out - ((place - point) * normal).sum(axis=1) / slope
+    return out
 
 
 class TrimWork:
@@ -90,7 +110,9 @@ class TrimWork:
         self, context: Context, index: int, claim: TrimsSheet, flat: Callable[[FloatArray], FloatArray]
     ) -> None:
         self.context, self.index, self.claim = context, index, claim
-        self.sheet = SheetSide(claim, context.problem.source.get("part"), flat)
+        part = context.problem.source.get("part")
+        self.sheet = SheetSide(claim, part, flat)
+        self._other = partial(SheetSide, dataclasses.replace(claim, side=-claim.side), part, flat)
         self.curves = tuple(Curve(one, self.sheet) for one in claim.outlines)
         self._milling = Milling(context)
         labels = tuple(sorted(set(context.motion.node_label.tolist())))
@@ -102,6 +124,19 @@ class TrimWork:
     def on(self) -> BoolArray:
         """(T,) whether the arc burns."""
         return self.burning.at(self.track.time)
+
+    @cached_property
+    def other(self) -> SheetSide:
+        """The sheet's other side."""
+        return self._other()
+
+    def feet(self, tip: FloatArray, axis: FloatArray) -> tuple[Feet, FloatArray]:
+        """Where tools are on the face: a torch at its foot, a mill where its axis goes through that; and how
+        deep (N,) [m] the tip is behind."""
+        if self.claim.mill is None:
+            return self.sheet.feet(tip), np.zeros(len(tip))
+        deep = behind(self.sheet, tip, axis)
+        return self.sheet.feet(tip + deep[:, None] * axis), deep
 
     @cached_property
     def slots(self) -> dict[str, Curve]:
@@ -121,10 +156,10 @@ class TrimWork:
                 tip, axis, rows = track.spaced(PLACE_STEP, BEND_SHARE * self.claim.tolerance)
                 order = np.argsort(rows, kind="stable")
                 tip, axis, rows = tip[order], axis[order], rows[order]
-                feet = self.sheet.feet(tip)
+                feet, deep = self.feet(tip, axis)
                 off, at = curve.off(feet.foot)
                 off = np.where(curve.in_waste(feet.foot), off, -off)
-                self._ways[key] = Way(axis, feet, rows, off, at)
+                self._ways[key] = Way(tip, axis, feet, rows, off, at, deep)
         return self._ways[key]
 
     def ways(self, curve: Curve) -> dict[str, Way | None]:
@@ -178,9 +213,37 @@ def body(torch: Torch) -> RoundBody:
     return RoundBody(torch.standoff, torch.back, torch.body, distance)
 
 
+def _cylinder(low: float, high: float, radius: float) -> RoundBody:
+    """A cylinder from ``low`` to ``high`` [m] behind the tip."""
+
+    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
+        side, ends = beside - radius, np.maximum(low - back, back - high)
+        outside = np.hypot(np.maximum(side, 0.0), np.maximum(ends, 0.0))
+        return np.asarray(np.where(outside > 0.0, outside, np.maximum(side, ends)))
+
+    return RoundBody(low, high, radius, distance)
+
+
+def bodies(claim: TrimsSheet) -> list[RoundBody]:
+    """What of the tool keeps clear of the sheet: a torch; shank, holder and spindle of a mill."""
+    if claim.torch is not None:
+        return [body(claim.torch)]
+    if claim.mill is None:
+        return []
+    cutter = claim.mill.cutter
+    out = [_cylinder(cutter.flute, cutter.overhang, cutter.shank)] if cutter.overhang > cutter.flute else []
+    rings = cutter.behind.tolist()
+    return out + [_cylinder(a[0], b[0], a[1]) for a, b in zip(rings[::2], rings[1::2], strict=True)]
+
+
 def off_sheet(work: TrimWork, rows: IntArray) -> tuple[float, int]:
-    """Least distance [m] of the torch from the sheet at rows of its track, ``SIGHT`` at most, and the row."""
-    tip, axis, own = work.track.tip[rows], work.track.axis[rows], body(work.claim.torch)
+    """Least distance [m] of the tool from the sheet at rows of its track, ``SIGHT`` at most, and the row."""
+    found = [_off_sheet(work, rows, own) for own in bodies(work.claim)]
+    return min(found, key=lambda one: one[0])
+
+
+def _off_sheet(work: TrimWork, rows: IntArray, own: RoundBody) -> tuple[float, int]:
+    tip, axis = work.track.tip[rows], work.track.axis[rows]
     corners = work.sheet.vertices[work.sheet.faces]
     low, high = corners.reshape(-1, 3)[:, :2].min(axis=0), corners.reshape(-1, 3)[:, :2].max(axis=0)
     size = 0.5 * np.asarray(work.context.stock(work.index).size)[:2]

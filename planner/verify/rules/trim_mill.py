@@ -1,0 +1,269 @@
+"""Rules on sheets that a mill trims.
+
+verify.trim_mill: how deep the cutter is, how it leans, where and how fast it goes into the sheet, that it
+comes straight out again, and what it cuts beside its slot. verify.trim_spindle: up to speed, and in slots,
+wherever it is in the sheet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.claims.trim import TrimCutter, TrimsSheet
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.mesh import small_pieces
+from planner.issues import Issue
+from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, mm, rule
+from planner.verify.programs.steps import SignalStep
+from planner.verify.rules.trim import (
+    ANGLE_ERROR,
+    GOING_DOWN,
+    ISSUES_SHOWN,
+    NOTHING_TRIMMED,
+    PLACE_ERROR,
+    every,
+)
+from planner.verify.trim.outlines import TRIM, Curve
+from planner.verify.trim.torch_motion import FACE_SPACING, Trimming, TrimWork, Way, behind
+
+MILL, SPINDLE = "verify.trim_mill", "verify.trim_spindle"
+"""Codes of the rules."""
+LOOKS = 600
+"""Places of a slot at which the cutter is held against the part."""
+MOST_PLACES = 400_000
+"""Places of a face at most."""
+
+
+@rule("verify.trim_mill", TrimsSheet)
+def trim_mill(context: Context, trimming: Trimming) -> Outcome:
+    """Along its outline the tip of a mill is through the sheet as far as wanted, and the cutter leans no
+    farther than its cone; it goes into the waste, far enough off all curves, no faster than it may, comes out
+    along its axis, and cuts nothing of the part where that is bent."""
+    issues: list[Issue] = []
+    worst, where = -np.inf, ""
+    for work, curve, key, way in every(trimming):
+        own = work.claim.mill
+        if own is None:
+            continue
+        for value, some in (
+            _depth(context, work, own, key, way),
+            _leans(context, work, key, way),
+            _entry(context, work, own, key, way),
+            _leaves(context, work, key),
+            _beside(context, work, curve, own, key, way),
+        ):
+            issues += some
+            if value > worst:
+                worst, where = value, key
+    issues += _dies(context, trimming)
+    if not where:
+        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of what is allowed", where)
+
+
+Found = tuple[float, list[Issue]]
+"""The worst share of what is allowed, and what is beyond it."""
+
+
+def _told(context: Context, work: TrimWork, key: str, what: str, row: int) -> Issue:
+    return at_sample(MILL, f"in {key} {what}", context.motion, work.claim.arm, row)
+
+
+def _some(bad: IntArray) -> list[int]:
+    return [int(k) for k in bad[:: max(1, len(bad) // ISSUES_SHOWN)]]
+
+
+def _depth(context: Context, work: TrimWork, own: TrimCutter, key: str, way: Way) -> Found:
+    """Through the far face by what is wanted at least, and no deeper than a sheet of its whole thickness
+    wants it; where it leads in or out it may be higher."""
+    claim = work.claim
+    near = claim.height + work.sheet.tolerance + PLACE_ERROR
+    through = behind(work.other, way.tip, way.axis)
+    cuts = way.off <= 0.5 * claim.kerf + claim.tolerance
+    high = np.where(cuts, own.below - through, 0.0) / near
+    low = (way.deep - claim.thickness - own.below) / near
+    out = []
+    for k in _some(np.flatnonzero(np.maximum(high, low) > 1.0)):
+        what = (
+            f"the tip is {mm(float(through[k])):.2f} mm through the sheet, {mm(float(way.deep[k])):.2f} mm "
+        )
+        what += f"behind its face; wanted: {mm(own.below):g} mm through it within {mm(claim.height):g}"
+        out.append(_told(context, work, key, what, int(way.rows[k])))
+    return float(max(high.max(), low.max())), out
+
+
+def _leans(context: Context, work: TrimWork, key: str, way: Way) -> Found:
+    lean = np.arccos(np.clip((way.axis * way.feet.normal).sum(axis=1), -1.0, 1.0))
+    share = lean / (work.claim.cone + ANGLE_ERROR)
+    out = []
+    for k in _some(np.flatnonzero(share > 1.0)):
+        what = f"the cutter leans {np.rad2deg(lean[k]):.1f} deg off the sheet's normal; allowed: "
+        what += f"{np.rad2deg(work.claim.cone):g} deg"
+        out.append(_told(context, work, key, what, int(way.rows[k])))
+    return float(share.max()), out
+
+
+def _entry(context: Context, work: TrimWork, own: TrimCutter, key: str, way: Way) -> Found:
+    """It begins over the sheet, in the waste, off all curves, and goes down no faster than it may; a ramp
+    ends before the outline."""
+    claim, out = work.claim, list[Issue]()
+    foot = way.feet.foot[:1]
+    off = np.array([float(curve.off(foot)[0][0]) for curve in work.curves])
+    waste = any(bool(curve.in_waste(foot)[0]) for curve in work.curves)
+    least = claim.pierce_off - work.sheet.tolerance - PLACE_ERROR
+    if not waste or off.min() < least:
+        what = f"the cutter goes into the sheet {'in the part, ' if not waste else ''}"
+        what += (
+            f"{mm(float(off.min())):.2f} mm off {work.curves[int(off.argmin())].one.name}; wanted: in the "
+        )
+        what += f"waste, {mm(claim.pierce_off):g} mm off"
+        out.append(_told(context, work, key, what, int(way.rows[0])))
+    if way.deep[0] > -own.start + claim.height + work.sheet.tolerance:
+        what = f"the way into the sheet begins {mm(-float(way.deep[0])):.2f} mm over it; wanted: "
+        what += f"{mm(own.start):g} mm"
+        out.append(_told(context, work, key, what, int(way.rows[0])))
+    track = work.of_slot(key)
+    deep = work.feet(track.tip, track.axis)[1]
+    time = np.diff(track.time)
+    # once it is down, the tip is as deep as the face's facets have it
+    down = track.joined & (deep[1:] < claim.thickness + own.below - GOING_DOWN * claim.height)
+    speed = np.where(down, np.diff(deep) / np.maximum(time, 1e-6), 0.0)
+    share = float(speed.max(initial=0.0)) / own.plunge / FEED_SLACK
+    for k in _some(np.flatnonzero(speed > FEED_SLACK * own.plunge)):
+        what = f"the cutter goes down at {mm(float(speed[k])):.2f} mm/s; allowed: {mm(own.plunge):g} mm/s"
+        out.append(_told(context, work, key, what, int(track.rows[k + 1])))
+    if not own.ramp and len(way.tip) > 1:  # straight down before it goes anywhere
+        gone = np.linalg.norm(way.feet.foot - foot, axis=1)
+        early = np.flatnonzero((gone > claim.tolerance) & (way.deep < 0.5 * claim.thickness))
+        for k in early[:1]:
+            what = "the cutter goes aside before it is through the sheet; wanted: straight down"
+            out.append(_told(context, work, key, what, int(way.rows[k])))
+    return share, out
+
+
+def _leaves(context: Context, work: TrimWork, key: str) -> Found:
+    """On the way in the cutter is over the sheet, and the way out is along its axis until it is."""
+    claim, out, worst = work.claim, list[Issue](), 0.0
+    own = Segment(TRIM, key.split("/", 1)[1])
+    for phase in ("in", "out"):
+        track = work.of_slot(own.at(phase).key)
+        if not len(track.rows):
+            continue
+        feet, deep = work.feet(track.tip, track.axis)
+        within = np.flatnonzero(deep > (0.0 if phase == "out" else PLACE_ERROR))
+        if phase == "in":
+            for k in within[:1]:
+                what = f"the cutter comes down {mm(float(deep[k])):.2f} mm into the sheet on its way to it"
+                out.append(_told(context, work, key, what, int(track.rows[k])))
+            continue
+        aside = np.linalg.norm(feet.foot - feet.foot[0], axis=1)[within]
+        worst = float(aside.max(initial=0.0)) / (claim.tolerance + PLACE_ERROR)
+        for k in within[aside > claim.tolerance + PLACE_ERROR][:1]:
+            what = "the cutter goes aside before it is out of the sheet"
+            out.append(_told(context, work, key, what, int(track.rows[k])))
+    return worst, out
+
+
+def _beside(context: Context, work: TrimWork, curve: Curve, own: TrimCutter, key: str, way: Way) -> Found:
+    """What of the part is in the flute where the sheet is bent: on both faces, farther from the outline than
+    its edge may be. The far face is the near one moved along z, so that its edge is off by the thickness."""
+    claim, cutter = work.claim, own.cutter
+    out, worst = list[Issue](), 0.0
+    allowed = claim.tolerance + work.sheet.tolerance + PLACE_ERROR
+    half = 0.5 * cutter.flute
+    middle = way.tip + half * way.axis
+    reach = half + cutter.radius
+    near = _places(work.sheet.vertices[work.sheet.faces], middle, reach + claim.thickness)
+    part = near[~curve.in_waste(near)] if len(near) else near
+    if not len(part):
+        return 0.0, out
+    off = curve.off(part)[0]
+    drop = np.array([0.0, 0.0, claim.side * claim.thickness])
+    both, over = np.concatenate([part, part - drop]), np.concatenate([off, off - claim.thickness])
+    tree = cKDTree(both)
+    for k in range(0, len(way.tip), max(1, len(way.tip) // LOOKS)):
+        some = np.array(tree.query_ball_point(middle[k], reach), dtype=np.int64)
+        rest = both[some] - way.tip[k]
+        back = rest @ way.axis[k]
+        beside = np.linalg.norm(rest - back[:, None] * way.axis[k], axis=1)
+        inside = (beside < cutter.radius) & (back > 0.0) & (back < cutter.flute)
+        most = float(over[some[inside]].max(initial=0.0))
+        worst = max(worst, most / allowed)
+        if most > allowed and len(out) < ISSUES_SHOWN:
+            what = f"the cutter goes {mm(most):.2f} mm over the outline into the part; allowed: "
+            what += f"{mm(allowed):.2f} mm"
+            out.append(_told(context, work, key, what, int(way.rows[k])))
+    return worst, out
+
+
+def _places(corners: FloatArray, middle: FloatArray, reach: float) -> FloatArray:
+    """Places (P, 3) of a face that a cutter may meet."""
+    low, high = middle.min(axis=0) - reach, middle.max(axis=0) + reach
+    near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
+    if not near.any():
+        return np.zeros((0, 3))
+    pieces = small_pieces(corners[near], FACE_SPACING, MOST_PLACES)[0]
+    return np.concatenate([pieces.mean(axis=1), corners[near].reshape(-1, 3)])
+
+
+def _dies(context: Context, trimming: Trimming) -> Iterator[Issue]:
+    """Nothing says that a die was taken out from under the sheet."""
+    said = context.problem.source.get("operations") or ()
+    dies = [one for one in said if isinstance(one, dict) and one.get("die")]
+    for work in trimming.works:
+        if work.claim.mill is not None and dies:
+            what = f"{dies[0].get('name')} has a die behind the sheet, into which the cutter would go"
+            yield Issue(MILL, what, arm=work.claim.arm)
+
+
+@rule("verify.trim_spindle", TrimsSheet)
+def trim_spindle(context: Context, trimming: Trimming) -> Outcome:
+    """A mill is in the sheet only in its slots and on its ways out of them, and only while its spindle has
+    been on for long enough."""
+    issues: list[Issue] = []
+    count = 0
+    for work in trimming.works:
+        claim, own, motion = work.claim, work.claim.mill, context.motion
+        if own is None:
+            continue
+        track = work.track
+        size = 0.5 * np.asarray(context.stock(work.index).size)[:2] + claim.kerf
+        over = (np.abs(track.tip[:, :2]) <= size).all(axis=1)
+        rows = np.flatnonzero(over)
+        height = work.sheet.feet(track.tip[rows]).height
+        rows = rows[height < 0.5 * own.start]
+        count += len(work.slots)
+        good = set(work.slots) | {Segment(TRIM, key.split("/", 1)[1]).at("out").key for key in work.slots}
+        for i in rows[~np.isin(track.label[rows], list(good))][:1]:
+            what = f"the cutter is in the sheet, or just over it, in {track.label[i]}, where nothing is cut"
+            issues.append(at_sample(SPINDLE, what, motion, claim.arm, int(track.rows[i])))
+        on = _on_for(context, claim.signal, track.time[rows])
+        for i in np.flatnonzero(on < own.spin_up - 1e-6)[:1]:
+            got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
+            what = f"the cutter is in the sheet and {claim.signal} is {got} on; wanted: {own.spin_up:g} s"
+            measure = (float(max(on[i], 0.0)), own.spin_up, "s")
+            row = int(track.rows[rows[i]])
+            issues.append(at_sample(SPINDLE, what, motion, claim.arm, row, measure))
+    return Outcome(tuple(issues), where=f"{count} slots" if count else NOTHING_TRIMMED)
+
+
+def _on_for(context: Context, signal: str, time: FloatArray) -> FloatArray:
+    """How long (T,) [s] a signal has been on, -1 where it is off."""
+    steps = sorted(
+        (at, bool(step.value))
+        for at, _, _, step in context.motion.step_time
+        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
+    )
+    out = np.full(len(time), -1.0)
+    since: float | None = None
+    for k, (at, value) in enumerate(steps):
+        since = (at if since is None else since) if value else None
+        until = steps[k + 1][0] if k + 1 < len(steps) else np.inf
+        if since is not None:
+            rows = (time >= at) & (time < until)
+            out[rows] = time[rows] - since
+    return out

@@ -1,0 +1,259 @@
+"""A mill cuts apertures out of a dish: what it is refused for, its programs in RAPID and KRL, and the faults
+in them that the proof tells.
+
+Places are held against closed forms: the slot of a round hole, the depth of a tip.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+
+from planner import pipeline, processes
+from planner.geometry.arrays import Mesh
+from planner.issues import TandemError
+from planner.targets import ScrewFreedom
+from planner.tooling import mill
+from planner.trim.check import gouged
+from planner.trim.cutting import Cutting, shank_body
+from planner.trim.face import Face, lay
+from planner.trim.operation import OutlineFile
+from planner.trim.slots import Wanted
+from planner.verify.context import Context
+from planner.verify.forming.state import Forming
+from planner.verify.rules.trim_mill import _beside
+from planner.verify.trim import outlines
+from planner.verify.trim.torch_motion import Trimming
+from tests.small_forming import die, dish
+from tests.small_forming import write as write_forming
+from tests.trim.small_trim import KUKA, MILL, OUTLINES, Job, data, milled, problem
+from tests.trim.test_proof import before_last_move, leant, moved, replaced, timed, without_moves
+from tests.verify.milling_job import in_procedure
+
+ROUND, WALL = OUTLINES[0], OUTLINES[1]
+MAIN = "operation_1"
+ON = "SetDO doSpindle,1;"
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
+    return Job(tmp_path_factory.mktemp("mill"), outlines=[ROUND, WALL], **milled())
+
+
+def up(z: float) -> Callable[[str], str]:
+    return moved(lambda p: p + np.array([0.0, 0.0, z]))
+
+
+def along(x: float) -> Callable[[str], str]:
+    return moved(lambda p: p + np.array([x, 0.0, 0.0]))
+
+
+FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
+    "a hole beside its place": ("verify.trim_kept", "trim_round", along(1.0)),
+    "a hole too small": ("verify.trim_cut", "trim_round", moved(lambda p: p * np.array([0.9, 0.9, 1.0]))),
+    "a hole not closed": ("verify.trim_cut", "trim_round", without_moves(slice(-9, None))),
+    "an outline left out": ("verify.trim_cut", MAIN, replaced("trim_wall;", "")),
+    "not through the sheet": ("verify.trim_mill", "trim_round", up(0.8)),
+    "too deep": ("verify.trim_mill", "trim_round", up(-0.8)),
+    "too deep on a wall": ("verify.trim_mill", "trim_wall", up(-1.0)),
+    "the cutter leans": ("verify.trim_mill", "trim_round", leant(10.0)),
+    "down too fast": ("verify.trim_mill", "trim_round", timed(0.2)),
+    "down in the part": ("verify.trim_mill", "trim_round_in", along(8.0)),
+    "into the sheet on the way to it": ("verify.trim_mill", "trim_round_in", up(-3.0)),
+    "aside on the way out": ("verify.trim_mill", "trim_round_out", along(20.0)),
+    "the spindle stands": ("verify.trim_spindle", MAIN, replaced(ON, "")),
+    "not up to speed": ("verify.trim_spindle", MAIN, replaced("WaitTime 5;", "WaitTime 0.5;")),
+    "it stops in a slot": ("verify.trim_spindle", "trim_round", before_last_move("SetDO doSpindle,0;")),
+    "twice as fast": ("verify.trim_feed", "trim_wall", timed(0.5)),
+    "the shank in the sheet": ("verify.trim_clear", "trim_wall", up(-8.0)),
+}
+
+
+def test_the_programs_are_proven(job: Job) -> None:
+    proof = job.prove(job.programs, None)
+    assert proof.issues == ()
+    assert proof.ok
+    text = "".join(job.programs.values())
+    assert "doArc" not in text and "diArcOk" not in text
+    assert text.count(ON) == 1
+    assert "TandemTorch" not in text  # a spindle may be set on again by hand, as another's
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_told_by_the_rule_for_it(job: Job, name: str) -> None:
+    code, procedure, change = FAULTS[name]
+    programs = in_procedure(job.programs, procedure, change)
+    assert programs != job.programs
+    assert job.told_by(code, programs)
+
+
+def test_the_slot_is_half_a_cutter_inside_and_the_tip_through_the_sheet(job: Job) -> None:
+    targets = job.plan.operations[0].targets
+    pose = targets.pose["robot"]
+    rows = [
+        k for k, s in enumerate(targets.segment) if s.kind == "trim" and s.name == "round" and not s.phase
+    ]
+    tip = pose[rows, :3, 3] / 1e-3
+    radius = np.hypot(tip[:, 0], tip[:, 1])
+    cut = radius > 6.9
+    # a hole of 16 mm by a cutter of 2 mm; the floor's upper face is at -6 + 1 mm, its lower one at -6 mm
+    np.testing.assert_allclose(radius[cut], 7.0, atol=0.03)
+    np.testing.assert_allclose(tip[cut, 2], -7.0, atol=1e-3)
+    first = pose[rows[0] - 1, :3, 3] / 1e-3  # the way down ends 2 mm over the upper face
+    assert first[2] == pytest.approx(-5.0 + 2.0, abs=1e-3)
+
+
+def test_a_cutter_on_a_wall_turns_about_the_face_when_it_leans(tmp_path: Path) -> None:
+    targets = processes.job(problem(tmp_path, outlines=[WALL], **milled(below_mm=2)), 0).targets()
+    for one in targets.freedoms:
+        assert isinstance(one, ScrewFreedom)
+        twist = one.axis["robot"]
+        if one.name.startswith("tilt"):
+            face = np.array([0.0, 0.0, -3.0e-3])  # sheet of 1 mm and 2 mm below
+            assert np.cross(twist[:3], face) + twist[3:] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_cutter_goes_down_a_ramp_unturned_and_slower_than_it_may(tmp_path: Path) -> None:
+    """On walls a ramp is uneven: the proof found 2.1 mm/s where 2 are allowed."""
+    targets = processes.job(problem(tmp_path, outlines=[WALL], **milled(plunge_mm_s=2)), 0).targets()
+    pose = targets.pose["robot"]
+    rows = np.array([k for k, s in enumerate(targets.segment) if s.key == "trim/wall"])
+    rows = np.concatenate([rows[:1] - 1, rows])
+    down = -((pose[rows[1:], :3, 3] - pose[rows[:-1], :3, 3]) * -pose[rows[1:], :3, 2]).sum(axis=1)
+    way = np.linalg.norm(pose[rows[1:], :3, 3] - pose[rows[:-1], :3, 3], axis=1)
+    steep = np.flatnonzero(down > 0.2e-3)
+    assert len(steep) > 2
+    assert (targets.feed[rows[1:]][steep] * (down / way)[steep]).max() <= 0.85 * 2e-3
+    for one in targets.freedoms[:2]:
+        assert isinstance(one, ScrewFreedom)
+        assert (one.upper[rows[1:][steep]] == 0.0).all()
+
+
+def test_a_kuka_plunges(tmp_path: Path) -> None:
+    numbers = {"io": {"robot": {"doSpindle": 17}}, "dialect": "krc4"}
+    hole = {"name": "round", "circle": {"at_mm": [0, 0], "diameter_mm": 12}}
+    own = Job(
+        tmp_path, arm=KUKA, controller=numbers, outlines=[hole], **milled(entry="plunge", plunge_mm_s=1)
+    )
+    proof = own.prove(own.programs, None)
+    assert proof.issues == ()
+    main = own.programs["robot/trimmed.src"]
+    assert main.count("$OUT[17]=TRUE") == 1
+    changed = {**own.programs, "robot/trimmed.src": main.replace("$OUT[17]=TRUE", "$OUT[17]=FALSE", 1)}
+    assert own.told_by("verify.trim_spindle", changed)
+    targets = own.plan.operations[0].targets
+    begin = next(k for k, s in enumerate(targets.segment) if s.kind == "trim" and not s.phase)
+    ways = np.diff(targets.pose["robot"][begin - 1 : begin + 1, :3, 3], axis=0)[0]
+    assert ways == pytest.approx([0.0, 0.0, -4.0e-3], abs=1e-6)  # from 2 mm over it to 1 mm through 1 mm
+
+
+def refused(folder: Path, **fields: Any) -> list[Any]:
+    with pytest.raises(TandemError) as error:
+        processes.job(problem(folder, **fields), 0).targets()
+    return [one for one in error.value.issues if one.severity.name == "ERROR"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "code", "words"),
+    [
+        ({**milled(), "tool": {}}, "trim.tool", "no mill"),
+        ({"tool": MILL}, "trim.tool", "no torch"),
+        (milled({"flute_mm": 2.5}), "trim.tool", "does not reach through the sheet; wanted: 3.10 mm"),
+        (milled({"cutter": "ball", "diameter_mm": 4}), "trim.tool", "round over 2 mm, stays in the sheet"),
+        (milled({"flute_mm": 3.2, "shank_diameter_mm": 18}), "trim.wall", "the cutter's shank or holder"),
+    ],
+)
+def test_cutters_that_do_not_fit_are_refused(
+    tmp_path: Path, fields: dict[str, Any], code: str, words: str
+) -> None:
+    hole = {"name": "hole", "circle": {"at_mm": [30, 0], "diameter_mm": 7}}
+    (issue,) = refused(tmp_path, outlines=[hole], lead={"length_mm": 1.0}, **fields)
+    assert issue.code == code
+    assert words in issue.message
+    assert issue.hint
+
+
+def test_a_thick_cutter_beside_a_wall_goes_into_it() -> None:
+    """A floor up to x = 10 mm and a wall of 45 deg behind: a cutter of 8 mm that stands upright at 7 mm
+    reaches 11 mm, over a curve that is 1 mm up the wall by 1.41 - 1 = 0.41 mm, of which places 2 mm apart at
+    most find what they find."""
+    xs = np.array([-60.0, 10.0, 40.0])
+    low, high = (np.column_stack([xs, np.full(3, y), np.maximum(xs - 10.0, 0.0)]) for y in (-60.0, 60.0))
+    mesh = Mesh(np.concatenate([low, high]) * 1e-3, np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]]))
+    face = Face(mesh, 0.001, 1)
+    edge = 10.0 + np.sqrt(0.5)
+    ring = np.array([[-30.0, -30.0], [edge, -30.0], [edge, 30.0], [-30.0, 30.0]]) * 1e-3
+    laid = lay("a", ring, face)
+    spec = OutlineFile.model_validate({"name": "a", "circle": {"at_mm": [0, 0], "diameter_mm": 1}})
+    one = Wanted(spec, laid, shapely.Polygon(laid.point[:, :2]))
+    cutter = mill("cylinder", 0.004, 0.0, 0.012, 0.03).cutter
+    tool = Cutting("cutter", 0.008, 0.002, 0.004, shank_body(cutter), cutter)
+    wall = np.linspace(10.0, 14.0, 401)
+    places = np.column_stack([wall, np.zeros(401), wall - 10.0 + 1.0]) * 1e-3
+    tip = np.array([[0.007, 0.0, -0.001], [0.0055, 0.0, -0.001]])
+    deep, where = gouged(one, tool, places, 0.001, 1, (tip, np.tile([0.0, 0.0, 1.0], (2, 1))))
+    assert deep == pytest.approx([(11.0 - edge) * np.sqrt(2.0) * 1e-3, 0.0], abs=2e-5)
+    assert where[0, 0] == pytest.approx(0.011, abs=2e-5)
+
+
+def test_the_proof_finds_a_cutter_that_is_too_thick_for_its_slot(job: Job) -> None:
+    claims, unread = outlines.worked_out(job.prover.claims)
+    context = Context(job.problem, claims, job.programs, unread)
+    (work,) = Trimming(context, Forming(context)).works
+    own = work.claim.mill
+    assert own is not None
+    way = work.way("trim/round")
+    assert way is not None
+    curve = work.slots["trim/round"]
+    assert not _beside(context, work, curve, own, "trim/round", way)[1]
+    thick = dataclasses.replace(own, cutter=dataclasses.replace(own.cutter, radius=2.0e-3))
+    found = _beside(context, work, curve, thick, "trim/round", way)[1]
+    assert {one.code for one in found} == {"verify.trim_mill"}
+
+
+@pytest.mark.parametrize(
+    "field",
+    [{"pierce": {"seconds": 1}}, {"pierce": {"height_mm": 2}}, {"ok_signal": "diFast"}, {"ok_timeout_s": 3}],
+)
+def test_fields_of_a_torch_are_refused_for_a_mill(tmp_path: Path, field: dict[str, Any]) -> None:
+    with pytest.raises(TandemError) as error:
+        problem(tmp_path, **(milled() | field))
+    assert {issue.code for issue in error.value.issues} == {"problem.field"}
+
+
+def test_a_die_behind_the_sheet_is_not_cut(tmp_path: Path) -> None:
+    whole = data(outlines=[ROUND], **milled())
+    (trim,) = whole["operations"]
+    own = die(tmp_path, dish(), "female", True)
+    form = {
+        "name": "form",
+        "process": "forming",
+        "arms": ["robot"],
+        "mode": "tpif",
+        "stepdown_mm": 2,
+        "die": own,
+    }
+    ball = {"kind": "ball_tool", "radius_mm": 6, "length_mm": 180}
+    whole["operations"] = [form, {**trim, "setup": {"tools": {"robot": whole["cell"]["arms"][0]["tool"]}}}]
+    whole["cell"]["arms"][0]["tool"] = ball
+    read = pipeline.load(write_forming(tmp_path, whole, dish()))
+    with pytest.raises(TandemError) as error:
+        processes.job(read, 1).targets()
+    assert [issue.code for issue in error.value.issues] == ["trim.die"]
+
+
+def test_the_proof_asks_for_a_die_itself(job: Job) -> None:
+    source = dict(job.problem.source)
+    source["operations"] = [{**one, "die": {"file": "post.ply"}} for one in source["operations"]]
+    known = job.problem
+    job.problem = dataclasses.replace(known, source=source)
+    try:
+        assert job.told_by("verify.trim_mill", job.programs)
+    finally:
+        job.problem = known
