@@ -337,7 +337,7 @@ ones."""
 ROOM_PRICE: Final = 1e3
 """Price [rad/m] of room that lacks: 1 mm is worth more than any detour."""
 HOPEFUL_ROUNDS: Final = 3
-"""After so many rounds there is no hope for a bent line that lacks more room [m] than this:"""
+"""After so many rounds there is no hope for a bent way that lacks more room [m] than this:"""
 HOPEFUL_M: Final = 0.01
 SAME_POINT: Final = 1e-9
 """Waypoints [rad] nearer than this are one."""
@@ -372,27 +372,35 @@ def shortened(
     The work is bounded by last ``looks``, quadratic programs before the first of them (``rounds``),
     :data:`REPAIR_ROUNDS` and the looks that a line has; the same way has the same answer.
     """
-    return _optimised_free(way, task, looks, rounds, bent=False)
+    return _optimised_free(way, task, looks, rounds, None)
 
 
-def bent(line: FloatArray, task: Task) -> FloatArray | None:
-    """A free way (K, D) between the ends of a straight ``line`` (2, D) that is not free, of no more travel
-    than that; None where none was found. Of two that know this and a tree, this one is asked first: its work
-    is over as soon as there is nothing left to gain, or no hope after :data:`HOPEFUL_ROUNDS`."""
-    out = _optimised_free(line, task, LAST_LOOKS, ROUNDS, bent=True)
-    return None if out is None or travel(out) > travel(line) + SAME_TRAVEL_RAD else out
+def bent(way: FloatArray, task: Task, longer: float = 1.0) -> FloatArray | None:
+    """A free way (K, D) between the ends of a ``way`` (M, D) that is not free, of no more than ``longer``
+    times its travel; None where none was found. Of those that know this and a tree, this one is asked first:
+    its work is over as soon as a way has room and no more travel than before, when it is longer than may be,
+    or without hope after :data:`HOPEFUL_ROUNDS`."""
+    most = longer * travel(way) + SAME_TRAVEL_RAD
+    out = _optimised_free(way, task, LAST_LOOKS, ROUNDS, most)
+    return None if out is None or travel(out) > most else out
 
 
-def _optimised_free(way: FloatArray, task: Task, looks: int, rounds: int, bent: bool) -> FloatArray | None:
-    """What :func:`shortened`, or :func:`bent`, gives."""
+def _optimised_free(
+    way: FloatArray, task: Task, looks: int, rounds: int, most: float | None
+) -> FloatArray | None:
+    """What :func:`shortened` gives, or :func:`bent` of ``most`` travel."""
     ready = solvers()
     if not ready or len(way) < 2:
         return None
     now, also, bad = _padded(way, task.lever), NOWHERE, NOWHERE
+    enough = None if most is None else travel(way) + SAME_TRAVEL_RAD
+    straight = enough == most
+    hoped = 0.0 if straight else most  # straight ones are soon bent, or never
     for number in range(looks):
         before, failed = now, bad
-        now = _optimised(now, also, task, ready[0], REPAIR_ROUNDS if number else rounds, bent)
-        if bent and travel(now) > travel(way) + SAME_TRAVEL_RAD:
+        soon = enough if straight or not number else None
+        now = _optimised(now, also, task, ready[0], REPAIR_ROUNDS if number else rounds, soon, hoped)
+        if most is not None and travel(now) > most:
             break
         bad = task.blocked(now, True)
         if not len(bad.move):
@@ -468,18 +476,25 @@ def _look(way: FloatArray, also: Places, task: Task, weight: FloatArray, ends: f
 
 
 def _optimised(
-    way: FloatArray, also: Places, task: Task, program: SolverInterface, rounds: int, bent: bool
+    way: FloatArray,
+    also: Places,
+    task: Task,
+    program: SolverInterface,
+    rounds: int,
+    enough: float | None,
+    hoped: float | None,
 ) -> FloatArray:
-    """The way with its corners moved so that cost and lacking room become least, near where they were.
-    ``bent``: only until its travel is that of the straight line, and as long as there is hope of it."""
+    """The way with its corners moved so that cost and lacking room become least, near where they were; with
+    a travel that is ``enough`` only until it has room and that, and as long as there is hope of ``hoped``."""
     weight = task.lever / task.lever.max()
     ends = task.near(way[[0, -1]])
     best = _look(way, also, task, weight, float(ends.room.min(initial=np.inf)))
-    trust, least = TRUST_RAD, travel(way[[0, -1]]) + SAME_TRAVEL_RAD
+    trust = TRUST_RAD
     for number in range(rounds):
-        if bent and number >= HOPEFUL_ROUNDS and best.lacks > HOPEFUL_M:
+        far = hoped is not None and travel(best.way) > hoped
+        if far and number >= HOPEFUL_ROUNDS and best.lacks > HOPEFUL_M:
             break
-        if bent and best.lacks <= 0.0 and travel(best.way) <= least:
+        if enough is not None and best.lacks <= 0.0 and travel(best.way) <= enough:
             break
         moved = _step(best, task, weight, trust, program)
         if moved is None:

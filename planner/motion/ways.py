@@ -25,7 +25,6 @@ from planner.motion import own_clearance
 from planner.motion.planning_scene import Scene
 from planner.motion.rrt import (
     MOST_MOVES,
-    REPAIR_ROUNDS,
     SAME_TRAVEL_RAD,
     Places,
     Rooms,
@@ -46,7 +45,8 @@ FINE_STEP_M = 1e-3
 """How far [m] one joint may carry the tool between two postures of the last look at a way."""
 
 LONGER_SHARE: Final = 1.02
-"""A way of a former plan that is mended gets longer by no more than this."""
+"""A way of a former plan that is mended gets longer by no more than this: the search for one that is ends as
+soon as it is, since a new one follows that is as short as can be."""
 
 NEAR_M = 0.1
 """Bodies [m] that have more room than this do not count in one round of making a way shorter."""
@@ -198,8 +198,7 @@ def _mended(moving: _Moving, way: FloatArray) -> FloatArray | None:
     """The way (M, D) if it is free, else one nearby that is, and no longer; None where there is none."""
     if not len(moving.blocked(way, False).move):
         return way
-    found = shortened(way, moving.task, rounds=REPAIR_ROUNDS)
-    return found if found is not None and travel(found) <= LONGER_SHARE * travel(way) else None
+    return bent(way, moving.task, LONGER_SHARE)
 
 
 def _improved(scene: Scene, ways: Ways, synchronised: bool) -> Ways:

@@ -182,7 +182,7 @@ def test_a_way_through_the_block_is_mended_or_found_anew(
     inside = inside[np.isfinite(inside).all(axis=1)][2]  # a posture past which there is a short way
     through = np.array([own.entry["left"][0], inside, own.entry["left"][-1]])
     if not mends:
-        monkeypatch.setattr(ways, "shortened", lambda *arguments, **more: None)
+        monkeypatch.setattr(ways, "bent", lambda *arguments, **more: None)
     plan = solve(problem, [targets], former=Former(changed(before, entry={"left": through}), problem))
     (note,) = told(plan)
     assert plan.operations[0].metrics["like"] == {"path": True, "in": mends, "out": True}

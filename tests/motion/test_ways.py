@@ -73,6 +73,29 @@ def test_a_tree_s_way_that_is_not_free_between_its_looks_is_mended_and_drake_see
     assert steps[1:] == ways.POSTURE_STEPS_RAD.tolist()
 
 
+def test_a_former_way_that_only_a_detour_could_mend_is_given_up_soon() -> None:
+    """The post is as high as the arm goes: round it is longer by far more than a mended way may be."""
+    scene, _ = pair(20)
+    home = {arm: chain.home for arm, chain in scene.chains.items()}
+    goal = home["left"] + np.deg2rad([75.0, 20.0, 10.0, 30.0, 20.0, -40.0])
+    x, y, _ = scene.chains["left"].pose(0.5 * (home["left"] + goal))[:3, 3]
+    scene, _ = pair(20, (box("post", (0.05, 0.05, 3.0), (x, y, 1.5)),))
+    moving, looks = ways._Moving(scene, home, ("left",)), []
+
+    def near(points: np.ndarray) -> rrt.Rooms:
+        looks.append(len(points))
+        return moving.near(points)
+
+    task = dataclasses.replace(moving.task, near=near)
+    way = np.linspace(home["left"], goal, 3)
+    assert len(moving.blocked(way, False).move)
+    assert rrt.bent(way, task, ways.LONGER_SHARE) is None
+    soon = len(looks)
+    longer = rrt.shortened(way, task)
+    assert longer is None or rrt.travel(longer) > ways.LONGER_SHARE * rrt.travel(way)
+    assert soon < 0.8 * (len(looks) - soon)
+
+
 def test_arms_bend_about_a_post_in_no_more_travel_than_straight_and_drake_sees_them_clear() -> None:
     scene, _ = pair(20)
     home = {arm: chain.home for arm, chain in scene.chains.items()}
