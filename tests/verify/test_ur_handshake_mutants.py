@@ -152,10 +152,12 @@ def in_row(rows, i):
                     "watches the other level",
                     [*rows[:k], rows[k].replace("while ", "while not "), *rows[k + 1 :]],
                 )
-    if row.startswith("if get_"):
-        yield "not looked at", [*rows[:i], *rows[i + 4 :]]
+    if re.match(r"if get_\w+_out", row):
+        yield "not looked at", [*rows[:i], *rows[i + 5 :]]
         yield "looks at another output", put(renumbered(row))
-        yield "looks twice", [*rows[: i + 4], *rows[i:]]
+        yield "looks twice", [*rows[: i + 5], *rows[i:]]
+        yield "shown before it is low", [*rows[: i + 1], rows[i + 2], rows[i + 1], *rows[i + 3 :]]
+        yield "another one goes off too", [*rows[: i + 2], renumbered(rows[i + 1]), *rows[i + 2 :]]
 
 
 def _closed(rows):
@@ -185,6 +187,21 @@ def test_some_faults_are_caught():
     passed, tried = missed(problem, [found[i] for i in rows])
     assert passed == []
     assert len(tried) > 8
+
+
+def test_every_fault_of_the_look_at_a_wire_that_stays_high_is_caught():
+    """Among them: nothing lowers it before the text that holds the program, or it is not the only one."""
+    problem, good, file = ur_pair.problem(), ur_pair.programs(), FILES["left"]
+    rows = good[file].split("\n")
+    first = next(i for i, row in enumerate(rows) if re.match(r"if get_\w+_out", row))
+    found = [
+        (what, rows[i], {**good, file: "\n".join(changed)})
+        for i in (first, first + 1)
+        for what, changed in in_row(rows, i)
+    ]
+    passed, tried = missed(problem, found)
+    assert passed == []
+    assert len(tried) == 8 and tried["left out"]
 
 
 @pytest.mark.long
