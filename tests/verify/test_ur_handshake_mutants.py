@@ -189,6 +189,14 @@ def test_some_faults_are_caught():
     assert len(tried) > 8
 
 
+def test_every_stand_around_the_rise_of_a_running_wire_is_demanded():
+    problem, good = ur_pair.problem(), ur_pair.programs()
+    found = [fault for fault in every_fault(good) if " sleep" in fault[1]]
+    passed, tried = missed(problem, found)
+    assert passed == []
+    assert tried == {"stands not": 8, "stands shorter": 8}
+
+
 def test_every_fault_of_the_look_at_a_wire_that_stays_high_is_caught():
     """Among them: nothing lowers it before the text that holds the program, or it is not the only one."""
     problem, good, file = ur_pair.problem(), ur_pair.programs(), FILES["left"]

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from planner.claims.vocabulary import HandshakeKind, SignalWire
 from planner.verify.programs.handshake_model import Action, Levels
+from planner.verify.programs.handshake_restarts import SLOW
 from planner.verify.programs.steps import (
     CarryStep,
     CheckStep,
@@ -272,6 +273,7 @@ class _Reader:
                 self._check(i, step)
                 return True
             case RunningStep():
+                self._dwelt(step)
                 self.low = not step.on
                 return True
             case WatchStep():
@@ -362,6 +364,13 @@ class _Reader:
         """Nothing happens before the first meeting, before which the running wires are checked."""
         if not self.count:
             self._fault(f"{what} before the first meeting, before which the running wires are checked", step)
+
+    def _dwelt(self, step: RunningStep) -> None:
+        """A program that begins stands before each rise of its running wire: the other one has seen by then
+        that it was low."""
+        if step.on and not self.count and step.waited < SLOW:
+            what = f"{step.waited:g} s before the running wire rises at the start; at least: {SLOW:g} s"
+            self._fault(f"the program stands {what}, so that the other one sees it low", step)
 
     def _stops(self, i: int, step: WaitStep) -> bool:
         """Whether what follows a wait ends the program where its time was over, and does nothing before."""
