@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from planner.claims.vocabulary import HandshakeKind, SignalWire
 from planner.verify.programs.handshake_model import Action, Levels
-from planner.verify.programs.handshake_restarts import SLOW
+from planner.verify.programs.handshake_moves import SLOW
 from planner.verify.programs.steps import (
     CarryStep,
     CheckStep,

@@ -20,7 +20,7 @@ import numpy as np
 
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, exp_rotation, to_quaternion
-from planner.verify.programs.handshake_restarts import SLOW
+from planner.verify.programs.handshake_moves import SLOW
 from planner.verify.programs.steps import (
     CheckStep,
     Fault,
