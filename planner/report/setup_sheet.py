@@ -237,6 +237,10 @@ def controller_checks(problem: Problem, plan: Plan) -> Table:
                 (name, what, wanted, _FILL)
                 for what, wanted in _abb(problem, plan, arm.name if alone else "", joined)
             ]
+    if alone and not joined:
+        rest = ", ".join(arm.name for arm in problem.cell.arms if arm.name not in used)
+        what = "stands at home, its program stopped: nothing in this job looks at it"
+        rows += [(arm.name, f"{rest} meanwhile", what, _FILL) for arm in arms if rest]
     if joined:
         both = ", ".join(arm.name for arm in arms)
         rows += [(both, what, wanted, _FILL) for what, wanted in _wire_checks(problem, plan, arms)]

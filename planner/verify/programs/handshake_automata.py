@@ -119,6 +119,23 @@ def read(
     return out
 
 
+def touches(arm: str, steps: Iterable[Step], sections: Sequence[Sections], wiring: Wiring) -> bool:
+    """Whether a program has to do with the wires between two controllers, or with the start of the other
+    one."""
+    seen = wiring.tells.get(arm, frozenset()) | wiring.watches.get(arm, frozenset())
+    names = {*wiring.drives[arm], *wiring.reads[arm], *seen}
+    handlers = (step for table in sections for part in table.values() for step in part)
+    for step in _all((*steps, *handlers)):
+        match step:
+            case RunningStep() | WatchStep() | CheckStep():
+                return True
+            case SignalStep() | WaitStep() if step.signal.lower() in names:
+                return True
+            case MessageStep() if _READY_TEXT in letters(step.text) or _START_TEXT in letters(step.text):
+                return True
+    return False
+
+
 def lets_fall(step: MessageStep) -> bool:
     """Whether a program counts as standing while it shows something."""
     return step.kind == "HALT" or step.stands
