@@ -317,6 +317,7 @@ def _ur(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str,
         ("motion version in Installation", "noted; blends and times may differ by it"),
         ("local control, no Dashboard client", "nothing but a person closes popups"),
         ("time from the first movel to the last", "as planned, at 100 % speed: else the feed is another"),
+        ("Program loops forever, in the program's head", "off: at its end it would begin anew by itself"),
         ("behind an error or a stop that is given up", "start the program from its beginning"),
     ]
     return out
