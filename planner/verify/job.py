@@ -277,13 +277,14 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
         no_way += lost
     lists = {path: text for path, text in programs.items() if path.lower().endswith(".pgf")}
     asked = {setup.confirmation for setup in setups_of(problem) if setup.steps}
-    found, stages = None, _stages(tasks, asked)
+    found: Mapping[str, Reading] | None = None
+    stages = _stages(tasks, asked)
     if controller.sync == "handshake":
         ways = {task.name: task.steps for task in tasks}
         aside = {task.name: (task.handlers, task.undos) for task in tasks}
         if not (len(tasks) == 1 and _alone(problem, tasks[0])):
             found = readings(problem, ways, aside)
-        if len(tasks) > 1:
+        if found is not None and len(tasks) > 1:
             stages = tuple(Stage(*part) for part in parts(found, ways))
     return JobText(tuple(tasks), stages, tuple(faults), tuple(no_way), tuple(strays), lists, found, notes)
 
