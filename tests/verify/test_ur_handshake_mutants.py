@@ -195,6 +195,11 @@ def test_every_stand_around_the_rise_of_a_running_wire_is_demanded():
     passed, tried = missed(problem, found)
     assert passed == []
     assert tried == {"stands not": 8, "stands shorter": 8}
+    rows = good[FILES["left"]].split("\n")
+    clear = rows.index("await_line(False,30.0)")  # the lead's, behind the second rise
+    changed = "\n".join([*rows[:clear], *rows[clear + 1 :]])
+    (first,) = faults(problem, {**good, FILES["left"]: changed})[:1]
+    assert "no wait sees the other one's line at 0" in first
 
 
 def test_every_fault_of_the_look_at_a_wire_that_stays_high_is_caught():

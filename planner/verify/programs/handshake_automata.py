@@ -219,6 +219,8 @@ class _Reader:
         self.working: int | None = None
         self.low = False
         """Whether the program holds its own running wire at 0."""
+        self.uncleared = False
+        """Whether the running wire rose at the start and no wait has seen the other one's line at 0 since."""
         self.asked = False
         """Whether the operator was asked anything: that no earlier run goes on."""
 
@@ -291,6 +293,7 @@ class _Reader:
                 return True
             case RunningStep():
                 self._dwelt(step)
+                self.uncleared = step.on and not self.count
                 self.low = not step.on
                 return True
             case WatchStep():
@@ -306,6 +309,8 @@ class _Reader:
         if step.delay:
             self._fault(f"{step.signal} is set {step.delay:g} s later, when the arm may move again", step)
         value = int(step.value == 1.0)
+        if value and self.uncleared:
+            self._fault("no wait sees the other one's line at 0 behind the rise of the running wire", step)
         self._rest()
         known = self.levels.get(wire)
         if known == value:
@@ -327,6 +332,7 @@ class _Reader:
         if step.flag and not self._stops(i, step):
             what = f"when its time is over it goes on with {step.flag} set; it must stop and end the program"
             self._fault(what, step)
+        self.uncleared = self.uncleared and step.value != 0.0
         self._rest()
         limit = self.limit
         self._looked(step, int(step.value == 1.0))
