@@ -257,6 +257,7 @@ def test_two_ur_controllers_share_a_job_and_its_programs_are_proven(tmp_path):
         "the power of doWirePower falls with the wire that ends at diPartnerRunning",
         "both programs have ended: start both from their beginning",
         "its program ends; else this controller gives outputs back behind a pause",
+        "off: at its end it would begin anew by itself",
     ):
         assert text in sheet, text
 

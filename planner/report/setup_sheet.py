@@ -247,6 +247,10 @@ def controller_checks(problem: Problem, plan: Plan) -> Table:
                 (name, what, wanted, _FILL)
                 for what, wanted in _abb(problem, plan, arm.name if alone else "", joined)
             ]
+    if alone and not joined:
+        rest = ", ".join(arm.name for arm in problem.cell.arms if arm.name not in used)
+        what = "stands at home, its program stopped: nothing in this job looks at it"
+        rows += [(arm.name, f"{rest} meanwhile", what, _FILL) for arm in arms if rest]
     if joined:
         both = ", ".join(arm.name for arm in arms)
         rows += [(both, what, wanted, _FILL) for what, wanted in _wire_checks(problem, plan, arms)]
@@ -323,6 +327,7 @@ def _ur(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str,
         ("motion version in Installation", "noted; blends and times may differ by it"),
         ("local control, no Dashboard client", "nothing but a person closes popups"),
         ("time from the first movel to the last", "as planned, at 100 % speed: else the feed is another"),
+        ("Program loops forever, in the program's head", "off: at its end it would begin anew by itself"),
         ("behind an error or a stop that is given up", "start the program from its beginning"),
     ]
     return out

@@ -176,7 +176,8 @@ class Stage:
 @dataclasses.dataclass(frozen=True)
 class JobText:
     """All tasks, the stages they share (empty where the synchronisation points do not match), and faults of
-    reading. ``readings``: what each program does with the wires between two controllers, None for one;
+    reading. ``readings``: what each program does with the wires between two controllers, None for one, and
+    for a program alone that has nothing to do with them;
     ``notes``: what was put right in files before they were read."""
 
     tasks: tuple[TaskText, ...]
@@ -276,14 +277,26 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
         no_way += lost
     lists = {path: text for path, text in programs.items() if path.lower().endswith(".pgf")}
     asked = {setup.confirmation for setup in setups_of(problem) if setup.steps}
-    found, stages = None, _stages(tasks, asked)
+    found: Mapping[str, Reading] | None = None
+    stages = _stages(tasks, asked)
     if controller.sync == "handshake":
         ways = {task.name: task.steps for task in tasks}
         aside = {task.name: (task.handlers, task.undos) for task in tasks}
-        found = readings(problem, ways, aside)
-        if len(tasks) > 1:
+        if not (len(tasks) == 1 and _alone(problem, tasks[0])):
+            found = readings(problem, ways, aside)
+        if found is not None and len(tasks) > 1:
             stages = tuple(Stage(*part) for part in parts(found, ways))
     return JobText(tuple(tasks), stages, tuple(faults), tuple(no_way), tuple(strays), lists, found, notes)
+
+
+def _alone(problem: Problem, task: TaskText) -> bool:
+    """Whether the job needs one arm of a cell of two controllers, and its program leaves the other one's
+    wires alone."""
+    holders = (setup.stock.held_by for setup in problem.setups)
+    needed = {arm for operation in problem.operations for arm in operation.arms} | set(filter(None, holders))
+    aside = task.handlers, task.undos
+    touches = handshake_automata.touches(task.name, task.steps, aside, wiring(problem))
+    return needed <= {task.arm.name} and not touches
 
 
 _Read = tuple[TaskText, Sequence[Fault], Sequence[Fault]]

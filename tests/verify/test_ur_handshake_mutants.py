@@ -152,10 +152,12 @@ def in_row(rows, i):
                     "watches the other level",
                     [*rows[:k], rows[k].replace("while ", "while not "), *rows[k + 1 :]],
                 )
-    if row.startswith("if get_"):
-        yield "not looked at", [*rows[:i], *rows[i + 4 :]]
+    if re.match(r"if get_\w+_out", row):
+        yield "not looked at", [*rows[:i], *rows[i + 5 :]]
         yield "looks at another output", put(renumbered(row))
-        yield "looks twice", [*rows[: i + 4], *rows[i:]]
+        yield "looks twice", [*rows[: i + 5], *rows[i:]]
+        yield "shown before it is low", [*rows[: i + 1], rows[i + 2], rows[i + 1], *rows[i + 3 :]]
+        yield "another one goes off too", [*rows[: i + 2], renumbered(rows[i + 1]), *rows[i + 2 :]]
 
 
 def _closed(rows):
@@ -185,6 +187,34 @@ def test_some_faults_are_caught():
     passed, tried = missed(problem, [found[i] for i in rows])
     assert passed == []
     assert len(tried) > 8
+
+
+def test_every_stand_around_the_rise_of_a_running_wire_is_demanded():
+    problem, good = ur_pair.problem(), ur_pair.programs()
+    found = [fault for fault in every_fault(good) if " sleep" in fault[1]]
+    passed, tried = missed(problem, found)
+    assert passed == []
+    assert tried == {"stands not": 8, "stands shorter": 8}
+    rows = good[FILES["left"]].split("\n")
+    clear = rows.index("await_line(False,30.0)")  # the lead's, behind the second rise
+    changed = "\n".join([*rows[:clear], *rows[clear + 1 :]])
+    (first,) = faults(problem, {**good, FILES["left"]: changed})[:1]
+    assert "no wait sees the other one's line at 0" in first
+
+
+def test_every_fault_of_the_look_at_a_wire_that_stays_high_is_caught():
+    """Among them: nothing lowers it before the text that holds the program, or it is not the only one."""
+    problem, good, file = ur_pair.problem(), ur_pair.programs(), FILES["left"]
+    rows = good[file].split("\n")
+    first = next(i for i, row in enumerate(rows) if re.match(r"if get_\w+_out", row))
+    found = [
+        (what, rows[i], {**good, file: "\n".join(changed)})
+        for i in (first, first + 1)
+        for what, changed in in_row(rows, i)
+    ]
+    passed, tried = missed(problem, found)
+    assert passed == []
+    assert len(tried) == 8 and tried["left out"]
 
 
 @pytest.mark.long

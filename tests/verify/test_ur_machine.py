@@ -144,11 +144,13 @@ def test_one_that_is_started_anew_moves_nothing():
 
 
 def test_an_output_that_nobody_set_to_fall_is_found():
-    """Low when not running was forgotten, and an earlier run has left the wire high: the program ends."""
+    """Low when not running was forgotten, and an earlier run has left the wire high: the program takes it
+    back and ends."""
     two = pair(keeps={1}, outputs={1})
     for _ in range(50):
         two.tick()
     assert two.machines[0].why == "stays high" and not two.machines[0].moves
+    assert 1 not in two.machines[0].high
     two = pair()
     two.machines[1].high = {3}  # of the one that follows, which has not been started yet
     for _ in range(MOST_TICKS):

@@ -126,6 +126,7 @@ class Machine:
         if isinstance(row, tuple):
             found = re.match(r"if get_(standard|configurable)_digital_out\((\d)\)", row[0])
             if found and _number(found) in self.high:
+                self._off(row)
                 self.end("stays high")
                 return False
             self.at += 1

@@ -165,7 +165,8 @@ class _Main:
         out = [self._switch(signal, False) for signal in self.job.switched(self.task)]
         if self.partner is not None:
             running = self._own.running
-            out += syntax.stays_low(self._number(running), vocabulary.STAYS_ON.filled(signal=running))
+            stays = vocabulary.STAYS_ON.filled(signal=running)
+            out += syntax.stays_low(self._number(running), self._runs(False), stays)
         out += syntax.kinematics_check(home, CHECK_TIP, place, CHECK_ERROR, text)
         clear = (vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY).filled()
         functions: list[str] = []

@@ -193,10 +193,12 @@ def still(track: Track, before: FloatArray) -> BoolArray:
     return np.asarray((track.distance == 0.0) & np.concatenate([first, same]))
 
 
-def stays_low(number: int, text: str) -> list[str]:
-    """The program ends when the output ``number`` is on before it has switched anything."""
+def stays_low(number: int, off: str, text: str) -> list[str]:
+    """The program ends when the output ``number`` is on before it has switched anything: it does ``off``
+    before the text, for the other program would take this one for one that runs."""
     return [
         f"if {output_call(number)}:",
+        off,
         *_ended(text),
         "end",
     ]

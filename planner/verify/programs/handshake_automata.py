@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from planner.claims.vocabulary import HandshakeKind, SignalWire
 from planner.verify.programs.handshake_model import Action, Levels
+from planner.verify.programs.handshake_moves import SLOW
 from planner.verify.programs.steps import (
     CarryStep,
     CheckStep,
@@ -118,6 +119,23 @@ def read(
     return out
 
 
+def touches(arm: str, steps: Iterable[Step], sections: Sequence[Sections], wiring: Wiring) -> bool:
+    """Whether a program has to do with the wires between two controllers, or with the start of the other
+    one."""
+    seen = wiring.tells.get(arm, frozenset()) | wiring.watches.get(arm, frozenset())
+    names = {*wiring.drives[arm], *wiring.reads[arm], *seen}
+    handlers = (step for table in sections for part in table.values() for step in part)
+    for step in _all((*steps, *handlers)):
+        match step:
+            case RunningStep() | WatchStep() | CheckStep():
+                return True
+            case SignalStep() | WaitStep() if step.signal.lower() in names:
+                return True
+            case MessageStep() if _READY_TEXT in letters(step.text) or _START_TEXT in letters(step.text):
+                return True
+    return False
+
+
 def lets_fall(step: MessageStep) -> bool:
     """Whether a program counts as standing while it shows something."""
     return step.kind == "HALT" or step.stands
@@ -201,6 +219,8 @@ class _Reader:
         self.working: int | None = None
         self.low = False
         """Whether the program holds its own running wire at 0."""
+        self.uncleared = False
+        """Whether the running wire rose at the start and no wait has seen the other one's line at 0 since."""
         self.asked = False
         """Whether the operator was asked anything: that no earlier run goes on."""
 
@@ -272,6 +292,8 @@ class _Reader:
                 self._check(i, step)
                 return True
             case RunningStep():
+                self._dwelt(step)
+                self.uncleared = step.on and not self.count
                 self.low = not step.on
                 return True
             case WatchStep():
@@ -287,6 +309,8 @@ class _Reader:
         if step.delay:
             self._fault(f"{step.signal} is set {step.delay:g} s later, when the arm may move again", step)
         value = int(step.value == 1.0)
+        if value and self.uncleared:
+            self._fault("no wait sees the other one's line at 0 behind the rise of the running wire", step)
         self._rest()
         known = self.levels.get(wire)
         if known == value:
@@ -308,6 +332,7 @@ class _Reader:
         if step.flag and not self._stops(i, step):
             what = f"when its time is over it goes on with {step.flag} set; it must stop and end the program"
             self._fault(what, step)
+        self.uncleared = self.uncleared and step.value != 0.0
         self._rest()
         limit = self.limit
         self._looked(step, int(step.value == 1.0))
@@ -362,6 +387,13 @@ class _Reader:
         """Nothing happens before the first meeting, before which the running wires are checked."""
         if not self.count:
             self._fault(f"{what} before the first meeting, before which the running wires are checked", step)
+
+    def _dwelt(self, step: RunningStep) -> None:
+        """A program that begins stands before each rise of its running wire: the other one has seen by then
+        that it was low."""
+        if step.on and not self.count and step.waited < SLOW:
+            what = f"{step.waited:g} s before the running wire rises at the start; at least: {SLOW:g} s"
+            self._fault(f"the program stands {what}, so that the other one sees it low", step)
 
     def _stops(self, i: int, step: WaitStep) -> bool:
         """Whether what follows a wait ends the program where its time was over, and does nothing before."""

@@ -12,33 +12,22 @@ wires, watching threads and the other program's statements settled; and so does 
 
 Found is what may not be: a program works ("go" to "done") while nothing watches the other one; or while the
 other one runs and has not done its work of the interval before: at another meeting, or at its start. Where
-nobody disturbs them and people do as they are told, no program may end itself or wait for ever. Rows of
-equal meetings are cut short where more of them add nothing, which is looked at.
+nobody disturbs them and people do as they are told, no program may end itself or wait for ever. Long programs
+are looked at with fewer of the meetings that are alike (:mod:`handshake_windows`), and whole where that finds
+a fault.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final, Literal
 
-from planner.verify.programs.steps import (
-    CheckStep,
-    MessageStep,
-    MoveStep,
-    RunningStep,
-    SignalStep,
-    Step,
-    WaitStep,
-    WatchStep,
-)
+from planner.verify.programs import handshake_windows
+from planner.verify.programs.handshake_moves import Move
+from planner.verify.programs.handshake_windows import Windows
 
-MoveKind = Literal["set", "wait", "look", "check", "ask", "run", "watch", "go", "done"]
 FaultKind = Literal["unwatched", "apart", "ends", "stuck"]
-SLOW: Final = 1.0
-"""How long [s] a program has to stand before its running wire rises at its start."""
-KEPT: Final = 3
-"""Equal meetings in a row that are looked at, unless the last of them add something."""
 MOST_STATES: Final = 2_000_000
 """States that are looked at, at most: programs that have more are not proven."""
 _OFF, _ON, _PAUSED = 0, 1, 2
@@ -48,22 +37,6 @@ other one reads them, and whether it watches the other one."""
 _BITS, _ALL = 7, 127
 """How many bits there are, and all of them."""
 _EVER: Final = 2**60
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Move:
-    """What a program does next. "set": its line gets ``value``; "wait" until it reads the other one's line
-    so; "look" until it reads that one's running wire so; "check": it ends unless it reads that line so, the
-    other one as running, and its own running wire is ``own``; "ask": until somebody answers; "run": its
-    running wire gets ``value``, ``slow``: long after all before; "watch": a thread begins or ends; "go" and
-    "done" enclose its work in the interval ``value`` between two meetings. ``line``: an index into its steps.
-    """
-
-    kind: MoveKind
-    value: int = 0
-    own: bool = True
-    slow: bool = False
-    line: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,54 +51,6 @@ class Restarted:
     states: int
 
 
-def moves(
-    steps: Sequence[Step],
-    interval: Sequence[int],
-    drives: Collection[str],
-    reads: Collection[str],
-    watches: Collection[str],
-) -> tuple[list[Move], list[int]]:
-    """What a program of URScript does with its wires, and the interval of each move. ``drives``, ``reads``,
-    ``watches``: its output to the other one, the input from there, and that of the other one's running wire,
-    in lower case. Work is what moves the arm or switches something on."""
-    out: list[Move] = []
-    blocks: list[int] = []
-    at = 0
-
-    def add(move: Move) -> None:
-        if move.kind != "go" and out and out[-1].kind == "go":
-            out.append(dataclasses.replace(out[-1], kind="done"))
-            blocks.append(blocks[-1])
-        out.append(move)
-        blocks.append(at)
-
-    for i, (step, number) in enumerate(zip(steps, interval, strict=True)):
-        at = number
-        match step:
-            case SignalStep() if step.signal.lower() in drives:
-                add(Move("set", int(step.value == 1.0), line=i))
-            case WaitStep() if step.signal.lower() in watches:
-                add(Move("look", int(step.value == 1.0), line=i))
-            case WaitStep() if step.signal.lower() in reads:
-                add(Move("wait", int(step.value == 1.0), line=i))
-            case CheckStep():
-                add(Move("check", step.value, own=step.own, line=i))
-            case RunningStep():
-                add(Move("run", int(step.on), slow=step.on and step.waited >= SLOW, line=i))
-            case WatchStep():
-                add(Move("watch", int(step.on), line=i))
-            case MessageStep() if step.confirm:
-                add(Move("ask", line=i))
-            case MoveStep() | SignalStep():
-                works = isinstance(step, MoveStep) or step.value != 0.0
-                if works and not (out and out[-1].kind == "go" and out[-1].value == number):
-                    add(Move("go", number, line=i))
-    if out and out[-1].kind == "go":
-        out.append(dataclasses.replace(out[-1], kind="done"))
-        blocks.append(blocks[-1])
-    return out, blocks
-
-
 def check(
     programs: Sequence[Sequence[Move]],
     blocks: Sequence[Sequence[int]],
@@ -138,54 +63,32 @@ def check(
     says so, and that one's second question is answered when the first one runs.
 
     Raises :class:`OverflowError` for programs of more than :data:`MOST_STATES` states."""
-    kept = KEPT
-    while True:
-        rows, numbers, runs = _shortened(programs, blocks, kept)
-        search = _Search(rows, reads_back, disturbed)
-        found = search.run()
-        if found.kind is not None or all(search.alike(numbers, last) for last in runs):
-            return found
-        kept *= 2
-
-
-def _shortened(
-    programs: Sequence[Sequence[Move]], blocks: Sequence[Sequence[int]], kept: int
-) -> tuple[list[list[Move]], list[list[int]], list[int]]:
-    """Both programs with at most ``kept`` equal meetings in a row, the block of each move, and the last
-    blocks of rows that were cut short."""
-    count = 1 + max((number for row in blocks for number in row), default=0)
-    parts: list[list[list[Move]]] = [[[] for _ in range(count)] for _ in programs]
-    for part, program, own in zip(parts, programs, blocks, strict=True):
-        for move, number in zip(program, own, strict=True):
-            part[number].append(move)
-    keys = [tuple(_alike(part[k], k) for part in parts) for k in range(count)]
-    rows: list[list[Move]] = [[] for _ in programs]
-    numbers: list[list[int]] = [[] for _ in programs]
-    cut, at, same = set[int](), 0, 0
-    for k in range(count):
-        same = same + 1 if k and keys[k] == keys[k - 1] else 1
-        if same > kept:
-            cut.add(at - 1)
-            continue
-        for row, own, part in zip(rows, numbers, parts, strict=True):
-            shift = {"go": k - at, "done": k - at}
-            row += [dataclasses.replace(m, value=m.value - shift.get(m.kind, 0)) for m in part[k]]
-            own += [at] * len(part[k])
-        at += 1
-    return rows, numbers, sorted(cut)
-
-
-def _alike(moves: Sequence[Move], block: int) -> tuple[tuple[str, int, bool, bool], ...]:
-    """What equal meetings have in common."""
-    work = ("go", "done")
-    return tuple((m.kind, m.value - (block if m.kind in work else 0), m.own, m.slow) for m in moves)
+    cut = handshake_windows.shortened(programs, blocks) if disturbed else None
+    few = None
+    if cut is not None:
+        rows, windows = cut
+        few = _Search(rows, reads_back, disturbed, windows).run()
+        if few.kind is None and not windows.lost:
+            return few
+    try:
+        return _Search(programs, reads_back, disturbed).run()
+    except OverflowError:
+        if few is None or few.kind is None:
+            raise
+        return few
 
 
 class _Search:
     """A program is a number, its place and its bits; a state is the number of both."""
 
-    def __init__(self, programs: Sequence[Sequence[Move]], reads_back: bool, disturbed: bool) -> None:
-        self.programs = programs
+    def __init__(
+        self,
+        programs: Sequence[Sequence[Move]],
+        reads_back: bool,
+        disturbed: bool,
+        windows: Windows | None = None,
+    ) -> None:
+        self.programs, self.windows = programs, windows
         self.reads_back, self.disturbed = reads_back, disturbed
         self.sides = (max(map(len, programs)) + 1) << _BITS
         self.done = [_finished(program) for program in programs]
@@ -208,6 +111,7 @@ class _Search:
             both = divmod(state, self.sides)
             fault = self._fault(both)
             after = [new for *_, new in self._next(both)]
+            after += self._again(both)
             if not (fault or self.disturbed):
                 fault = self._ended(both, bool(after))
             if fault is not None:
@@ -230,30 +134,21 @@ class _Search:
         out = []
         while (earlier := self.known[state]) >= 0:
             both = divmod(earlier, self.sides)
-            program, what = next((i, what) for i, what, new in self._next(both) if new == state)
+            moved = ((i, what) for i, what, new in self._next(both) if new == state)
+            program, what = next(moved, (0, "wire"))
             if what != "wire":
                 out.append((program, what, self._line(program, both[program])))
             state = earlier
         return tuple(reversed(out))
 
-    def alike(self, numbers: Sequence[Sequence[int]], last: int) -> bool:
-        """Whether the states at the block ``last`` are those at the one before, told from there."""
-        first = [{block: i for i, block in reversed(list(enumerate(row)))} for row in numbers]
-        blocks = [[*row, row[-1] if row else 0] for row in numbers]
-        found: dict[int, set[tuple[object, ...]]] = {last - 1: set(), last: set()}
-        for state in self.known:
-            both = divmod(state, self.sides)
-            own = [blocks[i][side >> _BITS] for i, side in enumerate(both)]
-            level = max(own)
-            if level in found:
-                told = [
-                    (level - block, (side >> _BITS) - first[i].get(block, 0), side & _ALL)
-                    if level - block <= 1
-                    else (-1, side >> _BITS, side & _ALL)
-                    for i, (block, side) in enumerate(zip(own, both, strict=True))
-                ]
-                found[level].add(tuple(told))
-        return found[last - 1] == found[last]
+    def _again(self, both: tuple[int, int]) -> list[int]:
+        """The same state where the same stands before it."""
+        places = (both[0] >> _BITS, both[1] >> _BITS)
+        other = None if self.windows is None else self.windows.again(places)
+        if other is None:
+            return []
+        a, b = (place << _BITS | side & _ALL for place, side in zip(other, both, strict=True))
+        return [a * self.sides + b]
 
     def _ends(self, own: int, other: int) -> bool:
         """Whether a program's thread is about to end it."""

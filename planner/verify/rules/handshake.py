@@ -13,7 +13,7 @@ from planner.issues import Issue
 from planner.verify import job
 from planner.verify.context import Context, Outcome, at_step, rule
 from planner.verify.job import TaskText
-from planner.verify.programs import handshake_restarts
+from planner.verify.programs import handshake_moves, handshake_restarts
 from planner.verify.programs.handshake_automata import Reading, Wiring
 from planner.verify.programs.handshake_model import Action, Event, Finding, RunningWire, check
 from planner.verify.programs.steps import (
@@ -295,7 +295,7 @@ def _restarts(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
         return [Issue(HANDSHAKE, f"{what}four-phase handshake")], 0
     rows, blocks = zip(
         *(
-            handshake_restarts.moves(
+            handshake_moves.moves(
                 task.steps,
                 readings[task.name].interval,
                 wiring.drives[task.name],
@@ -311,7 +311,8 @@ def _restarts(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
         try:
             found = handshake_restarts.check(rows, blocks, disturbed=disturbed)
         except OverflowError as many:
-            return [Issue(HANDSHAKE, f"the programs are too long to be looked at: {many}")], states
+            what = f"the programs do too many different things between their meetings to be looked at: {many}"
+            return [Issue(HANDSHAKE, what, hint="split the job")], states
         states += found.states
         if found.kind is not None:
             return [_restarted(context, found)], states

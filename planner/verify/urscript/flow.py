@@ -20,7 +20,7 @@ import numpy as np
 
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, exp_rotation, to_quaternion
-from planner.verify.programs.handshake_restarts import SLOW
+from planner.verify.programs.handshake_moves import SLOW
 from planner.verify.programs.steps import (
     CheckStep,
     Fault,
@@ -177,12 +177,17 @@ class _Runner:
                 self.steps.append(step)
             case Look():
                 self._look(statement)
-            case StaysLow(number=number, text=text):
+            case StaysLow(number=number, off=off, text=text):
                 wanted = vocabulary.STAYS_ON.filled(signal=self.wires.running)
                 if not self.meets or not self._runs(number) or text != wanted:
                     self._fail(
                         statement, "a look at an output that is not the own running wire's, or its text"
                     )
+                if off != (number,):
+                    what = (
+                        f"{self.wires.running} has to go off, and nothing else, where it is found to stay on"
+                    )
+                    self._fail(statement, what)
                 if self.stays_low:
                     self._fail(statement, "the program looks again whether its running wire stays high")
                 self.stays_low = True

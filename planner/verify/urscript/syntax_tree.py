@@ -89,9 +89,11 @@ class Straight(Statement):
 
 @dataclass(frozen=True, slots=True)
 class StaysLow(Statement):
-    """The program ends, with `text` shown, when the output `number` is on."""
+    """The program ends when the output `number` is on: it switches the outputs `off` and shows `text`
+    before."""
 
     number: int
+    off: tuple[int, ...]
     text: str
 
 

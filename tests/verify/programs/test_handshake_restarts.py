@@ -6,12 +6,15 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from planner.post import write
 from planner.verify import job
 from planner.verify.context import Context
-from planner.verify.programs import handshake_restarts
-from planner.verify.programs.handshake_restarts import Move, check, moves
+from planner.verify.programs import handshake_restarts, handshake_windows
+from planner.verify.programs.handshake_moves import Move, moves
+from planner.verify.programs.handshake_restarts import check
 from tests.verify import ur_pair
 
 BEFORE = Path(__file__).parents[1] / "files"
@@ -42,8 +45,14 @@ def as_before(arm, line, runs):
     return out, blocks
 
 
-def as_written():
-    context = Context(ur_pair.problem(every=3), {"panel": ()}, ur_pair.programs(every=3))
+def as_written(operations=1):
+    """Moves and blocks of a job that does the same so many times."""
+    plan, problem = ur_pair.plan(), ur_pair.problem(every=3)
+    texts = write.programs(
+        dataclasses.replace(plan, operations=plan.operations * operations),
+        dataclasses.replace(problem, operations=problem.operations * operations),
+    )
+    context = Context(problem, {"panel": ()}, {path: text.replace("\r", "") for path, text in texts.items()})
     wiring, readings = job.wiring(context.problem), context.job.readings
     return tuple(
         zip(
@@ -100,11 +109,32 @@ def test_each_part_of_them_is_needed():
     assert check(*late, disturbed=False).kind == "ends"  # its thread runs while the other one asks
 
 
-def test_rows_of_equal_meetings_that_are_cut_short_give_the_same_answer(monkeypatch):
-    rows, blocks = as_written()
-    found = []
-    for kept in (3, 6):
-        monkeypatch.setattr(handshake_restarts, "KEPT", kept)
-        changed = without(rows, blocks, 0, lambda m: m.kind == "check" and m.own)
-        found.append((check(*changed).kind, check(rows, blocks, disturbed=False).kind))
-    assert found[0] == found[1] == ("apart", None)
+def test_what_long_programs_do_again_and_again_is_looked_at_once(monkeypatch):
+    """Each operation asks twice; whole they would have some 95,000 states more for each one."""
+    monkeypatch.setattr(handshake_restarts, "MOST_STATES", 150_000)
+    rows, blocks = as_written(3)
+    assert check(rows, blocks).kind is None
+    assert len(set(blocks[0])) > 45
+
+
+def test_a_fault_far_behind_in_a_long_program_is_found_where_it_is():
+    rows, blocks = as_written(3)
+    at = max(i for i, move in enumerate(rows[0]) if move.kind == "check")
+    changed = [[*rows[0][:at], *rows[0][at + 1 :]], rows[1]]
+    numbers = [[*blocks[0][:at], *blocks[0][at + 1 :]], blocks[1]]
+    (short, windows) = handshake_windows.shortened(changed, numbers)
+    assert len(windows.kept) < windows.count  # the meetings before are cut short, those around it are not
+    found = handshake_restarts._Search(short, True, True, windows).run()
+    assert found.kind == "apart"
+    assert found.lines[0] > rows[0][at].line - 10
+
+
+def test_rows_that_are_cut_short_keep_all_threes():
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        period = rng.integers(0, 4, rng.integers(1, 7)).tolist()
+        kinds = [9, *(period * 20)[: rng.integers(2, 60)], *rng.integers(0, 4, 10).tolist(), 8]
+        kept = [kinds[i] for i in handshake_windows._covering(kinds)]
+        threes = [set(zip(row, row[1:], row[2:], strict=False)) for row in (kinds, kept)]
+        assert threes[0] == threes[1]
+        assert len(kept) <= 60
