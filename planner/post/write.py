@@ -181,7 +181,9 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
     for arm in arms:
         if arm.data.family not in _BY_NUMBER:
             continue
-        if speaks_urscript(arm):
+        if speaks_urscript(arm) and any(lights_torch(o) and arm.name in o.arms for o in problem.operations):
+            issues.append(_no_torch(arm))
+        elif speaks_urscript(arm):
             inputs = (a for t in made for a in t.actions if a.kind == "input" and t.arms[0] == arm.name)
             issues += [
                 issue for action in itertools.islice(inputs, 1) for issue in no_input(action, arm.name).issues
@@ -204,6 +206,16 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
         except TandemError as error:
             issues += error.issues
     return tuple(issues)
+
+
+def _no_torch(arm: Arm) -> Issue:
+    """Why an arm of UR cuts with no torch."""
+    what = (
+        f"arm {arm.name} ({arm.robot}) is to cut with a torch: a program of UR that was paused goes on where "
+    )
+    what += "it stood, in the slot, and nothing in it would see that the arc is out"
+    hint = "take an ABB or KUKA robot for it, or cut by a mill (by: {kind: mill})"
+    return Issue("post.controller", what, arm=arm.name, hint=hint)
 
 
 def _signals(problem: Problem, made: Sequence[Targets], arm: Arm, together: bool) -> list[str]:

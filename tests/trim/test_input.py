@@ -125,14 +125,15 @@ def test_an_arm_that_is_too_slow_is_told(tmp_path: Path) -> None:
     assert [issue.code for issue in job.driven(made, 4.0 * clock)] == ["trim.slow"]
 
 
-def test_controllers_of_ur_wait_for_no_arc(tmp_path: Path) -> None:
-    read = problem(tmp_path, outlines=[ROUND])
+@pytest.mark.parametrize("ok_signal", ["diArcOk", None])
+def test_controllers_of_ur_light_no_torch(tmp_path: Path, ok_signal: str | None) -> None:
+    read = problem(tmp_path, outlines=[ROUND], ok_signal=ok_signal)
     made = processes.job(read, 0).targets()
     (arm,) = ur_job.problem().cell.arms[:1]
     arm = dataclasses.replace(arm, name="robot")
     other = dataclasses.replace(read, cell=dataclasses.replace(read.cell, arms=(arm,)))
-    found = post.controller_refusals(other, [made])
-    assert "post.controller" in {issue.code for issue in found}
+    found = [i for i in post.controller_refusals(other, [made]) if i.code == "post.controller"]
+    assert ["nothing in it would see that the arc is out" in issue.message for issue in found] == [True]
 
 
 def test_inner_curves_come_before_outer_ones(tmp_path: Path) -> None:
