@@ -19,6 +19,7 @@ from planner import processes, spec
 from planner.batch import worker
 from planner.files import RELEASE, RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
 from planner.geometry.memory import give_back
+from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.problem import Problem
 from planner.reading import problem as problem_file
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from planner.motion.former import Former
     from planner.plans import Plan
     from planner.report.cell_picture import Picture
+    from planner.report.freedom_map import FreedomMap
     from planner.report.replay import Viewer
     from planner.targets import Job, Targets
     from planner.verify.context import Begin
@@ -449,17 +451,51 @@ def _planned_result(folder: str | Path) -> tuple[Problem, Plan]:
     return load_result(folder).stationed(made.stations), made
 
 
-def write_pages(folder: str | Path, processes: int = 1) -> Proof:
+def write_pages(folder: str | Path, processes: int = 1, maps: bool = False) -> Proof:
     """Write report and replay into a result folder, of its problem, its plan and the proof of its programs,
-    which is made anew and given back; ``processes`` as for :func:`plan`. Raises ``TandemError`` for what is
-    missing or damaged there."""
+    which is made anew and given back; ``processes`` as for :func:`plan`. With ``maps`` the report has a map
+    of each freedom over some targets. Raises ``TandemError`` for what is missing or damaged there."""
     from planner.report import output
 
     problem, made = _planned_result(folder)
     proof = verify(problem, read_programs(folder), processes)
-    for name, text in output.pages(problem, made, proof).items():
+    shown = list(_maps(problem, made)) if maps else []
+    for name, text in output.pages(problem, made, proof, maps=shown).items():
         write_whole(Path(folder) / name, text)
     return proof
+
+
+def _maps(problem: Problem, made: Plan) -> Iterator[FreedomMap]:
+    """Maps of all freedoms of all operations, over :data:`FIRST_TARGETS` targets of each, with the plan's
+    values."""
+    from planner.geometry.arrays import spread_rows
+    from planner.motion import axis_map
+    from planner.motion.planning_scene import Scene
+    from planner.motion.search.subsampling import subset
+    from planner.report.freedom_map import FreedomMap
+    from planner.report.output import cell_model
+
+    for index, own in enumerate(made.operations):
+        setup = problem.setup_of(index)
+        place, model = made.places[setup.number - 1], cell_model(problem, made, setup)
+        scene = Scene.of(setup.cell, own.targets.arms, place, problem.settings, model, made.bases)
+        rows = spread_rows(own.targets.count, FIRST_TARGETS)
+        few, names = subset(own.targets, rows), [one.name for one in own.targets.freedoms]
+        for freedom, unit in axis_map.freedoms(own.targets, stated=False).items():
+            found = axis_map.axis_map(scene, few, freedom, own.values[rows])
+            shown, scale = axis_map.SHOWN[unit]
+            yield FreedomMap(
+                operation=own.name,
+                freedom=freedom,
+                unit=shown,
+                names=tuple(own.targets.name(row) for row in rows.tolist()),
+                values=found.values / scale,
+                states=found.places.state,
+                causes=("", *axis_map.CAUSES.values()),
+                apart=found.clearance / MM,
+                clearance=problem.settings.clearance / MM,
+                path=own.values[rows, names.index(freedom)] / scale,
+            )
 
 
 def export(folder: str | Path, output: Path, seconds: float = 0.0, machine: str | None = None) -> Path:

@@ -178,17 +178,19 @@ def verify(
 
 
 @app.command
-def report(folders: tyro.conf.Positional[tuple[Path, ...]]) -> int:
+def report(folders: tyro.conf.Positional[tuple[Path, ...]], maps: bool = False) -> int:
     """Write report and replay into result folders, with the proof of their programs made anew.
 
     Args:
         folders: result folders, such as those that ``tandem batch --reports failed`` left without.
+        maps: show of each freedom, over some of the targets, where each arm is free, what is in its way
+            elsewhere, and how the plan goes through it.
     """
     pipeline = _pipeline()
     code = DONE
     for folder in folders:
         try:
-            proof = pipeline.write_pages(folder, _processes())
+            proof = pipeline.write_pages(folder, _processes(), maps)
         except TandemError as error:
             code = max(code, _refused(error, BAD_INPUT))
             continue

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, spread_rows
+from planner.geometry.units import DEG, MM
 from planner.issues import Issue
 from planner.motion.first_look import posture
 from planner.motion.planning_scene import FULL_TURN, Chain, Scene
@@ -47,6 +48,8 @@ FREE, NO_REACH, JOINT_LIMIT, SINGULAR, COLLISION = range(5)
 """What an arm can do at a place: all that is asked of it, or what is the first to fail, in this order."""
 CODES: Final = ("", "motion.no_reach", "motion.joint_limit", "motion.singular", "motion.collision")
 """The issue codes of these."""
+SHOWN: Final = {"rad": ("deg", DEG), "m": ("mm", MM), "": ("", 1.0)}
+"""Units of freedoms as people read them, and what one of them is in the units of targets."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,8 +96,9 @@ def _unit(freedom: Freedom) -> str:
     return "rad" if any(np.any(axis[:3]) for axis in freedom.axis.values()) else "m"
 
 
-def axis_map(scene: Scene, targets: Targets, freedom: str) -> AxisMap:
-    """The map of a freedom of few targets, by its name in :func:`freedoms`; ``KeyError`` for other names."""
+def axis_map(scene: Scene, targets: Targets, freedom: str, planned: FloatArray | None = None) -> AxisMap:
+    """The map of a freedom of few targets, by its name in :func:`freedoms`; ``KeyError`` for other names.
+    The other freedoms have a few samples, and the values that are ``planned`` (N, F)."""
     if freedom.startswith(PLACE):
         return _place_map(scene, targets, PLACE_AXES.index(freedom.removeprefix(PLACE)))
     names = [f.name for f in targets.freedoms]
@@ -103,6 +107,8 @@ def axis_map(scene: Scene, targets: Targets, freedom: str) -> AxisMap:
     number = names.index(freedom)
     own = _values(targets.freedoms[number])
     others = _others(targets, number)
+    if planned is not None:
+        others = np.concatenate([planned[:, None], others], axis=1)
     values = np.repeat(others[:, None], own.shape[1], axis=1)
     values[..., number] = own[:, :, None]
     found = places([scene], targets, values)

@@ -19,8 +19,18 @@ from planner.claims.claim import FollowsRulings
 from planner.issues import Issue, TandemError, accepted, aggregate, has_errors
 from planner.plans import Plan
 from planner.problem import Problem, Setup
-from planner.report import cell_picture, exhibits, markup, motion_charts, page_sections, replay, setup_sheet
+from planner.report import (
+    cell_picture,
+    exhibits,
+    freedom_map,
+    markup,
+    motion_charts,
+    page_sections,
+    replay,
+    setup_sheet,
+)
 from planner.report.cell_picture import Picture
+from planner.report.freedom_map import FreedomMap
 from planner.report.markup import Block, Section
 from planner.report.motion_charts import Motion
 from planner.report.replay import Viewer
@@ -32,13 +42,15 @@ class Extra:
     """What the report shows besides problem, plan and proof.
 
     ``pictures`` of the cell with their titles; ``filtered`` pairs of bodies that are not held apart, with
-    reasons; ``programs``: names and numbers of lines; ``issues`` that belong to no plan.
+    reasons; ``programs``: names and numbers of lines; ``issues`` that belong to no plan; ``maps`` of
+    freedoms.
     """
 
     pictures: Sequence[tuple[str, Picture]] = ()
     filtered: Sequence[tuple[str, str, str]] = ()
     programs: Sequence[tuple[str, int]] = ()
     issues: Sequence[Issue] = ()
+    maps: Sequence[FreedomMap] = ()
 
 
 def render(
@@ -80,6 +92,8 @@ def render(
     if problem is not None and plan is not None and plan.operations:
         motion = motion_charts.motion_series(problem, plan, proof)
         sections += _motion(problem, motion, proof)
+        if extra.maps:
+            sections.append(Section("maps", "Maps of freedoms", tuple(map(freedom_map.figure, extra.maps))))
         sections.append(Section("setup", "Setup sheet", (setup_sheet.sheet(problem, plan, proof),)))
     if proof is not None and proof.rules:
         rules = page_sections.rule_table(proof.rules)
@@ -195,17 +209,18 @@ def pages(
     plan: Plan,
     proof: Proof | None,
     drawn: Sequence[tuple[str, Picture]] | None = None,
+    maps: Sequence[FreedomMap] = (),
 ) -> dict[str, str]:
     """``report.html`` and ``replay.html``, by name.
 
-    ``drawn``: what :func:`pictures` gives, where that is done already.
+    ``drawn``: what :func:`pictures` gives, where that is done already; ``maps`` of freedoms to show.
     """
     model = cell_model(problem, plan)
     if drawn is None:
         drawn = cell_picture.setup_pictures(model, problem, plan)
     return {
         "replay.html": replay.document(model, problem, plan, proof),
-        "report.html": render(problem, plan, proof, Extra(drawn, model.pairs_filtered)),
+        "report.html": render(problem, plan, proof, Extra(drawn, model.pairs_filtered, maps=maps)),
     }
 
 

@@ -84,7 +84,7 @@ def view(
         found, q = _targets(looked, q)
         out |= found
         known = axis_map.freedoms(looked.targets, placed and setup.stock.held_by is None)
-        out["freedoms"] = [{"name": name, "unit": UNITS[unit]} for name, unit in known.items()]
+        out["freedoms"] = [{"name": name, "unit": axis_map.SHOWN[unit][0]} for name, unit in known.items()]
         if freedom in known:
             made = axis_map.axis_map(looked.scene, subset(looked.targets, looked.rows), freedom)
             out["map"] = _map(made) | _path(looked, operation, made, plan)
@@ -260,19 +260,13 @@ def _targets(looked: _Looked, home: Mapping[str, FloatArray]) -> tuple[dict[str,
     return (told | {"wires_mm": wires} if wires else told), q
 
 
-UNITS: Final = {"rad": "deg", "m": "mm", "": ""}
-"""Units as people read them."""
-SCALES: Final = {"deg": DEG, "mm": MM, "": 1.0}
-"""What one of them is in the units of Targets."""
-
-
 def _map(found: axis_map.AxisMap) -> dict[str, Any]:
     places = found.places
-    unit = UNITS[found.unit]
+    unit, scale = axis_map.SHOWN[found.unit]
     return {
         "freedom": found.freedom,
         "unit": unit,
-        "values": np.round(found.values / SCALES[unit], 6).tolist(),
+        "values": np.round(found.values / scale, 6).tolist(),
         "states": {arm: own.tolist() for arm, own in places.state.items()},
         "codes": list(axis_map.CODES),
         "limit_deg": {arm: _some(own / DEG) for arm, own in places.limit.items()},
@@ -321,7 +315,7 @@ def _path(looked: _Looked, operation: int, made: axis_map.AxisMap, plan: Plan | 
         elif made.freedom.startswith(axis_map.PLACE):
             axis = axis_map.PLACE_AXES.index(made.freedom.removeprefix(axis_map.PLACE))
             out.append(float((plan.places[looked.setup.number - 1] - looked.place)[axis, 3]))
-    scale = SCALES[UNITS[made.unit]]
+    scale = axis_map.SHOWN[made.unit][1]
     path = [None if value is None else round(value / scale, 6) for value in out]
     return {"path": path} if any(value is not None for value in path) else {}
 

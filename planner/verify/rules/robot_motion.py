@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.robots import RobotData
+from planner.catalogue.robots import OffsetParameters, RobotData
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
@@ -102,8 +102,8 @@ def continuity(context: Context) -> Outcome:
 
 @rule("verify.confdata")
 def confdata(context: Context) -> Outcome:
-    """RAPID: confdata alone select the joint solution that the motion has at each target; those of an arm of
-    which they are not settled are all 0."""
+    """RAPID: confdata alone select the joint solution that the motion has at each target; those of an arm
+    with an offset wrist are all 0."""
     motion = context.motion
     issues, worst = [], 0.0
     for task in context.job.tasks:
@@ -111,8 +111,9 @@ def confdata(context: Context) -> Outcome:
         if not task.rapid:
             continue  # verify.status asks the same of KRL; movel keeps the posture that movej has reached
         if task.arm.data.unnamed:
-            # cfx of such arms is not settled; the programs run with ConfL\Off
-            issues += list(_named_postures(task))
+            # such arms run with ConfL\Off; with parallel rods the numbers of single axes mean what they say
+            if isinstance(task.arm.data.form, OffsetParameters):
+                issues += list(_named_postures(task))
             continue
         selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]
         straight = _straight(context, arm)
