@@ -203,7 +203,7 @@ def _other_number(staged: Staged) -> Claims:
         (_twice, "features [1] are formed by two operations"),
         (_other_level, "form/f2 begins 2.0"),
         (_shallow, "all passes together leave the sheet 1.5"),
-        (_upwards, "once form/f1 is formed the sheet stands out of the finished part"),
+        (_upwards, "once form/f2 is formed the sheet stands out of the solids"),
         (_other_feature, "features [2] are formed; wanted of this operation: [1]"),
         (_other_number, "is number"),
     ],
