@@ -18,6 +18,8 @@ WIDTH, HEIGHT, LEFT, TOP, GAP = 640.0, 120.0, 64.0, 18.0, 26.0
 """Sizes of a strip and of what is around it [px]."""
 FILLS: Final = ("--ok-bg", "--soft", "--c4", "--c3", "--c1")
 """Colours by what an arm can do there, in the order of `FreedomMap.causes`."""
+LARGE_TURN_DEG: Final = 330.0
+"""A freedom that turns over more [deg] may turn without end."""
 TEXT: Final = 'style="font-size:11px;fill:var(--soft)"'
 NEAR_FILLS: Final = (("--c1", 0.0), ("--warn", 1.0), ("--c2", 2.0), ("--ok-bg", np.inf))
 """Colours of distances up to so many times the clearance; below it nothing is free."""
@@ -121,14 +123,15 @@ def _cells(fills: NDArray[np.object_], top: float) -> Iterator[str]:
 
 
 def _way(shown: FreedomMap, top: float) -> str:
-    """The plan's values; a jump by a whole turn begins a new line."""
+    """The plan's values; where what turns without end comes round, a new line begins."""
     count, values = shown.values.shape
     wide, high = WIDTH / count, HEIGHT / values
     low, step = shown.values[:, 0], np.diff(shown.values[:, [0, -1]], axis=1)[:, 0] / (values - 1)
     place = (shown.path - low) / np.where(step > 0.0, step, 1.0)
     x = LEFT + (np.arange(count) + 0.5) * wide
     y = top + HEIGHT - (place + 0.5) * high
-    jumps = np.flatnonzero(np.abs(np.diff(place)) > 0.6 * values) + 1
+    round_ = shown.unit == "deg" and float(np.ptp(shown.values)) > LARGE_TURN_DEG
+    jumps = np.flatnonzero(round_ & (np.abs(np.diff(place)) > 0.5 * values)) + 1
     lines = zip(np.split(x, jumps), np.split(y, jumps), strict=True)
     points = [" ".join(f"{a:.1f},{b:.1f}" for a, b in zip(*one, strict=True)) for one in lines]
     return "".join(
