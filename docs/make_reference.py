@@ -99,6 +99,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`drawing` of such an outline", "", trim_operation.DrawingFile),
     ("`lead` of `trim`", "", trim_operation.LeadFile),
     ("`pierce` of `trim`", "", trim_operation.PierceFile),
+    ("`by` of `trim`, `kind: torch`", "", trim_operation.TorchCut),
     ("`by` of `trim`, `kind: mill`", "", trim_operation.MillCut),
     ("Process `targets`", "process-targets", poses.Posed),
     ("`free` of `targets`, each", "", poses.FreeAxis),

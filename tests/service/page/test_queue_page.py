@@ -66,7 +66,7 @@ def test_a_field_is_swept_on_the_page(page: Page, held: Process, small: list[Pat
     page.get_by_text("Sweep a field over values").click()
     page.get_by_label("Field", exact=True).fill("operations.0.feed_mm_s")
     page.get_by_label("Values, with spaces between").fill("20 -1")
-    page.get_by_label("Tag", exact=True).fill("Vorschub ٣")
+    page.locator("#sweep-tag").fill("Vorschub ٣")
     page.get_by_role("button", name="Make 2 jobs").click()
     expect(page.locator("#check-issues")).to_contain_text("operations.0.feed_mm_s = -1: ")
     page.get_by_label("Values, with spaces between").fill("20 30; 40.5")
