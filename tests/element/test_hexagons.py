@@ -299,6 +299,7 @@ def test_a_rim_on_the_ground_is_level_and_is_the_first_row(tmp_path: Path) -> No
     assert divided(shell(tmp_path, mesh, {**ground, "ground_mm": float(advised[1])}))
 
 
+@pytest.mark.long
 def test_concave_panels_are_named_all_and_none_else(tmp_path: Path) -> None:
     files, said = told(shell(tmp_path, saddle(), {"least_edge_mm": 20, "off_surface_mm": 100}))
     (issue,) = (one for one in said if one.code == "element.concave")

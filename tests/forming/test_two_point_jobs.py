@@ -268,6 +268,7 @@ def test_a_die_in_the_part_is_refused() -> None:
     assert "forming.die_gouge" in {issue.code for issue in caught.value.issues}
 
 
+@pytest.mark.long
 def test_a_die_that_is_not_the_parts_is_told_before_a_ball_that_is_too_large() -> None:
     problem = coarse()
     job = forming.FormingJob(operation(problem, {"unit": "cm"}), problem.setups[0], problem.part)

@@ -74,6 +74,7 @@ def test_intervals_hold_the_truth_in_nine_of_ten_tests() -> None:
     assert (held >= 90).all()
 
 
+@pytest.mark.long
 def test_a_plate_is_like_one_of_another_thickness() -> None:
     """One response serves all thicknesses: within 0.4 % of a finer shell of another one."""
     for thickness, grip, _ in TRUTHS:

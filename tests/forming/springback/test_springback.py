@@ -194,6 +194,7 @@ def test_modes_without_a_model_say_so(mode: str, cone: Work) -> None:
     forecast.require_mode(cone)
 
 
+@pytest.mark.long
 def test_between_control_points_s_is_as_if_solved_there(tmp_path: Path) -> None:
     """Within 3 % or 0.1 mm, at places of a cone that were not asked; the bench has a pyramid."""
     made = of(tmp_path, shapes.cone(45.0, 0.020, 0.050, 120), stepdown_mm=1.0)
