@@ -39,6 +39,7 @@ from tests.verify.milling_job import in_procedure
 ROUND, WALL = OUTLINES[0], OUTLINES[1]
 MAIN = "operation_1"
 ON = "SetDO doSpindle,1;"
+OFF = "SetDO doSpindle,0;"
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +69,7 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "into the sheet on the way to it": ("verify.trim_mill", "trim_round_in", up(-3.0)),
     "aside on the way out": ("verify.trim_mill", "trim_round_out", along(20.0)),
     "the spindle stands": ("verify.trim_spindle", MAIN, replaced(ON, "")),
+    "the spindle is off again at once": ("verify.trim_spindle", MAIN, replaced(ON, ON + OFF)),
     "not up to speed": ("verify.trim_spindle", MAIN, replaced("WaitTime 5;", "WaitTime 0.5;")),
     "it stops in a slot": ("verify.trim_spindle", "trim_round", before_last_move("SetDO doSpindle,0;")),
     "twice as fast": ("verify.trim_feed", "trim_wall", timed(0.5)),

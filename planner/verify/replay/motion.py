@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
-from planner.verify.programs.steps import Step
+from planner.verify.programs.steps import SignalStep, Step
 
 Rows = int | np.integer | slice | IntArray | BoolArray
 
@@ -209,6 +209,29 @@ class Motion:
     def acceleration(self, arm: str, axes: int | slice = slice(None)) -> FloatArray:
         """Joint accelerations (S, 6) or (S,) [rad/s^2] of an arm, as :meth:`speed`."""
         return differences(self.time, self.q[arm][:, axes], 2)
+
+    def switched(self, signal: str) -> list[tuple[float, float]]:
+        """Times [s] at which programs switch a signal, and to which values, in order; of one instant as their
+        text has them."""
+        found = [
+            (at, float(step.value))
+            for at, _, _, step in self.step_time
+            if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
+        ]
+        return sorted(found, key=lambda one: one[0])
+
+    def on_for(self, signal: str, time: FloatArray) -> FloatArray:
+        """How long (T,) [s] a signal has been on at some times; -1 where it is off."""
+        steps = self.switched(signal)
+        out = np.full(len(time), -1.0)
+        since = None
+        for k, (at, value) in enumerate(steps):
+            since = (at if since is None else since) if value else None
+            until = steps[k + 1][0] if k + 1 < len(steps) else np.inf
+            if since is not None:
+                rows = (time >= at) & (time < until)
+                out[rows] = time[rows] - since
+        return out
 
     @functools.cached_property
     def looks(self) -> Looks:

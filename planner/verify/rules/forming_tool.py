@@ -23,7 +23,6 @@ from planner.verify.forming.face import Face
 from planner.verify.forming.reached import Depths, largest_step, on_ways, while_forming
 from planner.verify.forming.state import SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track
 from planner.verify.forming.swept import Head, HeadWay, Inside, insides, least, levels
-from planner.verify.programs.steps import SignalStep
 from planner.verify.result import CutFace
 from planner.verify.wire.cut_surface import divided
 
@@ -464,12 +463,7 @@ class _Edge:
 
 def _edges(context: Context, signal: str) -> list[_Edge]:
     """When a signal that is off at first goes on and off, in order; holders see its edges alone."""
-    found = [
-        _Edge(time, float(step.value))
-        for time, _, _, step in context.motion.step_time
-        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
-    ]
-    found.sort(key=lambda edge: edge.time)
+    found = [_Edge(time, value) for time, value in context.motion.switched(signal)]
     before = [0.0, *(edge.value for edge in found)]
     return [edge for edge, value in zip(found, before, strict=False) if edge.value != value]
 

@@ -50,7 +50,6 @@ from planner.verify.milling.tool_motion import (
     solids,
     sweep,
 )
-from planner.verify.programs.steps import SignalStep
 from planner.verify.result import CutFace
 from planner.verify.wire.cut_surface import divided
 
@@ -501,7 +500,7 @@ def spindle(context: Context, milling: Milling) -> Outcome:
                 what = f"{arm.name} mills in setup {index + 1}, which claims no spindle"
                 issues.append(at_sample("verify.spindle", what, motion, arm.name, int(track.rows[inside[0]])))
             for claim in claims:
-                on = _on_for(context, claim.signal, track.time[inside])
+                on = motion.on_for(claim.signal, track.time[inside])
                 for i in np.flatnonzero(on < claim.heat_up - 1e-6)[:1]:
                     got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
                     what = f"the cutter is in the block and {claim.signal} is {got} on; wanted: "
@@ -510,25 +509,6 @@ def spindle(context: Context, milling: Milling) -> Outcome:
                     row = int(track.rows[inside[i]])
                     issues.append(at_sample("verify.spindle", what, motion, arm.name, row, measure))
     return Outcome(tuple(issues), where="" if seen else NOTHING_MILLED)
-
-
-def _on_for(context: Context, signal: str, time: FloatArray) -> FloatArray:
-    """How long (T,) [s] a signal has been on at some times; -1 where it is off."""
-    steps = [
-        (at, step.value)
-        for at, _, _, step in context.motion.step_time
-        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
-    ]
-    steps.sort(key=lambda item: item[0])
-    out = np.full(len(time), -1.0)
-    since = None
-    for k, (at, value) in enumerate(steps):
-        since = (at if since is None else since) if value else None
-        until = steps[k + 1][0] if k + 1 < len(steps) else np.inf
-        if since is not None:
-            rows = (time >= at) & (time < until)
-            out[rows] = time[rows] - since
-    return out
 
 
 def _arm(milling: Milling, index: int, claim: FeedWindow) -> str:

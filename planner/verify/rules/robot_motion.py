@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.robots import OffsetParameters, RobotData
+from planner.catalogue.robots import RobotData
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
@@ -112,7 +112,7 @@ def confdata(context: Context) -> Outcome:
             continue  # verify.status asks the same of KRL; movel keeps the posture that movej has reached
         if task.arm.data.unnamed:
             # such arms run with ConfL\Off; with parallel rods the numbers of single axes mean what they say
-            if isinstance(task.arm.data.form, OffsetParameters):
+            if task.arm.followed:
                 issues += list(_named_postures(task))
             continue
         selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]

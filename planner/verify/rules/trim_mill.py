@@ -18,7 +18,6 @@ from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import small_pieces
 from planner.issues import Issue
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, mm, rule
-from planner.verify.programs.steps import SignalStep
 from planner.verify.rules.trim import (
     ANGLE_ERROR,
     GOING_DOWN,
@@ -241,7 +240,7 @@ def trim_spindle(context: Context, trimming: Trimming) -> Outcome:
         for i in rows[~np.isin(track.label[rows], list(good))][:1]:
             what = f"the cutter is in the sheet, or just over it, in {track.label[i]}, where nothing is cut"
             issues.append(at_sample(SPINDLE, what, motion, claim.arm, int(track.rows[i])))
-        on = _on_for(context, claim.signal, track.time[rows])
+        on = motion.on_for(claim.signal, track.time[rows])
         for i in np.flatnonzero(on < own.spin_up - 1e-6)[:1]:
             got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
             what = f"the cutter is in the sheet and {claim.signal} is {got} on; wanted: {own.spin_up:g} s"
@@ -249,21 +248,3 @@ def trim_spindle(context: Context, trimming: Trimming) -> Outcome:
             row = int(track.rows[rows[i]])
             issues.append(at_sample(SPINDLE, what, motion, claim.arm, row, measure))
     return Outcome(tuple(issues), where=f"{count} slots" if count else NOTHING_TRIMMED)
-
-
-def _on_for(context: Context, signal: str, time: FloatArray) -> FloatArray:
-    """How long (T,) [s] a signal has been on, -1 where it is off."""
-    steps = sorted(
-        (at, bool(step.value))
-        for at, _, _, step in context.motion.step_time
-        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
-    )
-    out = np.full(len(time), -1.0)
-    since: float | None = None
-    for k, (at, value) in enumerate(steps):
-        since = (at if since is None else since) if value else None
-        until = steps[k + 1][0] if k + 1 < len(steps) else np.inf
-        if since is not None:
-            rows = (time >= at) & (time < until)
-            out[rows] = time[rows] - since
-    return out

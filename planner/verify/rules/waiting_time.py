@@ -14,7 +14,7 @@ import numpy as np
 from planner.claims.claim import StraightWire, WireJoins
 from planner.claims.milling import MillsAlong
 from planner.claims.vocabulary import HandshakeKind
-from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.verify import job
 from planner.verify.context import Context, Outcome, at_node, at_step, mm, rule
@@ -247,7 +247,7 @@ def _creeping(context: Context, signal: str) -> list[Issue]:
     motion = context.motion
     if not len(motion.node_sample):
         return []
-    on = _on(context, signal, motion.time[motion.node_sample] - 0.5 * motion.node_duration)
+    on = motion.on_for(signal, motion.time[motion.node_sample] - 0.5 * motion.node_duration) >= 0.0
     issues = []
     for index, setup in enumerate(context.setup_claims):
         if all(claim.signal.lower() != signal.lower() for claim in setup.contacts):
@@ -289,18 +289,6 @@ def _ways(context: Context, arm: str, lever: float) -> FloatArray:
     x, z, way = (np.linalg.norm(step[:, :3, axis], axis=1) for axis in (0, 2, 3))
     turn = np.maximum(x, z)
     return np.asarray(way + lever * turn)
-
-
-def _on(context: Context, signal: str, time: FloatArray) -> BoolArray:
-    """Whether a signal is on at some times (T,), by the replay's clock."""
-    found = [
-        (at, float(step.value))
-        for at, _, _, step in context.motion.step_time
-        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
-    ]
-    found.sort(key=lambda item: item[0])
-    value = np.array([0.0, *(value for _, value in found)])
-    return np.asarray(value[np.searchsorted([at for at, _ in found], time, side="right")] > 0.0)
 
 
 @rule("verify.meeting_time")

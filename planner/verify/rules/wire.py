@@ -362,12 +362,7 @@ def wire_power(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 def _switching(context: Context, signal: str) -> list[tuple[float, float]]:
     """Times and values of a signal in order; off at first."""
-    found = [
-        (time, step.value)
-        for time, _, _, step in context.motion.step_time
-        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
-    ]
-    return [(-np.inf, 0.0), *sorted(found, key=lambda item: item[0])]
+    return [(-np.inf, 0.0), *context.motion.switched(signal)]
 
 
 def _power_in_contact(context: Context, wire: Wire, signal: str, heat_up: float) -> list[Issue]:

@@ -20,7 +20,6 @@ from planner.verify.context import Context
 from planner.verify.files import UnreadError
 from planner.verify.forming.state import Forming
 from planner.verify.milling.tool_motion import Milling, Track
-from planner.verify.programs.steps import SignalStep
 from planner.verify.trim.outlines import TRIM, Curve, Feet, SheetSide, slot_names
 
 SIGHT = 20e-3
@@ -45,14 +44,9 @@ class Burning:
     @staticmethod
     def of(context: Context, signal: str) -> Burning:
         """When the programs have a signal on."""
-        steps = [
-            (at, step.value)
-            for at, _, _, step in context.motion.step_time
-            if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
-        ]
         begin: list[float] = []
         end: list[float] = []
-        for at, value in sorted(steps, key=lambda one: one[0]):
+        for at, value in context.motion.switched(signal):
             if value and len(begin) == len(end):
                 begin.append(at)
             elif not value and len(begin) > len(end):
