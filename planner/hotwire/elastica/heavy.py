@@ -284,7 +284,7 @@ class EndSensitivity:
 
 def end_sensitivity(shape: HeavyShape, window: FloatArray | None = None) -> EndSensitivity:
     """Linearised clamped problem at each wire; window (B, 2): arc lengths [m] between which the wire
-    counts (default: all)."""
+    counts (default: all). Looked at is each node inside; of a window between two nodes, the nearest one."""
     base = bumps(_MODES, _QUADRATURE)
     sigma, w = base.sigma, base.weight
     at = shape.flow().at(sigma)
@@ -335,13 +335,10 @@ def end_sensitivity(shape: HeavyShape, window: FloatArray | None = None) -> EndS
     profile = -sin[..., None] * dx + cos[..., None] * dy
     profile[bad] = np.inf
     s = sigma * length
-    inside = (
-        np.ones_like(s, dtype=np.bool_) if window is None else (s >= window[:, :1]) & (s <= window[:, 1:])
-    )
-    if not inside.any(axis=1).all():
-        raise ValueError(
-            "window: got an arc window without any node of the wire; give one at least 3 % of the length wide"
-        )
+    inside = np.ones_like(s, dtype=np.bool_)
+    if window is not None:
+        beyond = np.maximum(np.maximum(window[:, :1] - s, s - window[:, 1:]), 0.0)
+        inside = beyond <= beyond.min(axis=1, keepdims=True)
     first, last = np.hypot(profile[..., 0], profile[..., 1]), np.hypot(profile[..., 3], profile[..., 4])
     angle = np.abs(profile[..., 2]) + np.abs(profile[..., 5])
     return EndSensitivity(

@@ -181,6 +181,12 @@ def test_end_sensitivity_is_the_difference_of_solved_wires(shapes):
     assert (got.position >= np.abs(got.profile[..., [0, 1, 3, 4]]).max(axis=(1, 2))).all()
     inside = heavy.end_sensitivity(shapes, np.tile([0.2, 0.36], (4, 1)))
     assert (inside.position <= got.position).all()
+    # a window between two nodes (a piece much shorter than its wire) has the feel of its place
+    place = 0.5 * LENGTH
+    point = heavy.end_sensitivity(shapes, np.stack([place, place], axis=1))
+    around = heavy.end_sensitivity(shapes, np.stack([0.96 * place, 1.04 * place], axis=1))
+    assert (point.position <= around.position).all()
+    np.testing.assert_allclose(point.position, around.position, rtol=0.1)
 
 
 def test_straight_wire_has_no_linear_answer_to_end_errors():
