@@ -37,20 +37,19 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
     for index, setup in enumerate(context.setups):
         for axis, ends in _goes(context, setup, at):
             way = _way(context, models(index), setup, at, axis, ends, limit)
-            looks += way.looks
+            looks += len(way.looked)
             if way.least < worst:
                 worst, where = way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}"
+            on = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
+            arm = None if axis.carries in (STOCK, TILT) else axis.carries
             if way.least < limit or not way.clear:
-                what = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
-                what += f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
-                arm = None if axis.carries in (STOCK, TILT) else axis.carries
-                issues.append(Issue(_WAY, what, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm"))
+                near = f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
+                issues.append(
+                    Issue(_WAY, on + near, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm")
+                )
             strayed = _strayed(context, models(index).cell, index, at, axis, ends, way)
             if strayed:
-                what = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
-                what += strayed
-                arm = None if axis.carries in (STOCK, TILT) else axis.carries
-                issues.append(Issue(_WAY, what, arm=arm))
+                issues.append(Issue(_WAY, on + strayed, arm=arm))
             at = {**at, axis.carries: ends[1]}
     if not np.isfinite(worst):
         return Outcome(tuple(issues), where="no track or turntable moves")

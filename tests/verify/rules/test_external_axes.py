@@ -164,12 +164,20 @@ def test_a_unit_that_the_cell_does_not_have_is_refused(prover: Prover) -> None:
     assert {"verify.external_axes", "verify.move_kinds"} <= codes
 
 
-def test_the_way_between_stations_is_looked_at(prover: Prover) -> None:
+RAIL = {"kind": "box", "size_mm": [500, 7000, 50], "pose": {"xyz_mm": [0, 0, -25]}}
+POST = {"kind": "box", "size_mm": [100, 50, 700], "pose": {"xyz_mm": [0, 150, 350]}}
+STOP = {"kind": "box", "size_mm": [100, 50, 60], "pose": {"xyz_mm": [0, 150, 30]}}
+
+
+@pytest.mark.parametrize(("shapes", "clear"), [([RAIL], True), ([POST], False), ([RAIL, STOP], False)])
+def test_the_way_between_stations_is_looked_at(
+    prover: Prover, shapes: list[dict[str, object]], clear: bool
+) -> None:
+    """A stop of one body with the rail is lower than all of the arm but the base that runs into it."""
     good = track_job.planned().programs
-    box = {"kind": "box", "size_mm": [100, 50, 700], "pose": {"xyz_mm": [0, 150, 350]}}
-    made = ObstacleFile.model_validate({"name": "post", "shapes": [box]})
+    made = ObstacleFile.model_validate({"name": "rail", "shapes": shapes})
     cell = prover.problem.cell
-    here = Obstacle("post", tuple(shape(one, prover.problem.path.parent) for one in made.shapes))
+    here = Obstacle("rail", tuple(shape(one, prover.problem.path.parent) for one in made.shapes))
     there = dataclasses.replace(prover.problem, cell=dataclasses.replace(cell, obstacles=(here,)))
     codes = {issue.code for issue in Prover(there, prover.claims).prove(good).issues}
-    assert "verify.track_way" in codes
+    assert ("verify.track_way" in codes) != clear
