@@ -209,7 +209,8 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
                 if before is None and goes:
                     what = f"the first move takes {axis.unit} to {axis.shown(value)}, not home "
                     yield at_step(_CODE, f"{what}({axis.shown(axis.home)})", task, move)
-                last[axis.column] = value
+                if before is None or goes:  # else it stays: a little at each move would add up
+                    last[axis.column] = value
             before, came = move, number
     for axis in axes:
         if abs(last[axis.column] - axis.home) > SAME_VALUE:

@@ -1,7 +1,9 @@
 """The rule on the way of tracks, turntables and positioners from station to station: what comes near on it.
 
 Distances are those of the planner's own looks; where these had what rides is held against turns of the
-proof's own.
+proof's own. That the base of an arm on a track keeps off all that stands, what it slides on excepted, is held
+against how far shapes go along the lines on which the distances were found: a line between two convex shapes
+shows that they are apart, whatever found it.
 """
 
 from __future__ import annotations
@@ -10,10 +12,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from planner.cell import axis_way
+from planner.cell import axis_way, distance
 from planner.cell.axis_way import AxisWay
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import transform
+from planner.geometry.arrays import FloatArray, Shape, transform
 from planner.issues import Issue
 from planner.problem import STOCK, TILT, Cell, Setup
 from planner.verify.context import Context, Outcome, OuterAxis, mm, outer_axes, rule
@@ -23,13 +25,20 @@ from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION
 
 _WAY = "verify.track_way"
 """Code of the rule."""
+BELOW_FOOT = 2e-3
+"""What a base slides on is at most so far [m] above its foot,"""
+LEAST_UPRIGHT = 0.5
+"""where its way leaves it a foot: where so much of its own z axis is square to that."""
+SAME_WAY = 1e-6
+"""Distances that differ by no more [m] are one."""
 
 
 @rule("verify.track_way")
 def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
     """On the way of a track, turntable or positioner from station to station bodies keep their clearance, all
     arms folded at home; what is tilted keeps it from the floor, too. Where looks had what rides is held
-    against the values by turns of the proof's own."""
+    against the values by turns of the proof's own, and the base of an arm against each shape that does not
+    end below its foot."""
     limit = context.problem.settings.clearance
     issues: list[Issue] = []
     worst, where, looks = np.inf, "", 0
@@ -48,6 +57,8 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
                     Issue(_WAY, on + near, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm")
                 )
             strayed = _strayed(context, models(index).cell, index, at, axis, ends, way)
+            if not strayed and arm is not None and way.clear:
+                strayed = _run_into(models(index), context.bases[arm], axis, way, limit)
             if strayed:
                 issues.append(Issue(_WAY, on + strayed, arm=arm))
             at = {**at, axis.carries: ends[1]}
@@ -136,3 +147,74 @@ def _strayed(
             if astray:
                 return f"{name} was looked at elsewhere than it is at {axis.shown(look.value)}"
     return ""
+
+
+def _run_into(model: CellModel, base: FloatArray, axis: OuterAxis, way: AxisWay, limit: float) -> str:
+    """What the base of an arm may come nearer to than ``limit`` [m] on a way that looks found clear: no line
+    that they were measured along shows otherwise. ``base`` (4, 4): where it is at value 0."""
+    track = model.cell.arm(axis.carries).track
+    if track is None:
+        return ""
+    own = [solid for solid in model.solids if solid.body == f"{axis.carries}/base_link"]
+    poses = model.poses({})
+    still = [s for s in model.solids if _stands(s.body, model) and s.body != f"{axis.carries}/base_link"]
+    there = [poses[solid.body][0] @ solid.shape.pose for solid in still]
+    up = base[:3, 2] - (base[:3, 2] @ track.axis) * track.axis  # its foot stays in a plane square to this
+    length = float(np.linalg.norm(up))
+    up = up / max(length, LEAST_UPRIGHT)
+    foot = min((-_reach(s.shape, base @ s.shape.pose, -up) for s in own), default=np.inf)
+    bodies = {body.name for body in model.cell.obstacles} if length >= LEAST_UPRIGHT else set()
+    beside = [
+        j
+        for j, (solid, pose) in enumerate(zip(still, there, strict=True))
+        if solid.body not in bodies or _reach(solid.shape, pose, up) > foot + BELOW_FOOT + SAME_WAY
+    ]
+    if not own or not beside:
+        return ""
+    first, second = (v.ravel() for v in np.meshgrid(np.arange(len(own)), beside, indexing="ij"))
+    cores = distance.cores([*own, *still])
+    before: tuple[float, float] | None = None
+    for look in way.looked:
+        here = np.array(base)
+        here[:3, 3] += look.value * track.axis
+        at = [*(here @ solid.shape.pose for solid in own), *there]
+        placed = np.stack(at)
+        _, lines, _ = distance.distances(
+            cores, first, second + len(own), placed[first], placed[second + len(own)]
+        )
+        apart = np.array(
+            [
+                -_reach(own[i].shape, at[i], -line) - _reach(still[j].shape, there[j], line)
+                for i, j, line in zip(first, second, lines, strict=True)
+            ]
+        )
+        worst = int(np.argmin(apart))
+        bound = gap = float(apart[worst])
+        if before is not None:
+            bound = min(gap, 0.5 * (before[1] + gap - abs(look.value - before[0])))
+        if bound < limit - SAME_WAY:
+            name = still[second[worst]].body
+            return (
+                f"nothing shows that the base keeps {mm(limit):g} mm off {name} at {axis.shown(look.value)}"
+            )
+        before = look.value, gap
+    return ""
+
+
+def _stands(body: str, model: CellModel) -> bool:
+    """Whether a body is fixed: no link, no tool, and no block that an arm holds."""
+    if body == "stock":
+        return model.stock.held_by is None
+    return "/" not in body or body.endswith("/base_link")
+
+
+def _reach(shape: Shape, pose: FloatArray, line: FloatArray) -> float:
+    """How far [m] a shape at a pose (4, 4) goes along a line (3,), from the origin: in closed form."""
+    seen, middle = line @ pose[:3, :3], float(line @ pose[:3, 3])
+    if shape.vertices is not None:
+        return middle + float((shape.vertices @ seen).max())
+    if shape.kind == "box":
+        return middle + 0.5 * float(np.abs(seen) @ np.asarray(shape.size))
+    long = 0.5 * shape.size[1] * abs(float(seen[2])) if len(shape.size) > 1 else 0.0
+    across = float(np.hypot(seen[0], seen[1])) if shape.kind == "cylinder" else float(np.linalg.norm(line))
+    return middle + long + shape.size[0] * across
