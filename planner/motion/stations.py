@@ -202,8 +202,8 @@ def stationed(problem: Problem, targets: Sequence[Targets], passes: Passes | Non
     at = problem.homes
     out: dict[int, dict[str, float]] = {}
     for index, own in enumerate(targets):
-        for name in (*own.arms, STOCK):
-            if name in axes:
+        for name in axes:  # in the order in which programs move them
+            if name in (*own.arms, STOCK):
                 there = problem.stationed({**out, index: at})
                 at = {**at, **_station(there, index, own, axes[name], at, passes)}
         out[index] = at
@@ -221,7 +221,9 @@ def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str
     for axis in axes.values():
         if all(at[name] == homes[name] for name in axis.names):
             continue
-        way = axis.way(problem.setup_of(index), at, homes, enough)
+        setup = problem.stationed({**problem.stations, index: at}).setup_of(index)
+        way = axis.way(setup, at, homes, enough)
+        at = {**at, **{name: homes[name] for name in axis.names}}
         if not way.clear:
             what = f"operation {problem.operations[index].name}: on the way of {axis.unit} home behind it "
             what += _near(way)

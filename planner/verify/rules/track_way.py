@@ -8,7 +8,7 @@ shows that they are apart, whatever found it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -44,8 +44,9 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
     worst, where, looks = np.inf, "", 0
     at = context.problem.homes
     for index, setup in enumerate(context.setups):
-        for axis, ends in _goes(context, setup, at):
-            way = _way(context, models(index), setup, at, axis, ends, limit)
+        for axis, ends in _goes(context, index, setup, at):
+            model = _before(context, models(index), setup, at)
+            way = _way(model, setup, at, axis, ends, limit)
             looks += len(way.looked)
             if way.least < worst:
                 worst, where = way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}"
@@ -58,7 +59,7 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
                 )
             strayed = _strayed(context, models(index).cell, index, at, axis, ends, way)
             if not strayed and arm is not None and way.clear:
-                strayed = _run_into(models(index), context.bases[arm], axis, way, limit)
+                strayed = _run_into(model, context.bases[arm], axis, way, limit)
             if strayed:
                 issues.append(Issue(_WAY, on + strayed, arm=arm))
             at = {**at, axis.carries: ends[1]}
@@ -68,20 +69,43 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
 
 
 def _goes(
-    context: Context, setup: Setup, at: dict[str, float]
-) -> Iterator[tuple[OuterAxis, tuple[float, float]]]:
-    """The axes that move before a setup, with both ends [m, rad] of their ways."""
-    table = context.problem.cell.turntable
+    context: Context, index: int, setup: Setup, at: dict[str, float]
+) -> list[tuple[OuterAxis, tuple[float, float]]]:
+    """The axes that move before a setup, as the text has them one after the other, with both ends [m, rad] of
+    their ways."""
+    table, going = context.problem.cell.turntable, []
     for arm in setup.cell.arms:
         for axis in outer_axes(arm, table):
             own = setup.stock.stands
             value = own.get(axis.carries, arm.station)
             if value is not None and abs(value - at[axis.carries]) > SAME_VALUE:
-                yield axis, (at[axis.carries], value)
+                going.append(
+                    (_arrives(context, index, arm.name, axis, value), axis, (at[axis.carries], value))
+                )
+    return [(axis, ends) for _, axis, ends in sorted(going, key=lambda one: one[0])]
+
+
+def _arrives(context: Context, index: int, arm: str, axis: OuterAxis, value: float) -> int:
+    """The first stage of a setup in which the task of an arm has an axis at a value."""
+    for number, _, task, moves in context.moves():
+        if task.arm.name == arm and int(context.spans.of_stage[number]) == index:
+            values = (axis.scale * float(move.target.external[axis.column]) for move in moves)
+            if any(abs(there - value) <= SAME_VALUE for there in values):
+                return number
+    return len(context.job.stages)
+
+
+def _before(context: Context, model: CellModel, setup: Setup, at: dict[str, float]) -> CellModel:
+    """The model of a setup with all axes where they are before one of them goes, ``at``."""
+    tracks = {a.name: a.track for a in setup.cell.arms if a.track is not None}
+    model = model.with_bases({n: t.moved(context.bases[n], at[n]) for n, t in tracks.items()})
+    table = setup.cell.turntable
+    if table is None or not setup.stock.stands:
+        return model
+    return axis_way.stood(model, table, at, setup.stock.stands)
 
 
 def _way(
-    context: Context,
     model: CellModel,
     setup: Setup,
     at: dict[str, float],
@@ -89,16 +113,12 @@ def _way(
     ends: tuple[float, float],
     limit: float,
 ) -> AxisWay:
-    """The way of one axis; ``at``: where all stand before it."""
-    tracks = {a.name: a.track for a in setup.cell.arms if a.track is not None}
-    model = model.with_bases({n: t.moved(context.bases[n], at[n]) for n, t in tracks.items()})
+    """The way of one axis in a model of :func:`_before` it; ``at``: where all stand then."""
     homes = {other.name: other.home for other in setup.cell.arms}
     table = setup.cell.turntable
-    if table is not None and setup.stock.stands:
-        model = axis_way.stood(model, table, at, setup.stock.stands)
-        if axis.carries in table.axes:
-            tilt = at.get(TILT, 0.0)
-            return axis_way.turning(model, table, axis.carries, tilt, ends, homes, limit)
+    if table is not None and axis.carries in table.axes:
+        return axis_way.turning(model, table, axis.carries, at.get(TILT, 0.0), ends, homes, limit)
+    tracks = {a.name: a.track for a in setup.cell.arms if a.track is not None}
     itself = of_one_arm(model)  # verify.own_clearance has these, which the way does not change
     return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit, itself)
 
