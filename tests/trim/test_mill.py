@@ -27,7 +27,7 @@ from planner.trim.operation import OutlineFile
 from planner.trim.slots import Wanted
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
-from planner.verify.rules.trim_mill import _beside
+from planner.verify.rules.trim_mill import _beside, trim_spindle
 from planner.verify.trim import outlines
 from planner.verify.trim.torch_motion import Trimming
 from tests.small_forming import die, dish
@@ -259,3 +259,21 @@ def test_the_proof_asks_for_a_die_itself(job: Job) -> None:
         assert job.told_by("verify.trim_mill", job.programs)
     finally:
         job.problem = known
+
+
+@pytest.mark.parametrize(("sync", "told"), [("handshake", True), ("multimove", False)])
+def test_a_spindle_of_the_other_controller_is_another_one(job: Job, sync: Any, told: bool) -> None:
+    """Its signal has the same name there; tasks of one controller share theirs."""
+    cell = job.problem.cell
+    controller = dataclasses.replace(cell.controller, sync=sync)
+    whole = dataclasses.replace(job.problem, cell=dataclasses.replace(cell, controller=controller))
+    claims, unread = outlines.worked_out(job.prover.claims)
+    context = Context(job.problem, claims, job.programs, unread)
+    motion, (task,) = context.motion, context.job.tasks
+    other = dataclasses.replace(task, name="other", arm=dataclasses.replace(task.arm, name="other"))
+    steps = [(*row[:2], "other", row[3]) for row in motion.step_time]
+    vars(context)["motion"] = dataclasses.replace(motion, step_time=tuple(steps))
+    vars(context)["job"] = dataclasses.replace(context.job, tasks=(other, task))
+    context.problem = whole
+    issues = trim_spindle(context, Trimming(context, Forming(context))).issues
+    assert bool(issues) == told

@@ -257,11 +257,17 @@ def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin:
 
 
 def _waits(context: Context, claim: TrimsSheet) -> Iterator[Issue]:
-    """Whether the program waits for the arc between its start and the next move, as the text has it."""
+    """Whether the program waits for the arc between its start and the next move, as the text has it; no
+    other program can, that starts it."""
     if claim.ok_signal is None:
         return
     for task in context.job.tasks:
         if task.arm.name != claim.arm:
+            if task.name in context.switching((claim.arm,)):
+                lit = (s for s in task.steps if isinstance(s, SignalStep) and s.value)
+                yield from (
+                    _unwaited(task, s, claim) for s in lit if s.signal.lower() == claim.signal.lower()
+                )
             continue
         started: Step | None = None
         for step in task.steps:

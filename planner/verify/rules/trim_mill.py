@@ -240,7 +240,7 @@ def trim_spindle(context: Context, trimming: Trimming) -> Outcome:
         for i in rows[~np.isin(track.label[rows], list(good))][:1]:
             what = f"the cutter is in the sheet, or just over it, in {track.label[i]}, where nothing is cut"
             issues.append(at_sample(SPINDLE, what, motion, claim.arm, int(track.rows[i])))
-        on = motion.on_for(claim.signal, track.time[rows])
+        on = motion.on_for(claim.signal, context.switching((claim.arm,)), track.time[rows])
         for i in np.flatnonzero(on < own.spin_up - 1e-6)[:1]:
             got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
             what = f"the cutter is in the sheet and {claim.signal} is {got} on; wanted: {own.spin_up:g} s"

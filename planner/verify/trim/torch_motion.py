@@ -42,11 +42,11 @@ class Burning:
     end: FloatArray
 
     @staticmethod
-    def of(context: Context, signal: str) -> Burning:
-        """When the programs have a signal on."""
+    def of(context: Context, claim: TrimsSheet) -> Burning:
+        """When the programs have the signal of a claim on."""
         begin: list[float] = []
         end: list[float] = []
-        for at, value in context.motion.switched(signal):
+        for at, value in context.motion.switched(claim.signal, context.switching((claim.arm,))):
             if value and len(begin) == len(end):
                 begin.append(at)
             elif not value and len(begin) > len(end):
@@ -112,7 +112,7 @@ class TrimWork:
         labels = tuple(sorted(set(context.motion.node_label.tolist())))
         self.track: Track = self._milling.track(index, claim.arm, labels)
         self._ways: dict[str, Way | None] = {}
-        self.burning = Burning.of(context, claim.signal)
+        self.burning = Burning.of(context, claim)
 
     @cached_property
     def on(self) -> BoolArray:
