@@ -22,12 +22,10 @@ from planner.verify.files import UnreadError
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import MoveStep, SignalStep, Step, WaitStep
 from planner.verify.trim.outlines import TRIM, Curve, winding
-from planner.verify.trim.torch_motion import Trimming, TrimWork, Way, off_sheet
+from planner.verify.trim.torch_motion import PLACE_ERROR, Trimming, TrimWork, Way, off_sheet
 
 NOTHING_TRIMMED = "nothing is trimmed"
 """Why rules about trimming have not run."""
-PLACE_ERROR = 0.02e-3
-"""What places of ways and curves, between which nothing is looked at, may hide [m]."""
 ANGLE_ERROR = np.deg2rad(0.5)
 """What facets of a mesh may turn its normals by [rad]."""
 STANDING = 0.05e-3
@@ -73,7 +71,7 @@ def trim_cut(context: Context, trimming: Trimming) -> Outcome:
 def _closed(work: TrimWork, curve: Curve, ways: list[Way]) -> tuple[float, list[Issue]]:
     """How far [m] the slot's edge is off the outline where it is cut, and what is wrong with its joints."""
     claim, one, half = work.claim, curve.one, 0.5 * work.claim.kerf
-    near = claim.tolerance + work.sheet.tolerance + PLACE_ERROR
+    near = work.near
     foot = np.concatenate([way.feet.foot for way in ways])
     off, at = (np.concatenate([getattr(way, name) for way in ways]) for name in ("off", "at"))
     apart = np.asarray(cKDTree(foot).query(curve.ring)[0]) - half
@@ -137,7 +135,7 @@ def trim_kept(context: Context, trimming: Trimming) -> Outcome:
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for work, curve, key, way in every(trimming):
-        near = work.claim.tolerance + work.sheet.tolerance + PLACE_ERROR
+        near = work.near
         deep = 0.5 * work.claim.kerf - way.off
         if float(deep.max()) > worst:
             worst, limit, where = float(deep.max()), mm(near), key
@@ -167,7 +165,7 @@ def trim_torch(context: Context, trimming: Trimming) -> Outcome:
         near = claim.height + work.sheet.tolerance
         lift = max(claim.pierce_height - torch.standoff, 0.0)
         drop = min(claim.pierce_height - torch.standoff, 0.0)
-        leads = way.off > 0.5 * claim.kerf + claim.tolerance
+        leads = way.off > 0.5 * claim.kerf + work.near
         high = near + PLACE_ERROR + np.where(leads, lift, 0.0)
         low = -near - PLACE_ERROR + np.where(leads, drop, 0.0)
         lean = np.arccos(np.clip((way.axis * way.feet.normal).sum(axis=1), -1.0, 1.0))
