@@ -18,6 +18,8 @@ import shapely
 from planner import pipeline, processes
 from planner.geometry.arrays import Mesh
 from planner.issues import TandemError
+from planner.motion import solve
+from planner.post import write
 from planner.targets import ScrewFreedom
 from planner.tooling import mill
 from planner.trim.check import gouged
@@ -27,10 +29,12 @@ from planner.trim.operation import OutlineFile
 from planner.trim.slots import Wanted
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
+from planner.verify.prove import Prover
 from planner.verify.rules.trim import trim_cut
 from planner.verify.rules.trim_mill import _beside, trim_mill, trim_spindle
 from planner.verify.trim import outlines
 from planner.verify.trim.torch_motion import Trimming
+from tests import urdf_text
 from tests.small_forming import die, dish
 from tests.small_forming import write as write_forming
 from tests.trim.small_trim import KUKA, MILL, OUTLINES, Job, data, milled, problem
@@ -352,3 +356,18 @@ def test_a_long_slot_is_looked_at_as_closely_as_a_short_one(job: Job) -> None:
     long["tip"][k] += 1.5 * (out - way.feet.foot[k % len(way.tip)])
     found = _beside(context, work, curve, own, "trim/wall", dataclasses.replace(way, **long))[1]
     assert {issue.code for issue in found} == {"verify.trim_mill"}
+
+
+def test_an_arm_of_ur_mills(tmp_path: Path) -> None:
+    (tmp_path / "ur10e.urdf").write_text(urdf_text.ur10e(), "utf-8")
+    arm = {"robot": {"urdf": "ur10e.urdf", "name": "ur10e", "family": "ur", "payload_kg": 12.5}}
+    whole = data(outlines=[ROUND], arm=arm, controller={"io": {"robot": {"doSpindle": 8}}}, **milled())
+    del whole["cell"]["arms"][0]["home_deg"]
+    whole["sheet"]["place"] = {"xyz_mm": [700, 0, 300]}
+    read = pipeline.load(write_forming(tmp_path, whole, dish()))
+    programs = dict(write.programs(solve.solve(read, [processes.job(read, 0).targets()]), read))
+    prover = Prover(read, processes.claims(read))
+    assert prover.prove(programs).ok
+    (file,) = programs
+    late = programs[file].replace("sleep(5.0)", "sleep(0.5)")
+    assert "verify.trim_spindle" in {issue.code for issue in prover.prove({file: late}).issues}

@@ -8,7 +8,7 @@ trim_feed, trim_clear.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from planner.claims.trim import TrimsSheet
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
-from planner.tooling import Cutter
+from planner.tooling import Mill, Torch
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.files import UnreadError
 from planner.verify.job import TaskText
@@ -367,7 +367,7 @@ def trim_clear(context: Context, trimming: Trimming) -> Outcome:
     worst, limit, where = np.inf, None, ""
     for work in trimming.works:
         claim = work.claim
-        issues += _same_torch(context, work)
+        issues += _same_tool(context, work)
         rows = np.flatnonzero(np.char.startswith(work.track.label.astype(str), f"{TRIM}/"))
         if not len(rows):
             continue
@@ -392,26 +392,34 @@ def trim_clear(context: Context, trimming: Trimming) -> Outcome:
     return Outcome(tuple(issues), mm(worst), limit, "mm", where)
 
 
-def _same_torch(context: Context, work: TrimWork) -> Iterator[Issue]:
-    own: object = context.setups[work.index].cell.arm(work.claim.arm).tool
-    said = work.claim.torch if work.claim.mill is None else work.claim.mill.cutter
-    if said is None:
-        yield Issue("verify.trim_clear", f"no tool is claimed for {work.claim.arm}", arm=work.claim.arm)
-        return
-    names: tuple[str, ...] = ("standoff", "kerf", "nozzle", "cone", "body", "back")
-    if work.claim.mill is not None:
-        own, said = getattr(own, "cutter", None), work.claim.mill.cutter
-        names = ("radius", "corner", "flute", "overhang", "shank", "behind")
-    wanted = abs(work.claim.kerf - (2.0 * said.radius if isinstance(said, Cutter) else said.kerf)) < 1e-9
-    if not wanted or not all(_alike(getattr(own, name, np.inf), getattr(said, name)) for name in names):
-        what = f"the tool of {work.claim.arm} in setup {work.index + 1} is another one than the claimed"
-        yield Issue("verify.trim_clear", what, arm=work.claim.arm)
+TORCH_SIZES = ("standoff", "kerf", "nozzle", "cone", "body", "back")
+"""What of a torch counts,"""
+CUTTER_SIZES = ("radius", "corner", "flute", "overhang", "shank", "behind")
+"""and what of a mill's cutter."""
 
 
-def _alike(one: object, other: object) -> bool:
-    """Whether sizes are the same."""
-    a, b = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
-    return a.shape == b.shape and bool(np.all(np.abs(a - b) < 1e-9))
+def _same_tool(context: Context, work: TrimWork) -> Iterator[Issue]:
+    """Whether the tool on the arm is the claimed one, and cuts as wide as is claimed."""
+    claim, tool = work.claim, context.setups[work.index].cell.arm(work.claim.arm).tool
+    same = False
+    if claim.mill is not None and isinstance(tool, Mill):
+        said = claim.mill.cutter
+        same = _alike(tool.cutter, said, CUTTER_SIZES) and abs(claim.kerf - 2.0 * said.radius) < SAME_SIZE
+    elif claim.torch is not None and isinstance(tool, Torch):
+        same = _alike(tool, claim.torch, TORCH_SIZES) and abs(claim.kerf - claim.torch.kerf) < SAME_SIZE
+    if not same:
+        what = f"the tool of {claim.arm} in setup {work.index + 1} is another one than the claimed"
+        yield Issue("verify.trim_clear", what, arm=claim.arm)
+
+
+SAME_SIZE = 1e-9
+"""Sizes that differ by less [m] are the same."""
+
+
+def _alike(one: object, other: object, sizes: Sequence[str]) -> bool:
+    """Whether both have the same sizes."""
+    pairs = ([np.asarray(getattr(tool, name), dtype=np.float64) for tool in (one, other)] for name in sizes)
+    return all(a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_SIZE)) for a, b in pairs)
 
 
 def every(trimming: Trimming) -> Iterator[tuple[TrimWork, Curve, str, Way]]:
