@@ -60,6 +60,13 @@ def along(x: float) -> Callable[[str], str]:
     return moved(lambda p: p + np.array([x, 0.0, 0.0]))
 
 
+def deeper_first(text: str) -> str:
+    """Its move, and before that one to 2 mm below where the tip was."""
+    at = text.index("    MoveL")
+    line = text[at : text.index("\n", at) + 1]
+    return text[:at] + moved(lambda p: np.array([p[0], p[1], -9.0]))(line) + text[at:]
+
+
 FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "a hole beside its place": ("verify.trim_kept", "trim_round", along(1.0)),
     "a hole too small": ("verify.trim_cut", "trim_round", moved(lambda p: p * np.array([0.9, 0.9, 1.0]))),
@@ -72,6 +79,7 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "down too fast": ("verify.trim_mill", "trim_round", timed(0.2)),
     "down in the part": ("verify.trim_mill", "trim_round_in", along(8.0)),
     "into the sheet on the way to it": ("verify.trim_mill", "trim_round_in", up(-3.0)),
+    "deeper on the way out": ("verify.trim_mill", "trim_round_out", deeper_first),
     "aside on the way out": ("verify.trim_mill", "trim_round_out", along(20.0)),
     "the spindle stands": ("verify.trim_spindle", MAIN, replaced(ON, "")),
     "the spindle is off again at once": ("verify.trim_spindle", MAIN, replaced(ON, ON + OFF)),

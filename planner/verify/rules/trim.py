@@ -22,7 +22,7 @@ from planner.verify.files import UnreadError
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import MoveStep, SignalStep, Step, WaitStep
 from planner.verify.trim.outlines import TRIM, Curve, winding
-from planner.verify.trim.torch_motion import PLACE_ERROR, Trimming, TrimWork, Way, off_sheet
+from planner.verify.trim.torch_motion import PLACE_ERROR, PLACE_STEP, Trimming, TrimWork, Way, off_sheet
 
 NOTHING_TRIMMED = "nothing is trimmed"
 """Why rules about trimming have not run."""
@@ -32,6 +32,10 @@ STANDING = 0.05e-3
 """A torch that moves by no more than this [m] stands."""
 AVERAGE_SLACK = 0.95
 """Share of the least average feed that is accepted, as ramps of the replay are those of no controller."""
+SAME_PLACE = 1e-9
+"""Places along a curve that are nearer [m] are one."""
+LEAST_JOINT = 0.5
+"""Share of its width that a micro-joint has at least."""
 GOING_DOWN = 2.0
 """A mill that is higher by more than so many tolerances is still on its way down."""
 CLEAR_SHARE = 0.1
@@ -74,37 +78,78 @@ def _closed(work: TrimWork, curve: Curve, ways: list[Way]) -> tuple[float, list[
     near = work.near
     foot = np.concatenate([way.feet.foot for way in ways])
     off, at = (np.concatenate([getattr(way, name) for way in ways]) for name in ("off", "at"))
-    apart = np.asarray(cKDTree(foot).query(curve.ring)[0]) - half
-    bare = apart > near
-    left = float(np.abs(apart[~bare]).max(initial=0.0))
     on = np.abs(off - half) <= near
+    apart = np.asarray(cKDTree(foot).query(curve.ring)[0]) - half
     if not on.any():
         what = f"the slot is nowhere within {mm(claim.tolerance):g} mm of {one.name}, on the side that "
         what += "drops; the "
         what += f"nearest place of it is {mm(float(np.abs(off - half).min())):.2f} mm off"
+        left = float(np.abs(apart[apart <= near]).max(initial=0.0))
         return left, [Issue("verify.trim_cut", what, field=one.name)]
     issues = []
-    gaps = _runs(bare)
-    if len(gaps) != one.joints:
-        x, y, _ = curve.ring[gaps[0][0]] / 1e-3 if gaps else curve.ring[0] / 1e-3
-        what = f"{one.name} is left uncut in {len(gaps)} places, wanted: {one.joints}"
-        what += f"; the first is at ({x:.1f}, {y:.1f}) mm" if gaps else ""
-        count = {"value": float(len(gaps)), "limit": float(one.joints)}
-        issues.append(Issue("verify.trim_cut", what, field=one.name, **count))  # type: ignore[arg-type]
-    for first, last in gaps if one.joints else ():
-        before = foot[on][int(np.argmin((curve.along[first] - at[on]) % curve.length))]
-        behind = foot[on][int(np.argmin((at[on] - curve.along[last]) % curve.length))]
+    gaps = []
+    held = np.zeros(len(curve.ring), dtype=bool)
+    for first, last in uncut(curve, ways, half, near):
+        before = foot[on][int(np.argmin((first + SAME_PLACE - at[on]) % curve.length))]
+        behind = foot[on][int(np.argmin((at[on] - last + SAME_PLACE) % curve.length))]
         width = float(np.linalg.norm(behind - before)) - 2.0 * half
-        if abs(width - one.width) > near:
-            x, y, _ = curve.ring[first] / 1e-3
-            what = (
-                f"the micro-joint of {one.name} at ({x:.1f}, {y:.1f}) mm is {mm(width):.2f} mm wide; wanted: "
-            )
-            what += f"{mm(one.width):g} mm within {mm(claim.tolerance):g}"
+        if width > PLACE_ERROR:  # else its round ends meet
+            gaps.append((first, last, width))
+            held |= (curve.along - first) % curve.length < last - first
+    bare = _runs((apart > near) & ~held)
+    left = float(np.abs(apart[(apart <= near) & ~held]).max(initial=0.0))
+    if bare or len(gaps) != one.joints:
+        count = len(gaps) + len(bare)
+        what = f"{one.name} is left uncut in {count} places, wanted: {one.joints}"
+        if count:
+            x, y, _ = curve.place(gaps[0][0] if gaps else float(curve.along[bare[0][0]])) / 1e-3
+            what += f"; the first is at ({x:.1f}, {y:.1f}) mm"
+        measure = {"value": float(count), "limit": float(one.joints)}
+        issues.append(Issue("verify.trim_cut", what, field=one.name, **measure))  # type: ignore[arg-type]
+    for first, last, width in gaps if one.joints else ():
+        x, y, _ = curve.place(first) / 1e-3
+        said = f"the micro-joint of {one.name} at ({x:.1f}, {y:.1f}) mm"
+        if abs(width - one.width) > near or width < LEAST_JOINT * one.width:
+            what = f"{said} is {mm(width):.2f} mm wide; wanted: {mm(one.width):g} mm within "
+            what += f"{mm(claim.tolerance):g}"
             issues.append(
                 Issue("verify.trim_cut", what, field=one.name, value=mm(width), limit=mm(one.width))
             )
+        if any(_passes(curve, way, first, last) for way in ways):
+            what = f"{said} is cut off behind, in what drops, so that it holds nothing"
+            issues.append(Issue("verify.trim_cut", what, field=one.name))
     return left, issues
+
+
+def uncut(curve: Curve, ways: list[Way], half: float, near: float) -> list[tuple[float, float]]:
+    """From where to where [m] along a closed curve no slot is ``half`` its width within ``near`` [m] off it.
+    Between two places next to each other it goes on, also across an inner corner."""
+    jump = 2.0 * np.sqrt((half + near) ** 2 - half**2) + 4.0 * PLACE_STEP
+    begin, size = [np.zeros(0)], [np.zeros(0)]
+    for way in ways:
+        on = np.abs(way.off - half) <= near
+        step = (np.diff(way.at) + 0.5 * curve.length) % curve.length - 0.5 * curve.length
+        goes_on = np.linalg.norm(np.diff(way.feet.foot, axis=0), axis=1) < 3.0 * PLACE_STEP
+        step = np.append(np.where(on[1:] & goes_on & (np.abs(step) <= jump), step, 0.0), 0.0)[on]
+        begin.append((way.at[on] + np.minimum(step, 0.0)) % curve.length)
+        size.append(np.abs(step))
+    order = np.argsort(np.concatenate(begin), kind="stable")
+    low, high = np.concatenate(begin)[order], (np.concatenate(begin) + np.concatenate(size))[order]
+    if not len(low):
+        return [(0.0, curve.length)]
+    # three times round, of which the second one has all that goes over the end
+    turns = curve.length * np.arange(3)[:, None]
+    low, high = (low + turns).ravel(), np.maximum.accumulate((high + turns).ravel())
+    ends = (high[:-1] >= curve.length) & (high[:-1] < 2.0 * curve.length) & (low[1:] > high[:-1] + SAME_PLACE)
+    return [(float(a), float(b)) for a, b in zip(high[:-1][ends], low[1:][ends], strict=True)]
+
+
+def _passes(curve: Curve, way: Way, first: float, last: float) -> bool:
+    """Whether a slot goes past the middle of a joint from ``first`` to ``last`` [m] along its curve, however
+    far off."""
+    beside = (way.at - 0.5 * (first + last) + 0.5 * curve.length) % curve.length - 0.5 * curve.length
+    there = np.abs(beside) < max(0.5 * (last - first), 2.0 * PLACE_STEP)
+    return bool((there[1:] & there[:-1] & (beside[1:] * beside[:-1] <= 0.0)).any())
 
 
 def _runs(flags: BoolArray) -> list[tuple[int, int]]:
@@ -298,8 +343,7 @@ def _unwaited(task: TaskText, step: Step, claim: TrimsSheet) -> Issue:
 
 @rule("verify.trim_order", TrimsSheet)
 def trim_order(context: Context, trimming: Trimming) -> Outcome:
-    """An outline that lies in another one is cut before that, which would let it move; slots of one outline
-    are cut without others between them."""
+    """An outline that lies in another one is wholly cut before that is begun, which would let it move."""
     issues: list[Issue] = []
     pairs = 0
     for work in trimming.works:

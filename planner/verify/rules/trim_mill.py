@@ -55,7 +55,7 @@ def trim_mill(context: Context, trimming: Trimming) -> Outcome:
             _depth(context, work, own, key, way),
             _leans(context, work, key, way),
             _entry(context, work, own, key, way),
-            _leaves(context, work, key),
+            _leaves(context, work, own, key),
             _beside(context, work, curve, own, key, way),
         ):
             issues += some
@@ -151,7 +151,7 @@ def _entry(context: Context, work: TrimWork, own: TrimCutter, key: str, way: Way
     return share, out
 
 
-def _leaves(context: Context, work: TrimWork, key: str) -> Found:
+def _leaves(context: Context, work: TrimWork, mill: TrimCutter, key: str) -> Found:
     """On the way in the cutter is over the sheet, and the way out is along its axis until it is."""
     claim, out, worst = work.claim, list[Issue](), 0.0
     own = Segment(TRIM, key.split("/", 1)[1])
@@ -166,6 +166,10 @@ def _leaves(context: Context, work: TrimWork, key: str) -> Found:
                 what = f"the cutter comes down {mm(float(deep[k])):.2f} mm into the sheet on its way to it"
                 out.append(_told(context, work, key, what, int(track.rows[k])))
             continue
+        most = claim.thickness + mill.below + claim.height + work.sheet.tolerance + PLACE_ERROR
+        for k in np.flatnonzero(deep > most)[:1]:
+            what = f"the cutter is {mm(float(deep[k])):.2f} mm behind the face; allowed: {mm(most):.2f} mm"
+            out.append(_told(context, work, key, what, int(track.rows[k])))
         aside = np.linalg.norm(feet.foot - feet.foot[0], axis=1)[within]
         worst = float(aside.max(initial=0.0)) / (claim.tolerance + PLACE_ERROR)
         for k in within[aside > claim.tolerance + PLACE_ERROR][:1]:
