@@ -166,8 +166,8 @@ def blocks(way: Way, machine: Convention) -> tuple[FloatArray, FloatArray, Float
     that they belong to, the first one of each included. Moves are halved until the axis, whose angles go
     evenly, is within :data:`AXIS_OFF` of the plan's, which goes along great circles."""
     share = np.arange(len(way.tip), dtype=np.float64)
+    turn = angles(way.axis, machine)
     for _ in range(MOST_HALVES):
-        turn = angles(_axis_at(way, share), machine)
         middle = 0.5 * (share[1:] + share[:-1])
         straight = machine.axis(0.5 * (turn[1:] + turn[:-1]))
         off = np.linalg.norm(straight - _axis_at(way, middle), axis=1)
@@ -175,7 +175,7 @@ def blocks(way: Way, machine: Convention) -> tuple[FloatArray, FloatArray, Float
         if not far.any():
             break
         share = np.sort(np.concatenate([share, middle[far]]))
-    turn = angles(_axis_at(way, share), machine)
+        turn = angles(_axis_at(way, share), machine)
     whole = np.arange(len(way.tip))
     tip = np.stack([np.interp(share, whole, way.tip[:, k]) for k in range(3)], axis=1)
     return tip, turn, np.interp(share, whole, way.time), np.ceil(share - 1e-12)
@@ -197,28 +197,29 @@ def _axis_at(way: Way, share: FloatArray) -> FloatArray:
 
 def _operation(way: Way, machine: Convention) -> Iterator[str]:
     tip, turn, time, target = blocks(way, machine)
-    used = [ROTARY_NAMES.index(letter) for letter in machine.letters]
-    span = ", ".join(
-        f"{ROTARY_NAMES[k]} {turn[:, k].min() / DEG:.3f} to {turn[:, k].max() / DEG:.3f}" for k in used
-    )
+    used = [(letter, ROTARY_NAMES.index(letter)) for letter in machine.letters]
+    degrees = turn / DEG
+
+    def rotary(row: int) -> str:
+        return " ".join(f"{letter}{degrees[row, k]:.5f}" for letter, k in used)
+
+    span = ", ".join(f"{letter} {degrees[:, k].min():.3f} to {degrees[:, k].max():.3f}" for letter, k in used)
     step = np.maximum(np.diff(time), 1e-9)[:, None]
-    fast = (np.abs(np.diff(turn, axis=0)) / step / DEG).max(axis=0) if len(time) > 1 else np.zeros(3)
+    fast = (np.abs(np.diff(degrees, axis=0)) / step).max(axis=0) if len(time) > 1 else np.zeros(3)
     yield f"({_plain(way.name)}: {span} deg)"
-    yield f"(fastest rotary axes: {', '.join(f'{ROTARY_NAMES[k]} {fast[k]:.2f} deg/s' for k in used)})"
+    yield f"(fastest rotary axes: {', '.join(f'{letter} {fast[k]:.2f} deg/s' for letter, k in used)})"
     waiting = list(way.actions)
     while waiting and waiting[0].at == 0:
         yield from _done(waiting.pop(0), way)
     yield from _pause("tool centre point control on, tool high above the stock?")
-    at = [f"{ROTARY_NAMES[k]}{turn[0, k] / DEG:.5f}" for k in used]
     x, y, z = (tip[0] / MM).tolist()
-    yield f"G94 G0 {' '.join(at)}"
+    yield f"G94 G0 {rotary(0)}"
     yield f"G0 X{x:.5f} Y{y:.5f}"
     yield f"G0 Z{z:.5f}"
     for i in range(1, len(tip)):
         yield from _named(way, int(target[i]), int(target[i - 1]))
         place = " ".join(f"{word}{value:.5f}" for word, value in zip("XYZ", tip[i] / MM, strict=True))
-        around = " ".join(f"{ROTARY_NAMES[k]}{turn[i, k] / DEG:.5f}" for k in used)
-        yield f"G93 G1 {place} {around} F{60.0 / (time[i] - time[i - 1]):.6f}"
+        yield f"G93 G1 {place} {rotary(i)} F{60.0 / (time[i] - time[i - 1]):.6f}"
         if i + 1 == len(tip) or target[i + 1] > target[i]:
             while waiting and waiting[0].at <= target[i]:
                 yield from _done(waiting.pop(0), way)
