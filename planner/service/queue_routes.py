@@ -116,9 +116,9 @@ async def batch(
     tag: Annotated[Tag, Query(description="a tag that all of them get")] = "batch",
 ) -> JobList:
     """A job for each part ``problem``, all or none, with the ``files`` in common and a tag. What is wrong
-    with problems that cannot be read is told of each, by the name of its file."""
+    with problems that cannot be read is told of each, by the name of its file and by its number in ``of``."""
     uploads = await take_uploads(request, here.storage, owner, here.limits, MOST_VALUES)
-    content = {name: one.content for name, one in uploads.items()}
+    content = [[name, one.content] for name, one in uploads.items()]  # jobs are in their order
     once = idempotency.once(owner, key, "batches", content, tag)
     jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
     if not jobs:

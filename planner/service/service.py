@@ -313,17 +313,17 @@ class Service:
         """A job for each of several problems with common files, all or none; raises as :meth:`create`, for
         all problems that cannot be read at once."""
         read: dict[str, Examined] = {}
-        refused: list[RefusedError] = []
-        for name, upload in uploads.items():
+        refused: list[tuple[int, Issue]] = []
+        for number, (name, upload) in enumerate(uploads.items()):
             try:
                 with _said_of(f"{name[:80]}: "):
                     read[name] = self.examine(upload, reading=reading)
             except RefusedError as error:
                 if error.status != 422:
                     raise
-                refused.append(error)
+                refused += [(number, issue) for issue in error.issues]
         if refused:
-            raise RefusedError(422, [issue for one in refused for issue in one.issues])
+            raise RefusedError(422, [one for _, one in refused], of=[number for number, _ in refused])
         files = {name: blob for upload in uploads.values() for name, blob in upload.files.items()}
         stored = self.stored(owner, read, files, PROBLEM)
         jobs = [self.new_job(owner, one.name, one, stored[name]) for name, one in read.items()]

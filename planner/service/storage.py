@@ -406,8 +406,10 @@ def _sorted(
     jobs: dict[str, UploadFile | str] = {}
     for number, problem in enumerate(problems, 1):
         called = problem if isinstance(problem, str) else problem.filename
-        own = f"problem {number}" if isinstance(problem, str) or not called else called[-LONGEST_NAME:]
-        if own in jobs:
+        own = f"problem {number}" if isinstance(problem, str) or not called else called
+        if most > 1 and (len(own) > LONGEST_NAME or not own.isprintable()):  # of one, nobody asks its name
+            faults.append(_unnamed(own, "problem"))
+        elif own in jobs:
             faults.append(_fault("problem", f"two problems have the name {own[:80]!r}; rename one"))
         jobs[own] = problem
     named: dict[str, UploadFile] = {}
@@ -418,9 +420,7 @@ def _sorted(
             continue
         name = one.filename or ""
         if not base_name(name) or len(name) > LONGEST_NAME or not name.isprintable():
-            what = f"the name {name[:80]!r} of {len(name)} characters is empty, has more than {LONGEST_NAME} "
-            what += "or one that is not printable, or ends as a folder does; rename the file"
-            faults.append(Issue("service.file_name", f"{field}: {what}", field=field))
+            faults.append(_unnamed(name, field))
         elif name in named:
             what = f"two files have the name {name[:80]!r}; rename one"
             faults.append(Issue("service.file_name", f"{field}: {what}", field=field))
@@ -442,6 +442,12 @@ def _store(
     blobs = storage.put(owner, [*streams, *(one.file for one in uploads.values())])
     files = dict(zip(uploads, blobs[len(problems) :], strict=True))
     return {name: Upload(blob, files) for name, blob in zip(problems, blobs, strict=False)}
+
+
+def _unnamed(name: str, field: str) -> Issue:
+    what = f"the name {name[:80]!r} of {len(name)} characters is empty, has more than {LONGEST_NAME} "
+    what += "or one that is not printable, or ends as a folder does; rename the file"
+    return Issue("service.file_name", f"{field}: {what}", field=field)
 
 
 def _fault(field: str, what: str) -> Issue:

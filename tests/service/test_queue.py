@@ -148,6 +148,12 @@ def test_several_problems_make_a_job_each_or_none(tmp_path: Path) -> None:
         assert wrong.status_code == 422
         said = [one["message"].partition(": ")[0] for one in wrong.json()["issues"]]
         assert said == ["b.yaml", "c.yaml"], wrong.text
+        assert wrong.json()["of"] == [1, 2]
+        swapped = [good[1], good[0], good[2]]  # jobs come in the order of the parts
+        turned = sent(*swapped, names=("b.yaml", "a.yaml", "c.yaml"), headers=header)
+        assert codes(turned) == [("service.idempotency", "Idempotency-Key")]
+        for name in ("W" * 256, "a\u202e.yaml"):
+            assert codes(sent(good[0], names=(name,))) == [("service.file_name", "problem")]
         for refused, what in (
             (sent(*good, names=("a.yaml", "a.yaml", "b.yaml")), "two problems have the name 'a.yaml'"),
             (
