@@ -102,10 +102,12 @@ class Drafts:
             return draft_row(db, draft)
 
     def mark_sent(self, draft: str, number: int, job: str) -> RowMapping:
-        """Note that a version was sent as that job; raises :class:`RefusedError`, 404."""
+        """Note that a version was sent as that job, unless a newer one was; raises :class:`RefusedError`,
+        404."""
         with self._database.write() as db:
             version_row(db, draft, number)
-            db.execute(update(DRAFTS).where(DRAFTS.c.id == draft).values(sent=number, job=job))
+            first = or_(DRAFTS.c.sent.is_(None), DRAFTS.c.sent <= number)
+            db.execute(update(DRAFTS).where(DRAFTS.c.id == draft, first).values(sent=number, job=job))
             return draft_row(db, draft)
 
     def delete(self, draft: str, by: str) -> None:
