@@ -99,13 +99,11 @@ async def sweep(
     sent = await anyio.to_thread.run_sync(versions_of, [draft] if draft else [], owner, who, here)
     upload = await take_upload(request, here.storage, owner, here.limits)
     once = idempotency.once(owner, key, "sweeps", upload.content, field, values, tag)
-    jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
-    if not jobs:
-        jobs = await here.in_turn(
-            request, owner, lambda reading: here.sweep(owner, upload, field, values, tag, reading, once)
-        )
+    jobs = await here.made_once(
+        request, owner, once, lambda reading: here.sweep(owner, upload, field, values, tag, reading, once)
+    )
     await anyio.to_thread.run_sync(mark_sent, sent, jobs, here)
-    return JobList(jobs=jobs)
+    return JobList(jobs=list(jobs))
 
 
 @router.post(
@@ -134,14 +132,12 @@ async def batch(
     uploads = await take_uploads(request, here.storage, owner, here.limits, MOST_VALUES)
     content = [[name, one.content] for name, one in uploads.items()]  # jobs are in their order
     once = idempotency.once(owner, key, "batches", content, tag)
-    jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
-    if not jobs:
-        jobs = await here.in_turn(
-            request, owner, lambda reading: here.batch(owner, uploads, tag, reading, once)
-        )
+    jobs = await here.made_once(
+        request, owner, once, lambda reading: here.batch(owner, uploads, tag, reading, once)
+    )
     if len(jobs) == len(uploads):  # none of those that were made before is gone
         await anyio.to_thread.run_sync(mark_sent, sent, jobs, here)
-    return JobList(jobs=jobs)
+    return JobList(jobs=list(jobs))
 
 
 def _value(text: str) -> Any:

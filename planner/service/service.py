@@ -135,6 +135,18 @@ class Service:
         self._read: OrderedDict[str, Examined] = OrderedDict()
         self._read_lock = threading.Lock()
 
+    async def made_once(
+        self,
+        request: Request,
+        owner: str,
+        once: Once | None,
+        make: Callable[[Reading], Sequence[JobOut]],
+    ) -> Sequence[JobOut]:
+        """The jobs that a request made which is to be done ``once``, else those that are made now; raises as
+        :meth:`in_turn`, and 422 for a key that came with another request."""
+        known = await anyio.to_thread.run_sync(self.jobs.made, once)
+        return known or await self.in_turn(request, owner, make)
+
     async def in_turn(self, request: Request, owner: str, read: Callable[[Reading], Read]) -> Read:
         """What ``read`` gives, in a thread, when it is the owner's turn: one token never keeps all readers
         from the others, and has so many requests waiting at most. A connection that is closed meanwhile ends

@@ -1,12 +1,11 @@
 // Releases the proven panels of an element by one act, each as it was shown; those that are refused are named.
 import { post } from "./api.js";
-import { banner, me, tell } from "./common.js";
+import { banner, me, sign, signed, tell } from "./common.js";
 import { $, announce, h, icon, show } from "./dom.js";
+import { plural } from "./words.js";
 
-const NAME = "tandem-name"; // who said so the last time, where the service asks for no tokens
 // What was withdrawn had its reason, and is released again where that stands: at its job.
 export const toRelease = (panels) => panels.filter((panel) => panel.state === "verified" && panel.release === "not-released");
-const plural = (n, one) => `${n.toLocaleString("en-GB")} ${one}${n === 1 ? "" : "s"}`;
 
 // How the button stands for these panels.
 export function drawReleasePanels(panels) {
@@ -29,14 +28,14 @@ export async function setUpReleasePanels(path, panels, after) {
     const left = panels().length - shown.length;
     $("release-count").textContent = `${plural(shown.length, "panel")}${left ? `; ${plural(left, "other")} not: not proven, released already, or withdrawn` : ", all that there are"}.`;
     $("release-what").replaceChildren(...shown.flatMap((one) => [h("dt", {}, one.id), h("dd", {}, h("code", { title: one.digest }, one.digest.slice(0, 16)))]));
-    $("release-name").value = localStorage.getItem(NAME) ?? "";
+    $("release-name").value = signed();
     $("release-ask").returnValue = "";
     $("release-ask").showModal();
   });
   $("release-ask").addEventListener("close", async () => {
     if ($("release-ask").returnValue !== "yes") return;
     const by = named ? { name: $("release-name").value } : {};
-    if (named) localStorage.setItem(NAME, by.name);
+    if (named) sign(by.name);
     const asked = Object.fromEntries(shown.map((one) => [one.id, { job: one.job, digest: one.digest }]));
     let done = null;
     try {
