@@ -38,7 +38,7 @@ from planner.service.releases import Releases
 from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
 from planner.service.storage import Blob, Files, Storage, Upload
-from planner.service.texts import LINE, line
+from planner.service.texts import begin
 from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
 from planner.service.webhooks import Sender, Webhooks
 
@@ -307,9 +307,8 @@ class Service:
         files = self.stored(owner, read, upload.files, PROBLEM)
         jobs = []
         for (name, one), value in zip(read.items(), values, strict=True):
-            title = line(
-                f"{one.name}: {field} = {value if isinstance(value, str) else json.dumps(value)}"[:LINE]
-            )
+            shown = value if isinstance(value, str) else json.dumps(value)
+            title = begin(f"{one.name}: {field} = {shown}")
             new = self.new_job(owner, one.name, one, files[name])
             jobs.append(dataclasses.replace(new, title=title, tags=(tag,)))
         return self.jobs.create_all(jobs, once)
@@ -338,8 +337,13 @@ class Service:
             raise RefusedError(422, [one for _, one in refused], of=[number for number, _ in refused])
         files = {name: blob for upload in uploads.values() for name, blob in upload.files.items()}
         stored = self.stored(owner, read, files, PROBLEM)
-        jobs = [self.new_job(owner, one.name, one, stored[name]) for name, one in read.items()]
-        return self.jobs.create_all([dataclasses.replace(one, tags=(tag,)) for one in jobs], once)
+        same = Counter(one.name for one in read.values())
+        jobs = []
+        for name, one in read.items():  # those that have one name are told apart by their files
+            title = begin(f"{one.name}: {name}") if same[one.name] > 1 else ""
+            new = self.new_job(owner, one.name, one, stored[name])
+            jobs.append(dataclasses.replace(new, title=title, tags=(tag,)))
+        return self.jobs.create_all(jobs, once)
 
     def examine_element(
         self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: Reading

@@ -166,6 +166,12 @@ def test_several_problems_make_a_job_each_or_none(tmp_path: Path) -> None:
             assert refused.status_code == 422
             assert what in refused.text, refused.text
         assert len(here.http.get("/v1/jobs?limit=200").json()["jobs"]) == 3
+        twice = sent(named("same"), named("same"), named("other")).json()["jobs"]
+        assert [one["title"] for one in twice] == ["same: a.yaml", "same: b.yaml", ""]
+        wide = sent(
+            named("same"), named("same"), names=("\u0958" * 150, "b")
+        )  # each is two letters when kept
+        assert wide.json()["jobs"][0]["title"] == "same: " + "\u0915\u093c" * 97
         here.team.hold.set()
         object.__setattr__(here.service.limits, "open_jobs", 1)
         many = sent(named("n"), named("m"))
