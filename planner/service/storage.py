@@ -371,12 +371,16 @@ async def take_uploads(
         raise RefusedError(422, _fault("Content-Type", what))
     try:
         async with request.form(
-            max_files=limits.files + most, max_fields=len(FIELDS) - 1 + most, max_part_size=MAX_YAML_BYTES
+            max_files=limits.files + most,
+            max_fields=len(FIELDS) - 1 + most,
+            max_part_size=MAX_YAML_BYTES // most,  # texts are held in memory, files are not
         ) as form:
             problems, uploads = _sorted(form, limits, most)
             return await anyio.to_thread.run_sync(_store, storage, owner, problems, uploads)
     except HTTPException as error:
-        raise RefusedError(422, _fault("body", f"the form cannot be read: {error.detail}")) from error
+        what = f"the form cannot be read: {error.detail}"
+        more = "; send problems as files" if most > 1 else ""
+        raise RefusedError(422, _fault("body", what + more)) from error
     except ClientDisconnect as error:
         raise RefusedError(422, _fault("body", "the upload broke off; send it again")) from error
     except OSError as error:
@@ -456,7 +460,8 @@ def _fault(field: str, what: str) -> Issue:
 
 def documented(problem: Mapping[str, Any], most: int = 1) -> dict[str, Any]:
     """The request body for OpenAPI, of up to ``most`` problems; ``problem`` is the schema of their files."""
-    text = {"type": "string", "maxLength": MAX_YAML_BYTES, "description": "the same as YAML or JSON text"}
+    longest = MAX_YAML_BYTES // most
+    text = {"type": "string", "maxLength": longest, "description": "the same as YAML or JSON text"}
     form: dict[str, Any] = {
         "type": "object",
         "required": ["problem"],

@@ -162,6 +162,10 @@ def test_several_problems_make_a_job_each_or_none(tmp_path: Path) -> None:
             ),
             (sent(), "got 0 problems, 1 to 50 may be"),
             (sent(*good, params={"tag": "a\u202eb"}), "right-to-left override"),
+            (
+                here.http.post(url, data={"problem": [good[0], "x" * 200_000]}, files={"files": ("t", b"1")}),
+                "exceeded maximum size of 97KB.; send problems as files",
+            ),
         ):
             assert refused.status_code == 422
             assert what in refused.text, refused.text
