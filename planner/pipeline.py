@@ -480,7 +480,8 @@ def _maps(problem: Problem, made: Plan) -> Iterator[FreedomMap]:
         place, model = made.places[setup.number - 1], cell_model(problem, made, setup)
         scene = Scene.of(setup.cell, own.targets.arms, place, problem.settings, model, made.bases)
         rows = spread_rows(own.targets.count, FIRST_TARGETS)
-        few, names = subset(own.targets, rows), [one.name for one in own.targets.freedoms]
+        few, columns = subset(own.targets, rows), [one.name for one in own.targets.freedoms]
+        names = tuple(own.targets.name(row) for row in rows.tolist())
         for freedom, unit in axis_map.freedoms(own.targets, stated=False).items():
             found = axis_map.axis_map(scene, few, freedom, own.values[rows])
             shown, scale = axis_map.SHOWN[unit]
@@ -488,13 +489,13 @@ def _maps(problem: Problem, made: Plan) -> Iterator[FreedomMap]:
                 operation=own.name,
                 freedom=freedom,
                 unit=shown,
-                names=tuple(own.targets.name(row) for row in rows.tolist()),
+                names=names,
                 values=found.values / scale,
                 states=found.places.state,
                 causes=("", *axis_map.CAUSES.values()),
                 apart=found.clearance / MM,
                 clearance=problem.settings.clearance / MM,
-                path=own.values[rows, names.index(freedom)] / scale,
+                path=own.values[rows, columns.index(freedom)] / scale,
             )
 
 

@@ -241,19 +241,17 @@ class Elements:
         409 where none can be released, 422."""
         self._divided(element)
         with self._database.read() as db:
-            now = {panel: one.job for panel, one in _panels(db, element).items()}
-        strange = sorted(shown.keys() - now.keys())
+            strange = sorted(shown.keys() - _panels(db, element).keys())
         if strange:
             what = (
                 f"panels: got {', '.join(one[:32] for one in strange[:5])}, of which no panel has a job here"
             )
             raise RefusedError(422, Issue("service.request", f"{what}; see its list", field="panels"))
-        past = {one for one, of in shown.items() if of.job != now[one]}
-        good = {one: of for one, of in shown.items() if one not in past}
-        made, refused = self._service.releases.release_panels(element, good, who, name, note)
-        for one in past:
-            what = f"it was planned again meanwhile, as job {now[one]}; look at it again"
-            refused[one] = RefusedError(409, Issue("service.release", what))
+
+        def last(db: Connection) -> dict[str, str]:
+            return {panel: one.job for panel, one in _panels(db, element).items()}
+
+        made, refused = self._service.releases.release_panels(element, shown, last, who, name, note)
         if not made:
             told = [
                 dataclasses.replace(one, message=f"{panel}: {one.message}")
