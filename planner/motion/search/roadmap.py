@@ -44,6 +44,10 @@ DOUBT_COUNT: Final = 3
 
 MOST_STATES: Final = 400
 """States of a rung that are kept at most, evenly spread."""
+MOST_KEPT_STEPS: Final = 10_000_000
+"""Steps of the best choice of branches at most for it to be kept while the others are looked at: 120 MB."""
+_NO_TURN: Final = 3.0
+"""Changes of a joint [rad] up to this are no turn and less."""
 MOST_DIAGNOSED: Final = 120_000
 """States that are looked at to say why there is no path."""
 
@@ -157,16 +161,21 @@ class _Attempt:
         self.in_reach = bool(offers)
         offers.sort(key=lambda offer: offer[:2])
         known: list[tuple[float, int, dict[str, Rungs]]] = []
+        best: dict[int, _Graph] = {}
         for _, _, rungs in offers[:MOST_CHOICES]:
-            found = _Graph(self, rungs).shortest()
+            graph = _Graph(self, rungs)
+            found = graph.shortest()
             if found is not None:
+                if all(found[1] < cost for cost, _, _ in known):
+                    best = {len(known): graph} if graph.steps <= MOST_KEPT_STEPS else {}
                 known.append((found[1], len(known), rungs))
-        for _, _, rungs in sorted(known, key=lambda offer: offer[:2]):
+            del graph
+        for _, number, rungs in sorted(known, key=lambda offer: offer[:2]):
             branch = {arm: r.branch for arm, r in rungs.items()}
             if any(self.closes(branch, i) for i in self._closed[::-1]):
                 continue
-            # made again: all of them at once would fill the memory
-            path = _Graph(self, rungs).free_path(MOST_ROUNDS)
+            # made again but for the best: all of them at once would fill the memory
+            path = (best.pop(number, None) or _Graph(self, rungs)).free_path(MOST_ROUNDS)
             if path is not None:
                 return dataclasses.replace(path, choices=len(offers))
         return None
@@ -235,26 +244,38 @@ class _Graph:
     def _steps(self, k: int) -> None:
         """Time (A, B) from every state of rung k to every one of the next, inf where a joint goes too far."""
         slowest = np.zeros((len(self.states[k]), len(self.states[k + 1])), dtype=np.float32)
-        total = np.zeros_like(slowest)
+        total, change = np.zeros_like(slowest), np.empty_like(slowest)
         most = LARGEST_STEP * max(1.0, 0.5 * float(self.rows[k + 1] - self.rows[k]))
         bad = np.zeros(slowest.shape, dtype=bool)
         for arm, q in self.q.items():
             many = self.scene.chains[arm].many_turns
-            speed = speed_limits(self.scene, arm)
-            code = np.zeros(slowest.shape, dtype=np.int32)
+            speed = speed_limits(self.scene, arm).astype(np.float32)
+            before, after = np.asfortranarray(q[k]), np.asfortranarray(q[k + 1])
+            ends = after.max(axis=0) - before.min(axis=0), before.max(axis=0) - after.min(axis=0)
+            farthest = np.maximum(*ends).astype(np.float32)  # that each joint goes
+            code = np.zeros(slowest.shape if (farthest > _NO_TURN)[many].any() else 0, dtype=np.int32)
             for j in range(6):
-                change = (q[k + 1][None, :, j] - q[k][:, None, j]).astype(np.float32)
-                if many[j]:
+                np.subtract(after[None, :, j], before[:, None, j], out=change, casting="same_kind")
+                if many[j] and farthest[j] > _NO_TURN:
                     whole = np.round(change / FULL_TURN)
                     change -= FULL_TURN * whole
                     code += (TURN_CODE**j * whole).astype(np.int32)
                 np.abs(change, out=change)
-                bad |= change > most
-                change /= np.float32(speed[j])
+                if farthest[j] > most:
+                    bad |= change > most
+                change /= speed[j]
                 np.maximum(slowest, change, out=slowest)
                 total += change
             self.code[arm].append(code if code.any() else None)
-        self.time.append(np.where(bad, np.float32(np.inf), slowest + np.float32(TIE_SHARE) * total))
+        total *= np.float32(TIE_SHARE)
+        slowest += total
+        slowest[bad] = np.inf
+        self.time.append(slowest)
+
+    @property
+    def steps(self) -> int:
+        """Steps from a state to one of the next rung."""
+        return sum(time.size for time in self.time)
 
     def shortest(self) -> tuple[IndexArray, float] | None:
         """States (K,) of the path of least cost and that cost, or None.
