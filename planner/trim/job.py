@@ -54,6 +54,15 @@ ROUNDED_SHARE: Final = 0.25
 """Share of the tolerance that rounded corners may take."""
 MEAN_FEED_FROM_REST: Final = 0.66
 """Part of the feed that moves from or to a stop have on average, as they are faster in between."""
+LINGER: Final = 2.5
+"""On a short stretch a torch may take so many times as long as at its least average feed; the proof allows
+more."""
+LINGER_TIME: Final = 0.4
+"""It may also stop there for so long [s]."""
+LINGER_KERFS: Final = 3.0
+"""Kerfs that such a stretch is long,"""
+LEAST_STRETCH: Final = 3.0 * MM
+"""and so long [m] at least."""
 AIR_LEVER: Final = 0.05
 """A point so far [m] behind the TCP counts for the speed in the air, where the torch turns."""
 SPIN_WAY: Final = 5e-4
@@ -185,12 +194,37 @@ class TrimJob(Job[Trim]):
                     f"take a lower feed_mm_s, round the corners, or allow it: least_feed: {0.95 * share:.2f}"
                 )
                 out.append(Issue("trim.slow", what, value=share, limit=op.least_feed, hint=hint))
+            elif self.cutting.cutter is None:
+                out += _lingers(op, self.cutting.kerf, segment, targets.travel[rows], time, rows)
         return tuple(out)
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
         _ = self.cutting  # a cutter that does not go through is told before all else
         return claims(self.operation, self.setup, self.tool)
+
+
+def _lingers(
+    op: Trim, kerf: float, segment: Segment, travel: FloatArray, time: FloatArray, rows: BoolArray
+) -> list[Issue]:
+    """Stretches of a slot, as short as a few kerfs, on which a torch would burn away more than that;
+    ``travel`` (R,) [m] on the moves to its targets, which are ``rows`` (N,) of those with ``time`` (N,)."""
+    at = np.flatnonzero(rows)
+    along, clock = np.append(0.0, np.cumsum(travel)), time[np.append(at[0] - 1, at)]
+    stretch = max(LINGER_KERFS * kerf, LEAST_STRETCH)
+    # stretches from each target on, and those up to each
+    begin = np.concatenate([along, np.maximum(along - stretch, 0.0)])
+    end = np.minimum(begin + stretch, along[-1])
+    spent = np.interp(end, along, clock) - np.interp(begin, along, clock)
+    most = LINGER * (end - begin) / (op.least_feed * op.feed_mm_s * MM) + LINGER_TIME
+    k = int(np.argmax(spent - most))
+    if spent[k] <= most[k]:
+        return []
+    what = f"{segment}: the arm takes {spent[k]:.2f} s for {(end[k] - begin[k]) / MM:.2f} mm, where the "
+    what += f"torch burns away more than its kerf; allowed: {most[k]:.2f} s"
+    hint = "round the corner there, let it begin elsewhere, or take a lower feed_mm_s"
+    value, limit = float(spent[k]), float(most[k])
+    return [Issue("trim.slow", what, value=value, limit=limit, unit="s", hint=hint)]
 
 
 def _route(

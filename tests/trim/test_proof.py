@@ -191,6 +191,11 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     ),
     "an outer curve first": ("verify.trim_order", MAIN, swapped),
     "twice as fast": ("verify.trim_feed", "trim_round", timed(0.5)),
+    "it lingers at a place of a long slot": (
+        "verify.trim_feed",
+        "trim_rim_p1",
+        lambda text: re.sub(r"v10\\T:=[\d.]+", r"v5\\T:=3.0", text, count=1),
+    ),
     "far too slow": ("verify.trim_feed", "trim_round", timed(4.0)),
     "the nozzle in the sheet": (
         "verify.trim_clear",

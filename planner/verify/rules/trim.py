@@ -36,6 +36,14 @@ SAME_PLACE = 1e-9
 """Places along a curve that are nearer [m] are one."""
 LEAST_JOINT = 0.5
 """Share of its width that a micro-joint has at least."""
+LINGER = 3.0
+"""On a short stretch a torch may take so many times as long as at its least average feed,"""
+LINGER_TIME = 0.5
+"""and so much longer [s], as it stops at corners."""
+LINGER_KERFS = 3.0
+"""Such a stretch is as long as a slot is wide, so many times,"""
+LEAST_STRETCH = 3e-3
+"""and so long [m] at least."""
 GOING_DOWN = 2.0
 """A mill that is higher by more than so many tolerances is still on its way down."""
 CLEAR_SHARE = 0.1
@@ -365,7 +373,8 @@ def trim_order(context: Context, trimming: Trimming) -> Outcome:
 @rule("verify.trim_feed", TrimsSheet)
 def trim_feed(context: Context, trimming: Trimming) -> Outcome:
     """While it cuts the tool goes no faster than its feed over the cosine of the wall's angle, by the
-    thickness that the sine law leaves there, and on average no slower than the wanted share of that."""
+    thickness that the sine law leaves there, and on average no slower than the wanted share of that; a torch
+    is nowhere much slower, where it would burn away more than its slot."""
     issues: list[Issue] = []
     worst, where = 0.0, ""
     for work, _, key, _way in every(trimming):
@@ -389,6 +398,8 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
             issues.append(
                 at_sample("verify.trim_feed", what, context.motion, claim.arm, int(rows[i]), measure)
             )
+        if claim.torch is not None:
+            issues += _lingers(context, work, key)
         if claim.mill is not None:  # on its way down another feed counts
             least = claim.thickness + claim.mill.below - GOING_DOWN * claim.height
             down = (deep[1:] >= least)[track.joined]
@@ -401,6 +412,28 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
     if not where:
         return Outcome(tuple(issues), where=NOTHING_TRIMMED)
     return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
+
+
+def _lingers(context: Context, work: TrimWork, key: str) -> Iterator[Issue]:
+    """Whether a torch, once it moves, takes too long for some short stretch of its slot."""
+    claim, track = work.claim, work.of_slot(key)
+    ends = [np.linalg.norm(track.tip - track.tip[k], axis=1) > STANDING for k in (0, -1)]
+    moved = np.flatnonzero(ends[0])
+    if not len(moved) or not ends[1].any():
+        return
+    some = slice(max(int(moved[0]) - 1, 0), int(np.flatnonzero(ends[1])[-1]) + 2)
+    time, rows = track.time[some], track.rows[some]
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(track.tip[some], axis=0), axis=1)))
+    stretch = max(LINGER_KERFS * claim.kerf, LEAST_STRETCH)
+    behind = np.minimum(np.searchsorted(along, along + stretch), len(along) - 1)
+    spent, way = time[behind] - time, along[behind] - along
+    most = LINGER * way / (claim.least_feed * claim.feed) + LINGER_TIME
+    k = int(np.argmax(spent - most))
+    if spent[k] > most[k]:
+        what = f"the torch takes {spent[k]:.2f} s for {mm(float(way[k])):.2f} mm in {key}; allowed: "
+        what += f"{most[k]:.2f} s"
+        measure = (float(spent[k]), float(most[k]), "s")
+        yield at_sample("verify.trim_feed", what, context.motion, claim.arm, int(rows[k]), measure)
 
 
 @rule("verify.trim_clear", TrimsSheet)
