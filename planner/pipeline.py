@@ -553,6 +553,11 @@ def _milled(folder: Path, problem: Problem, made: Plan, machine: str, reverse: s
     if not set(reverse) <= set(letters) or len(set(reverse)) != len(reverse):
         what = f"--reverse: got {reverse[:20]!r}, allowed are letters of {letters}, each once"
         raise TandemError(Issue("problem.field", what, field="reverse"))
+    if made.digest != problem.digest:  # the proof is of the programs, and G-code is written of the plan
+        what = (
+            f"plan.json is of problem {made.digest[:12]}, the folder holds {problem.digest[:12]}; plan again"
+        )
+        raise TandemError(Issue("upload.unproven", f"{folder}: {what}", file=str(folder)))
     proven.read(folder, problem)
     each = zip(problem.operations, made.operations, strict=True)
     ways = [inverse_time.way_of(own, done.targets, done.values, done.time) for own, done in each]
