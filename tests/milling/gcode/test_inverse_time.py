@@ -3,18 +3,19 @@ LinuxCNC's ``rs274`` where it is on the path, and angles against rotations by sc
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner import pipeline, processes
+from planner import pipeline, plans, processes
 from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
 from planner.milling.gcode import inverse_time
 from planner.milling.gcode.inverse_time import AXIS_OFF, Way
-from planner.milling.gcode.state import KINEMATICS
+from planner.milling.gcode.state import KINEMATICS, convention
 from planner.milling.operation import Milling
 from planner.targets import Action
 from tests import small_problem
@@ -60,6 +61,16 @@ def test_angles_point_the_tool_along_any_vector_and_go_on_from_one_another(name:
         assert np.abs(turned(name, found) - axis).max() < 1e-7
         assert set(np.flatnonzero(found.any(axis=0))) <= {"ABC".index(c) for c in KINEMATICS[name].letters}
     assert np.abs(np.diff(found, axis=0)).sum(axis=1).max() < np.pi
+
+
+@pytest.mark.parametrize("name", TWO)
+@pytest.mark.parametrize("own", [0, 1])
+def test_an_axis_in_reverse_has_its_angles_negated(name: str, own: int) -> None:
+    axis = spiral(200, 0.7).axis
+    letter = KINEMATICS[name].letters[own]
+    found = inverse_time.angles(axis, convention(name, letter))
+    found[:, "ABC".index(letter)] *= -1.0
+    assert np.abs(turned(name, found) - axis).max() < 1e-7
 
 
 @pytest.mark.parametrize("name", TWO)
@@ -190,6 +201,12 @@ def test_what_a_machine_cannot_do_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(TandemError, match=said):
             pipeline.export(tmp_path / "out", tmp_path / name, machine=machine)
+    with pytest.raises(TandemError, match="--reverse: got 'AB', allowed are letters of AC, each once"):
+        pipeline.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac", reverse="AB")
+    plans.save(dataclasses.replace(result.plan, digest="0" * 64), tmp_path / "out")
+    with pytest.raises(TandemError, match="is of problem 000000000000, the folder holds"):
+        pipeline.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac")
+    plans.save(result.plan, tmp_path / "out")
     next((tmp_path / "out" / "programs").rglob("*.mod*")).write_text("changed")
     with pytest.raises(TandemError, match="the proof names"):
         pipeline.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac")
