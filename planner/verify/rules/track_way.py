@@ -1,23 +1,24 @@
 """The rule on the way of tracks, turntables and positioners from station to station: what comes near on it.
 
 Distances are those of the planner's own looks; where these had what rides is held against turns of the
-proof's own. That the base of an arm on a track keeps off all that stands, what it slides on excepted, is held
-against how far shapes go along the lines on which the distances were found: a line between two convex shapes
-shows that they are apart, whatever found it.
+proof's own. That what rides keeps off all that stands, what bears it excepted, is held against how far shapes
+go along the lines on which the distances were found: a line between two convex shapes shows that they are
+apart, whatever found it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from planner.cell import axis_way, distance
-from planner.cell.axis_way import AxisWay
+from planner.cell.axis_way import AxisWay, Look
+from planner.cell.bodies import Solid
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import FloatArray, Shape, transform
+from planner.geometry.arrays import BoolArray, FloatArray, Shape, corners, transform
 from planner.issues import Issue
-from planner.problem import STOCK, TILT, Cell, Setup
+from planner.problem import PLATE, STOCK, TILT, Cell, Setup, Turntable
 from planner.verify.context import Context, Outcome, OuterAxis, mm, outer_axes, rule
 from planner.verify.rules.clearance import of_one_arm
 from planner.verify.rules.external_axes import SAME_VALUE, clamped, off_place, spun
@@ -37,8 +38,8 @@ SAME_WAY = 1e-6
 def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
     """On the way of a track, turntable or positioner from station to station bodies keep their clearance, all
     arms folded at home; what is tilted keeps it from the floor, too. Where looks had what rides is held
-    against the values by turns of the proof's own, and the base of an arm against each shape that does not
-    end below its foot."""
+    against the values by turns of the proof's own, and shapes that ride against all that stand but those that
+    bear them, along lines."""
     limit = context.problem.settings.clearance
     issues: list[Issue] = []
     worst, where, looks = np.inf, "", 0
@@ -58,8 +59,12 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
                     Issue(_WAY, on + near, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm")
                 )
             strayed = _strayed(context, models(index).cell, index, at, axis, ends, way)
-            if not strayed and arm is not None and way.clear:
-                strayed = _run_into(model, context.bases[arm], axis, way, limit)
+            if not strayed and way.clear:
+                table, tilt = setup.cell.turntable, at.get(TILT, 0.0)
+                if arm is not None:
+                    strayed = _base_into(model, context.bases[arm], axis, way, limit)
+                elif table is not None:
+                    strayed = _block_into(model, table, tilt, axis, way, limit)
             if strayed:
                 issues.append(Issue(_WAY, on + strayed, arm=arm))
             at = {**at, axis.carries: ends[1]}
@@ -169,63 +174,128 @@ def _strayed(
     return ""
 
 
-def _run_into(model: CellModel, base: FloatArray, axis: OuterAxis, way: AxisWay, limit: float) -> str:
-    """What the base of an arm may come nearer to than ``limit`` [m] on a way that looks found clear: no line
-    that they were measured along shows otherwise. ``base`` (4, 4): where it is at value 0."""
+def _base_into(model: CellModel, base: FloatArray, axis: OuterAxis, way: AxisWay, limit: float) -> str:
+    """What the base of an arm may come nearer to than ``limit`` [m] on a way that looks found clear; ``base``
+    (4, 4): where it is at value 0. Shapes of obstacles that end below its foot are left out: below a plane
+    along the way, in which the foot stays."""
     track = model.cell.arm(axis.carries).track
-    if track is None:
+    name = f"{axis.carries}/base_link"
+    own = [solid for solid in model.solids if solid.body == name]
+    if track is None or not own:
         return ""
-    own = [solid for solid in model.solids if solid.body == f"{axis.carries}/base_link"]
-    poses = model.poses({})
-    still = [s for s in model.solids if _stands(s.body, model) and s.body != f"{axis.carries}/base_link"]
-    there = [poses[solid.body][0] @ solid.shape.pose for solid in still]
-    up = base[:3, 2] - (base[:3, 2] @ track.axis) * track.axis  # its foot stays in a plane square to this
+    still, there = _standing(model, {name})
+    up = base[:3, 2] - (base[:3, 2] @ track.axis) * track.axis
     length = float(np.linalg.norm(up))
     up = up / max(length, LEAST_UPRIGHT)
-    foot = min((-_reach(s.shape, base @ s.shape.pose, -up) for s in own), default=np.inf)
+    foot = min(-_reach(solid.shape, base @ solid.shape.pose, -up) for solid in own)
     bodies = {body.name for body in model.cell.obstacles} if length >= LEAST_UPRIGHT else set()
-    beside = [
-        j
-        for j, (solid, pose) in enumerate(zip(still, there, strict=True))
-        if solid.body not in bodies or _reach(solid.shape, pose, up) > foot + BELOW_FOOT + SAME_WAY
+    low = [
+        solid.body in bodies and _reach(solid.shape, pose, up) <= foot + BELOW_FOOT + SAME_WAY
+        for solid, pose in zip(still, there, strict=True)
     ]
-    if not own or not beside:
+
+    def placed(look: Look) -> list[FloatArray]:
+        here = np.array(base)
+        here[:3, 3] += look.value * track.axis
+        return [here @ solid.shape.pose for solid in own]
+
+    left_out = np.broadcast_to(np.array(low, dtype=bool), (len(own), len(still)))
+    return _nearer(axis, way, (own, placed), (still, there), left_out, 1.0, limit)
+
+
+def _block_into(
+    model: CellModel, table: Turntable, tilt: float, axis: OuterAxis, way: AxisWay, limit: float
+) -> str:
+    """What an axis under the block may take nearer than ``limit`` [m] to what stands, on a way that looks
+    found clear, from where these had what rides; ``tilt`` [rad]: of the tilt axis before it. Left out are the
+    plate as it turns, and of plate and bracket as they tilt shapes that no tilt can take into one another:
+    one of them is round about the axis, or both lie one behind the other along it."""
+    pivot = table.axes[axis.carries]
+    ends = np.stack([pivot.centre, pivot.centre + pivot.axis])
+    if axis.carries == STOCK and table.tilt is not None:
+        ends = spun(table.tilt, tilt, ends)
+    centre, along = ends[0], ends[1] - ends[0]
+    riding = set(way.looked[0].poses)
+    own = [solid for solid in model.solids if solid.body in riding]
+    still, there = _standing(model, riding if axis.carries == TILT else {*riding, PLATE})
+    if not own or not still:
         return ""
-    first, second = (v.ravel() for v in np.meshgrid(np.arange(len(own)), beside, indexing="ij"))
+
+    def placed(look: Look) -> list[FloatArray]:
+        return [look.poses[solid.body] @ solid.shape.pose for solid in own]
+
+    begin = placed(way.looked[0])
+    left_out = np.zeros((len(own), len(still)), bool)
+    for i, one in enumerate(own if axis.carries == TILT else ()):
+        for j, two in enumerate(still if one.body not in axis_way.RIDERS else ()):
+            past = -_reach(one.shape, begin[i], -along) - _reach(two.shape, there[j], along)
+            before = -_reach(two.shape, there[j], -along) - _reach(one.shape, begin[i], along)
+            left_out[i, j] = -SAME_WAY < max(past, before) < axis_way.STANDING_GAP_M
+            left_out[i, j] |= any(
+                _round(s.shape, at, centre, along) for s, at in ((one, begin[i]), (two, there[j]))
+            )
+    tips = np.concatenate([transform(at, corners(s.shape)) for s, at in zip(own, begin, strict=True)])
+    lever = float(np.linalg.norm(np.cross(tips - centre, along), axis=1).max())
+    return _nearer(axis, way, (own, placed), (still, there), left_out, lever, limit)
+
+
+def _nearer(
+    axis: OuterAxis,
+    way: AxisWay,
+    rides: tuple[Sequence[Solid], Callable[[Look], list[FloatArray]]],
+    stands: tuple[Sequence[Solid], list[FloatArray]],
+    left_out: BoolArray,
+    lever: float,
+    limit: float,
+) -> str:
+    """Shapes that ride, and shapes that stand, of which no line shows that they keep ``limit`` [m] apart at
+    each look and, as no point rides farther than ``lever`` [m, m/rad] by a value of 1, between two; empty
+    where there are none. With each kind of shapes: where they are. Pairs (R, F) that are ``left_out``."""
+    (own, placed), (still, there) = rides, stands
+    first, second = np.nonzero(~left_out)
+    if not len(first):
+        return ""
     cores = distance.cores([*own, *still])
     before: tuple[float, float] | None = None
     for look in way.looked:
-        here = np.array(base)
-        here[:3, 3] += look.value * track.axis
-        at = [*(here @ solid.shape.pose for solid in own), *there]
-        placed = np.stack(at)
-        _, lines, _ = distance.distances(
-            cores, first, second + len(own), placed[first], placed[second + len(own)]
-        )
-        apart = np.array(
-            [
-                -_reach(own[i].shape, at[i], -line) - _reach(still[j].shape, there[j], line)
-                for i, j, line in zip(first, second, lines, strict=True)
-            ]
-        )
+        at = placed(look)
+        poses = np.stack([*at, *there])
+        behind = second + len(own)
+        lines = distance.distances(cores, first, behind, poses[first], poses[behind])[1]
+        apart = [
+            -_reach(own[i].shape, at[i], -line) - _reach(still[j].shape, there[j], line)
+            for i, j, line in zip(first.tolist(), second.tolist(), lines, strict=True)
+        ]
         worst = int(np.argmin(apart))
         bound = gap = float(apart[worst])
         if before is not None:
-            bound = min(gap, 0.5 * (before[1] + gap - abs(look.value - before[0])))
+            bound = min(gap, 0.5 * (before[1] + gap - lever * abs(look.value - before[0])))
         if bound < limit - SAME_WAY:
-            name = still[second[worst]].body
-            return (
-                f"nothing shows that the base keeps {mm(limit):g} mm off {name} at {axis.shown(look.value)}"
+            what = (
+                f"{own[int(first[worst])].body} keeps {mm(limit):g} mm off {still[int(second[worst])].body}"
             )
+            return f"nothing shows that {what} at {axis.shown(look.value)}"
         before = look.value, gap
     return ""
 
 
-def _stands(body: str, model: CellModel) -> bool:
-    """Whether a body is fixed: no link, no tool, and no block that an arm holds."""
-    if body == "stock":
-        return model.stock.held_by is None
-    return "/" not in body or body.endswith("/base_link")
+def _standing(model: CellModel, but: set[str]) -> tuple[list[Solid], list[FloatArray]]:
+    """Solids of bodies that stand, as no link, tool or block that an arm holds does, and where they are."""
+    poses = model.poses({})
+    held = {"stock"} if model.stock.held_by is not None else set[str]()
+    own = [
+        solid
+        for solid in model.solids
+        if ("/" not in solid.body or solid.body.endswith("/base_link")) and solid.body not in but | held
+    ]
+    return own, [poses[s.body][0] @ s.shape.pose for s in own]
+
+
+def _round(shape: Shape, pose: FloatArray, centre: FloatArray, along: FloatArray) -> bool:
+    """Whether a shape at a pose (4, 4) is round about an axis."""
+    aside = float(np.linalg.norm(np.cross(pose[:3, 3] - centre, along)))
+    skew = 0.0 if shape.kind == "sphere" else float(np.linalg.norm(np.cross(pose[:3, 2], along)))
+    return shape.kind in ("sphere", "cylinder", "capsule") and max(aside, skew) < SAME_WAY
 
 
 def _reach(shape: Shape, pose: FloatArray, line: FloatArray) -> float:

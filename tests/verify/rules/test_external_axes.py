@@ -208,7 +208,7 @@ def test_a_planner_that_leaves_out_a_stop_is_not_believed(
     monkeypatch.setattr(axis_way, "_borne", lambda model, own, fixed, *_: np.ones(len(fixed), bool))
     assert not _over(prover, [RAIL])
     (message,) = _over(prover, [RAIL, STOP])
-    assert "nothing shows that the base keeps" in message
+    assert "nothing shows that left/base_link keeps" in message
 
 
 def test_distances_that_are_too_far_are_not_believed(prover: Prover, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -220,4 +220,4 @@ def test_distances_that_are_too_far_are_not_believed(prover: Prover, monkeypatch
         axis_way.distance, "distances", lambda *args: (right(*args)[0] + 0.03, *right(*args)[1:])
     )
     (message,) = _over(prover, [RAIL, stop])  # it is 4 mm off
-    assert "nothing shows that the base keeps" in message
+    assert "nothing shows that left/base_link keeps" in message

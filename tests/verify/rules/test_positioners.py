@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner import processes
+from planner.cell import axis_way
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import inverse
 from planner.problem import Cell, Obstacle, RotaryAxis, Turntable
@@ -223,6 +224,34 @@ def test_the_way_of_the_tilt_is_looked_at(prover: Prover, height: float, clear: 
     there = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
     codes = {issue.code for issue in there.prove(positioner_job.planned().programs).issues}
     assert ("verify.track_way" not in codes) == clear
+
+
+@pytest.mark.parametrize(("height", "clear"), [(100.0, True), (440.0, False)])
+def test_a_planner_that_leaves_out_a_column_is_not_believed(
+    prover: Prover, monkeypatch: pytest.MonkeyPatch, height: float, clear: bool
+) -> None:
+    """A column of the posts' body 4 mm behind the cradle, into which that swings, and one that is lower."""
+    from planner.geometry.arrays import Shape
+
+    def by_bodies(model: Any, riders: Any, fixed: Any, axis: RotaryAxis) -> np.ndarray:
+        return np.array(
+            [[a.body in ("cradle", "turntable") and b.body == "posts" for b in fixed] for a in riders]
+        )
+
+    monkeypatch.setattr(axis_way, "_bearing", by_bodies)
+    pose = np.eye(4)
+    pose[:3, 3] = 0.816, 0.0, 0.5e-3 * height
+    column = Shape("box", (0.06, 0.1, 1e-3 * height), pose)
+    bodies = [
+        dataclasses.replace(body, shapes=(*body.shapes, column)) if body.name == "posts" else body
+        for body in prover.problem.cell.obstacles
+    ]
+    cell = dataclasses.replace(prover.problem.cell, obstacles=tuple(bodies))
+    there = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
+    found = there.prove(positioner_job.planned().programs).issues
+    told = [issue.message for issue in found if issue.code == "verify.track_way"]
+    assert (not told) == clear
+    assert clear or "nothing shows that" in told[0]
 
 
 def test_a_way_of_the_other_sense_is_refused(prover: Prover, monkeypatch: pytest.MonkeyPatch) -> None:
