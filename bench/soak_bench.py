@@ -192,6 +192,8 @@ class _Soak:
     def _draft(self, client: httpx.Client, given: random.Random) -> None:
         """A draft that is kept, saved by two, listed, and deleted."""
         made = self._ask(client, "draft", "POST", "/v1/drafts?title=soak", files=self._upload())
+        if made.status_code != 201:
+            return
         path = f"/v1/drafts/{made.json()['id']}"
         for _ in range(given.randrange(4)):
             self._ask(client, "draft", "PUT", path, files=self._upload(), headers={"If-Match": '"1"'})

@@ -67,7 +67,7 @@ def estimate(found: OwnJob, owner: Caller, who: Asker, here: Here) -> EstimateOu
     "/sweeps",
     status_code=201,
     response_model_exclude_none=True,
-    responses=UPLOADED,
+    responses=UPLOADED | refusals(404),
     openapi_extra=UPLOADS,
     summary="Plan a problem with a field at several values",
 )
@@ -110,7 +110,7 @@ async def sweep(
     "/batches",
     status_code=201,
     response_model_exclude_none=True,
-    responses=UPLOADED,
+    responses=UPLOADED | refusals(404),
     openapi_extra={"requestBody": documented({"$ref": "#/components/schemas/ProblemFile"}, MOST_VALUES)},
     summary="Plan several problems",
 )

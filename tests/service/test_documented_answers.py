@@ -184,6 +184,9 @@ def provoked(
             out.add(status(params={parameter["name"]: NOBODY}))
         if parameter["in"] == "query":
             out.add(status(params={**GOOD.get(one, {}).get("params", {}), parameter["name"]: "~" * 300}))
+        if parameter["in"] == "query" and parameter["name"] == "draft":
+            known = GOOD.get(one, {}).get("params", {})
+            out.add(status(params={**known, "draft": f"{NOBODY}@1"}))
         if parameter["in"] == "query" and parameter["name"] == "job":
             out.add(status(params={"job": NOBODY}))
         if parameter["in"] == "header" and "maxLength" in str(parameter["schema"]):
