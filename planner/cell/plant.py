@@ -13,7 +13,7 @@ import dataclasses
 import hashlib
 import logging
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
@@ -479,17 +479,38 @@ def _new(
     return model
 
 
-def _leave_out_always_near(model: CellModel) -> None:
-    """Takes pairs of solids out of what is held apart: of what is mounted flat on a flange and the link
-    before the wrist, and of one arm that are near each other in nearly all of RANDOM_POSTURES. Where those
-    are all pairs of two bodies, they are out of the checker, too."""
-    shared, whole = model._shared, model._shared.bounds
+_known_near: dict[str, tuple[Sequence[SolidPair], Sequence[SolidPair]]] = {}
+"""What :func:`_always_near` found, by the content of what a model was built from: planner, proof and report
+build a model each of one cell."""
+MOST_KNOWN: Final = 64
+"""Cells of which that is known at most."""
+
+
+def _always_near(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidPair]]:
+    """Pairs of what is mounted flat on a flange and the link before the wrist, and of solids of one arm that
+    are near each other in nearly all of RANDOM_POSTURES."""
+    key = content_digest((model.cell, model.stock, model.stock_pose, model.bases))
+    if key in _known_near:
+        return _known_near[key]
+    whole = model._shared.bounds
     flat = whole.flange_parts(model.poses({}))
     lower = np.concatenate([model.robots[arm].lower for arm in model.arms])
     upper = np.concatenate([model.robots[arm].upper for arm in model.arms])
     q = np.random.default_rng(20).uniform(lower, upper, size=(RANDOM_POSTURES, len(lower)))
     rows = {arm: q[:, 6 * k : 6 * k + 6] for k, arm in enumerate(model.arms)}
     near = whole.without(flat).always_near(model.poses(rows))
+    while len(_known_near) >= MOST_KNOWN:
+        del _known_near[next(iter(_known_near))]
+    _known_near[key] = flat, near
+    return flat, near
+
+
+def _leave_out_always_near(model: CellModel) -> None:
+    """Takes pairs of solids out of what is held apart: of what is mounted flat on a flange and the link
+    before the wrist, and of one arm that are near each other in nearly all of RANDOM_POSTURES. Where those
+    are all pairs of two bodies, they are out of the checker, too."""
+    shared, whole = model._shared, model._shared.bounds
+    flat, near = _always_near(model)
     shared.bounds = whole.without({*flat, *near})
     reasons: dict[tuple[str, str], list[str]] = {}
     for why, solids in (("what is flat on the flange is kept off by its build", flat), (NEAR, near)):

@@ -31,7 +31,7 @@ from planner.forming.sheet_state import clear_issues, states
 from planner.forming.support.clearance import clamp_issues
 from planner.forming.support.modes import support_issues
 from planner.forming.two_point import die_issues
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, dots
 from planner.geometry.curves import along, arc_length
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, small_pieces
 from planner.geometry.units import DEG, MM
@@ -277,8 +277,8 @@ def _thinned(points: FloatArray, wall: BoolArray, size: float) -> tuple[IntArray
     """The first (C,) of N points, of walls and of what is none, in each cell of a ``size`` [m], and the cells
     (N,)."""
     key = np.column_stack([np.floor(points / size).astype(np.int64), wall])
-    _, first, cell = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    return first, np.asarray(cell).reshape(-1)
+    _, first, cell = distinct_rows(key)
+    return first, cell
 
 
 def nearest_centres(face: Face, points: FloatArray, normal: FloatArray) -> FloatArray:

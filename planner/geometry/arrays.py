@@ -8,6 +8,7 @@ Rigid shapes: boxes, round bodies and meshes, of which tools, obstacles and fixt
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Literal, TypeVar
 
@@ -85,6 +86,20 @@ def lengths(a: FloatArray) -> FloatArray:
 def unit(vectors: FloatArray) -> FloatArray:
     """The vectors (..., D) as directions of length 1; one without length stays as it is."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-15))
+
+
+def distinct_rows(rows: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """The distinct rows (K, D) of whole numbers (M, D), in their order, the first (K,) of each, and which of
+    them each row (M,) is: as ``numpy.unique``, which compares rows by their bytes and takes several times as
+    long."""
+    low, high = rows.min(axis=0, initial=0), rows.max(axis=0, initial=0)
+    span = [b - a + 1 for a, b in zip(low.tolist(), high.tolist(), strict=True)]
+    if math.prod(span) >= 2**63:
+        _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    else:
+        key = np.ravel_multi_index(tuple((rows - low).T), span)
+        _, first, which = np.unique(key, return_index=True, return_inverse=True)
+    return rows[first], first, np.asarray(which).reshape(-1)
 
 
 def columns(a: FloatArray, b: FloatArray) -> FloatArray:

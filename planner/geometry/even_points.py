@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, dots
 from planner.geometry.mesh import TriangleMesh, face_areas, vertex_normals
 
 CUT: Final = 5.0
@@ -62,7 +62,7 @@ def _halved(mesh: TriangleMesh, longest: float) -> TriangleMesh:
     faces = mesh.faces
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2)
     key = np.sort(sides, axis=2).reshape(-1, 2)
-    edges, inverse = np.unique(key, axis=0, return_inverse=True)
+    edges, _, inverse = distinct_rows(key)
     ends = mesh.vertices[edges]
     long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > longest
     if not long.any():

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, dots
 from planner.issues import Issue, TandemError
 
 
@@ -31,12 +31,12 @@ def merge(mesh: TriangleMesh) -> TriangleMesh:
     vertices = mesh.vertices[used]
     step = max(float(np.ptp(vertices, axis=0).max()) * 1e-9, 1e-15)
     key = np.round((vertices - vertices.min(axis=0)) / step).astype(np.int64)
-    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    _, first, inverse = distinct_rows(key)
     lookup = np.zeros(len(mesh.vertices), dtype=np.int64)
     order = np.argsort(first)  # keeps the order of the file
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
-    lookup[used] = rank[np.reshape(inverse, -1)]
+    lookup[used] = rank[inverse]
     vertices = vertices[first[order]]
     faces = lookup[mesh.faces]
     a, b, c = (vertices[faces[:, i]] for i in range(3))

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import HalfspaceIntersection, KDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows
 from planner.geometry.mesh import TriangleMesh, face_normals
 
 _NEAREST_PIECES: Final = 8
@@ -106,8 +106,8 @@ def slice_mesh(mesh: TriangleMesh, origin: FloatArray, normal: FloatArray) -> Se
     A vertex that lies in a plane counts as above it. Polylines run along plane normal x mesh normal.
     """
     directed = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
-    edges, inverse = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
-    edge_of = np.reshape(inverse, -1).reshape(3, -1).T.astype(np.int64)
+    edges, _, inverse = distinct_rows(np.sort(directed, axis=1))
+    edge_of = inverse.reshape(3, -1).T.astype(np.int64)
     parts = [
         _slice(mesh, edges, edge_of, origin[i : i + _PLANES_AT_ONCE], normal[i : i + _PLANES_AT_ONCE], i)
         for i in range(0, len(origin), _PLANES_AT_ONCE)

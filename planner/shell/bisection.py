@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, lengths
 
 MOST_ROUNDS = 20
 """How often triangles are cut at most."""
@@ -33,8 +33,8 @@ def bisected(
     owner = np.arange(len(triangles))
     for _ in range(MOST_ROUNDS):
         sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
-        edges, flat = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
-        edge = np.asarray(flat).reshape(-1, 3)
+        edges, _, flat = distinct_rows(sides.reshape(-1, 2))
+        edge = flat.reshape(-1, 3)
         long = lengths(nodes[edges[:, 1], :3] - nodes[edges[:, 0], :3])
         # of equally long edges the same one is the longest, whichever triangle asks
         rank = np.empty(len(long), dtype=np.int64)

@@ -43,7 +43,7 @@ from planner.verify.programs.steps import (
     SyncStep,
     letters,
 )
-from planner.verify.rapid.reader import Flow, Limits, flow, read_task
+from planner.verify.rapid.reader import MOST_KEPT, Flow, Limits, Task, flow, read_task
 from planner.verify.rapid.syntax_tree import Module
 from planner.verify.replay.arm_model import machine_of
 from planner.verify.urscript import flow as script_flow
@@ -313,15 +313,26 @@ _Read = tuple[TaskText, Sequence[Fault], Sequence[Fault]]
 """A task, faults of its texts, and why it has no straight way."""
 
 
-def _rapid_task(problem: Problem, number: int, name: str, files: Mapping[str, str]) -> _Read:
-    controller = problem.cell.controller
-    text = read_task(files, Limits(bytes=controller.max_bytes))
+def _followed(files: tuple[tuple[str, str], ...], most_bytes: int) -> tuple[Task, Flow, tuple[Fault, ...]]:
+    """Modules of a task by their names, all that they may do, and why they have no straight way."""
+    text = read_task(dict(files), Limits(bytes=most_bytes))
     way, lost = Flow((), {}, {}, frozenset()), tuple[Fault, ...]()
     if not text.faults:
         try:
             way = flow(text.modules)
         except FlowError as wrong:
             lost = wrong.faults
+    return text, way, lost
+
+
+_kept = functools.lru_cache(maxsize=8)(_followed)
+"""Remembered: where programs differ in one task, the others are followed once."""
+
+
+def _rapid_task(problem: Problem, number: int, name: str, files: Mapping[str, str]) -> _Read:
+    controller = problem.cell.controller
+    short = sum(map(len, files.values())) <= MOST_KEPT
+    text, way, lost = (_kept if short else _followed)(tuple(files.items()), controller.max_bytes)
     unit = controller.units[number] if number < len(controller.units) else ""
     parts = (way.steps, way.handlers, way.undos, way.called)
     task = TaskText(name, unit, problem.cell.arms[number], text.modules, *parts, files)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from planner.cell import plant
+from planner.tooling import plain
 from tests.cell.cells import BLOCK, facing
 
 
@@ -38,6 +39,19 @@ def test_another_cell_stock_or_place_is_another_model(models: plant.ModelCache[o
     for other in (plant.build(cell, stock, moved), plant.build(settled, stock, pose)):
         assert other.plant is not one.plant
     assert models.reused == 0
+
+
+def test_which_pairs_are_always_near_is_worked_out_once_for_a_cell() -> None:
+    """Of the same cell with another tool it is worked out again, and what was known changes nothing."""
+    plant._known_near.clear()
+    cell, pose = facing(), np.eye(4)
+    bare = dataclasses.replace(cell.arms[0], tool=plain("bare", np.eye(4), (), 1.0))
+    other = dataclasses.replace(cell, arms=(bare, *cell.arms[1:]))
+    made = [plant.build(one, BLOCK, pose).pairs_filtered for one in (cell, cell, other)]
+    assert len(plant._known_near) == 2
+    plant._known_near.clear()
+    assert [plant.build(one, BLOCK, pose).pairs_filtered for one in (other, cell)] == [made[2], made[0]]
+    assert made[0] == made[1] != made[2]
 
 
 def test_no_more_than_so_many_are_kept() -> None:

@@ -163,14 +163,20 @@ def test_weighted_ends_make_joints_even() -> None:
 
 
 @pytest.mark.parametrize(
-    ("length", "block", "most"),
-    [(0.7, (0.6, 0.6, 0.12), 85), pytest.param(1.4, (1.2, 1.2, 0.3), 16, marks=pytest.mark.long)],
+    ("half", "length", "block", "most"),
+    [
+        (True, 0.7, (0.6, 0.6, 0.12), 22),
+        pytest.param(False, 0.7, (0.6, 0.6, 0.12), 85, marks=pytest.mark.long),
+        pytest.param(False, 1.4, (1.2, 1.2, 0.3), 16, marks=pytest.mark.long),
+    ],
+    ids=["half as high and wide", "short", "long"],
 )
 def test_the_wall_of_the_trials_takes_no_more_panels_than_there(
-    length: float, block: tuple[float, float, float], most: int
+    half: bool, length: float, block: tuple[float, float, float], most: int
 ) -> None:
-    """The trials had 85 and 16 panels; where there are fewer here, tilted boxes are measured more nearly."""
-    made = case((4.0, 3.0), (16, 16), length, block)
+    """The trials had 85 and 16 panels, a quarter of 85 on a wall half as high and wide; where there are fewer
+    here, tilted boxes are measured more nearly."""
+    made = case((2.0, 1.5), (8, 8), length, block) if half else case((4.0, 3.0), (16, 16), length, block)
     found = table(made).best(TOLERANCE)
     division = divide(found)
     assert division is not None

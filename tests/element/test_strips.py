@@ -288,6 +288,7 @@ SURFACES = {
 }
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("name", list(SURFACES))
 def test_other_surfaces_are_divided_within_the_tolerance(name: str, tmp_path: Path) -> None:
     mesh = SURFACES[name]
@@ -410,6 +411,7 @@ def canopy() -> dict[str, str]:
     return divided(ROOT / "problems" / "strips" / "element.yaml")
 
 
+@pytest.mark.long
 def test_the_bundled_canopy_is_divided_within_its_tolerance(canopy: dict[str, str]) -> None:
     panels = written(canopy)
     mesh = read(ROOT / "problems" / "strips" / "element.yaml").patch.mesh

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -48,6 +48,15 @@ MODES: dict[str, tuple[dict[str, Any], set[type]]] = {
     "heat": ({}, {FormsSheet, FollowsOpposite, ToolsLean}),
     "adsif": ({}, {FormsByTable}),
 }
+
+
+class Laid(NamedTuple):
+    """A part's job and its targets."""
+
+    mode: str
+    part: Mesh
+    problem: Problem
+    targets: Targets
 
 
 def problem(folder: Path, mode: str = "spif", part: Mesh | None = None, **operation: Any) -> Problem:
@@ -119,11 +128,16 @@ def refusal(found: Problem) -> dict[str, str]:
     return {issue.code: f"{issue.message} {issue.hint}" for issue in caught.value.issues}
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_targets_of_every_mode(tmp_path: Path, mode: str) -> None:
-    more, kinds = MODES[mode]
-    found = problem(tmp_path, mode, gentle() if mode == "adsif" else None, **more)
-    targets = processes.job(found, 0).targets()
+@pytest.fixture(scope="module", params=MODES)
+def laid(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Laid:
+    """A dish in every mode, or a gentle cone where only that can be formed."""
+    part = gentle() if request.param == "adsif" else small_forming.dish()
+    found = problem(tmp_path_factory.mktemp("mode"), request.param, part, **MODES[request.param][0])
+    return Laid(request.param, part, found, processes.job(found, 0).targets())
+
+
+def test_targets_of_every_mode(laid: Laid) -> None:
+    (_, kinds), found, targets = MODES[laid.mode], laid.problem, laid.targets
     count, forming = len(targets.segment), np.array([segment.works for segment in targets.segment])
     assert count == len(targets.feed) == len(targets.travel) == len(targets.stop)
     assert forming.sum() > 100
@@ -146,12 +160,8 @@ def test_targets_of_every_mode(tmp_path: Path, mode: str) -> None:
     assert same(targets.claims, processes.claims(found)["dish"])
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_tools_begin_and_end_off_the_sheet(tmp_path: Path, mode: str) -> None:
-    more, _ = MODES[mode]
-    part = gentle() if mode == "adsif" else small_forming.dish()
-    found = problem(tmp_path, mode, part, **more)
-    targets, made = processes.job(found, 0).targets(), made_of(found)
+def test_tools_begin_and_end_off_the_sheet(laid: Laid) -> None:
+    part, targets, made = laid.part, laid.targets, made_of(laid.problem)
     away = [k for k, segment in enumerate(targets.segment) if not segment.works]
     assert {0, len(targets.segment) - 1} <= set(away)
     low, high = float(part.vertices[:, 2].min()), MM
@@ -182,6 +192,7 @@ def test_the_ball_is_on_the_mesh_and_never_in_it(tmp_path: Path, kind: str) -> N
     assert np.quantile(at, 0.9) < 15e-6  # facets are chords of the smooth face that the ball is on
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("up", [False, True], ids=["down", "up"])
 @pytest.mark.parametrize("squeeze", [1.0, 0.9])
 def test_the_gap_is_the_sheet_by_the_sine_law(tmp_path: Path, up: bool, squeeze: float) -> None:
@@ -374,6 +385,7 @@ def test_repeats_and_stated_passes_are_passes_of_their_own(tmp_path: Path) -> No
     assert steps[0].end > steps[1].end - 1e-9
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("mode", ["spif", "dsif"])
 def test_a_pit_of_four_facets_is_formed(tmp_path: Path, mode: str, kind: str) -> None:

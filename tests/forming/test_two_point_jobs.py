@@ -124,6 +124,7 @@ FAULTS = (
 )
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_of_the_signal_are_found(fault: str) -> None:
     assert "verify.holder" in broken(proven(edited(fault)))

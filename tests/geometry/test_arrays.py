@@ -1,4 +1,4 @@
-"""Values that several readers share cannot be written into."""
+"""Values that several readers share cannot be written into; rows of arrays."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from planner.geometry.arrays import read_only, spread_rows
+from planner.geometry.arrays import distinct_rows, read_only, spread_rows
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,3 +34,18 @@ def test_arrays_in_dataclasses_tuples_lists_and_mappings() -> None:
 )
 def test_rows_are_spread_from_first_to_last(count: int, most: int, rows: list[int]) -> None:
     assert spread_rows(count, most).tolist() == rows
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "columns"), [(0, 9, 2), (-5, 400, 3), (-(2**62), 2**62, 2), (0, 2, 4)], ids=str
+)
+def test_distinct_rows_are_numpys(low: int, high: int, columns: int) -> None:
+    """Also of numbers so far apart that no one number stands for a row, of one row, and of none."""
+    rng = np.random.default_rng(3)
+    for count in (500, 1, 0):
+        rows = rng.integers(low, high, (count, columns))
+        rows = np.concatenate([rows, rows[::3]])
+        found = distinct_rows(rows)
+        wanted = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        for one, other in zip(found, wanted, strict=True):
+            np.testing.assert_array_equal(one, np.reshape(other, one.shape))

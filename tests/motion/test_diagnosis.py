@@ -110,6 +110,7 @@ def cell(seed: int) -> tuple[Scene, Targets]:
     return Scene.of(robots, targets.arms, high, Settings(), model), targets
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_verdict_is_that_of_brute_force(seed: int) -> None:
     scene, targets = cell(seed)

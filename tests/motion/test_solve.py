@@ -51,6 +51,7 @@ def test_the_same_problem_has_the_same_plan(targets: Targets) -> None:
     assert (np.diff(plan.time) > 0).all()
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("seed", range(10))
 def test_a_place_is_found_from_infeasible_starts(seed: int, targets: Targets) -> None:
     rng = np.random.default_rng(100 + seed)

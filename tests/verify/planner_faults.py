@@ -82,9 +82,12 @@ def _none(old: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *args, **more: None
 
 
-SOONER: Final[Mapping[str, Change]] = {"motion.operation:_avoid": _none}
+SOONER: Final[Mapping[str, Change]] = {
+    "motion.operation:_avoid": _none,
+    "forming.springback.forecast:estimate": _none,
+}
 """Paths are optimised without asking for distances, which takes most of the time of planning; they stay free,
-as the search and the look at moves see to that."""
+as the search and the look at moves see to that. What a sheet springs back by is not foretold to people."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -110,6 +110,7 @@ OUTSIDE = (("cut/top", 0.04, False), ("", 0.01, True))
 OF_ANOTHER = (("cut/top", 0.04, False), ("cut/other", 0.01, True))
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("contours", [INSIDE, OUTSIDE, OF_ANOTHER])
 @pytest.mark.parametrize("by", [18.0, 12.0, 0.0])
 def test_a_slit_is_one_plane_on_the_outer_side_of_its_contour(contours, by):

@@ -51,6 +51,7 @@ def broken(job, texts, last=None):
     return provers.broken(proof)
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(("job", "kind"), KINDS)
 def test_the_named_rule_catches_the_fault(job, kind):
     *_, programs, table = JOBS[job]

@@ -20,7 +20,7 @@ from planner.geometry.arrays import FloatArray, IndexArray
 from planner.motion.planning_scene import FULL_TURN, Scene
 from planner.motion.search.ladder import LARGEST_STEP, TIE_SHARE, TURN_CODE, Path, Turns
 from planner.motion.search.ladder_search import Blocked, Dead, Found, speed_limits
-from planner.motion.search.reach import Grid, Reach, Rungs, reach
+from planner.motion.search.reach import Grid, Reach, Rungs, on_branches, reach
 from planner.motion.search.subsampling import Coordinates, Level, levels, subset
 from planner.motion.trajectory.joint_path import dense
 from planner.motion.ways import ends_free
@@ -44,6 +44,10 @@ DOUBT_COUNT: Final = 3
 
 MOST_STATES: Final = 400
 """States of a rung that are kept at most, evenly spread."""
+MOST_KEPT_STEPS: Final = 10_000_000
+"""Steps of the best choice of branches at most for it to be kept while the others are looked at: 120 MB."""
+_NO_TURN: Final = 3.0
+"""Changes of a joint [rad] up to this are no turn and less."""
 MOST_DIAGNOSED: Final = 120_000
 """States that are looked at to say why there is no path."""
 
@@ -80,7 +84,7 @@ def search_near(
     level = Level(tuple(f.name for f in targets.freedoms), samples)
     rows = _rows(targets, RUNG_COUNTS[0])
     tried = _Attempt(scene, targets, coordinates, level, rows, not targets.coupled, [])
-    found = tried.run(tuple(branch[arm] for arm in targets.arms), NEAR_ROUNDS)
+    found = tried.run_on(branch)
     return None if found is None else (_as_grid(found), found)
 
 
@@ -144,20 +148,12 @@ class _Attempt:
         self._closed.append(target)
         return True
 
-    def run(self, only: tuple[int, ...] | None = None, rounds: int = MOST_ROUNDS) -> Found | None:
-        """A path, or None; ``hit`` then has a collision that was in the way, if there was one. ``only``: the
-        branches of all arms, in their order, that are looked at; ``rounds``: paths of each of them."""
-        count = len(self.samples)
-        every = np.repeat(self.rows[:, None], count, axis=1)
-        values = self.coordinates.values(
-            np.broadcast_to(self.samples, (len(self.rows), *self.samples.shape)), every
-        )
-        few = subset(self.targets, self.rows)
-        table = reach(self.scene, few, Grid(values, np.zeros((0, count), dtype=np.intp)))
+    def run(self) -> Found | None:
+        """A path, or None; ``hit`` then has a collision that was in the way, if there was one."""
+        few, grid = self._grid()
+        table = reach(self.scene, few, grid)
         offers: list[tuple[float, int, dict[str, Rungs]]] = []
         for branches in itertools.product(*(r.branches for r in table.values())):
-            if only is not None and branches != only:
-                continue
             rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
             cost = sum(r.penalty.min(axis=-1) for r in rungs.values())
             if np.isfinite(cost).any(axis=1).all():
@@ -165,19 +161,38 @@ class _Attempt:
         self.in_reach = bool(offers)
         offers.sort(key=lambda offer: offer[:2])
         known: list[tuple[float, int, dict[str, Rungs]]] = []
+        best: dict[int, _Graph] = {}
         for _, _, rungs in offers[:MOST_CHOICES]:
-            found = _Graph(self, rungs).shortest()
+            graph = _Graph(self, rungs)
+            found = graph.shortest()
             if found is not None:
+                if all(found[1] < cost for cost, _, _ in known):
+                    best = {len(known): graph} if graph.steps <= MOST_KEPT_STEPS else {}
                 known.append((found[1], len(known), rungs))
-        for _, _, rungs in sorted(known, key=lambda offer: offer[:2]):
+            del graph
+        for _, number, rungs in sorted(known, key=lambda offer: offer[:2]):
             branch = {arm: r.branch for arm, r in rungs.items()}
             if any(self.closes(branch, i) for i in self._closed[::-1]):
                 continue
-            # made again: all of them at once would fill the memory
-            path = _Graph(self, rungs).free_path(rounds)
+            # made again but for the best: all of them at once would fill the memory
+            path = (best.pop(number, None) or _Graph(self, rungs)).free_path(MOST_ROUNDS)
             if path is not None:
                 return dataclasses.replace(path, choices=len(offers))
         return None
+
+    def run_on(self, branch: Mapping[str, int]) -> Found | None:
+        """A path on one branch of each arm, or None; fewer rounds are spent on it."""
+        rungs = on_branches(self.scene, *self._grid(), branch)
+        return None if rungs is None else _Graph(self, rungs).free_path(NEAR_ROUNDS)
+
+    def _grid(self) -> tuple[Targets, Grid]:
+        """The targets that are rungs, with all samples of the level."""
+        count = len(self.samples)
+        every = np.repeat(self.rows[:, None], count, axis=1)
+        values = self.coordinates.values(
+            np.broadcast_to(self.samples, (len(self.rows), *self.samples.shape)), every
+        )
+        return subset(self.targets, self.rows), Grid(values, np.zeros((0, count), dtype=np.intp))
 
 
 class _Reached:
@@ -229,26 +244,38 @@ class _Graph:
     def _steps(self, k: int) -> None:
         """Time (A, B) from every state of rung k to every one of the next, inf where a joint goes too far."""
         slowest = np.zeros((len(self.states[k]), len(self.states[k + 1])), dtype=np.float32)
-        total = np.zeros_like(slowest)
+        total, change = np.zeros_like(slowest), np.empty_like(slowest)
         most = LARGEST_STEP * max(1.0, 0.5 * float(self.rows[k + 1] - self.rows[k]))
         bad = np.zeros(slowest.shape, dtype=bool)
         for arm, q in self.q.items():
             many = self.scene.chains[arm].many_turns
-            speed = speed_limits(self.scene, arm)
-            code = np.zeros(slowest.shape, dtype=np.int32)
+            speed = speed_limits(self.scene, arm).astype(np.float32)
+            before, after = np.asfortranarray(q[k]), np.asfortranarray(q[k + 1])
+            ends = after.max(axis=0) - before.min(axis=0), before.max(axis=0) - after.min(axis=0)
+            farthest = np.maximum(*ends).astype(np.float32)  # that each joint goes
+            code = np.zeros(slowest.shape if (farthest > _NO_TURN)[many].any() else 0, dtype=np.int32)
             for j in range(6):
-                change = (q[k + 1][None, :, j] - q[k][:, None, j]).astype(np.float32)
-                if many[j]:
+                np.subtract(after[None, :, j], before[:, None, j], out=change, casting="same_kind")
+                if many[j] and farthest[j] > _NO_TURN:
                     whole = np.round(change / FULL_TURN)
                     change -= FULL_TURN * whole
                     code += (TURN_CODE**j * whole).astype(np.int32)
                 np.abs(change, out=change)
-                bad |= change > most
-                change /= np.float32(speed[j])
+                if farthest[j] > most:
+                    bad |= change > most
+                change /= speed[j]
                 np.maximum(slowest, change, out=slowest)
                 total += change
             self.code[arm].append(code if code.any() else None)
-        self.time.append(np.where(bad, np.float32(np.inf), slowest + np.float32(TIE_SHARE) * total))
+        total *= np.float32(TIE_SHARE)
+        slowest += total
+        slowest[bad] = np.inf
+        self.time.append(slowest)
+
+    @property
+    def steps(self) -> int:
+        """Steps from a state to one of the next rung."""
+        return sum(time.size for time in self.time)
 
     def shortest(self) -> tuple[IndexArray, float] | None:
         """States (K,) of the path of least cost and that cost, or None.
@@ -332,11 +359,12 @@ class _Graph:
         return any(self.attempt.closes(self.branch, i) for i in often)
 
     def _block_states(self, states: IndexArray) -> bool:
-        """Looks at the path's states; where one collides, at all states of its rung."""
+        """Looks at the path's states; where some collide, at all states of their rungs at once."""
         hits = self._check(np.arange(len(states)), states)
+        if hits:
+            some = [np.flatnonzero(~self.known[k]) for k in hits]
+            self._check(np.repeat(hits, [len(one) for one in some]), np.concatenate(some))
         for k in hits:
-            some = np.flatnonzero(~self.known[k])
-            self._check(np.full(len(some), k), some)
             if self.blocked[k].all():
                 self.attempt.closes(self.branch, int(self.rows[k]))
         return len(hits) > 0

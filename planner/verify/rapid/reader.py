@@ -7,6 +7,7 @@ writer: it knows the language from ABB's manuals only.
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -406,6 +407,16 @@ def read_module(
     return module, tuple(sorted(faults, key=lambda fault: (fault.line, fault.column)))
 
 
+MOST_KEPT = 32_768
+"""Characters of a module that is remembered; longer ones would take much memory."""
+
+
+@functools.lru_cache(maxsize=32)
+def _kept(text: str, file: str, limits: Limits | None) -> tuple[Module | None, tuple[Fault, ...]]:
+    """:func:`read_module`, remembered: of programs that differ in one module the others are read once."""
+    return read_module(text, file, limits)
+
+
 def read_task(
     files: Mapping[str, str | bytes], limits: Limits | None = None, signals: Iterable[str] | None = None
 ) -> Task:
@@ -420,7 +431,8 @@ def read_task(
     for file, text in files.items():
         if isinstance(text, str) and CHECK_MODULE.match(PurePosixPath(file).name):
             text = masked(text)
-        module, wrong = read_module(text, file, limits)
+        short = isinstance(text, str) and len(text) <= MOST_KEPT
+        module, wrong = _kept(text, file, limits) if short else read_module(text, file, limits)
         faults += wrong
         if module is None:
             continue

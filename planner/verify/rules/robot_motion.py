@@ -112,7 +112,7 @@ def confdata(context: Context) -> Outcome:
             continue  # verify.status asks the same of KRL; movel keeps the posture that movej has reached
         if task.arm.data.unnamed:
             # such arms run with ConfL\Off; with parallel rods the numbers of single axes mean what they say
-            if task.arm.followed:
+            if arm_model.machine_of(task.arm.data).followed:
                 issues += list(_named_postures(task))
             continue
         selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]

@@ -405,7 +405,7 @@ def test_shifts_in_a_nest_of_three_take_what_is_formed_around() -> None:
     assert [step.feature for step in on_virgin_sheet(tree)] == [3, 2, 1]
 
 
-@pytest.mark.sampled(every=4)
+@pytest.mark.sampled(every=8)
 @pytest.mark.parametrize("seed", range(40))
 def test_random_nests(seed: int) -> None:
     nest = random_nest(seed)

@@ -60,6 +60,7 @@ def points_of(points: FloatArray, loops: IntArray, most: int = cp.MOST_POINTS) -
     return cp.control_points(points, np.full(len(points), np.radians(45.0)), loops, RADIUS, most)
 
 
+@pytest.mark.sampled(every=5)
 @pytest.mark.parametrize("noise", [0.0, 3e-5])
 @pytest.mark.parametrize(("half", "corner"), [(0.040, 0.010), (0.040, 0.005), (0.060, 0.015)])
 def test_a_rounded_square_has_four_sides_and_four_corners(half: float, corner: float, noise: float) -> None:

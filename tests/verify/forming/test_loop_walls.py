@@ -56,6 +56,7 @@ def grown(place: np.ndarray, full: float, to: float = 0.0, at: float = 0.0, over
     return np.asarray(np.minimum(SLOPE * gone, full) + more)
 
 
+@pytest.mark.sampled(every=5)
 @pytest.mark.parametrize("sides", [4, 7, 90])
 @pytest.mark.parametrize("spiral", [True, False])
 @pytest.mark.parametrize("side", [1, -1])

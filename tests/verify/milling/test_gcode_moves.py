@@ -248,6 +248,7 @@ FAULTS: dict[str, tuple[Any, str, Any]] = {
 }
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_in_the_planners_reader_is_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str

@@ -169,6 +169,7 @@ def test_a_clean_engraving_is_proven(tmp_path: Path) -> None:
     assert not proof(tmp_path).issues
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_in_the_planner_is_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str

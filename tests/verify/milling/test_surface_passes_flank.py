@@ -236,6 +236,7 @@ def prove(folder: Path) -> Any:
     return Prover(own, processes.claims(own)).prove(programs, last="verify.spindle")
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_in_the_planner_is_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str

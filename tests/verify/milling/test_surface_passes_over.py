@@ -53,6 +53,7 @@ def samples(own: MillingJob) -> tuple[FloatArray, FloatArray]:
     return np.concatenate([tip for tip, _ in rows]), np.concatenate([axis for _, axis in rows])
 
 
+@pytest.mark.sampled(every=5)
 @pytest.mark.parametrize("tool", TOOLS)
 @pytest.mark.parametrize("name", CASES)
 def test_what_the_planner_lays_keeps_to_the_face(tmp_path: Path, name: str, tool: str) -> None:
@@ -77,6 +78,7 @@ WRONG: dict[str, Change] = {
 }
 
 
+@pytest.mark.sampled(every=5)
 @pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("name", ["normal", "upright", "within a margin"])
 def test_what_is_off_it_is_found(tmp_path: Path, name: str, wrong: str) -> None:

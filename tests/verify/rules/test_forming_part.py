@@ -215,6 +215,7 @@ NUMBERS = {
 }
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", NUMBERS)
 def test_numbers_that_are_not_the_user_s_are_told(tmp_path, name):
     kind, fields = NUMBERS[name]
