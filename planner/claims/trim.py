@@ -66,7 +66,8 @@ class TrimsSheet:
     on one face of the formed sheet, each closed but for its joints, inner ones before outer ones.
 
     The face is the upper one (``side`` +1) or the lower one of the part of the problem, or of the mesh
-    ``surface``; ``thickness`` [m] is the flat sheet's. The proof reads part and curves itself.
+    ``surface``; ``thickness`` [m] is the flat sheet's. The proof reads part and curves itself. ``rough`` [m]
+    is how far the vertices of the mesh are said to be off the face, at most as far as the proof finds them.
 
     The slot, ``kerf`` [m] wide, lies in the waste, its edge on the curve within ``tolerance`` [m]. The TCP of
     a torch is on the face within ``height`` [m], and where it leads in no higher than the nozzle's
@@ -83,6 +84,7 @@ class TrimsSheet:
     arm: str
     side: int
     thickness: float
+    rough: float
     surface: SurfaceFile | None
     outlines: tuple[TrimOutline, ...]
     kerf: float

@@ -402,6 +402,7 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
     """Each name has one use; requests of one use may come again."""
     controller = cell.controller
     uses: dict[str, str] = {}
+    leads: dict[str, str] = {}
     issues: list[Issue] = []
 
     def use(name: str, what: str, field: str, longest: int = MAX_RAPID_NAME) -> None:
@@ -431,6 +432,12 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
             use(die.signal, "the pulse of a clamp that sinks", f"{field}.die.signal", MAX_SWITCHED_NAME)
         signal = getattr(operation, "signal", None)
         if isinstance(signal, str):
+            lead = next((arm.name for arm in cell.arms if arm.name in operation.arms), "")
+            known = leads.setdefault(signal.lower(), lead)
+            if controller.sync == "handshake" and known != lead:
+                got = f"{signal} powers what arms {known} and {lead} carry, each on a controller of its own"
+                hint = "give the operations of one of them another signal"
+                issues.append(Issue("problem.field", got, field=f"{field}.signal", hint=hint))
             what = f"the power of a {_powered(operation)}"
             use(signal, what, f"{field}.signal", MAX_SWITCHED_NAME)
             use(lock.of(signal).signal, f"the output that {signal} drives", f"{place}.outputs")

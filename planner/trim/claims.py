@@ -23,9 +23,9 @@ from planner.trim.cutting import kerf_of
 from planner.trim.operation import MillCut, OutlineFile, Trim
 
 
-def claims(op: Trim, setup: Setup, tool: Torch | Mill) -> tuple[Claim, ...]:
-    """The curves that are cut, and what the operator is told; what is switched at each curve, the proof works
-    out from these."""
+def claims(op: Trim, setup: Setup, tool: Torch | Mill, rough: float) -> tuple[Claim, ...]:
+    """The curves that are cut on a face that may be off by ``rough`` [m], and what the operator is told; what
+    is switched at each curve, the proof works out from these."""
     surface = None
     if not isinstance(op.surface, str):
         own = op.surface
@@ -37,6 +37,7 @@ def claims(op: Trim, setup: Setup, tool: Torch | Mill) -> tuple[Claim, ...]:
         arm=op.arms[0],
         side=1 if op.side == "top" else -1,
         thickness=float(setup.stock.size[2]),
+        rough=rough,
         surface=surface,
         outlines=tuple(_outline(one) for one in op.outlines),
         kerf=kerf_of(tool),

@@ -201,7 +201,14 @@ class TrimJob(Job[Trim]):
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
         _ = self.cutting  # a cutter that does not go through is told before all else
-        return claims(self.operation, self.setup, self.tool)
+        return claims(self.operation, self.setup, self.tool, self._rough())
+
+    def _rough(self) -> float:
+        """How far [m] the face may be off; 0 where there is none, which :meth:`targets` tells."""
+        try:
+            return self.surface.tolerance
+        except TandemError:
+            return 0.0
 
 
 def _lingers(

@@ -7,6 +7,7 @@ Places are held against closed forms: the slot of a round hole, the depth of a t
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ from planner.verify.forming.state import Forming
 from planner.verify.prove import Prover
 from planner.verify.rules.trim import trim_cut
 from planner.verify.rules.trim_mill import _beside, trim_mill, trim_spindle
+from planner.verify.rules.wire import signals
 from planner.verify.trim import outlines
 from planner.verify.trim.torch_motion import Trimming
 from tests import urdf_text
@@ -39,6 +41,7 @@ from tests.small_forming import die, dish
 from tests.small_forming import write as write_forming
 from tests.trim.small_trim import KUKA, MILL, OUTLINES, Job, data, milled, problem
 from tests.trim.test_proof import before_last_move, leant, moved, replaced, timed, without_moves
+from tests.verify import handshake_job
 from tests.verify.milling_job import in_procedure
 
 ROUND, WALL = OUTLINES[0], OUTLINES[1]
@@ -379,3 +382,35 @@ def test_an_arm_of_ur_mills(tmp_path: Path) -> None:
     (file,) = programs
     late = programs[file].replace("sleep(5.0)", "sleep(0.5)")
     assert "verify.trim_spindle" in {issue.code for issue in prover.prove({file: late}).issues}
+
+
+def test_two_controllers_switch_signals_of_their_own(tmp_path: Path) -> None:
+    """By one name nothing tells which of them is meant."""
+    whole = data(outlines=[ROUND], controller={"sync": "handshake"}, **milled())
+    (arm,), (one,) = whole["cell"]["arms"], whole["operations"]
+    whole["cell"]["arms"].append({**arm, "name": "second", "base": {"xyz_mm": [1250, 0, 0]}})
+    other = {**one, "name": "other", "arms": ["second"], "outlines": [{**ROUND, "name": "b"}]}
+    whole["operations"].append(other)
+    with pytest.raises(TandemError) as error:
+        pipeline.load(write_forming(tmp_path, whole, dish()))
+    (issue,) = error.value.issues
+    assert (issue.code, issue.field) == ("problem.field", "operations.1.signal")
+    other["signal"] = "doSpindle2"
+    pipeline.load(write_forming(tmp_path, whole, dish()))
+
+
+@pytest.mark.parametrize(("sync", "told"), [("handshake", False), ("multimove", True)])
+def test_programs_of_two_controllers_may_switch_in_one_interval(sync: Any, told: bool) -> None:
+    """As both take their power back at first: only of signals of one controller the order is chance."""
+    cell = handshake_job.problem().cell
+    controller = dataclasses.replace(cell.controller, sync=sync)
+    texts = {
+        file: re.sub(r"PROC main\(\)", "PROC main()\n    SetDO doWirePower,0;", text)
+        for file, text in handshake_job.programs().items()
+    }
+    context = Context(handshake_job.problem(), handshake_job.claims(), texts)
+    _ = context.job
+    whole = dataclasses.replace(cell, controller=controller)
+    context.problem = dataclasses.replace(context.problem, cell=whole)
+    found = [issue for issue in signals(context).issues if "between the same" in issue.message]
+    assert bool(found) == told

@@ -120,7 +120,7 @@ def _powered(context: Context, joined: bool) -> list[tuple[str, tuple[TaskText, 
     sheets, which are moved by pulses; of all controllers where two are ``joined``."""
     pulsed = {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder)}
     alone = context.problem.cell.controller.sync == "handshake"
-    out = []
+    out: list[tuple[str, tuple[TaskText, ...], list[str]]] = []
     for tasks in controllers(context.problem, context.job.tasks):
         if tasks[0].script is not None:
             continue  # a UR controller takes no files: its installation is set at the panel

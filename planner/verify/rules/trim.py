@@ -223,7 +223,7 @@ def trim_torch(context: Context, trimming: Trimming) -> Outcome:
         low = -near - PLACE_ERROR + np.where(leads, drop, 0.0)
         lean = np.arccos(np.clip((way.axis * way.feet.normal).sum(axis=1), -1.0, 1.0))
         share = np.maximum(way.feet.height / high, way.feet.height / low)
-        turned = lean / (claim.cone + ANGLE_ERROR)
+        turned = lean / (claim.cone + ANGLE_ERROR + work.sheet.turn)
         pierced = abs(float(way.feet.height[0]) - (claim.pierce_height - torch.standoff)) / near
         for rate, kind in ((share, "height"), (turned, "lean"), (np.array([pierced]), "pierce")):
             if float(rate.max()) > worst:

@@ -100,7 +100,7 @@ def _depth(context: Context, work: TrimWork, own: TrimCutter, key: str, way: Way
 
 def _leans(context: Context, work: TrimWork, key: str, way: Way) -> Found:
     lean = np.arccos(np.clip((way.axis * way.feet.normal).sum(axis=1), -1.0, 1.0))
-    share = lean / (work.claim.cone + ANGLE_ERROR)
+    share = lean / (work.claim.cone + ANGLE_ERROR + work.sheet.turn)
     out = []
     for k in _some(np.flatnonzero(share > 1.0)):
         what = f"the cutter leans {np.rad2deg(lean[k]):.1f} deg off the sheet's normal; allowed: "

@@ -16,7 +16,7 @@ from planner.claims.trim import TrimsSheet
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.verify.context import FEED_SLACK, Context, Outcome, Phase, at_sample, at_step, mm, rule
-from planner.verify.job import TaskText
+from planner.verify.job import TaskText, controllers
 from planner.verify.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
 from planner.verify.replay.motion import steps_across
 from planner.verify.wire.wire_motion import Wire, end_distances
@@ -289,29 +289,33 @@ def wire_issue(
 @rule("verify.signals")
 def signals(context: Context) -> Outcome:
     """Only the signals of wires, spindles, torches and clamps that sink are switched, to 0 or 1, at once, by
-    one task between two synchronisation points, and are off before anybody is asked or an arm moves."""
+    one task of a controller between two synchronisation points, and are off before anybody is asked or an arm
+    moves."""
     issues: list[Issue] = []
     known = {claim.signal.lower() for claim in context.contacts}
     known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder | TrimsSheet)}
     known.add(context.problem.cell.controller.wire_signal.lower())
     issues += _left_on(context, known)
     for stage in context.job.stages:
-        first: TaskText | None = None
-        for task in context.job.tasks:
-            for step in stage.steps[task.name]:
-                if not isinstance(step, SignalStep):
-                    continue
-                faults = []
-                if step.signal.lower() not in known:
-                    faults.append(f"{step.signal} is no signal of a wire, a spindle, a clamp or a torch")
-                if step.value not in (0.0, 1.0):
-                    faults.append(f"{step.signal} is set to {step.value:g}, neither 0 nor 1")
-                if step.delay:
-                    faults.append(f"{step.signal} is switched {step.delay:g} s later")
-                if first is not None and first is not task:
-                    faults.append(f"{first.name} switches a signal between the same synchronisation points")
-                first = first or task
-                issues += [at_step("verify.signals", fault, task, step) for fault in faults]
+        for tasks in controllers(context.problem, context.job.tasks):
+            first: TaskText | None = None
+            for task in tasks:
+                for step in stage.steps[task.name]:
+                    if not isinstance(step, SignalStep):
+                        continue
+                    faults = []
+                    if step.signal.lower() not in known:
+                        faults.append(f"{step.signal} is no signal of a wire, a spindle, a clamp or a torch")
+                    if step.value not in (0.0, 1.0):
+                        faults.append(f"{step.signal} is set to {step.value:g}, neither 0 nor 1")
+                    if step.delay:
+                        faults.append(f"{step.signal} is switched {step.delay:g} s later")
+                    if first is not None and first is not task:
+                        faults.append(
+                            f"{first.name} switches a signal between the same synchronisation points"
+                        )
+                    first = first or task
+                    issues += [at_step("verify.signals", fault, task, step) for fault in faults]
     for task in context.job.tasks:
         issues += [
             Issue(

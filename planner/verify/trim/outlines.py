@@ -21,9 +21,10 @@ from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
 from planner.verify.files import UNITS, UnreadError
 from planner.verify.files.curves import read_curves
-from planner.verify.files.sheets import sheet_face
+from planner.verify.files.sheets import sheet_face, tolerance_of
 from planner.verify.milling.surface_passes import Laid
 from planner.verify.milling.wanted_ways import NotThereError, points
+from planner.verify.trim.rough_face import levelled, noise_turn
 
 TRIM = "trim"
 """The kind of segments in which a torch cuts."""
@@ -175,7 +176,8 @@ class Feet:
 
 class SheetSide:
     """The side of the formed sheet on which the torch is. Where it is to be as in the part, it is less so by
-    what is ``flat`` still: how far (N,) [m] later operations move it at places in plan (N, 2)."""
+    what is ``flat`` still: how far (N,) [m] later operations move it at places in plan (N, 2). ``turn`` [rad]
+    is what noise of the mesh may turn its normals by."""
 
     def __init__(
         self,
@@ -191,14 +193,17 @@ class SheetSide:
             part = {"sheet_mesh": said, "in_stock": place}
         if part is None or not part.get("sheet_mesh"):
             raise UnreadError("the problem has no sheet_mesh to be trimmed")
-        found = sheet_face(part)
+        found = sheet_face(part, claim.rough)
         self.side, self.rise = claim.side, claim.thickness if claim.side > 0 else 0.0
         self.tolerance = found.tolerance
         corners = found.face.corners + np.array([0.0, 0.0, self.rise])
         vertices, index = np.unique(np.round(corners.reshape(-1, 3), 10), axis=0, return_inverse=True)
+        self.faces = np.asarray(index).reshape(-1, 3)
+        noise = tolerance_of(vertices, self.faces)
+        vertices, self.turn = levelled(vertices, self.faces) if noise else vertices, noise_turn(noise)
         if own is None and flat is not None:
             vertices[:, 2] -= flat(vertices[:, :2])
-        self.vertices, self.faces = vertices, np.asarray(index).reshape(-1, 3)
+        self.vertices = vertices
         self._laid = Laid(self.vertices, self.faces)
 
     def at(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
