@@ -1,8 +1,9 @@
 """A service under mixed load: memory, open files and threads of all its processes when warm and at the end,
 how long answers take, and whether a job is lost.
 
-``tandem serve`` as a process of its own, which plans for real; eight clients at once send jobs and what is
-refused, look at problems and cells, list, search, follow, read, hang up, cancel, delete and release.
+``tandem serve`` as a process of its own, which plans for real; ten clients at once send jobs, batches,
+sweeps and what is refused, keep drafts, look at problems and cells, list, search, follow, read, hang up,
+cancel, delete and release.
 ``TANDEM_SOAK_MINUTES`` says how long, 2 where it says nothing.
 """
 
@@ -113,6 +114,7 @@ class _Soak:
                 [
                     (self._submit, 4.0), (self._follow, 1.0), (self._look, 3.0), (self._cell, 6.0),
                     (self._list, 0.2), (self._read, 0.3), (self._wrong, 1.0), (self._tidy, 2.0),
+                    (self._draft, 1.0), (self._many, 20.0),
                 ]
             )
         ]  # fmt: skip
@@ -157,15 +159,44 @@ class _Soak:
         self.answers[kind, answer.status_code] += 1
         return answer
 
-    def _submit(self, client: httpx.Client, given: random.Random) -> None:
-        text = small_problem.PROBLEM.replace("name: small", f"name: soak{next(self._numbers)}")
+    def _upload(self, problems: int = 1) -> Files:
+        """So many problems that nobody has planned, with their table."""
         rows = "\n".join([small_problem.COLUMNS, *small_problem.ROWS]).encode()
-        files: Files = [("problem", ("p.yaml", text.encode())), ("files", ("targets.csv", rows))]
+        texts = [
+            small_problem.PROBLEM.replace("name: small", f"name: soak{next(self._numbers)}")
+            for _ in range(problems)
+        ]
+        parts = [("problem", (f"{k}.yaml", text.encode())) for k, text in enumerate(texts)]
+        return [*parts, ("files", ("targets.csv", rows))]
+
+    def _submit(self, client: httpx.Client, given: random.Random) -> None:
+        files = self._upload()
         answer = self._ask(client, "submit", "POST", "/v1/jobs", files=files)
         if answer.status_code == 201:
             self._jobs.append(answer.json()["id"])
         if given.random() < 0.1:
             self._ask(client, "cancel", "POST", f"/v1/jobs/{self._jobs[-1]}/cancel")
+
+    def _many(self, client: httpx.Client, given: random.Random) -> None:
+        """A batch, or a sweep, of which one problem cannot be read now and then."""
+        files, path = self._upload(3), "/v1/batches"
+        if given.random() < 0.3:
+            files[1] = ("problem", ("1.yaml", b"]"))
+        elif given.random() < 0.5:
+            files = self._upload()
+            path = "/v1/sweeps?field=operations.0.feed_mm_s&value=20&value=30"
+        answer = self._ask(client, "many", "POST", path, files=files)
+        if answer.status_code == 201:
+            self._jobs += [one["id"] for one in answer.json()["jobs"]]
+
+    def _draft(self, client: httpx.Client, given: random.Random) -> None:
+        """A draft that is kept, saved by two, listed, and deleted."""
+        made = self._ask(client, "draft", "POST", "/v1/drafts?title=soak", files=self._upload())
+        path = f"/v1/drafts/{made.json()['id']}"
+        for _ in range(given.randrange(4)):
+            self._ask(client, "draft", "PUT", path, files=self._upload(), headers={"If-Match": '"1"'})
+        self._ask(client, "draft", "GET", "/v1/drafts?limit=5")
+        self._ask(client, "draft", "DELETE", path)
 
     def _follow(self, client: httpx.Client, given: random.Random) -> None:
         """The events of a job; every third time the listener hangs up after the first."""

@@ -63,6 +63,8 @@ FINDING_API: Final = 11
 """The interface from which on jobs have titles, tags and notes, and are searched."""
 DRAFTS_API: Final = 13
 """The interface from which on there are drafts, sweeps, and links to look."""
+SENT_API: Final = 14
+"""The interface from which on drafts say whether they were sent."""
 RELEASE: Final = "release.json"
 """What stands beside the programs, and says whether they are released."""
 PLANNED: Final = ("verified", "unproven")
@@ -216,13 +218,18 @@ class Client:
         tag: str = "sweep",
         files: Mapping[str, Content] | None = None,
         key: str | None = None,
+        draft: tuple[str, int] | None = None,
     ) -> list[str]:
         """Plan a problem with a field (``operations.0.feed_mm_s``) at several values: numbers, truth, words.
-        The ids of the jobs, all or none, which have that ``tag``. ``key`` as of :meth:`submit`."""
+        The ids of the jobs, all or none, which have that ``tag``. ``key`` as of :meth:`submit`; ``draft``: id
+        and version of the draft that it is, which was sent then."""
         self._check_key(key)
-        self._want(DRAFTS_API, "sweeps")
+        self._want(DRAFTS_API if draft is None else SENT_API, "sweeps")
         texts = [one if isinstance(one, str) else json.dumps(one) for one in values]
-        query = urllib.parse.urlencode({"field": field, "value": texts, "tag": tag}, doseq=True)
+        asked = {"field": field, "value": texts, "tag": tag}
+        if draft is not None:
+            asked["draft"] = f"{draft[0]}@{draft[1]}"
+        query = urllib.parse.urlencode(asked, doseq=True)
         body, kind = _multipart(*self._bundle(problem, files or {}))
         return [str(one["id"]) for one in self._make(f"/v1/sweeps?{query}", body, kind, key)["jobs"]]
 
@@ -255,13 +262,8 @@ class Client:
     def drafts(self, kind: str | None = None) -> Iterator[dict[str, Any]]:
         """Drafts of the token and of its team, or those of a ``kind``, what was changed last first."""
         self._want(DRAFTS_API, "drafts")
-        asked = {"limit": "200", **({} if kind is None else {"kind": kind})}
-        while True:
-            page = self._json(f"/v1/drafts?{urllib.parse.urlencode(asked)}")
-            yield from page["drafts"]
-            if page.get("next") is None:
-                return
-            asked["cursor"] = str(page["next"])
+        whole = {} if self._api >= SENT_API else {"limit": 1000}  # before that, one page was all
+        yield from self._pages("drafts", "drafts", whole | ({} if kind is None else {"kind": kind}))
 
     def draft(self, draft: str, version: int | None = None) -> tuple[bytes, dict[str, bytes]]:
         """Text and files of a draft as it is, or as it was."""
@@ -285,16 +287,11 @@ class Client:
     ) -> Iterator[dict[str, Any]]:
         """All jobs of the token and of its team, or those with all words of ``search`` in name, title, tags
         or notes and with all ``tags``; ``sort``: newest, oldest or title. ``by`` says whose each is."""
-        asked: dict[str, Any] = {"limit": 200}
+        asked: dict[str, Any] = {}
         if search or tags or sort != "newest":
             self._want(FINDING_API, "search")
             asked.update(search=search, tag=list(tags), sort=sort)
-        while True:
-            page = self._json(f"/v1/jobs?{urllib.parse.urlencode(asked, doseq=True)}")
-            yield from page["jobs"]
-            if page.get("next") is None:
-                return
-            asked["cursor"] = page["next"]
+        yield from self._pages("jobs", "jobs", asked)
 
     def describe(
         self,
@@ -386,13 +383,7 @@ class Client:
         """Who did what, the newest first: ``at``, ``by``, ``act``, ``job`` and ``about``; of one job, or of
         all of the token's team. It needs a token with the role release."""
         self._want(AUDIT_API, "the audit log")
-        asked = {"limit": "200", **({} if job is None else {"job": job})}
-        while True:
-            page = self._json(f"/v1/audit?{urllib.parse.urlencode(asked)}")
-            yield from page["acts"]
-            if page.get("next") is None:
-                return
-            asked["cursor"] = str(page["next"])
+        yield from self._pages("audit", "acts", {} if job is None else {"job": job})
 
     def motion(self, job: str) -> dict[str, Any]:
         """The motion of a planned job as data: planes at the TCPs [mm], joints by name [deg], times [s]."""
@@ -525,6 +516,16 @@ class Client:
             )
             raise self._answer(self._url, message, "service.version")
         self._api = has
+
+    def _pages(self, path: str, name: str, asked: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+        """What a list has under ``name``, page by page."""
+        asked = {"limit": 200, **asked}
+        while True:
+            page = self._json(f"/v1/{path}?{urllib.parse.urlencode(asked, doseq=True)}")
+            yield from page[name]
+            if page.get("next") is None:
+                return
+            asked = {**asked, "cursor": page["next"]}
 
     def _settled(self, job: str, until: float) -> bool:
         try:

@@ -480,7 +480,8 @@ def _maps(problem: Problem, made: Plan) -> Iterator[FreedomMap]:
         place, model = made.places[setup.number - 1], cell_model(problem, made, setup)
         scene = Scene.of(setup.cell, own.targets.arms, place, problem.settings, model, made.bases)
         rows = spread_rows(own.targets.count, FIRST_TARGETS)
-        few, names = subset(own.targets, rows), [one.name for one in own.targets.freedoms]
+        few, columns = subset(own.targets, rows), [one.name for one in own.targets.freedoms]
+        names = tuple(own.targets.name(row) for row in rows.tolist())
         for freedom, unit in axis_map.freedoms(own.targets, stated=False).items():
             found = axis_map.axis_map(scene, few, freedom, own.values[rows])
             shown, scale = axis_map.SHOWN[unit]
@@ -488,20 +489,27 @@ def _maps(problem: Problem, made: Plan) -> Iterator[FreedomMap]:
                 operation=own.name,
                 freedom=freedom,
                 unit=shown,
-                names=tuple(own.targets.name(row) for row in rows.tolist()),
+                names=names,
                 values=found.values / scale,
                 states=found.places.state,
                 causes=("", *axis_map.CAUSES.values()),
                 apart=found.clearance / MM,
                 clearance=problem.settings.clearance / MM,
-                path=own.values[rows, names.index(freedom)] / scale,
+                path=own.values[rows, columns.index(freedom)] / scale,
             )
 
 
-def export(folder: str | Path, output: Path, seconds: float = 0.0, machine: str | None = None) -> Path:
+def export(
+    folder: str | Path,
+    output: Path,
+    seconds: float = 0.0,
+    machine: str | None = None,
+    reverse: str = "",
+) -> Path:
     """Write the cell at ``seconds`` after the plan's first target, with wanted and simulated part, ways of
     tools and wires, for CAD programs: ``output`` is a .glb or .3dm file. A .ngc file has what was milled as
-    G-code for a five-axis ``machine``, by its name in :data:`planner.milling.gcode.state.KINEMATICS`.
+    G-code for a five-axis ``machine``, by its name in :data:`planner.milling.gcode.state.KINEMATICS`, whose
+    rotary axes in ``reverse`` count the other way round.
 
     Raises ``TandemError``: ``problem.field`` for another ending, a time that the plan does not have or a
     machine that cannot do it, ``upload.unproven`` for G-code of what is not proven, ``part.extra_missing``,
@@ -519,7 +527,7 @@ def export(folder: str | Path, output: Path, seconds: float = 0.0, machine: str 
         raise TandemError(Issue("problem.field", what, field="machine"))
     problem, made = _planned_result(folder)
     if machine is not None:
-        return _written(output, _milled(Path(folder), problem, made, machine).encode("ascii"))
+        return _written(output, _milled(Path(folder), problem, made, machine, reverse).encode("ascii"))
     at = cad_export.moment(problem, made, seconds)
     cut = cad_export.simulated(Path(folder) / "simulated_part.obj")
     shapes = cad_export.shapes(cell_model(problem, made, at.setup), problem, made, at, cut)
@@ -533,7 +541,7 @@ GCODE: Final = ".ngc"
 """Ending of files for five-axis machines."""
 
 
-def _milled(folder: Path, problem: Problem, made: Plan, machine: str) -> str:
+def _milled(folder: Path, problem: Problem, made: Plan, machine: str, reverse: str) -> str:
     """What a proven result mills as G-code."""
     from planner.loading import proven
     from planner.milling.gcode import inverse_time, state
@@ -541,10 +549,19 @@ def _milled(folder: Path, problem: Problem, made: Plan, machine: str) -> str:
     if machine not in state.KINEMATICS:
         what = f"--machine: got {machine}, allowed are {', '.join(state.KINEMATICS)}"
         raise TandemError(Issue("problem.field", what, field="machine"))
+    letters = state.KINEMATICS[machine].letters
+    if not set(reverse) <= set(letters) or len(set(reverse)) != len(reverse):
+        what = f"--reverse: got {reverse[:20]!r}, allowed are letters of {letters}, each once"
+        raise TandemError(Issue("problem.field", what, field="reverse"))
+    if made.digest != problem.digest:  # the proof is of the programs, and G-code is written of the plan
+        what = (
+            f"plan.json is of problem {made.digest[:12]}, the folder holds {problem.digest[:12]}; plan again"
+        )
+        raise TandemError(Issue("upload.unproven", f"{folder}: {what}", file=str(folder)))
     proven.read(folder, problem)
     each = zip(problem.operations, made.operations, strict=True)
     ways = [inverse_time.way_of(own, done.targets, done.values, done.time) for own, done in each]
-    return inverse_time.program(problem.name, ways, state.KINEMATICS[machine])
+    return inverse_time.program(problem.name, ways, state.convention(machine, reverse))
 
 
 def _written(output: Path, content: bytes) -> Path:

@@ -539,6 +539,12 @@ def lights_torch(operation: Operation) -> bool:
     return operation.process == "trim" and getattr(getattr(operation, "by", None), "kind", "torch") == "torch"
 
 
+def torch_signals(operations: Sequence[Operation]) -> frozenset[str]:
+    """The signals that light the torches of operations."""
+    own = (getattr(one, "signal", None) for one in operations if lights_torch(one))
+    return frozenset(signal for signal in own if isinstance(signal, str))
+
+
 @runtime_checkable
 class Fixed(Protocol):
     """An operation that brings fixtures of its own, or shapes of the stock that others do not know."""

@@ -123,6 +123,22 @@ def test_a_post_beside_the_track_is_found_before_planning(tmp_path: Path) -> Non
     assert "on the way there" in issue.message and "post" in issue.message
 
 
+def test_a_stop_on_the_rail_is_found_before_planning(tmp_path: Path) -> None:
+    """One body of two shapes; the stop is too low for anything but the base to run into."""
+    rail = {"kind": "box", "size_mm": [500, 7000, 50], "pose": {"xyz_mm": [0, 0, -25]}}
+    stop = {"kind": "box", "size_mm": [100, 50, 60], "pose": {"xyz_mm": [0, 250, 30]}}
+
+    def told(shapes: list[dict[str, object]]) -> list[str]:
+        found = planner.check(track_job.problem(tmp_path, obstacles=[{"name": "rail", "shapes": shapes}]))
+        return [i.message for i in found if i.code == "motion.station"]
+
+    assert not told([rail])
+    (message,) = told([rail, stop])
+    assert "on the way there left/base_link and rail" in message
+    (message,) = told([{**rail, "pose": {"xyz_mm": [0, 0, 0]}}])  # the base stands in it
+    assert "ends below its foot" in message
+
+
 def test_a_place_that_is_searched_and_a_track_are_refused_together(tmp_path: Path) -> None:
     track_job.problem(tmp_path)
     path = tmp_path / "problem.yaml"

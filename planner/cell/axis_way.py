@@ -28,7 +28,12 @@ LEVEL: Final = 1e-12
 LEAST_STEP_M: Final = 1e-3
 """Looks are no nearer [m]."""
 STANDING_GAP_M: Final = 5e-3
-"""What a base is as near to [m] where its way begins it stands on; so near are shapes in a bearing."""
+"""What a base is as near to [m] where its way begins it may stand on; so near are shapes in a bearing."""
+SUNK_M: Final = 2e-3
+"""What a base stands on is at most so far [m] above its foot: bodies of bases end 1 mm below some."""
+LEAST_UPRIGHT: Final = 0.5
+"""A base whose own z axis is turned farther into its way, by the length of what is square to it, stands on
+nothing that it could leave sliding."""
 BEARING_M: Final = 0.15
 """Shapes that meet face to face in a tilt axis' bearing come as near [m] to the axis."""
 TOUCHING_M: Final = 1e-6
@@ -54,13 +59,12 @@ class Look(NamedTuple):
 @dataclasses.dataclass(frozen=True)
 class AxisWay:
     """The least distance [m] on a way, at the value ``at`` [m, rad] of the axis (a bound between looks),
-    between which bodies, and how many looks were taken: ``looked`` has them in order. ``clear``: they went
-    all the way, and none found bodies nearer than asked."""
+    between which bodies, and the looks that were taken, in order. ``clear``: they went all the way, and none
+    found bodies nearer than asked."""
 
     least: float
     at: float
     pair: tuple[str, str]
-    looks: int
     clear: bool = False
     looked: tuple[Look, ...] = dataclasses.field(default=(), compare=False, repr=False)
 
@@ -84,9 +88,15 @@ def along(
 ) -> AxisWay:
     """The way of the track of ``arm``, along the unit vector ``direction`` (3,), from one value [m] to the
     other; ``model`` has the base where it begins, ``q`` {arm: (6,)} [rad] are all arms' joints meanwhile. It
-    ends at a distance below ``enough`` [m]. Pairs of bodies in ``ignore`` are not looked at."""
+    ends at a distance below ``enough`` [m]. Pairs of bodies in ``ignore`` are not looked at, nor is the base
+    against shapes on which it stands and slides (:func:`_borne`); against others of the same bodies it is."""
     base = model.bases[arm]
-    resting = frozenset(name for name, gap in _beside(model, arm).items() if gap < STANDING_GAP_M)
+    own = [solid for solid in model.solids if solid.body == f"{arm}/base_link"]
+    still = [f"{other}/base_link" for other in model.arms if other != arm]
+    still += [body.name for body in model.cell.obstacles]
+    still += ["stock", "support"] if model.stock.held_by is None else []
+    fixed = [solid for solid in model.solids if solid.body in still]
+    without = np.broadcast_to(_borne(model, own, fixed, base[:3, 2], direction), (len(own), len(fixed)))
 
     def at(value: float) -> CellModel:
         moved = np.array(base)
@@ -94,8 +104,7 @@ def along(
         return model.with_bases({arm: moved})
 
     def beside(placed: CellModel) -> dict[tuple[str, str], float]:
-        found = _beside(placed, arm).items()
-        return {(f"{arm}/base_link", name): gap for name, gap in found if name not in resting}
+        return _apart(placed, own, fixed, without)
 
     return _looked(at, beside, 1.0, ends, q, enough, (f"{arm}/base_link",), ignore)
 
@@ -256,7 +265,7 @@ def _looked(
     begin, end = ends
     rows = {name: np.asarray(joints)[None] for name, joints in q.items()}
     sense, length = float(np.sign(end - begin)), lever * abs(end - begin)
-    worst = AxisWay(REACH_M, begin, ("", ""), 0)
+    worst = AxisWay(REACH_M, begin, ("", ""))
     gone, before, step, seen = 0.0, np.inf, 0.0, list[Look]()
     while True:
         value = begin + sense * (gone / lever if lever > 0.0 else 0.0)
@@ -270,10 +279,9 @@ def _looked(
         seen.append(Look(value, {name: poses[name][0] for name in riding}))
         bound = min(gap, 0.5 * (before + gap - step)) if np.isfinite(before) else gap
         if bound < worst.least:
-            worst = AxisWay(bound, value, pair, 0)
+            worst = AxisWay(bound, value, pair)
         if gone >= length or gap < enough:
-            clear = gap >= enough
-            return dataclasses.replace(worst, looks=len(seen), clear=clear, looked=tuple(seen))
+            return dataclasses.replace(worst, clear=gap >= enough, looked=tuple(seen))
         step = min(max(gap - enough, LEAST_STEP_M), length - gone)
         gone, before = gone + step, gap
 
@@ -309,23 +317,50 @@ def _gaps(model: CellModel, riders: list[Solid], fixed: list[Solid]) -> FloatArr
     return gaps.reshape(len(riders), len(fixed))
 
 
+def _extents(kinds: distance.Cores, placed: FloatArray, direction: FloatArray) -> FloatArray:
+    """How far (2, S) [m] solids at poses (S, 4, 4) go back and forth along a unit vector (3,), from 0."""
+    every, ends = np.arange(len(placed)), []
+    for sense in (-1.0, 1.0):
+        ray = np.broadcast_to(sense * direction, (len(placed), 3))
+        far = kinds.support(every, np.einsum("sc,scd->sd", ray, placed[:, :3, :3]))
+        tips = np.einsum("scd,sd->sc", placed[:, :3, :3], far) + placed[:, :3, 3]
+        ends.append(tips @ direction + sense * kinds.rounding)
+    return np.stack(ends)
+
+
+def _borne(
+    model: CellModel, own: list[Solid], fixed: list[Solid], upright: FloatArray, direction: FloatArray
+) -> BoolArray:
+    """On which fixed shapes (F,) a base, of solids ``own``, stands and slides, where ``model`` has it; its z
+    axis is ``upright`` (3,). Those are shapes of obstacles to one of whose shapes it is nearer than
+    :data:`STANDING_GAP_M`, and which end below its foot: below a plane along the way, so that it comes no
+    nearer to them wherever it goes. What is higher by more than :data:`SUNK_M` is looked at: a box on a
+    rail, and a mesh, which stands for its hull, of both."""
+    up = upright - (upright @ direction) * direction
+    length = float(np.linalg.norm(up))
+    if not own or not fixed or length < LEAST_UPRIGHT:
+        return np.zeros(len(fixed), bool)
+    both = [*own, *fixed]
+    low, high = _extents(distance.cores(both), _placed(model, both), up / length)
+    under = high[len(own) :] < low[: len(own)].min() + SUNK_M
+    near = _gaps(model, own, fixed).min(axis=0) < STANDING_GAP_M
+    bodies = {fixed[j].body for j in np.flatnonzero(under & near)}
+    bodies &= {body.name for body in model.cell.obstacles}
+    return np.asarray(under & np.array([solid.body in bodies for solid in fixed]))
+
+
 def _bearing(model: CellModel, riders: list[Solid], fixed: list[Solid], axis: RotaryAxis) -> BoolArray:
     """Which shapes of plate and bracket, of riders, fixed ones bear (R, F), by how they stand with the tilt
     at 0, where ``model`` has them: less than :data:`STANDING_GAP_M` apart, and of a kind that the tilt cannot
     bring nearer. One of the two is round about the tilt axis, as a shaft or its seat; or the fixed one begins
-    along the axis where the other ends, and both come within :data:`BEARING_M` of the axis, as a cradle
-    before its posts: turned, the faces slide past each other. Anything else is looked at: a column beside
-    the bracket, and a box that a fixed one overlaps."""
+    along the axis where the other ends, they are no farther apart than these ends, and both come within
+    :data:`BEARING_M` of the axis, as a cradle before its posts: turned, the faces slide past each other.
+    Anything else is looked at: a column beside the bracket, a box that a fixed one overlaps, and a bar above
+    the end of a post that the tilt lowers beside it."""
     both = [*riders, *fixed]
     kinds, placed = distance.cores(both), _placed(model, both)
     every = np.arange(len(both))
-    ends = []
-    for sense in (-1.0, 1.0):
-        ray = np.broadcast_to(sense * axis.axis, (len(both), 3))
-        far = kinds.support(every, np.einsum("sc,scd->sd", ray, placed[:, :3, :3]))
-        tips = np.einsum("scd,sd->sc", placed[:, :3, :3], far) + placed[:, :3, 3] - axis.centre
-        ends.append(tips @ axis.axis + sense * kinds.rounding)
-    low, high = ends
+    low, high = _extents(kinds, placed, axis.axis) - axis.centre @ axis.axis
     own, other = slice(len(riders)), slice(len(riders), None)
     past = np.maximum(low[other] - high[own, None], low[own, None] - high[other])
 
@@ -344,29 +379,8 @@ def _bearing(model: CellModel, riders: list[Solid], fixed: list[Solid], axis: Ro
     rod_like = np.array([one.shape.kind in ("cylinder", "capsule") for one in both])
     round_about = (ball | rod_like & (skew < TOUCHING_M)) & (np.linalg.norm(aside, axis=1) < TOUCHING_M)
 
-    slides = (past > -TOUCHING_M) & near[own, None] & near[other]
+    gaps = _gaps(model, riders, fixed)
+    slides = (past > -TOUCHING_M) & (gaps < past + TOUCHING_M) & near[own, None] & near[other]
     turns = round_about[own, None] | round_about[other]
     tilted = np.array([one.body not in RIDERS for one in riders])[:, None]
-    return np.asarray(tilted & (_gaps(model, riders, fixed) < STANDING_GAP_M) & (slides | turns))
-
-
-def _beside(model: CellModel, arm: str) -> dict[str, float]:
-    """Distances [m], below 0 inside, between the base of an arm and what stands beside it, by name."""
-    context = model.checker.UpdatePositions(model.home)
-    query = model.plant.get_geometry_query_input_port().Eval(context)
-    others = [obstacle.name for obstacle in model.cell.obstacles]
-    others += [f"{name}/base_link" for name in model.arms if name != arm]
-    others += ["stock"] if model.stock.held_by is None else []
-    others += ["support"] if model.stock.support else []
-    own = model.plant.GetCollisionGeometriesForBody(model.body(f"{arm}/base_link"))
-    return {
-        name: min(
-            (
-                float(query.ComputeSignedDistancePairClosestPoints(one, other).distance)
-                for one in own
-                for other in model.plant.GetCollisionGeometriesForBody(model.body(name))
-            ),
-            default=np.inf,
-        )
-        for name in others
-    }
+    return np.asarray(tilted & (gaps < STANDING_GAP_M) & (slides | turns))

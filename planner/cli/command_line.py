@@ -206,6 +206,7 @@ def export(
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     time: float = 0.0,
     machine: str | None = None,
+    reverse: str = "",
 ) -> int:
     """Write the cell, the part and the ways of a result folder for CAD programs: GLB, or 3DM for Rhino; or
     what was milled as G-code for a five-axis machine.
@@ -216,9 +217,11 @@ def export(
         time: the moment that is shown [s], from the plan's first target.
         machine: what carries what on the machine that a ``.ngc`` file is for, as ``convention`` says it of
             G-code files. Nothing is proven of that machine.
+        reverse: letters of its rotary axes that count the other way round, as those of tables do that state
+            the tool's motion against the table (ISO 841).
     """
     try:
-        written = _pipeline().export(folder, output, time, machine)
+        written = _pipeline().export(folder, output, time, machine, reverse)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     out.print(f"written to {written}", highlight=False, markup=False)

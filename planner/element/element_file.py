@@ -39,6 +39,8 @@ from planner.reading.part_surfaces import FrontFile, check_size, surface, surfac
 from planner.reading.problem import resolved, validate
 from planner.reading.strict_yaml import Far, FileName, Positive, Strict, Vector
 
+LONGEST: Final = 200.0
+"""A surface to be divided whose longest side is longer [m] was stated in a wrong unit."""
 MOST_CELLS: Final = 48
 """Cells of a grid along one side at most: the division looks at all rectangles of the grid."""
 USUAL_CELLS: Final = 24
@@ -478,10 +480,10 @@ def read(path: Path) -> ElasticElement | HexagonElement | WallElement | StripsEl
         return WallElement(spec, tuple(templates), stock, saw, walls, wall, notes=notes)
     strips = spec.panels.strips
     if strips is not None:
-        patch, told = surface_patch(spec.surface, folder, "surface")
+        patch, told = surface_patch(spec.surface, folder, "surface", LONGEST)
         return StripsElement(spec, tuple(templates), stock, saw, strips, patch, notes=tuple(told))
-    mesh, _, told = surface(spec.surface, folder, "surface")
-    check_size(mesh, "surface")
+    mesh, _, told = surface(spec.surface, folder, "surface", LONGEST)
+    check_size(mesh, "surface", LONGEST)
     plane = spec.surface.plane
     stated = (None, None) if plane is None else (np.array(plane.normal), np.array(plane.along))
     elastic, hexagons = spec.panels.elastic, spec.panels.hexagons

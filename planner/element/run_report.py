@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import functools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -131,7 +132,7 @@ class ElementRun:
     def _all(self) -> tuple[PanelRun | SawRun, ...]:
         return *self.panels, *self.saw
 
-    @property
+    @functools.cached_property
     def planned(self) -> bool:
         """Whether the batch has any of its panels, or of the jobs of its raw blocks."""
         return any(one.state != NOT_PLANNED for one in self._all)

@@ -418,12 +418,13 @@ def _in_order(site: _Site, wanted: FloatArray) -> tuple[Step, ...]:
 def _next(site: _Site, left: Sequence[int], standing: set[int]) -> Step:
     """The first body that rests on what stands, all of it or else a part, has a way in and takes nobody's;
     where there is none, the first that takes the fewest."""
-    full = [k for k in left if site.rests[k] <= standing]
-    part = [k for k in left if site.rests[k] & standing and not site.rests[k] <= standing]
-    for k in (*full, *part):
+    full = (k for k in left if site.rests[k] <= standing)
+    part = (k for k in left if site.rests[k] & standing and not site.rests[k] <= standing)
+    for k in itertools.chain(full, part):  # most of them are never asked
         if site.opens(k, standing) and not site.closes(k, standing):
             step = site.step(k, standing)
             if step.depth <= site.give:
                 return step
-    some = full or part or list(left)
+    some = [k for k in left if site.rests[k] <= standing]
+    some = some or [k for k in left if site.rests[k] & standing] or list(left)
     return site.step(min(some, key=lambda k: site.closes(k, standing)), standing)

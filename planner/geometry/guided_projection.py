@@ -93,7 +93,8 @@ def planarised(
     """
     work = _Work(surface, pattern, middle, normal, convex, thickness, least_edge, ground, weights)
     for _ in range(weights.rounds):
-        work.round()
+        if work.round() < _SETTLED:
+            break
     work.exact()
     x, w, n, d = work.split(work.z)
     distance = work.scale * (d + dots(n, work.middle))
@@ -263,8 +264,8 @@ class _Work:
         level = self.level
         rows.add(w[level, 2], (self._w(level)[:, [2]], np.ones((len(level), 1))), weight=weight)
 
-    def round(self) -> None:
-        """One round of Gauss-Newton over all wishes."""
+    def round(self) -> float:
+        """One round of Gauss-Newton over all wishes; how far an unknown moved at most."""
         x, w, n, _ = self.split(self.z)
         rows, g = _Rows(), self.weights
         self._planes(rows, self.z, g.plane)
@@ -287,7 +288,9 @@ class _Work:
         self._hinges(rows, x, w, n)
         matrix, rest = rows.matrix(len(self.z))
         square = csc_array(matrix.T @ matrix + g.steady**2 * diags_array(np.ones(len(self.z))))
-        self.z = self.z - symmetric_factor(square).solve(matrix.T @ rest)
+        step = symmetric_factor(square).solve(matrix.T @ rest)
+        self.z = self.z - step
+        return float(np.abs(step).max())
 
     def _rims(self, rows: _Rows, x: FloatArray) -> None:
         at = self.rim_tree.query(x[self.rim])[1]
@@ -377,6 +380,8 @@ class _Work:
         n /= np.linalg.norm(n, axis=1, keepdims=True)
 
 
+_SETTLED: Final = 1e-4
+"""Rounds end when no unknown moves by more: knots in spacings of panels; some 0.1 mm."""
 _SEEN: Final = 0.1
 """Height of the middle of a panel over the lines of its sides, in spacings."""
 _CONVEX: Final = 0.08

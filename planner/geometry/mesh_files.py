@@ -87,9 +87,11 @@ def stated_unit(path: Path) -> FileUnit:
         raise _unread(path, error) from error
 
 
-def read_mesh(path: Path, unit: float | None, scale: float = 1.0) -> TriangleMesh:
+def read_mesh(
+    path: Path, unit: float | None, scale: float = 1.0, largest: float = LARGEST_EXTENT
+) -> TriangleMesh:
     """Read an OBJ, STL or PLY file whose lengths are in ``unit`` metres, or a GLB or 3MF file, which states
-    its own, times ``scale``; equal vertices become one.
+    its own, times ``scale``; equal vertices become one. ``largest``: how long [m] it may be.
 
     Raises ``TandemError`` for a file that is missing, larger than 100 MB, of another kind, unreadable,
     without faces, with numbers that are not finite, of another unit than it states or of none, or of a size
@@ -123,14 +125,14 @@ def read_mesh(path: Path, unit: float | None, scale: float = 1.0) -> TriangleMes
     if len(mesh.faces) == 0:
         raise _refuse("mesh.empty", path, "all its faces have no area; export it again")
     extent = float(np.ptp(mesh.vertices, axis=0).max())
-    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+    if not SMALLEST_EXTENT <= extent <= largest:
         own = "its own" if kind in UNIT_SUFFIXES else "the stated"
         remedy = "export it anew" if kind in UNIT_SUFFIXES else "state the unit that the file was made in"
         raise _refuse(
             "mesh.unit",
             path,
             f"is {extent * 1e3:.4g} mm long in {own} unit, allowed are {SMALLEST_EXTENT * 1e3:g} to "
-            f"{LARGEST_EXTENT * 1e3:g} mm; {remedy}",
+            f"{largest * 1e3:g} mm; {remedy}",
         )
     return mesh
 

@@ -163,7 +163,7 @@ class _Table:
     ) -> AxisWay:
         """The way of one axis after the other, to where the first one comes too near to anything."""
         model, at = _model(setup), {name: here[name] for name in self.names}
-        way = AxisWay(axis_way.REACH_M, 0.0, ("", ""), 0, True)
+        way = AxisWay(axis_way.REACH_M, 0.0, ("", ""), clear=True)
         for name in self.names:
             if there[name] != at[name]:
                 ends = (at[name], there[name])
@@ -202,8 +202,8 @@ def stationed(problem: Problem, targets: Sequence[Targets], passes: Passes | Non
     at = problem.homes
     out: dict[int, dict[str, float]] = {}
     for index, own in enumerate(targets):
-        for name in (*own.arms, STOCK):
-            if name in axes:
+        for name in axes:  # in the order in which programs move them
+            if name in (*own.arms, STOCK):
                 there = problem.stationed({**out, index: at})
                 at = {**at, **_station(there, index, own, axes[name], at, passes)}
         out[index] = at
@@ -221,10 +221,12 @@ def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str
     for axis in axes.values():
         if all(at[name] == homes[name] for name in axis.names):
             continue
-        way = axis.way(problem.setup_of(index), at, homes, enough)
+        setup = problem.stationed({**problem.stations, index: at}).setup_of(index)
+        way = axis.way(setup, at, homes, enough)
+        at = {**at, **{name: homes[name] for name in axis.names}}
         if not way.clear:
             what = f"operation {problem.operations[index].name}: on the way of {axis.unit} home behind it "
-            what += f"{' and '.join(way.pair)} come as near as {way.least / MM:.1f} mm"
+            what += _near(way)
             hint = "take what is there away, or let the axis have its home on the other side of it"
             field = f"operations.{index}"
             raise TandemError(Issue("motion.station", what, hint=hint, field=field))
@@ -341,10 +343,19 @@ def _fault(
         enough = problem.settings.clearance + WAY_ROOM_M
         way = axis.way(problem.setup_of(index), at, value, enough)
         if not way.clear:
-            return f"on the way there {' and '.join(way.pair)} come as near as {way.least / MM:.1f} mm"
+            return f"on the way there {_near(way)}"
     scene, own = _there(problem, index, targets, at, value)
     free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, index)
     return "" if free else NO_PATH
+
+
+def _near(way: AxisWay) -> str:
+    """Which bodies come too near on a way, and what may be so near where it begins."""
+    said = f"{' and '.join(way.pair)} come as near as {max(way.least, 0.0) / MM:.1f} mm"
+    if len(way.looked) == 1 and any(name.endswith("/base_link") for name in way.pair):
+        said += ", where it begins; a base may touch what it stands on, where each shape of that ends below "
+        said += "its foot"
+    return said
 
 
 def _there(

@@ -29,7 +29,7 @@ from planner.post.rapid import program as rapid_program
 from planner.post.rapid.syntax import alike, procedure
 from planner.post.steps import build
 from planner.post.urscript import program as ur_program
-from planner.problem import Arm, Problem, lights_torch
+from planner.problem import Arm, Problem, lights_torch, torch_signals
 from planner.targets import Targets
 
 CONTROLLER_FOLDER: Final = "controller"
@@ -47,27 +47,28 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
     arms = [task.arm.name for task in job.tasks]
     wires = controller.handshake.wired_running(arms) if job.handshake is not None else ()
     out: dict[str, str] = {}
+    torches = torch_signals(problem.operations)
     lit = {
-        task.arm.name: _torches(problem, sorted(powered & set(job.switched(task)), key=str.lower))
+        task.arm.name: sorted(powered & torches & set(job.switched(task)), key=str.lower)
         for task in job.tasks
     }
     for task in job.tasks:
         signals = sorted((s for s in job.switched(task) if s in powered), key=str.lower)
         if not signals and not wires:
             continue
-        name, torches = task.arm.name, lit[task.arm.name]
+        name, burning = task.arm.name, lit[task.arm.name]
         if task.robot.family == "UR":
             continue  # its installation is set at the panel
         if task.robot.family == "KUKA":
-            made, folder = krl_files.files(controller, name, signals, wires, torches), name
+            made, folder = krl_files.files(controller, name, signals, wires, burning), name
         elif alone:
             others = _others(job, [task], signals)
-            made = rapid_files.files(controller, [task.task], signals, others, [name], wires, torches)
+            made = rapid_files.files(controller, [task.task], signals, others, [name], wires, burning)
             folder = name
         elif task.number == 1:
             tasks = [other.task for other in job.tasks]
             others, own = _others(job, job.tasks, signals), [other.arm.name for other in job.tasks]
-            made = rapid_files.files(controller, tasks, signals, others, own, (), torches)
+            made = rapid_files.files(controller, tasks, signals, others, own, (), burning)
             folder = task.task
         else:
             continue  # files of the first task are for all of one controller
@@ -78,12 +79,6 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
             for name, text in made.items()
         }
     return out
-
-
-def _torches(problem: Problem, signals: Sequence[str]) -> list[str]:
-    """Those of the ``signals`` that light the torch of an operation."""
-    own = {getattr(one, "signal", None) for one in problem.operations if lights_torch(one)}
-    return [signal for signal in signals if signal in own]
 
 
 def _others(
@@ -210,10 +205,8 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
 
 def _no_torch(arm: Arm) -> Issue:
     """Why an arm of UR cuts with no torch."""
-    what = (
-        f"arm {arm.name} ({arm.robot}) is to cut with a torch: a program of UR that was paused goes on where "
-    )
-    what += "it stood, in the slot, and nothing in it would see that the arc is out"
+    what = f"arm {arm.name} ({arm.robot}) is to cut with a torch: a program of UR that was paused goes on "
+    what += "where it stood, in the slot, and nothing in it would see that the arc is out"
     hint = "take an ABB or KUKA robot for it, or cut by a mill (by: {kind: mill})"
     return Issue("post.controller", what, arm=arm.name, hint=hint)
 

@@ -23,6 +23,7 @@ from planner.problem import (
     KrlPath,
     Operation,
     PowerOutput,
+    lights_torch,
     output_of,
 )
 from planner.reading.strict_yaml import Name, Strict
@@ -386,14 +387,15 @@ def _waited(operation: Operation) -> str | None:
     return name if isinstance(name, str) else None
 
 
-_POWERED: Final = {"milling": "spindle", "trim": "torch"}
-"""What a signal of an operation powers that is no wire, by process."""
+_BY_SPINDLE: Final = ("milling", "trim")
+"""Processes whose signal, where it lights no torch, powers a spindle."""
 
 
 def _powered(operation: Operation) -> str:
     """What the signal of an operation powers."""
-    by = getattr(getattr(operation, "by", None), "kind", "")
-    return "spindle" if by == "mill" else _POWERED.get(operation.process, "wire")
+    if lights_torch(operation):
+        return "torch"
+    return "spindle" if operation.process in _BY_SPINDLE else "wire"
 
 
 def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:

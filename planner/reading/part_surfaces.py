@@ -230,14 +230,15 @@ def build_faces(front: FrontFile, back: BackFile | None, folder: Path) -> Faces:
 
 
 def surface(
-    given: FrontFile | BackFile | StripsFile, folder: Path, field: str
+    given: FrontFile | BackFile | StripsFile, folder: Path, field: str, largest: float = LARGEST_EXTENT
 ) -> tuple[TriangleMesh, FloatArray, list[Issue]]:
-    """A face from a loft, a mesh or a Rhino file, with the unit normals (V, 3) of its vertices, and notes."""
+    """A face from a loft, a mesh or a Rhino file, with the unit normals (V, 3) of its vertices, and notes;
+    ``largest``: how long [m] a mesh may be."""
     cad = _cad_face(given, folder, field)
     if cad is not None:
         return cad.mesh, cad.normals, list(cad.notes)
     if given.mesh is not None:
-        own = read_face(given.mesh, folder, field)
+        own = read_face(given.mesh, folder, field, largest)
         return own, vertex_normals(own), unit_note(folder / given.mesh.file, f"{field}.mesh")
     loft = None if isinstance(given, BackFile) else given.loft
     if loft is None:
@@ -269,16 +270,17 @@ def _cad_face(given: FrontFile | BackFile | StripsFile, folder: Path, field: str
     return found
 
 
-def check_size(front: TriangleMesh, field: str) -> None:
-    """A face of no width, or longer than any cell, is a slip of units or of the region."""
+def check_size(front: TriangleMesh, field: str, largest: float = LARGEST_EXTENT) -> None:
+    """A face of no width, or longer than ``largest`` [m], by default any cell, is a slip of units or of the
+    region."""
     length = float(np.linalg.norm(np.ptp(front.vertices, axis=0)))
     width = float(face_areas(front).sum()) / length  # on average; a bent strip's extents do not tell it
-    if width < SMALLEST_EXTENT or length > LARGEST_EXTENT:
+    if width < SMALLEST_EXTENT or length > largest:
         raise TandemError(
             Issue(
                 "mesh.unit",
                 f"the face is {length * 1e3:.4g} mm long and {width * 1e3:.3g} mm wide, allowed are "
-                f"{SMALLEST_EXTENT * 1e3:g} to {LARGEST_EXTENT * 1e3:g} mm; "
+                f"{SMALLEST_EXTENT * 1e3:g} to {largest * 1e3:g} mm; "
                 "correct its measures, unit or region",
                 field=field,
             )
@@ -292,9 +294,10 @@ def check_file(mesh: TriangleMesh, field: str, path: Path) -> None:
         raise TandemError(issues)
 
 
-def read_face(spec: FaceMeshFile, folder: Path, field: str) -> TriangleMesh:
-    """The face of a mesh file. Raises ``TandemError``: issues of mesh files."""
-    mesh = read_mesh(folder / spec.file, None if spec.unit is None else LENGTH_UNITS[spec.unit], spec.scale)
+def read_face(spec: FaceMeshFile, folder: Path, field: str, largest: float = LARGEST_EXTENT) -> TriangleMesh:
+    """The face of a mesh file, ``largest`` [m] long at most. Raises ``TandemError``: issues of mesh files."""
+    unit = None if spec.unit is None else LENGTH_UNITS[spec.unit]
+    mesh = read_mesh(folder / spec.file, unit, spec.scale, largest)
     check_file(mesh, field, folder / spec.file)
     return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) if spec.flip else mesh
 
@@ -413,19 +416,22 @@ def build_strips(spec: StripsFile, folder: Path) -> tuple[Ruled, list[Issue]]:
     return resample(found.strips[spec.take - 1], 0.5e-5, 1.0), [*notes, note]
 
 
-def surface_patch(given: FrontFile | StripsFile, folder: Path, field: str) -> tuple[Patch, list[Issue]]:
-    """A loft, or a mesh or face with four corners, over the unit square; and notes.
+def surface_patch(
+    given: FrontFile | StripsFile, folder: Path, field: str, largest: float = LARGEST_EXTENT
+) -> tuple[Patch, list[Issue]]:
+    """A loft, or a mesh or face with four corners, over the unit square; and notes. ``largest``: how long [m]
+    it may be.
 
     Raises ``TandemError``: issues of mesh and Rhino files, ``part.patch``.
     """
     cad = _cad_face(given, folder, field)
     if cad is not None:
-        check_size(cad.mesh, field)
+        check_size(cad.mesh, field, largest)
         if cad.surface is None:
             return of_mesh(cad.mesh, f"{field}.rhino"), list(cad.notes)
         return of_surface(cad.surface, *cad.surface.region, cad.mesh, cad.turned), list(cad.notes)
-    own, _, notes = surface(given, folder, field)
-    check_size(own, field)
+    own, _, notes = surface(given, folder, field, largest)
+    check_size(own, field, largest)
     if given.loft is None:
         return of_mesh(own, f"{field}.mesh"), notes
     loft = given.loft

@@ -21,8 +21,10 @@ FILLS: Final = ("--ok-bg", "--soft", "--c4", "--c3", "--c1")
 LARGE_TURN_DEG: Final = 330.0
 """A freedom that turns over more [deg] may turn without end."""
 TEXT: Final = 'style="font-size:11px;fill:var(--soft)"'
-NEAR_FILLS: Final = (("--c1", 0.0), ("--warn", 1.0), ("--c2", 2.0), ("--ok-bg", np.inf))
-"""Colours of distances up to so many times the clearance; below it nothing is free."""
+NEAR_FILLS: Final = (("--warn", 2.0), ("--c2", 3.0), ("--ok-bg", np.inf))
+"""Colours of distances below so many times the clearance; below once nothing is free."""
+NOT_FREE: Final = "--c1"
+"""Colour of places at which bodies are not held apart, since an arm is not free there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +53,8 @@ class FreedomMap:
 
 def figure(shown: FreedomMap) -> Figure:
     """The map with its legend; a strip for each arm, and one for distances between bodies."""
-    strips = [(f"{arm}", _classes(state, FILLS)) for arm, state in shown.states.items()]
+    fills = np.array(FILLS, dtype=object)
+    strips = [(arm, fills[state]) for arm, state in shown.states.items()]
     strips.append(("bodies apart", _near(shown)))
     height = len(strips) * (HEIGHT + GAP) + TOP
     low, high = float(shown.values.min()), float(shown.values.max())
@@ -82,10 +85,11 @@ def _told(shown: FreedomMap) -> str:
 
 def _legend(shown: FreedomMap) -> str:
     arms = [(fill, text or "free") for text, fill in zip(shown.causes, FILLS, strict=True)]
+    (first, twice), (second, thrice), (far, _) = NEAR_FILLS
     near = [
-        (NEAR_FILLS[1][0], f"bodies under {2.0 * shown.clearance:g} mm apart"),
-        (NEAR_FILLS[2][0], f"under {3.0 * shown.clearance:g} mm"),
-        (NEAR_FILLS[3][0], "farther"),
+        (first, f"bodies under {twice * shown.clearance:g} mm apart"),
+        (second, f"under {thrice * shown.clearance:g} mm"),
+        (far, "farther"),
     ]
     keys = [
         f'<span style="white-space:nowrap"><i style="display:inline-block;width:.9em;height:.9em;'
@@ -95,15 +99,11 @@ def _legend(shown: FreedomMap) -> str:
     return f'<div class="legend">{" ".join(keys)} <span>line: the plan</span></div>'
 
 
-def _classes(state: NDArray[np.int8], fills: tuple[str, ...]) -> NDArray[np.object_]:
-    return np.array(fills, dtype=object)[state]
-
-
 def _near(shown: FreedomMap) -> NDArray[np.object_]:
-    more = np.where(np.isfinite(shown.apart), shown.apart / max(shown.clearance, 1e-9), -1.0)
-    out = np.full(more.shape, NEAR_FILLS[-1][0], dtype=object)
-    for fill, most in reversed(NEAR_FILLS[:-1]):
-        out[more < most + (most > 0.0)] = fill
+    times = shown.apart / max(shown.clearance, 1e-9)
+    out = np.full(times.shape, NOT_FREE, dtype=object)
+    for fill, below in reversed(NEAR_FILLS):
+        out[times < below] = fill  # NaN is not below anything
     return out
 
 

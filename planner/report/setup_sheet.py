@@ -25,7 +25,7 @@ from planner.problem import (
     Setup,
     Stock,
     Turntable,
-    lights_torch,
+    torch_signals,
 )
 from planner.report import exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
@@ -393,7 +393,7 @@ def _torches(
 ) -> list[tuple[str, str]]:
     """What follows a stop at which a torch burned; ``anew``: how a program begins again; ``arm``: the one of
     this controller where the other one has another."""
-    own = {getattr(one, "signal", None) for one in problem.operations if lights_torch(one)}
+    own = torch_signals(problem.operations)
     there = (
         {one.name: set(_powered(problem, plan, one.name)) & own for one in problem.cell.arms} if arm else {}
     )

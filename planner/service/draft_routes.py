@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import json
+from collections.abc import Sequence
 from typing import Annotated, Any, Final, Literal
 
 import anyio.to_thread
@@ -15,7 +17,7 @@ from sqlalchemy import RowMapping
 from planner.issues import Issue
 from planner.service.answers import stored_file
 from planner.service.drafts import tag_of, unknown_draft
-from planner.service.models import FileOut, Sent, utc
+from planner.service.models import FileOut, JobOut, Sent, utc
 from planner.service.routes import (
     ASKED,
     CURSOR,
@@ -28,7 +30,8 @@ from planner.service.routes import (
     job_of,
     refusals,
 )
-from planner.service.security import RefusedError
+from planner.service.security import RefusedError, Who
+from planner.service.service import Service
 from planner.service.storage import Blob, documented, take_upload
 from planner.service.texts import Line, described, read_body
 
@@ -107,6 +110,27 @@ def own_draft(draft: str, owner: Caller, who: Asker, here: Here) -> str:
 
 
 OwnDraft = Annotated[str, Depends(own_draft)]
+VersionOf = Annotated[str, Query(pattern="^[0-9a-f]{32}@[1-9][0-9]{0,8}$", max_length=42)]
+"""A version of a draft, such as ``5e1c...@3``."""
+
+
+def versions_of(given: Sequence[str], owner: str, who: Who, here: Service) -> list[tuple[str, int]]:
+    """Drafts and numbers of their versions; raises :class:`RefusedError`, 404, for what the caller has not
+    got."""
+    out = []
+    for draft, _, number in (one.partition("@") for one in given):
+        here.drafts.version(own_draft(draft, owner, who, here), int(number))
+        out.append((draft, int(number)))
+    return out
+
+
+def mark_sent(sent: Sequence[tuple[str, int]], jobs: Sequence[JobOut], here: Service) -> None:
+    """Note of each of some versions that it was sent as one of the jobs, in their order."""
+    for (draft, number), job in zip(sent, jobs, strict=False):
+        with contextlib.suppress(RefusedError):  # deleted meanwhile; the jobs are made
+            here.drafts.mark_sent(draft, number, job.id)
+
+
 Title = Annotated[Line, Query(description="what people call it, in any language")]
 Number = Annotated[int, Path(ge=1, lt=2**31)]
 

@@ -16,7 +16,7 @@ from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, or_, 
 
 from planner.issues import Issue, TandemError
 from planner.reading.strict_yaml import MAX_YAML_BYTES
-from planner.service import audit
+from planner.service import audit, finding
 from planner.service.jobs import job_files, put_files
 from planner.service.models import (
     CANCELLED,
@@ -102,10 +102,12 @@ class Drafts:
             return draft_row(db, draft)
 
     def mark_sent(self, draft: str, number: int, job: str) -> RowMapping:
-        """Note that a version was sent as that job; raises :class:`RefusedError`, 404."""
+        """Note that a version was sent as that job, unless a newer one was; raises :class:`RefusedError`,
+        404."""
         with self._database.write() as db:
             version_row(db, draft, number)
-            db.execute(update(DRAFTS).where(DRAFTS.c.id == draft).values(sent=number, job=job))
+            first = or_(DRAFTS.c.sent.is_(None), DRAFTS.c.sent <= number)
+            db.execute(update(DRAFTS).where(DRAFTS.c.id == draft, first).values(sent=number, job=job))
             return draft_row(db, draft)
 
     def delete(self, draft: str, by: str) -> None:
@@ -141,14 +143,12 @@ class Drafts:
         if kinds:
             query = query.where(DRAFTS.c.kind.in_(kinds))
         if cursor is not None:  # that draft may have been changed since, or deleted
-            at, draft = float(cursor.split("-")[0]), cursor.split("-")[1]
-            older = and_(DRAFTS.c.changed == at, DRAFTS.c.id < draft)
-            query = query.where(or_(DRAFTS.c.changed < at, older))
+            query = query.where(finding.older(DRAFTS.c.changed, DRAFTS.c.id, cursor))
         query = query.order_by(DRAFTS.c.changed.desc(), DRAFTS.c.id.desc()).limit(count + 1)
         with self._database.read() as db:
             rows = list(db.execute(query).mappings())
-        more = len(rows) > count
-        return rows[:count], f"{rows[count - 1]['changed']!r}-{rows[count - 1]['id']}" if more else None
+        last = rows[count - 1] if len(rows) > count else None
+        return rows[:count], None if last is None else finding.mark(last["changed"], last["id"])
 
     def of_token(self, name: str) -> Sequence[RowMapping]:
         """All drafts of the token of that name, also of one that is over, the newest first. Raises

@@ -35,13 +35,14 @@ from planner.service.routes import (
     Caller,
     Here,
     Key,
-    Tag,
+    Search,
+    Tags,
     refusals,
 )
 from planner.service.security import RefusedError, Who
 from planner.service.service import Service
 from planner.service.storage import documented, take_upload
-from planner.service.texts import Line, described, read_body
+from planner.service.texts import described, read_body
 
 router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=ASKED)
 _FILE: Final = {"type": "object", "description": "an element file as data; see docs/element.md"}
@@ -97,8 +98,8 @@ def page(
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: LIST_CURSOR = None,
-    search: Annotated[Line, Query(description="all of these words in name, title, tags or notes")] = "",
-    tag: Annotated[list[Tag] | None, Query(max_length=10, description="with all of these tags")] = None,
+    search: Search = "",
+    tag: Tags = None,
     sort: Annotated[
         Literal["newest", "oldest", "title"], Query(description="when made, or title or name")
     ] = "newest",
@@ -182,12 +183,10 @@ async def plan(request: Request, found: OwnElement, owner: Caller, here: Here, k
     planned like one beside it."""
     chosen = await read_body(request, Chosen)
     once = idempotency.once(owner, key, f"elements/{found}/plan", chosen.panels)
-    jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
-    if not jobs:
-        jobs = await here.in_turn(
-            request, owner, lambda reading: here.elements.plan(owner, found, chosen.panels, reading, once)
-        )
-    return JobList(jobs=jobs)
+    jobs = await here.made_once(
+        request, owner, once, lambda reading: here.elements.plan(owner, found, chosen.panels, reading, once)
+    )
+    return JobList(jobs=list(jobs))
 
 
 @router.post(

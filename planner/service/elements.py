@@ -241,19 +241,15 @@ class Elements:
         409 where none can be released, 422."""
         self._divided(element)
         with self._database.read() as db:
-            now = {panel: one.job for panel, one in _panels(db, element).items()}
-        strange = sorted(shown.keys() - now.keys())
+            strange = sorted(shown.keys() - _panels(db, element).keys())
         if strange:
-            what = (
-                f"panels: got {', '.join(one[:32] for one in strange[:5])}, of which no panel has a job here"
-            )
+            what = f"panels: got {_some(strange)}, of which no panel has a job here"
             raise RefusedError(422, Issue("service.request", f"{what}; see its list", field="panels"))
-        past = {one for one, of in shown.items() if of.job != now[one]}
-        good = {one: of for one, of in shown.items() if one not in past}
-        made, refused = self._service.releases.release_panels(element, good, who, name, note)
-        for one in past:
-            what = f"it was planned again meanwhile, as job {now[one]}; look at it again"
-            refused[one] = RefusedError(409, Issue("service.release", what))
+
+        def last(db: Connection) -> dict[str, str]:
+            return {panel: one.job for panel, one in _panels(db, element).items()}
+
+        made, refused = self._service.releases.release_panels(element, shown, last, who, name, note)
         if not made:
             told = [
                 dataclasses.replace(one, message=f"{panel}: {one.message}")
@@ -369,6 +365,11 @@ class Elements:
         return ElementOut(**job.model_dump(), kind=known["kind"], fields=known["fields"], planned=planned)
 
 
+def _some(names: Sequence[str]) -> str:
+    """Names that somebody sent, the first few, as they are written where they hide or turn text."""
+    return ", ".join(repr(one[:32]) for one in names[:5])
+
+
 def _panels(db: Connection, element: str) -> dict[str, _Panel]:
     """The last job of each panel that was planned, by its id."""
     asked = (
@@ -424,9 +425,7 @@ def _wanted(known: Sequence[str], before: Mapping[str, _Panel], chosen: Sequence
         return [one for one in known if one not in before or before[one].row["state"] in AGAIN]
     strange = sorted(set(chosen) - set(known))
     if strange:
-        what = (
-            f"panels: got {', '.join(one[:32] for one in strange[:5])}, the element has {len(known)} panels "
-        )
+        what = f"panels: got {_some(strange)}, the element has {len(known)} panels "
         what += f"from {known[0]} to {known[-1]}; see its list"
         raise RefusedError(422, Issue("service.request", what, field="panels"))
     waiting = {one for one, panel in before.items() if panel.row["state"] in OPEN}

@@ -83,7 +83,7 @@ def cursor(sort: Sort, row: RowMapping) -> str:
     """What the page ends with whose last job is ``row``."""
     if sort == "title":
         return f"{base64.urlsafe_b64encode(row['label'].encode()).decode().rstrip('=')}~{row['id']}"
-    return f"{row['turn' if sort == 'turn' else 'created']!r}-{row['id']}"
+    return mark(row["turn" if sort == "turn" else "created"], row["id"])
 
 
 def _behind(sort: Sort, cursor: str) -> ColumnElement[bool]:
@@ -100,9 +100,25 @@ def _behind(sort: Sort, cursor: str) -> ColumnElement[bool]:
         if "\0" in label:
             label = label.replace("\0", "")
         return or_(JOBS.c.label > label, and_(JOBS.c.label == label, JOBS.c.id > job))
-    made, job = float(cursor.split("-")[0]), cursor.split("-")[1]
+    if sort == "newest":
+        return older(JOBS.c.created, JOBS.c.id, cursor)
+    made, job = _parts(cursor)
     if sort == "turn":
         return or_(JOBS.c.turn > made, and_(JOBS.c.turn == made, JOBS.c.id > job))
-    if sort == "oldest":
-        return or_(JOBS.c.created > made, and_(JOBS.c.created == made, JOBS.c.id > job))
-    return or_(JOBS.c.created < made, and_(JOBS.c.created == made, JOBS.c.id < job))
+    return or_(JOBS.c.created > made, and_(JOBS.c.created == made, JOBS.c.id > job))
+
+
+def older(at: ColumnElement[float], own: ColumnElement[str], cursor: str) -> ColumnElement[bool]:
+    """Rows of any table behind a :func:`mark`, the newest first; the row that it names may be gone."""
+    moment, last = _parts(cursor)
+    return or_(at < moment, and_(at == moment, own < last))
+
+
+def mark(at: float, own: str) -> str:
+    """What a page ends with that is sorted by a moment [s], or by a turn."""
+    return f"{at!r}-{own}"
+
+
+def _parts(cursor: str) -> tuple[float, str]:
+    at, _, own = cursor.partition("-")
+    return float(at), own

@@ -500,6 +500,7 @@ class Refusal(Sent):
     status: int
     detail: str = Field(description="the messages of all issues")
     issues: list[Issue] = Field(description="all that is wrong, by code and field")
+    of: list[int] = Field([], description="of several problems, which one each issue is of, from 0")
 
 
 class Withdrawal(Sent):

@@ -13,6 +13,7 @@ from fastapi import APIRouter, Query, Request
 
 from planner.issues import Issue
 from planner.service import idempotency
+from planner.service.draft_routes import VersionOf, mark_sent, versions_of
 from planner.service.estimates import EstimateOut
 from planner.service.models import JobList, JobOut
 from planner.service.routes import (
@@ -80,7 +81,12 @@ async def sweep(
         list[Scalar],
         Query(min_length=1, max_length=MOST_VALUES, description="numbers, true, false, or words"),
     ],
+    who: Asker,
     tag: Annotated[Tag, Query(description="a tag that all of them get")] = "sweep",
+    draft: Annotated[
+        VersionOf | None,
+        Query(description="whose version this is: it was sent as the first job from then on"),
+    ] = None,
 ) -> JobList:
     """A job for each value, all or none, with a common tag, and a title that says the value. A value with
     which the problem cannot be read is refused with what is wrong."""
@@ -90,14 +96,14 @@ async def sweep(
     if doubled:
         what = f"value: got {', '.join(doubled)[:80]} more than once; give each value once"
         raise RefusedError(422, Issue("service.request", what, field="value"))
+    sent = await anyio.to_thread.run_sync(versions_of, [draft] if draft else [], owner, who, here)
     upload = await take_upload(request, here.storage, owner, here.limits)
     once = idempotency.once(owner, key, "sweeps", upload.content, field, values, tag)
-    jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
-    if not jobs:
-        jobs = await here.in_turn(
-            request, owner, lambda reading: here.sweep(owner, upload, field, values, tag, reading, once)
-        )
-    return JobList(jobs=jobs)
+    jobs = await here.made_once(
+        request, owner, once, lambda reading: here.sweep(owner, upload, field, values, tag, reading, once)
+    )
+    await anyio.to_thread.run_sync(mark_sent, sent, jobs, here)
+    return JobList(jobs=list(jobs))
 
 
 @router.post(
@@ -113,19 +119,25 @@ async def batch(
     owner: Caller,
     here: Here,
     key: Key,
+    who: Asker,
     tag: Annotated[Tag, Query(description="a tag that all of them get")] = "batch",
+    draft: Annotated[
+        list[VersionOf] | None,
+        Query(max_length=MOST_VALUES, description="whose versions the first parts are, in their order"),
+    ] = None,
 ) -> JobList:
     """A job for each part ``problem``, all or none, with the ``files`` in common and a tag. What is wrong
-    with problems that cannot be read is told of each, by the name of its file."""
+    with problems that cannot be read is told of each, by the name of its file and by its number in ``of``."""
+    sent = await anyio.to_thread.run_sync(versions_of, draft or [], owner, who, here)
     uploads = await take_uploads(request, here.storage, owner, here.limits, MOST_VALUES)
-    content = {name: one.content for name, one in uploads.items()}
+    content = [[name, one.content] for name, one in uploads.items()]  # jobs are in their order
     once = idempotency.once(owner, key, "batches", content, tag)
-    jobs = await anyio.to_thread.run_sync(here.jobs.made, once)
-    if not jobs:
-        jobs = await here.in_turn(
-            request, owner, lambda reading: here.batch(owner, uploads, tag, reading, once)
-        )
-    return JobList(jobs=jobs)
+    jobs = await here.made_once(
+        request, owner, once, lambda reading: here.batch(owner, uploads, tag, reading, once)
+    )
+    if len(jobs) == len(uploads):  # none of those that were made before is gone
+        await anyio.to_thread.run_sync(mark_sent, sent, jobs, here)
+    return JobList(jobs=list(jobs))
 
 
 def _value(text: str) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from sqlalchemy import Connection, RowMapping, insert, select, update
@@ -73,23 +73,34 @@ class Releases:
         return made
 
     def release_panels(
-        self, element: str, panels: Mapping[str, Shown], who: Who, name: str | None, note: str
+        self,
+        element: str,
+        panels: Mapping[str, Shown],
+        last: Callable[[Connection], Mapping[str, str]],
+        who: Who,
+        name: str | None,
+        note: str,
     ) -> tuple[dict[str, ReleaseOut], dict[str, RefusedError]]:
         """Release the programs of panels of an element, by one act of one person: those that are as they were
-        shown, proven, and not released yet, and why the others are not, by their ids. Raises
-        :class:`RefusedError`, 422."""
+        shown, proven, not released yet, and of which that job is the ``last``; and why the others are not, by
+        their ids. Raises :class:`RefusedError`, 422."""
         person = _person(who, name)
         seen: dict[str, _Seen] = {}
         made: dict[str, ReleaseOut] = {}
         refused: dict[str, RefusedError] = {}
+        with self._database.read() as db:
+            now = last(db)
         for panel, shown in panels.items():
             try:
+                _still(now.get(panel), shown.job)  # before anything is told of that job
                 seen[panel] = self._look(shown.job, shown.digest)
             except RefusedError as error:
                 refused[panel] = error
         with self._database.write() as db:
+            now = last(db)  # to look at many files has taken its time
             for panel in sorted(seen, key=lambda one: seen[one].job):  # two who do so wait in one order
                 try:
+                    _still(now.get(panel), seen[panel].job)
                     made[panel] = self._write(db, seen[panel], who, person, note)
                 except RefusedError as error:
                     refused[panel] = error
@@ -101,7 +112,7 @@ class Releases:
         """A job whose programs may be released, if it has that ``digest``; raises :class:`RefusedError`, 404
         or 409."""
         with self._database.read() as db:
-            row, files = job_row(db, job), job_files(db, job)
+            files, row = job_files(db, job), job_row(db, job)  # so a job that is there had its files
         if digest is not None and row["digest"] != digest:
             what = f"its problem has the digest {row['digest'][:16]}, you were shown {digest[:16]}"
             raise _not_releasable(job, what, "look at it again")
@@ -263,6 +274,13 @@ def _person(who: Who, name: str | None) -> str:
     else:
         what = f"name: got {(name or '')[:80]!r}; it is {who.name}, by the token: leave it out"
     raise RefusedError(422, Issue("service.request", what, field="name"))
+
+
+def _still(now: str | None, shown: str) -> None:
+    """Raises :class:`RefusedError`, 409, where the job of a panel is another one ``now`` than was shown."""
+    if now != shown:
+        what = "its job was deleted" if now is None else f"it was planned again meanwhile, as job {now}"
+        raise RefusedError(409, Issue("service.release", f"{what}; look at it again"))
 
 
 def _not_releasable(job: str, what: str, way: str) -> RefusedError:

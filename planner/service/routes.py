@@ -457,6 +457,8 @@ LIST_CURSOR = Annotated[
     str | None, Query(pattern=f"{WHEN}|^[A-Za-z0-9_-]{{0,1100}}~[0-9a-f]{{32}}$", description=NEXT)
 ]
 """The same of lists that are sorted by titles, too."""
+Search = Annotated[Line, Query(description="all of these words in name, title, tags or notes")]
+Tags = Annotated[list[Tag] | None, Query(max_length=10, description="with all of these tags")]
 EVENT_SCHEMA: Final = {
     "type": "object",
     "description": "one event of the stream",
@@ -494,12 +496,13 @@ async def create(
     once."""
     upload = await take_upload(request, here.storage, owner, here.limits)
     once = idempotency.once(owner, key, "jobs", upload.content, timeout_s, memory_mb)
-    known = await anyio.to_thread.run_sync(here.jobs.made, once)
-    if known:
-        return known[0]
-    return await here.in_turn(
-        request, owner, lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading, once)
+    (made,) = await here.made_once(
+        request,
+        owner,
+        once,
+        lambda reading: [here.create(owner, upload, timeout_s, memory_mb, reading, once)],
     )
+    return made
 
 
 @job_router.post(
@@ -602,8 +605,8 @@ def page(
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: LIST_CURSOR = None,
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
-    search: Annotated[Line, Query(description="all of these words in name, title, tags or notes")] = "",
-    tag: Annotated[list[Tag] | None, Query(max_length=10, description="with all of these tags")] = None,
+    search: Search = "",
+    tag: Tags = None,
     sort: Annotated[Sort, Query(description="when made, title or name, whose turn")] = "newest",
 ) -> Response:
     """Yours and those of your team, a page at a time; 304 for who asks again with

@@ -69,12 +69,18 @@ PROBLEM_JSON: Final = "application/problem+json"
 
 
 class RefusedError(Exception):
-    """A request that is refused; ``issues`` carry code and field."""
+    """A request that is refused; ``issues`` carry code and field. Where several things were sent, ``of`` has
+    the number of one, from 0, for each issue."""
 
     def __init__(
-        self, status: int, issues: Issue | Sequence[Issue], headers: Mapping[str, str] | None = None
+        self,
+        status: int,
+        issues: Issue | Sequence[Issue],
+        headers: Mapping[str, str] | None = None,
+        of: Sequence[int] = (),
     ) -> None:
         self.status = status
+        self.of = tuple(of)
         self.issues = (issues,) if isinstance(issues, Issue) else tuple(issues)
         self.headers = dict(headers or {})
         super().__init__("; ".join(issue.message for issue in self.issues))
@@ -89,6 +95,7 @@ class RefusedError(Exception):
             "status": self.status,
             "detail": str(self),
             "issues": [issue_json(issue) for issue in self.issues],
+            **({"of": list(self.of)} if self.of else {}),
         }
 
 

@@ -38,7 +38,7 @@ from planner.service.releases import Releases
 from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
 from planner.service.storage import Blob, Files, Storage, Upload
-from planner.service.texts import LINE, line
+from planner.service.texts import begin
 from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
 from planner.service.webhooks import Sender, Webhooks
 
@@ -134,6 +134,18 @@ class Service:
         self._waiting: Counter[str] = Counter()
         self._read: OrderedDict[str, Examined] = OrderedDict()
         self._read_lock = threading.Lock()
+
+    async def made_once(
+        self,
+        request: Request,
+        owner: str,
+        once: Once | None,
+        make: Callable[[Reading], Sequence[JobOut]],
+    ) -> Sequence[JobOut]:
+        """The jobs that a request made which is to be done ``once``, else those that are made now; raises as
+        :meth:`in_turn`, and 422 for a key that came with another request."""
+        known = await anyio.to_thread.run_sync(self.jobs.made, once)
+        return known or await self.in_turn(request, owner, make)
 
     async def in_turn(self, request: Request, owner: str, read: Callable[[Reading], Read]) -> Read:
         """What ``read`` gives, in a thread, when it is the owner's turn: one token never keeps all readers
@@ -295,9 +307,8 @@ class Service:
         files = self.stored(owner, read, upload.files, PROBLEM)
         jobs = []
         for (name, one), value in zip(read.items(), values, strict=True):
-            title = line(
-                f"{one.name}: {field} = {value if isinstance(value, str) else json.dumps(value)}"[:LINE]
-            )
+            shown = value if isinstance(value, str) else json.dumps(value)
+            title = begin(f"{one.name}: {field} = {shown}")
             new = self.new_job(owner, one.name, one, files[name])
             jobs.append(dataclasses.replace(new, title=title, tags=(tag,)))
         return self.jobs.create_all(jobs, once)
@@ -313,21 +324,26 @@ class Service:
         """A job for each of several problems with common files, all or none; raises as :meth:`create`, for
         all problems that cannot be read at once."""
         read: dict[str, Examined] = {}
-        refused: list[RefusedError] = []
-        for name, upload in uploads.items():
+        refused: list[tuple[int, Issue]] = []
+        for number, (name, upload) in enumerate(uploads.items()):
             try:
                 with _said_of(f"{name[:80]}: "):
                     read[name] = self.examine(upload, reading=reading)
             except RefusedError as error:
                 if error.status != 422:
                     raise
-                refused.append(error)
+                refused += [(number, issue) for issue in error.issues]
         if refused:
-            raise RefusedError(422, [issue for one in refused for issue in one.issues])
+            raise RefusedError(422, [one for _, one in refused], of=[number for number, _ in refused])
         files = {name: blob for upload in uploads.values() for name, blob in upload.files.items()}
         stored = self.stored(owner, read, files, PROBLEM)
-        jobs = [self.new_job(owner, one.name, one, stored[name]) for name, one in read.items()]
-        return self.jobs.create_all([dataclasses.replace(one, tags=(tag,)) for one in jobs], once)
+        same = Counter(one.name for one in read.values())
+        jobs = []
+        for name, one in read.items():  # those that have one name are told apart by their files
+            title = begin(f"{one.name}: {name}") if same[one.name] > 1 else ""
+            new = self.new_job(owner, one.name, one, stored[name])
+            jobs.append(dataclasses.replace(new, title=title, tags=(tag,)))
+        return self.jobs.create_all(jobs, once)
 
     def examine_element(
         self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: Reading

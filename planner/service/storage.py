@@ -371,12 +371,16 @@ async def take_uploads(
         raise RefusedError(422, _fault("Content-Type", what))
     try:
         async with request.form(
-            max_files=limits.files + most, max_fields=len(FIELDS) - 1 + most, max_part_size=MAX_YAML_BYTES
+            max_files=limits.files + most,
+            max_fields=len(FIELDS) - 1 + most,
+            max_part_size=MAX_YAML_BYTES // most,  # texts are held in memory, files are not
         ) as form:
             problems, uploads = _sorted(form, limits, most)
             return await anyio.to_thread.run_sync(_store, storage, owner, problems, uploads)
     except HTTPException as error:
-        raise RefusedError(422, _fault("body", f"the form cannot be read: {error.detail}")) from error
+        what = f"the form cannot be read: {error.detail}"
+        more = "; send problems as files" if most > 1 else ""
+        raise RefusedError(422, _fault("body", what + more)) from error
     except ClientDisconnect as error:
         raise RefusedError(422, _fault("body", "the upload broke off; send it again")) from error
     except OSError as error:
@@ -406,8 +410,10 @@ def _sorted(
     jobs: dict[str, UploadFile | str] = {}
     for number, problem in enumerate(problems, 1):
         called = problem if isinstance(problem, str) else problem.filename
-        own = f"problem {number}" if isinstance(problem, str) or not called else called[-LONGEST_NAME:]
-        if own in jobs:
+        own = f"problem {number}" if isinstance(problem, str) or not called else called
+        if most > 1 and (len(own) > LONGEST_NAME or not own.isprintable()):  # of one, nobody asks its name
+            faults.append(_unnamed(own, "problem"))
+        elif own in jobs:
             faults.append(_fault("problem", f"two problems have the name {own[:80]!r}; rename one"))
         jobs[own] = problem
     named: dict[str, UploadFile] = {}
@@ -418,9 +424,7 @@ def _sorted(
             continue
         name = one.filename or ""
         if not base_name(name) or len(name) > LONGEST_NAME or not name.isprintable():
-            what = f"the name {name[:80]!r} of {len(name)} characters is empty, has more than {LONGEST_NAME} "
-            what += "or one that is not printable, or ends as a folder does; rename the file"
-            faults.append(Issue("service.file_name", f"{field}: {what}", field=field))
+            faults.append(_unnamed(name, field))
         elif name in named:
             what = f"two files have the name {name[:80]!r}; rename one"
             faults.append(Issue("service.file_name", f"{field}: {what}", field=field))
@@ -444,13 +448,20 @@ def _store(
     return {name: Upload(blob, files) for name, blob in zip(problems, blobs, strict=False)}
 
 
+def _unnamed(name: str, field: str) -> Issue:
+    what = f"the name {name[:80]!r} of {len(name)} characters is empty, has more than {LONGEST_NAME} "
+    what += "or one that is not printable, or ends as a folder does; rename the file"
+    return Issue("service.file_name", f"{field}: {what}", field=field)
+
+
 def _fault(field: str, what: str) -> Issue:
     return Issue("service.request", f"{field}: {what}", field=field)
 
 
 def documented(problem: Mapping[str, Any], most: int = 1) -> dict[str, Any]:
     """The request body for OpenAPI, of up to ``most`` problems; ``problem`` is the schema of their files."""
-    text = {"type": "string", "maxLength": MAX_YAML_BYTES, "description": "the same as YAML or JSON text"}
+    longest = MAX_YAML_BYTES // most
+    text = {"type": "string", "maxLength": longest, "description": "the same as YAML or JSON text"}
     form: dict[str, Any] = {
         "type": "object",
         "required": ["problem"],

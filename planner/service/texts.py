@@ -35,6 +35,11 @@ def line(text: str, most: int = LINE) -> str:
     return _kept(text, "", most)
 
 
+def begin(text: str, most: int = LINE) -> str:
+    """The begin of a text as :func:`line` keeps it, however long it is. Raises ``PydanticCustomError``."""
+    return line(unicodedata.normalize("NFC", text)[:most], most)
+
+
 def lines(text: str) -> str:
     """A text of several lines, as it is kept. Raises ``PydanticCustomError``."""
     return _kept(text.replace("\r\n", "\n"), "\n\t", LINES)

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, unit
 from planner.geometry.mesh import small_pieces
-from planner.geometry.swept_body import RoundBody
+from planner.geometry.swept_body import RoundBody, places_near
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue
-from planner.trim.cutting import Cutting
+from planner.issues import Issue, TandemError
+from planner.trim.cutting import Cutting, flute_body
 from planner.trim.face import Face, apart
 from planner.trim.operation import Trim
 from planner.trim.slots import Slot, Wanted
@@ -26,6 +26,10 @@ FACE_SPACING: Final = 2.0 * MM
 """Distance [m] of places of the face at which a torch is held against it."""
 MOST_PLACES: Final = 200_000
 """Places of the face at most."""
+PART_SPACING: Final = 0.5 * MM
+"""Distance [m] of places of the face at which a cutter is held against the part."""
+MOST_PART_PLACES: Final = 1_000_000
+"""Such places at most."""
 LEANS: Final = 6
 """Directions to which a torch is tried to lean."""
 LEAST_RISE: Final = 15.0 * DEG
@@ -99,10 +103,12 @@ def gouged(
     ``way``: its tips and its axes (N, 3). ``places`` (P, 3) are those of the face, the other one
     is lower by the ``thickness`` [m]: of that so much counts as the edge of the cut."""
     deep, where = np.zeros(len(way[0])), np.zeros((len(way[0]), 3))
-    if tool.cutter is None:
+    if tool.cutter is None or not len(places):
         return deep, where
     cutter = tool.cutter
     part = places[~one.waste(places[:, :2])]
+    if not len(part):
+        return deep, where
     off = apart(part, one.laid.point)
     both = np.concatenate([part, part - np.array([0.0, 0.0, side * thickness])])
     off = np.concatenate([off, off - thickness])
@@ -132,6 +138,26 @@ def gouge_issue(slot: Slot, deep: FloatArray, where: FloatArray, op: Trim) -> It
     hint = "move the curve away from the wall there, take a thinner cutter, or less below_mm"
     value, limit = float(deep[k]) / MM, op.shape_tol_mm
     yield Issue("trim.wall", what, value=value, limit=limit, unit="mm", hint=hint)
+
+
+def part_places(
+    face: Face, size: FloatArray, tool: Cutting, way: tuple[FloatArray, FloatArray]
+) -> FloatArray:
+    """Places (P, 3) of the sheet of ``size`` (3,) [m], ``PART_SPACING`` from one another at most, where a
+    cutter may be in one of its faces at some row of a ``way``: its tips and axes (N, 3). Raises
+    ``TandemError`` (trim.wall) where there are too many."""
+    if tool.cutter is None:
+        return np.zeros((0, 3))
+    vertices, faces = face.beyond(size[:2])
+    flute = flute_body(tool.cutter)
+    found, _, count = places_near(
+        vertices[faces], *way, flute, float(size[2]), PART_SPACING, MOST_PART_PLACES
+    )
+    if count > MOST_PART_PLACES:
+        what = f"about the slot there are {count} places to be looked at; allowed: {MOST_PART_PLACES}"
+        hint = "cut it in several pieces (joints), or take a thinner cutter"
+        raise TandemError(Issue("trim.wall", what, value=count, limit=MOST_PART_PLACES, hint=hint))
+    return found
 
 
 def face_places(face: Face, size: FloatArray) -> FloatArray:

@@ -101,6 +101,16 @@ def torch_body(torch: Torch) -> RoundBody:
     return RoundBody(torch.standoff, torch.back, torch.body, distance)
 
 
+def flute_body(cutter: Cutter) -> RoundBody:
+    """What of a mill cuts: a cylinder. Its distances are those from its ends and side, never more than the
+    true ones."""
+
+    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
+        return np.asarray(np.maximum(beside - cutter.radius, np.maximum(-back, back - cutter.flute)))
+
+    return RoundBody(0.0, cutter.flute, cutter.radius, distance)
+
+
 def shank_body(cutter: Cutter) -> RoundBody:
     """What of a mill does not cut: shank, holder and spindle, cylinders one behind the other. Its distances
     are those from their planes and sides, never more than the true ones."""

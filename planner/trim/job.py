@@ -29,14 +29,14 @@ from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.milling.tool_path import sharp, thinned
-from planner.problem import Hole, Setup
+from planner.problem import Formed, Hole, Setup
 from planner.reading import sheet as sheet_file
 from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
 from planner.tooling import Mill, Torch
 from planner.trim import check
 from planner.trim.claims import claims, told
 from planner.trim.cutting import Cutting, cutting, mounted
-from planner.trim.face import Face, lay
+from planner.trim.face import Face, Laid, apart, lay
 from planner.trim.operation import MillCut, Trim, every_outline
 from planner.trim.slots import Slot, Wanted, slots
 
@@ -54,6 +54,15 @@ ROUNDED_SHARE: Final = 0.25
 """Share of the tolerance that rounded corners may take."""
 MEAN_FEED_FROM_REST: Final = 0.66
 """Part of the feed that moves from or to a stop have on average, as they are faster in between."""
+LINGER: Final = 2.5
+"""On a short stretch a torch may take so many times as long as at its least average feed; the proof allows
+more."""
+LINGER_TIME: Final = 0.4
+"""It may also stop there for so long [s]."""
+LINGER_KERFS: Final = 3.0
+"""Kerfs that such a stretch is long,"""
+LEAST_STRETCH: Final = 3.0 * MM
+"""and so long [m] at least."""
 AIR_LEVER: Final = 0.05
 """A point so far [m] behind the TCP counts for the speed in the air, where the torch turns."""
 SPIN_WAY: Final = 5e-4
@@ -97,19 +106,24 @@ class TrimJob(Job[Trim]):
         return Face(self.formed, thickness, 1 if self.operation.side == "top" else -1)
 
     @functools.cached_property
-    def formed(self) -> Mesh:
-        """The lower face of the sheet as it is trimmed. Raises as :attr:`face`."""
-        op, stock = self.operation, self.setup.stock
-        part, wanted = self.part, isinstance(op.surface, str)
+    def surface(self) -> Formed:
+        """What the file has of the face, and how far it may be off. Raises as :attr:`face`."""
+        op, stock, part = self.operation, self.setup.stock, self.part
         if not isinstance(op.surface, str):
             place = None if op.surface.frame == "find" else np.eye(4)
             part = sheet_file.build(op.surface, Path(), stock, place)
         if stock.sheet is None or part is None or part.formed is None:
             what = f"{op.name}: there is no formed sheet; give sheet: and a part of kind sheet_mesh"
             raise TandemError(Issue("trim.no_sheet", what, field="sheet"))
-        mesh, stages = part.formed.mesh, stock.sheet.stages
-        if wanted and stages is not None and stages.after:
-            tree = build(mesh, FEATURE_STEP, max(LEAST_BUMP, part.formed.tolerance))
+        return part.formed
+
+    @functools.cached_property
+    def formed(self) -> Mesh:
+        """The lower face of the sheet as it is trimmed. Raises as :attr:`face`."""
+        mesh, sheet = self.surface.mesh, self.setup.stock.sheet
+        stages = None if sheet is None else sheet.stages
+        if isinstance(self.operation.surface, str) and stages is not None and stages.after:
+            tree = build(mesh, FEATURE_STEP, max(LEAST_BUMP, self.surface.tolerance))
             done = {number for _, some in stages.before for number in some or ()}
             known = sorted(done.intersection(one.id for one in tree.features))
             mesh = formed_sheet(mesh, tree, known)
@@ -152,7 +166,7 @@ class TrimJob(Job[Trim]):
                 issues += error.issues
         if issues:
             raise TandemError(aggregate(issues))
-        route, issues = _route(op, self.setup, self.face, tool, made, wanted)
+        route, issues = _route(op, self.setup, self.face, tool, made, wanted, self.surface.tolerance)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         free = [w for w in wanted if not w.spec.joints]  # what hangs by joints stays
@@ -180,6 +194,8 @@ class TrimJob(Job[Trim]):
                     f"take a lower feed_mm_s, round the corners, or allow it: least_feed: {0.95 * share:.2f}"
                 )
                 out.append(Issue("trim.slow", what, value=share, limit=op.least_feed, hint=hint))
+            elif self.cutting.cutter is None:
+                out += _lingers(op, self.cutting.kerf, segment, targets.travel[rows], time, rows)
         return tuple(out)
 
     def stated(self) -> tuple[Claim, ...]:
@@ -188,10 +204,40 @@ class TrimJob(Job[Trim]):
         return claims(self.operation, self.setup, self.tool)
 
 
+def _lingers(
+    op: Trim, kerf: float, segment: Segment, travel: FloatArray, time: FloatArray, rows: BoolArray
+) -> list[Issue]:
+    """Stretches of a slot, as short as a few kerfs, on which a torch would burn away more than that;
+    ``travel`` (R,) [m] on the moves to its targets, which are ``rows`` (N,) of those with ``time`` (N,)."""
+    at = np.flatnonzero(rows)
+    along, clock = np.append(0.0, np.cumsum(travel)), time[np.append(at[0] - 1, at)]
+    stretch = max(LINGER_KERFS * kerf, LEAST_STRETCH)
+    # stretches from each target on, and those up to each
+    begin = np.concatenate([along, np.maximum(along - stretch, 0.0)])
+    end = np.minimum(begin + stretch, along[-1])
+    spent = np.interp(end, along, clock) - np.interp(begin, along, clock)
+    most = LINGER * (end - begin) / (op.least_feed * op.feed_mm_s * MM) + LINGER_TIME
+    k = int(np.argmax(spent - most))
+    if spent[k] <= most[k]:
+        return []
+    what = f"{segment}: the arm takes {spent[k]:.2f} s for {(end[k] - begin[k]) / MM:.2f} mm, where the "
+    what += f"torch burns away more than its kerf; allowed: {most[k]:.2f} s"
+    hint = "round the corner there, let it begin elsewhere, or take a lower feed_mm_s"
+    value, limit = float(spent[k]), float(most[k])
+    return [Issue("trim.slow", what, value=value, limit=limit, unit="s", hint=hint)]
+
+
 def _route(
-    op: Trim, setup: Setup, face: Face, tool: Cutting, made: list[Slot], wanted: tuple[Wanted, ...]
+    op: Trim,
+    setup: Setup,
+    face: Face,
+    tool: Cutting,
+    made: list[Slot],
+    wanted: tuple[Wanted, ...],
+    rough: float,
 ) -> tuple[Route, list[Issue]]:
-    """The way through all slots: down along the tool's axis to where it pierces, along the slot, up again."""
+    """The way through all slots: down along the tool's axis to where it pierces, along the slot, up again.
+    The face may be off by ``rough`` [m]."""
     level, issues = _level(op, setup, face), list[Issue]()
     size = setup.stock.size[:2]
     places = check.face_places(face, size)
@@ -205,20 +251,28 @@ def _route(
     end: list[int] = []
     cone = LEAN_SHARE * op.cone_deg * DEG
     for number, slot in enumerate(made):
-        rows, raised = _rows(slot, op, tool)
+        own_outline = next(one for one in wanted if one.spec.name == slot.outline)
+        try:
+            rows, raised = _rows(slot, op, tool, (own_outline.laid, rough))
+            whole = _whole(slot, face, tool, rows, raised)
+            part = check.part_places(face, setup.stock.size, tool, whole)
+        except TandemError as error:
+            issues += error.issues
+            continue
         point, axis = slot.point[rows], face.side * slot.normal[rows]
         pivot = point + raised[:, None] * axis
         tip = pivot - tool.deep * axis
         off = check.clear_of(tool.body, places, tip, axis)
         issues += [*check.wall_issue(slot, tip, off, op, tool), *check.rise_issue(slot, axis, face.side)]
-        own_outline = next(one for one in wanted if one.spec.name == slot.outline)
-        cut = (own_outline, tool, places, float(setup.stock.size[2]), face.side)
-        issues += check.gouge_issue(slot, *check.gouged(*cut, (tip, axis)), op)
+        cut = (own_outline, tool, part, float(setup.stock.size[2]), face.side)
+        issues += check.gouge_issue(slot, *check.gouged(*cut, whole), op)
         if has_errors(issues):
             continue
         ok = np.ones(len(tip), dtype=bool)
         for leant in check.leans(axis, op.cone_deg * DEG):
-            ok &= check.clear_of(tool.body, places, pivot - tool.deep * leant, leant) >= op.clear_mm * MM
+            low = pivot - tool.deep * leant
+            ok &= check.clear_of(tool.body, places, low, leant) >= op.clear_mm * MM
+            ok &= check.gouged(*cut, (low, leant))[0] <= op.shape_tol_mm * MM
         lean = np.where(ok & np.append(ok[1:], True) & np.append(True, ok[:-1]), cone, 0.0)
         if tool.cutter is not None:  # not turned on the way down, and straight out again
             lean[(raised > 0.0) | np.append(True, raised[:-1] > 0.0)] = 0.0
@@ -265,6 +319,15 @@ def _route(
     ), issues
 
 
+def _whole(
+    slot: Slot, face: Face, tool: Cutting, rows: IntArray, raised: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Tips and axes (N, 3) at all places of a slot; ``raised`` (R,) [m] at those of ``rows``."""
+    axis = face.side * slot.normal
+    above = np.interp(np.arange(len(axis)), rows, raised)
+    return slot.point + (above - tool.deep)[:, None] * axis, axis
+
+
 PLUNGE_SHARE: Final = 0.8
 """Share of its plunge feed at which a cutter goes down: on a bent face it does not go down evenly."""
 LEAST_SHARE: Final = 0.05
@@ -294,24 +357,39 @@ def _nowhere() -> Route:
 
 
 LOW_TOLERANCES: Final = 2.0
-"""From so many tolerances before the curve on, a torch leads in at the height at which it cuts."""
+"""Where its slot's edge is so many tolerances off the curve,"""
+LOW_ROOM: Final = 0.05 * MM
+"""and so much more [m], the tool is as low as it cuts: the proof asks that of all that is near to a curve."""
 
 
-def _above(slot: Slot, op: Trim) -> FloatArray:
-    """How far (N,) the torch is still up on its way from the pierce height, from 1 to 0."""
-    step = np.linalg.norm(np.diff(slot.point[: slot.first + 1], axis=0), axis=1)
-    left = np.append(np.cumsum(step[::-1])[::-1], np.zeros(len(slot.point) - slot.first))
-    low = LOW_TOLERANCES * op.shape_tol_mm * MM
-    return np.asarray(np.clip((left - low) / max(float(left[0]) - low, 1e-9), 0.0, 1.0))
+def _above(slot: Slot, op: Trim, tool: Cutting, near: tuple[Laid, float]) -> FloatArray:
+    """How far (N,) the tool is still up on its way from where it begins, from 1 to 0; ``near``: its curve,
+    of a face that may be off by so much [m]. Raises ``TandemError`` (trim.lead)."""
+    curve, rough = near
+    low = LOW_TOLERANCES * op.shape_tol_mm * MM + LOW_ROOM + rough
+    off = apart(slot.point[: slot.first + 1], curve.point) - 0.5 * tool.kerf
+    last = int(np.argmax(off < low)) - 1
+    if last < 1 and tool.lift != 0.0 and tool.ramp:
+        what = (
+            f"{slot.outline}: the way in of {op.lead.length_mm:g} mm is too short for the tool to come down "
+        )
+        what += f"on it before it is {low / MM:.2f} mm off the curve"
+        hint = f"take a longer lead.length_mm (about {1.3 * low / MM:.1f}), or a smaller shape_tol_mm"
+        value, limit = op.lead.length_mm, low / MM
+        raise TandemError(Issue("trim.lead", what, value=value, limit=limit, unit="mm", hint=hint))
+    step = np.linalg.norm(np.diff(slot.point[: max(last, 1) + 1], axis=0), axis=1)
+    left = np.append(np.cumsum(step[::-1])[::-1], np.zeros(len(slot.point) - len(step)))
+    return np.asarray(left / float(left[0]))
 
 
-def _rows(slot: Slot, op: Trim, tool: Cutting) -> tuple[IntArray, FloatArray]:
+def _rows(slot: Slot, op: Trim, tool: Cutting, near: tuple[Laid, float]) -> tuple[IntArray, FloatArray]:
     """Rows of a slot's places that become targets, and how much higher (N,) [m] than in the slot the TCP is
-    there. A cutter that plunges has its first place twice."""
+    there; ``near`` as :func:`_above` has it. A cutter that plunges has its first place twice."""
     lever = np.array([0.0, AXIS_LEVER, -tool.deep])[: 2 if tool.cutter is None else 3]
     points = slot.point[:, None] + lever[:, None] * slot.normal[:, None]
     chord = CHORD_SHARE * min(op.shape_tol_mm, op.height_tol_mm) * MM
-    above = _above(slot, op)
+    chord = chord if tool.cutter is None else min(chord, CHORD_SHARE * tool.deep)
+    above = _above(slot, op, tool, near)
     low = int(np.argmax(above == 0.0))
     breaks = np.unique([0, low, slot.first, slot.last, len(slot.point) - 1])
     found = [np.zeros(1, dtype=np.int64)]

@@ -20,6 +20,8 @@ GAP: Final = 1.5 * MM
 """Where the middle of a slot has no place for so long [m], the curve is narrower there than the slot."""
 LEAD_SPACING: Final = 0.5 * MM
 """Distance [m] of places of ways in and out."""
+LEAD_PLACES: Final = 5
+"""Places of a way in at least: between two of them it comes down to the height at which it cuts."""
 LEAD_ROOM: Final = 0.05 * MM
 """How much nearer to a curve than the slot's half width its ways in and out may come [m]."""
 
@@ -153,7 +155,7 @@ def _slot(
 def _lead(op: Trim, end: FloatArray, into: FloatArray, way: FloatArray) -> FloatArray:
     """Places (K, 3) of a way in to ``end``, without that."""
     length = op.lead.length_mm * MM
-    count = max(int(np.ceil(length / LEAD_SPACING)), 4)
+    count = max(int(np.ceil(length / LEAD_SPACING)), LEAD_PLACES)
     if op.lead.shape == "line":
         return np.asarray(end + np.linspace(length, 0.0, count + 1)[:-1, None] * into)
     turn = np.linspace(0.5 * np.pi, 0.0, 2 * count + 1)[:-1, None]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property
 from typing import Any, Generic, ParamSpec, Protocol, TypeVar
 
@@ -219,6 +219,15 @@ class Context:
     def job(self) -> JobText:
         """The programs as read."""
         return job_text.read(self.problem, self.programs)
+
+    def switching(self, arms: Collection[str]) -> frozenset[str]:
+        """The tasks whose programs switch what ``arms`` work with: those of the controller of the first one
+        of them. A signal of the same name on another controller is another one."""
+        lead = next((task for task in self.job.tasks if task.arm.name in arms), None)
+        for tasks in job_text.controllers(self.problem, self.job.tasks):
+            if lead in tasks:
+                return frozenset(task.name for task in tasks)
+        return frozenset()
 
     @property
     def readable(self) -> bool:

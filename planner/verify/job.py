@@ -256,6 +256,16 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
     return found, strays
 
 
+def controllers(problem: Problem, tasks: Sequence[TaskText]) -> tuple[tuple[TaskText, ...], ...]:
+    """The tasks by the controllers that run them, which alone have their signals: those of one ABB controller
+    together, each of KUKA and UR, and of two controllers that share signals by wires, by itself."""
+    alone = problem.cell.controller.sync == "handshake"
+    out: dict[str, list[TaskText]] = {}
+    for task in tasks:
+        out.setdefault(task.arm.name if alone or not task.rapid else "", []).append(task)
+    return tuple(map(tuple, out.values()))
+
+
 def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     """Read everything. Faults are collected, never raised; a task that cannot be read has no steps."""
     controller = problem.cell.controller

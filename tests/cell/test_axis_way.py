@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+import trimesh
 from scipy.spatial.transform import Rotation
 from shapely.affinity import rotate
 
@@ -33,7 +34,62 @@ def test_no_plain_trial_is_nearer_than_the_bound(tmp_path: Path, side: float, cl
         there = model.with_bases({"left": arm.track.moved(problem.cell.arms[0].base, value)})
         least = min(least, float(clearance.least(there, {"left": arm.home[None]}, 0.5).distance[0]))
     assert way.least <= least + 1e-9
-    assert way.looks < 2000
+    assert len(way.looked) < 2000
+
+
+def _box(size: list[float], at: list[float]) -> dict[str, Any]:
+    return {"kind": "box", "size_mm": size, "pose": {"xyz_mm": at}}
+
+
+def _rail(top: float = 0.0, size: tuple[float, float] = (500.0, 7000.0), y: float = 0.0) -> dict[str, Any]:
+    return _box([*size, 50], [0, y, top - 25])
+
+
+STOP = _box([200, 100, 100], [0, 300, 50])
+"""What stands on a rail, lower than all of an arm but its base."""
+
+
+@pytest.mark.parametrize(
+    ("body", "clear"),
+    [
+        ([_rail()], True),
+        ([_rail(1.0)], True),  # bodies of bases end so far below
+        ([_rail(size=(500.0, 1000.0), y=y) for y in (-1000.0, 0.0, 1000.0)], True),  # laid in pieces
+        ([_rail(4.0)], False),
+        ([_rail(), STOP], False),
+        ([_rail(), _box([60, 7000, 100], [209.5, 0, 50])], False),  # a wall 3 mm beside the base
+        ([STOP, _box([200, 100, 100], [-30, -756, 50])], False),  # one of them 3 mm behind the base
+    ],
+)
+def test_a_base_slides_on_what_is_under_its_foot(tmp_path: Path, body: list[Any], clear: bool) -> None:
+    """Given as one body. The base reaches to 176.5 mm across its way and, at first, from -703 mm along it."""
+    way = _along(tmp_path, body)
+    assert way.clear == clear
+    if not clear:
+        assert way.pair == ("left/base_link", "rail")
+
+
+@pytest.mark.parametrize(("stop", "clear"), [(False, True), (True, False)])
+def test_a_mesh_of_rail_and_stop_is_its_hull(tmp_path: Path, stop: bool, clear: bool) -> None:
+    parts = [trimesh.creation.box([500, 7000, 50], trimesh.transformations.translation_matrix([0, 0, -25]))]
+    if stop:
+        there = trimesh.transformations.translation_matrix([0, 300, 10])
+        parts.append(trimesh.creation.box([200, 100, 100], there))
+    trimesh.util.concatenate(parts).export(tmp_path / "rail.stl")
+    way = _along(tmp_path, [{"kind": "mesh", "file": "rail.stl", "unit": "mm"}])
+    assert way.clear == clear
+    assert clear or way.pair == ("left/base_link", "rail")
+
+
+def _along(folder: Path, body: list[Any]) -> axis_way.AxisWay:
+    """The way of a base from -0.5 to 0.9 m over the one body of its cell."""
+    made = track_job.problem(folder, obstacles=[{"name": "rail", "shapes": body}])
+    setup = made.stationed({0: {"left": -0.5}}).setups[0]
+    assert setup.stock.place is not None
+    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    arm = setup.cell.arm("left")
+    assert arm.track is not None
+    return axis_way.along(model, "left", arm.track.axis, (-0.5, 0.9), {"left": arm.home}, 0.01)
 
 
 @pytest.mark.parametrize(("side", "clear"), [(470.0, True), (430.0, True), (405.0, False)])
@@ -62,7 +118,7 @@ def test_a_turning_block_is_no_nearer_than_the_bound(
     if clear:  # looks are dense enough to be of use
         assert 1e3 * way.least > 0.5 * (least + 10.0) - 0.1
         assert way.pair == ("stock", "post")
-    assert way.looks < 2000
+    assert len(way.looked) < 2000
 
 
 def test_the_plate_and_what_stands_on_it_do_not_come_nearer(tmp_path: Path) -> None:
@@ -107,7 +163,7 @@ def test_a_tilting_block_is_no_nearer_than_the_bound(tmp_path: Path, x: float, z
     )
     assert way.least <= 1e-3 * least + 1e-9
     if clear:
-        assert way.least > 0.01 and way.looks < 200
+        assert way.least > 0.01 and len(way.looked) < 200
 
 
 def test_what_is_tilted_keeps_off_the_floor(tmp_path: Path) -> None:
@@ -130,10 +186,6 @@ def test_what_is_tilted_keeps_off_the_floor(tmp_path: Path) -> None:
     assert outline.bounds[1] < 11.5
 
 
-def _box(size: list[float], at: list[float]) -> dict[str, Any]:
-    return {"kind": "box", "size_mm": size, "pose": {"xyz_mm": at}}
-
-
 POSTS = positioner_job.POSTS["shapes"]
 SHAFT = {
     "kind": "cylinder",
@@ -151,6 +203,12 @@ CRADLE = positioner_job.CRADLE["shapes"]
         (CRADLE, [*POSTS, _box([60, 100, 440], [816, 0, 220])], False),  # a column 4 mm behind the cradle
         ([*CRADLE, SHAFT], POSTS, True),  # a shaft that goes into the posts
         ([*CRADLE, _box([60, 560, 30], [900, 0, 470])], POSTS, False),  # a square one that does
+        # a bar that lies 3.2 mm off the edge of a post, above it and past its end, and goes down beside it
+        (
+            [*CRADLE, _box([300, 12, 40], [900, 257, 495])],
+            [POSTS[0], _box([300, 40, 472], [900, 284, 236])],
+            False,
+        ),
         # a post at the end of a wide cradle, off the axis
         ([_box([400, 500, 40], [900, 0, 440])], [*POSTS, _box([40, 40, 490], [1080, 272, 245])], False),
     ],

@@ -166,9 +166,11 @@ def test_surfaces_that_are_none_are_refused_with_their_place(tmp_path: Path, mes
     assert element_file.read(element(tmp_path, wall(1.2, 0.9, 0.02)))  # closed, squared, unified: good
 
 
-def test_inches_are_refused_where_the_wall_would_be_too_long(tmp_path: Path) -> None:
+def test_feet_are_refused_where_the_wall_would_be_too_long(tmp_path: Path) -> None:
+    """What a building has, longer than any cell, is none of them: 1200 inches are 30 m."""
     issue = refusal(element(tmp_path, surface={"mesh": {"file": "wall.obj", "unit": "ft"}}))
     assert issue.code == "mesh.unit"
+    assert element_file.read(element(tmp_path, surface={"mesh": {"file": "wall.obj", "unit": "in"}}))
 
 
 def test_noise_is_out_of_tolerance_and_the_tolerance_advised_is_enough(tmp_path: Path) -> None:

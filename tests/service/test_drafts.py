@@ -16,7 +16,7 @@ from planner.cli import service as commands
 from planner.issues import TandemError
 from planner.service import backup, drafts
 from tests.service import postgres
-from tests.service.support import TABLE, codes
+from tests.service.support import TABLE, codes, named
 from tests.service.test_roles import Shop, opened
 
 ODD: Final = {
@@ -174,6 +174,12 @@ def test_a_draft_says_as_which_job_it_was_sent(shop: Shop) -> None:
     assert (marked["sent"], marked["job"], marked["version"]) == (1, job, 1)
     changed = save(shop, draft, '"1"', '{"b": 2}').json()
     assert (changed["sent"], changed["job"], changed["version"]) == (1, job, 2)  # what is newer was not sent
+    newer = shop.job("bob", "newer")
+    for number, last in ((2, newer), (1, job)):  # what was told late of the version before changes nothing
+        marked = shop.ask(
+            "ann", "POST", f"/v1/drafts/{draft}/sent", json={"version": number, "job": last}
+        ).json()
+        assert (marked["sent"], marked["job"]) == (2, newer)
     eves = shop.job("eve", "hers")
     for wrong, code in (
         ({"version": 9, "job": job}, ("service.draft", "number")),
@@ -183,9 +189,38 @@ def test_a_draft_says_as_which_job_it_was_sent(shop: Shop) -> None:
     ):
         refused = shop.ask("ann", "POST", f"/v1/drafts/{draft}/sent", json=wrong)
         assert codes(refused) == [code]
-    assert shop.ask("bob", "DELETE", f"/v1/jobs/{job}").status_code == 204
+    assert shop.ask("bob", "DELETE", f"/v1/jobs/{newer}").status_code == 204
     (listed,) = (one for one in shop.ask("ann", "GET", "/v1/drafts").json()["drafts"] if one["id"] == draft)
-    assert (listed["sent"], listed["job"]) == (1, None)
+    assert (listed["sent"], listed["job"]) == (2, None)
+
+
+def test_sweeps_and_batches_say_of_which_drafts_they_were_sent(shop: Shop) -> None:
+    a, b, c = (kept(shop, "ann", named(f"draft_{k}")) for k in "abc")
+    eves = kept(shop, "eve", named("hers"))
+    form = [("files", ("targets.csv", TABLE))]
+    parts = [("problem", (f"{k}.yaml", named(f"draft_{k}"))) for k in "bc"]
+    many = {"tag": "t", "draft": [f"{b}@1", f"{c}@1"]}
+    swept = {"field": "operations.0.feed_mm_s", "value": ["20", "30"], "draft": f"{a}@1"}
+    for url, files, query in (
+        ("/v1/sweeps", [("problem", ("a.yaml", named("draft_a"))), *form], swept),
+        ("/v1/batches", [*parts, *form], many),
+    ):
+        for wrong, status in (
+            (f"{eves}@1", 404),
+            (f"{a}@2", 404),
+            (f"{a}@0", 422),
+            (f"{a}@1\n", 422),
+            (a, 422),
+        ):
+            refused = shop.ask("ann", "POST", url, files=files, params={**query, "draft": wrong})
+            assert refused.status_code == status, refused.text
+        made = shop.ask("ann", "POST", url, files=files, params=query)
+        assert made.status_code == 201, made.text
+        drafts_of = [a] if url == "/v1/sweeps" else [b, c]
+        for draft, job in zip(drafts_of, made.json()["jobs"], strict=False):
+            told = shop.ask("bob", "GET", f"/v1/drafts/{draft}").json()
+            assert (told["sent"], told["job"]) == (1, job["id"])
+    assert shop.ask("eve", "GET", f"/v1/drafts/{eves}").json()["sent"] is None
 
 
 def test_pages_of_drafts_miss_none(shop: Shop) -> None:

@@ -22,7 +22,7 @@ from planner.service.models import JOBS
 from planner.service.security import Auth, Limits
 from tests.element.shells import cap, shell
 from tests.element.test_saw_jobs import SAW
-from tests.service.support import ROOT, InProcess, Team, codes
+from tests.service.support import ROOT, InProcess, Team, codes, named
 
 NO_REACH = Issue("motion.no_reach", "a target of the pretended plan is too far")
 COUNT = 24
@@ -261,6 +261,13 @@ def test_proven_panels_are_released_by_one_act_and_the_others_named(here: Elemen
     assert f"planned again meanwhile, as job {again['id']}" in why[old]
     assert "it is unproven" in why[bad]
     assert "you were shown 0000000000000000" in why[other]
+    foreign = here.post(named("foreign")).json()["id"]
+    here.ended(foreign)
+    stolen = here.http.post(
+        f"{address}/release", json={**asked, "panels": {good: {**shown[good], "job": foreign}}}
+    )
+    assert stolen.status_code == 409
+    assert "planned again meanwhile" in stolen.text  # and not a word of the other job
     after = seen()
     states = {one: after[one].get("release") for one in (good, old, bad, other)}
     assert states == {good: "released", old: "not-released", bad: None, other: "not-released"}
@@ -274,6 +281,26 @@ def test_proven_panels_are_released_by_one_act_and_the_others_named(here: Elemen
     strange = {unplanned: shown[good]}
     for wrong in ({"panels": strange, "name": "Ann"}, {"panels": {}, "name": "Ann"}, {"panels": shown}):
         assert here.http.post(f"{address}/release", json=wrong).status_code == 422
+
+
+def test_what_is_planned_again_while_files_are_looked_at_is_not_released(
+    here: Elements, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    element = here.divided(here.upload(tmp_path, name="looked").json()["id"])
+    address, panel = f"/v1/elements/{element['id']}", element["panels"][0]["id"]
+    (first,) = here.http.post(f"{address}/plan", json={"panels": [panel]}).json()["jobs"]
+    shown = {"job": first["id"], "digest": here.ended(first["id"])["digest"]}
+    look = here.service.releases._look
+
+    def slow(*asked: Any) -> Any:
+        found = look(*asked)
+        here.http.post(f"{address}/plan", json={"panels": [panel]})
+        return found
+
+    monkeypatch.setattr(here.service.releases, "_look", slow)
+    answer = here.http.post(f"{address}/release", json={"panels": {panel: shown}, "name": "Ann"})
+    assert (answer.status_code, codes(answer)) == (409, [("service.release", None)])
+    assert not here.http.get(f"/v1/jobs/{first['id']}/releases").json()["releases"]
 
 
 def test_an_elements_panels_count_as_one_job_that_waits(here: Elements, dome: dict[str, Any]) -> None:

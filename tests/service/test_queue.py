@@ -148,6 +148,12 @@ def test_several_problems_make_a_job_each_or_none(tmp_path: Path) -> None:
         assert wrong.status_code == 422
         said = [one["message"].partition(": ")[0] for one in wrong.json()["issues"]]
         assert said == ["b.yaml", "c.yaml"], wrong.text
+        assert wrong.json()["of"] == [1, 2]
+        swapped = [good[1], good[0], good[2]]  # jobs come in the order of the parts
+        turned = sent(*swapped, names=("b.yaml", "a.yaml", "c.yaml"), headers=header)
+        assert codes(turned) == [("service.idempotency", "Idempotency-Key")]
+        for name in ("W" * 256, "a\u202e.yaml"):
+            assert codes(sent(good[0], names=(name,))) == [("service.file_name", "problem")]
         for refused, what in (
             (sent(*good, names=("a.yaml", "a.yaml", "b.yaml")), "two problems have the name 'a.yaml'"),
             (
@@ -156,10 +162,20 @@ def test_several_problems_make_a_job_each_or_none(tmp_path: Path) -> None:
             ),
             (sent(), "got 0 problems, 1 to 50 may be"),
             (sent(*good, params={"tag": "a\u202eb"}), "right-to-left override"),
+            (
+                here.http.post(url, data={"problem": [good[0], "x" * 200_000]}, files={"files": ("t", b"1")}),
+                "exceeded maximum size of 97KB.; send problems as files",
+            ),
         ):
             assert refused.status_code == 422
             assert what in refused.text, refused.text
         assert len(here.http.get("/v1/jobs?limit=200").json()["jobs"]) == 3
+        twice = sent(named("same"), named("same"), named("other")).json()["jobs"]
+        assert [one["title"] for one in twice] == ["same: a.yaml", "same: b.yaml", ""]
+        wide = sent(
+            named("same"), named("same"), names=("\u0958" * 150, "b")
+        )  # each is two letters when kept
+        assert wide.json()["jobs"][0]["title"] == "same: " + "\u0915\u093c" * 97
         here.team.hold.set()
         object.__setattr__(here.service.limits, "open_jobs", 1)
         many = sent(named("n"), named("m"))

@@ -261,18 +261,22 @@ def test_drafts_sweeps_and_links_to_look(served: tuple[Process, str], tmp_path: 
     assert (issue.code, issue.field) == ("service.draft", "If-Match")
     assert [one["title"] for one in client.drafts()] == ["Gewölbe ٣", "Greifer"]
     assert [one["kind"] for one in client.drafts("tool")] == ["tool"]
+    ours = client.keep_draft({}, "swept")
+    draft = (ours["id"], ours["version"])
     client.delete_draft(first["id"])
-    assert [one["title"] for one in client.drafts()] == ["Greifer"]
+    assert [one["title"] for one in client.drafts()] == ["swept", "Greifer"]
 
     problem = small_problem.write(tmp_path)
     files = {"targets.csv": tmp_path / "targets.csv"}
 
     def swept(*values: float) -> list[str]:
         key = None if -1 in values else "sweep-1"
-        return client.sweep(problem, "operations.0.feed_mm_s", values, "Vorschub ٣", files, key)
+        return client.sweep(problem, "operations.0.feed_mm_s", values, "Vorschub ٣", files, key, draft)
 
     jobs = swept(20, 30.5)
     assert swept(20, 30.5) == jobs
+    (told,) = client.drafts("draft")
+    assert (told["sent"], told["job"]) == (1, jobs[0])
     assert sorted(one["id"] for one in client.jobs(tags=["vorschub ٣"])) == sorted(jobs)
     titles = [client.job(one)["title"].rpartition(": ")[2] for one in jobs]
     assert titles == ["operations.0.feed_mm_s = 20", "operations.0.feed_mm_s = 30.5"]
@@ -425,6 +429,16 @@ def odd() -> Iterator[tuple[type[Odd], str]]:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield kind, f"http://127.0.0.1:{server.server_port}"
         server.shutdown()
+
+
+def test_a_service_without_pages_of_drafts_gives_all_at_once(odd: tuple[type[Odd], str]) -> None:
+    kind, url = odd
+    kind.health = b'{"status": "ok", "version": "9.0", "api": 13, "api_oldest": 1}'
+    kind.answers = (200, {}, b'{"drafts": [{"id": "a"}]}')
+    assert list(tandem_client.Client(url).drafts("cell")) == [{"id": "a"}]
+    assert [path for path, _ in kind.asked if "health" not in path] == ["/v1/drafts?limit=1000&kind=cell"]
+    (issue,) = refusal(lambda: tandem_client.Client(url).sweep({}, "a", [1], draft=("b", 1)))
+    assert issue.code == "service.version"
 
 
 def test_a_client_that_is_too_old_is_told(odd: tuple[type[Odd], str]) -> None:

@@ -125,6 +125,19 @@ def test_an_arm_that_is_too_slow_is_told(tmp_path: Path) -> None:
     assert [issue.code for issue in job.driven(made, 4.0 * clock)] == ["trim.slow"]
 
 
+def test_a_torch_that_lingers_in_a_long_slot_is_told(tmp_path: Path) -> None:
+    """One move of 3 s more hardly counts on average, and burns a hole."""
+    circle = {"name": "rim", "circle": {"at_mm": [0, 0], "diameter_mm": 72}, "drops": "outside"}
+    job = processes.job(problem(tmp_path, outlines=[circle]), 0)
+    made = job.targets()
+    step = made.travel / made.feed
+    assert job.driven(made, np.cumsum(step)) == ()
+    step[made.count // 2] += 3.0
+    (issue,) = job.driven(made, np.cumsum(step))
+    assert issue.code == "trim.slow"
+    assert "burns away more than its kerf" in issue.message
+
+
 @pytest.mark.parametrize("ok_signal", ["diArcOk", None])
 def test_controllers_of_ur_light_no_torch(tmp_path: Path, ok_signal: str | None) -> None:
     read = problem(tmp_path, outlines=[ROUND], ok_signal=ok_signal)

@@ -18,6 +18,8 @@ import shapely
 from planner import pipeline, processes
 from planner.geometry.arrays import Mesh
 from planner.issues import TandemError
+from planner.motion import solve
+from planner.post import write
 from planner.targets import ScrewFreedom
 from planner.tooling import mill
 from planner.trim.check import gouged
@@ -27,9 +29,12 @@ from planner.trim.operation import OutlineFile
 from planner.trim.slots import Wanted
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
-from planner.verify.rules.trim_mill import _beside
+from planner.verify.prove import Prover
+from planner.verify.rules.trim import trim_cut
+from planner.verify.rules.trim_mill import _beside, trim_mill, trim_spindle
 from planner.verify.trim import outlines
 from planner.verify.trim.torch_motion import Trimming
+from tests import urdf_text
 from tests.small_forming import die, dish
 from tests.small_forming import write as write_forming
 from tests.trim.small_trim import KUKA, MILL, OUTLINES, Job, data, milled, problem
@@ -55,6 +60,13 @@ def along(x: float) -> Callable[[str], str]:
     return moved(lambda p: p + np.array([x, 0.0, 0.0]))
 
 
+def deeper_first(text: str) -> str:
+    """Its move, and before that one to 2 mm below where the tip was."""
+    at = text.index("    MoveL")
+    line = text[at : text.index("\n", at) + 1]
+    return text[:at] + moved(lambda p: np.array([p[0], p[1], -9.0]))(line) + text[at:]
+
+
 FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "a hole beside its place": ("verify.trim_kept", "trim_round", along(1.0)),
     "a hole too small": ("verify.trim_cut", "trim_round", moved(lambda p: p * np.array([0.9, 0.9, 1.0]))),
@@ -67,6 +79,7 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "down too fast": ("verify.trim_mill", "trim_round", timed(0.2)),
     "down in the part": ("verify.trim_mill", "trim_round_in", along(8.0)),
     "into the sheet on the way to it": ("verify.trim_mill", "trim_round_in", up(-3.0)),
+    "deeper on the way out": ("verify.trim_mill", "trim_round_out", deeper_first),
     "aside on the way out": ("verify.trim_mill", "trim_round_out", along(20.0)),
     "the spindle stands": ("verify.trim_spindle", MAIN, replaced(ON, "")),
     "the spindle is off again at once": ("verify.trim_spindle", MAIN, replaced(ON, ON + OFF)),
@@ -205,9 +218,8 @@ def test_a_thick_cutter_beside_a_wall_goes_into_it() -> None:
 
 
 def test_the_proof_finds_a_cutter_that_is_too_thick_for_its_slot(job: Job) -> None:
-    claims, unread = outlines.worked_out(job.prover.claims)
-    context = Context(job.problem, claims, job.programs, unread)
-    (work,) = Trimming(context, Forming(context)).works
+    context, made = trimming(job, job.programs)
+    (work,) = made.works
     own = work.claim.mill
     assert own is not None
     way = work.way("trim/round")
@@ -259,3 +271,111 @@ def test_the_proof_asks_for_a_die_itself(job: Job) -> None:
         assert job.told_by("verify.trim_mill", job.programs)
     finally:
         job.problem = known
+
+
+@pytest.mark.parametrize(("sync", "told"), [("handshake", True), ("multimove", False)])
+def test_a_spindle_of_the_other_controller_is_another_one(job: Job, sync: Any, told: bool) -> None:
+    """Its signal has the same name there; tasks of one controller share theirs."""
+    cell = job.problem.cell
+    controller = dataclasses.replace(cell.controller, sync=sync)
+    whole = dataclasses.replace(job.problem, cell=dataclasses.replace(cell, controller=controller))
+    claims, unread = outlines.worked_out(job.prover.claims)
+    context = Context(job.problem, claims, job.programs, unread)
+    motion, (task,) = context.motion, context.job.tasks
+    other = dataclasses.replace(task, name="other", arm=dataclasses.replace(task.arm, name="other"))
+    steps = [(*row[:2], "other", row[3]) for row in motion.step_time]
+    vars(context)["motion"] = dataclasses.replace(motion, step_time=tuple(steps))
+    vars(context)["job"] = dataclasses.replace(context.job, tasks=(other, task))
+    context.problem = whole
+    issues = trim_spindle(context, Trimming(context, Forming(context))).issues
+    assert bool(issues) == told
+
+
+def trimming(job: Job, programs: dict[str, str]) -> tuple[Context, Trimming]:
+    """What the rules look at, to be changed."""
+    claims, unread = outlines.worked_out(job.prover.claims)
+    context = Context(job.problem, claims, programs, unread)
+    return context, Trimming(context, Forming(context))
+
+
+def test_what_counts_as_cut_is_asked_to_be_through_the_sheet(job: Job) -> None:
+    """A mesh that may be off by 0.2 mm lets a slot be 0.5 mm beside its curve: one that is so, and above the
+    sheet's lower face, cuts nothing."""
+    middle = 6.6 / 7.0  # a radius of 8 less 1 of the cutter and 0.4 beyond the curve
+    changed = in_procedure(
+        job.programs,
+        "trim_round",
+        moved(lambda p: p * np.array([middle, middle, 1.0]) + np.array([0.0, 0.0, 0.9])),
+    )
+    context, made = trimming(job, changed)
+    made.works[0].sheet.tolerance = 0.2e-3
+    found = [*trim_cut(context, made).issues, *trim_mill(context, made).issues]
+    assert {(issue.code, issue.message.startswith("in trim/round the tip")) for issue in found} == {
+        ("verify.trim_mill", True)
+    }
+
+
+def test_a_cutter_comes_down_on_an_arc_before_it_is_near_to_the_curve(tmp_path: Path) -> None:
+    """An arc that runs into the curve is near to it long before its end: there the proof found 0.93 mm of the
+    2 mm that it has to be behind the face."""
+    arc = {"length_mm": 2.5, "shape": "arc"}
+    targets = processes.job(problem(tmp_path, outlines=[ROUND], lead=arc, **milled()), 0).targets()
+    rows = [k for k, one in enumerate(targets.segment) if one.key == "trim/round"]
+    tip = targets.pose["robot"][rows, :3, 3] / 1e-3
+    off = 8.0 - np.hypot(tip[:, 0], tip[:, 1]) - 1.0
+    near = off < 0.6
+    assert 3 < near.sum() < len(near)
+    np.testing.assert_allclose(tip[near, 2], -7.0, atol=1e-3)
+
+
+def test_a_way_in_on_which_nothing_comes_down_is_refused(tmp_path: Path) -> None:
+    """A mesh that may be off by 1 mm leaves no room on a way in of 1.5 mm."""
+    whole = data(outlines=[ROUND], lead={"length_mm": 1.5}, **milled())
+    whole["part"]["sheet_mesh"]["tolerance_mm"] = 1.0
+    read = pipeline.load(write_forming(tmp_path, whole, dish()))
+    with pytest.raises(TandemError) as error:
+        processes.job(read, 0).targets()
+    (issue,) = error.value.issues
+    assert issue.code == "trim.lead"
+    assert "1.65 mm off the curve" in issue.message
+
+
+def test_a_cutter_goes_down_no_faster_however_deep_it_may_be(job: Job) -> None:
+    """A large tolerance of the depth let it go down at any speed, as the last of its way was not looked
+    at."""
+    context, made = trimming(job, in_procedure(job.programs, "trim_round", timed(0.2)))
+    made.works[0].claim = dataclasses.replace(made.works[0].claim, height=5e-3)
+    found = trim_mill(context, made).issues
+    assert any("deeper than at 2 mm/s" in issue.message for issue in found)
+
+
+def test_a_long_slot_is_looked_at_as_closely_as_a_short_one(job: Job) -> None:
+    """One place of 6,000 at which the cutter stands in the part."""
+    context, made = trimming(job, job.programs)
+    (work,) = made.works
+    own, curve = work.claim.mill, work.slots["trim/wall"]
+    way = work.way("trim/wall")
+    assert own is not None and way is not None
+    count = -(-6000 // len(way.tip))
+    names = ("tip", "axis", "rows", "off", "at", "deep")
+    long = {name: np.concatenate([getattr(way, name)] * count) for name in names}
+    k = int(np.argmin(way.off)) + 3 * len(way.tip)
+    out = curve.ring[np.argmin(np.linalg.norm(curve.ring - way.feet.foot[k % len(way.tip)], axis=1))]
+    long["tip"][k] += 1.5 * (out - way.feet.foot[k % len(way.tip)])
+    found = _beside(context, work, curve, own, "trim/wall", dataclasses.replace(way, **long))[1]
+    assert {issue.code for issue in found} == {"verify.trim_mill"}
+
+
+def test_an_arm_of_ur_mills(tmp_path: Path) -> None:
+    (tmp_path / "ur10e.urdf").write_text(urdf_text.ur10e(), "utf-8")
+    arm = {"robot": {"urdf": "ur10e.urdf", "name": "ur10e", "family": "ur", "payload_kg": 12.5}}
+    whole = data(outlines=[ROUND], arm=arm, controller={"io": {"robot": {"doSpindle": 8}}}, **milled())
+    del whole["cell"]["arms"][0]["home_deg"]
+    whole["sheet"]["place"] = {"xyz_mm": [700, 0, 300]}
+    read = pipeline.load(write_forming(tmp_path, whole, dish()))
+    programs = dict(write.programs(solve.solve(read, [processes.job(read, 0).targets()]), read))
+    prover = Prover(read, processes.claims(read))
+    assert prover.prove(programs).ok
+    (file,) = programs
+    late = programs[file].replace("sleep(5.0)", "sleep(0.5)")
+    assert "verify.trim_spindle" in {issue.code for issue in prover.prove({file: late}).issues}

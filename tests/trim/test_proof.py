@@ -6,6 +6,7 @@ Faults are in the text alone: the proof knows nothing else of how the programs w
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from planner.verify.context import Context
+from planner.verify.forming.state import Forming
+from planner.verify.rules.trim import _closed
+from planner.verify.trim import outlines
+from planner.verify.trim.torch_motion import Trimming, Way
 from tests.trim.small_trim import Job
 from tests.verify.milling_job import in_procedure
 
@@ -86,6 +92,29 @@ def before_last_move(what: str) -> Callable[[str], str]:
     return put
 
 
+def ended(xy: tuple[float, float]) -> Callable[[str], str]:
+    """Without its last three moves, the one before to a place in plan [mm]."""
+
+    def put(text: str) -> str:
+        lines = text.split("\n")
+        rows = [k for k, line in enumerate(lines) if "MoveL" in line]
+        lines[rows[-4]] = moved(lambda p: np.array([*xy, p[2]]))(lines[rows[-4]])
+        return "\n".join(line for k, line in enumerate(lines) if k not in rows[-3:])
+
+    return put
+
+
+def around(text: str) -> str:
+    """From the slot's end on through the waste, 2.5 mm off, to where the next one begins."""
+    lines = text.split("\n")
+    last = next(k for k in range(len(lines) - 1, 0, -1) if "MoveL" in lines[k])
+    end = np.array([float(v) for v in TARGET.search(lines[last]).groups()[:2]])  # type: ignore[union-attr]
+    radius, at = np.hypot(*end) + 2.5, np.arctan2(end[1], end[0])
+    ways = [np.array([np.cos(a), np.sin(a)]) * radius for a in at + np.array([0.0, 0.03, 0.065])]
+    more = [moved(lambda p, xy=xy: np.array([*xy, p[2]]))(lines[last]) for xy in ways]
+    return "\n".join([*lines[: last + 1], *more, *lines[last + 1 :]])
+
+
 def swapped(text: str) -> str:
     """The round hole, and what belongs to it, behind all others."""
     first = text.index("trim_round_in;")
@@ -116,6 +145,8 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
         moved(lambda p: p * np.array([0.9, 0.9, 1.0])),
     ),
     "a hole not closed": ("verify.trim_cut", "trim_round", without_moves(slice(-9, None))),
+    "a hole not closed by a hair": ("verify.trim_cut", "trim_round", ended((7.286, -1.293))),
+    "a micro-joint cut off behind": ("verify.trim_cut", "trim_rim_p1", around),
     "a micro-joint too wide": ("verify.trim_cut", "trim_rim_p1", without_moves(slice(-2, None))),
     "an outline left out": ("verify.trim_cut", MAIN, replaced("trim_wall;", "")),
     "a slot between joints left out": ("verify.trim_cut", MAIN, replaced("trim_rim_p2;", "")),
@@ -160,6 +191,11 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     ),
     "an outer curve first": ("verify.trim_order", MAIN, swapped),
     "twice as fast": ("verify.trim_feed", "trim_round", timed(0.5)),
+    "it lingers at a place of a long slot": (
+        "verify.trim_feed",
+        "trim_rim_p1",
+        lambda text: re.sub(r"v10\\T:=[\d.]+", r"v5\\T:=3.0", text, count=1),
+    ),
     "far too slow": ("verify.trim_feed", "trim_round", timed(4.0)),
     "the nozzle in the sheet": (
         "verify.trim_clear",
@@ -274,3 +310,24 @@ def test_the_report_has_the_curves_with_the_stand_off(job: Job) -> None:
     assert heights.max() == pytest.approx(4.0)  # pierced from there
     assert heights.min() == pytest.approx(3.0)
     assert ("output that starts the arc", "doArc") in shown["setup"]["items"]
+
+
+@pytest.mark.parametrize(("joints", "gap", "told"), [(1, 0.8, False), (0, 0.8, True), (0, 0.25, False)])
+def test_thin_slots_have_small_joints_and_no_other_ones(
+    job: Job, joints: int, gap: float, told: bool
+) -> None:
+    """A slot of 0.3 mm whose ends are 0.8 mm apart leaves a joint of 0.5 mm, though no place of the curve is
+    farther from it than the tolerance of 0.3 mm; of 0.25 mm nothing is left."""
+    claims, unread = outlines.worked_out(job.prover.claims)
+    context = Context(job.problem, claims, job.programs, unread)
+    (work,) = Trimming(context, Forming(context)).works
+    work.claim = dataclasses.replace(work.claim, kerf=0.3e-3)
+    curve = next(one for one in work.curves if one.one.name == "rim")
+    curve.one = dataclasses.replace(curve.one, joints=joints, width=0.5e-3)
+    radius, z = 36.15e-3, curve.ring[0, 2]
+    turn = np.linspace(0.5 * gap * 1e-3 / radius, 2.0 * np.pi - 0.5 * gap * 1e-3 / radius, 1400)
+    tip = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(1400, z)])
+    off, at = curve.off(tip)
+    up = np.tile([0.0, 0.0, 1.0], (1400, 1))
+    way = Way(tip, up, work.sheet.feet(tip), np.arange(1400), off, at, np.zeros(1400))
+    assert bool(_closed(work, curve, [way])[1]) == told

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
@@ -25,8 +26,12 @@ AXIS_OFF: Final = 0.02 * DEG
 """How far [rad] the tool's axis may be off the plan's between two blocks: as readers of such files count."""
 MOST_HALVES: Final = 12
 """A move is halved so often at most, where its axis passes by that about which a rotary axis turns."""
-POLE: Final = 1e-7
-"""Sine of the tilt below which the axis that carries it has any angle, and keeps the one it has."""
+POLE: Final = 5e-5
+"""Sine of the tilt below which there is none: the axis that carries it has any angle there, and noise of a
+mesh or of a plan must not turn it about."""
+MOST_FEED: Final = 9999.0
+"""Largest feed word of a move [1/min]; controllers often have four digits for it (unverified). So a move
+takes 6 ms at least, longer than in the plan where this divides it finely, or has no time for it."""
 
 
 class UnreachedAxisError(ValueError):
@@ -92,13 +97,20 @@ def program(title: str, ways: Iterable[Way], machine: Convention) -> str:
             hint = "name a machine with two rotary axes"
             raise TandemError(Issue("problem.field", what, field="machine", hint=hint)) from error
     head = [
-        f"({_plain(title)})",
+        f"(job {_plain(title)})",
         f"(for a machine {machine.name}, rotary axes {' '.join(machine.letters)} in degrees)",
+        *(
+            f"({letter} counts as it turns the {'tool' if sign > 0 else 'part'} about +{about}, right hand)"
+            for letter, about in zip(ROTARY_NAMES, "xyz", strict=True)
+            for own, sign in machine.chain
+            if own == letter
+        ),
         "(X Y Z mm: the tip in the frame of the stock; tool centre point control has to be on)",
         "(NOT proven for this machine: its limits, its bodies and its clamping are not known)",
-        "G21 G90 G17 G40 G80",
+        "(P of G4 is in seconds)",
+        "G21 G90 G94 G17 G40 G80",
     ]
-    return "\n".join([*head, *body, "M2", ""])
+    return "\n".join([*head, *body, "G94", "M2", ""])
 
 
 def angles(axis: FloatArray, machine: Convention) -> FloatArray:
@@ -119,17 +131,37 @@ def angles(axis: FloatArray, machine: Convention) -> FloatArray:
 
 
 def _followed(axis: FloatArray, machine: Convention, side: int) -> FloatArray:
-    """Angles along a way that begins with the one or the other way to tilt."""
+    """Angles along a way that begins with the one or the other way to tilt. Where the tilt is none, what
+    carries it turns evenly from where it was to where it has to be next, and stands there at the begin."""
     out = np.zeros((len(axis), 3))
+    free = _at_pole(axis, machine)
+    known = np.flatnonzero(~free)
     last = np.zeros(3)
-    for i, vector in enumerate(axis):
-        both = _solutions(vector, machine, last)
-        near = [one + 2.0 * np.pi * np.round((last - one) / (2.0 * np.pi)) for one in both]
+    for row in known:
+        near = _near(axis[row], machine, last)
         pick = min(side, len(near) - 1)
-        if i > 0:
+        if row > known[0]:
             pick = int(np.argmin([np.abs(one - last).sum() for one in near]))
-        out[i] = last = near[pick]
+        out[row] = last = near[pick]
+    for row in np.flatnonzero(free):
+        last = np.array([np.interp(row, known, out[known, k]) for k in range(3)]) if len(known) else last
+        near = _near(axis[row], machine, last)
+        out[row] = last = near[int(np.argmin([np.abs(one - last).sum() for one in near]))]
     return out
+
+
+def _near(vector: FloatArray, machine: Convention, last: FloatArray) -> list[FloatArray]:
+    """Both solutions (3,) [rad] by whole turns next to the ``last`` one."""
+    both = _solutions(vector, machine, last)
+    return [one + 2.0 * np.pi * np.round((last - one) / (2.0 * np.pi)) for one in both]
+
+
+def _at_pole(axis: FloatArray, machine: Convention) -> NDArray[np.bool_]:
+    """Whether the tool (N,) is along the axis that carries the tilt; of a single rotary axis nowhere."""
+    if len(machine.chain) == 1:
+        return np.zeros(len(axis), dtype=np.bool_)
+    about = ROTARY_NAMES.index(machine.chain[0][0])
+    return np.asarray(np.linalg.norm(np.delete(axis, about, axis=1), axis=1) <= POLE)
 
 
 def _solutions(vector: FloatArray, machine: Convention, last: FloatArray) -> list[FloatArray]:
@@ -145,7 +177,7 @@ def _solutions(vector: FloatArray, machine: Convention, last: FloatArray) -> lis
         found = [{"B": np.arctan2(x, z)}]
     elif letters[0] == "C":
         flat = float(np.hypot(x, y))
-        tilt = float(np.arctan2(flat, z))
+        tilt = float(np.arctan2(flat if flat > POLE else 0.0, z))
         kept = signs["C"] * float(last[2])
         # A tilts +z towards -y, B towards +x; C then turns that to where it is wanted
         way = (np.arctan2(x, -y) if letters[1] == "A" else np.arctan2(y, x)) if flat > POLE else kept
@@ -166,8 +198,8 @@ def blocks(way: Way, machine: Convention) -> tuple[FloatArray, FloatArray, Float
     that they belong to, the first one of each included. Moves are halved until the axis, whose angles go
     evenly, is within :data:`AXIS_OFF` of the plan's, which goes along great circles."""
     share = np.arange(len(way.tip), dtype=np.float64)
+    turn = angles(way.axis, machine)
     for _ in range(MOST_HALVES):
-        turn = angles(_axis_at(way, share), machine)
         middle = 0.5 * (share[1:] + share[:-1])
         straight = machine.axis(0.5 * (turn[1:] + turn[:-1]))
         off = np.linalg.norm(straight - _axis_at(way, middle), axis=1)
@@ -175,7 +207,7 @@ def blocks(way: Way, machine: Convention) -> tuple[FloatArray, FloatArray, Float
         if not far.any():
             break
         share = np.sort(np.concatenate([share, middle[far]]))
-    turn = angles(_axis_at(way, share), machine)
+        turn = angles(_axis_at(way, share), machine)
     whole = np.arange(len(way.tip))
     tip = np.stack([np.interp(share, whole, way.tip[:, k]) for k in range(3)], axis=1)
     return tip, turn, np.interp(share, whole, way.time), np.ceil(share - 1e-12)
@@ -197,28 +229,32 @@ def _axis_at(way: Way, share: FloatArray) -> FloatArray:
 
 def _operation(way: Way, machine: Convention) -> Iterator[str]:
     tip, turn, time, target = blocks(way, machine)
-    used = [ROTARY_NAMES.index(letter) for letter in machine.letters]
-    span = ", ".join(
-        f"{ROTARY_NAMES[k]} {turn[:, k].min() / DEG:.3f} to {turn[:, k].max() / DEG:.3f}" for k in used
-    )
-    step = np.maximum(np.diff(time), 1e-9)[:, None]
-    fast = (np.abs(np.diff(turn, axis=0)) / step / DEG).max(axis=0) if len(time) > 1 else np.zeros(3)
+    used = [(letter, ROTARY_NAMES.index(letter)) for letter in machine.letters]
+    degrees = turn / DEG
+
+    def rotary(row: int) -> str:
+        return " ".join(f"{letter}{degrees[row, k]:.5f}" for letter, k in used)
+
+    span = ", ".join(f"{letter} {degrees[:, k].min():.3f} to {degrees[:, k].max():.3f}" for letter, k in used)
+    feed = 60.0 / np.maximum(np.diff(time), 60.0 / MOST_FEED)
+    turns = np.abs(np.diff(degrees, axis=0)) * feed[:, None] / 60.0
+    fast = turns.max(axis=0) if len(turns) else np.zeros(3)
     yield f"({_plain(way.name)}: {span} deg)"
-    yield f"(fastest rotary axes: {', '.join(f'{ROTARY_NAMES[k]} {fast[k]:.2f} deg/s' for k in used)})"
+    yield f"(fastest rotary axes: {', '.join(f'{letter} {fast[k]:.2f} deg/s' for letter, k in used)})"
     waiting = list(way.actions)
-    while waiting and waiting[0].at == 0:
+    while waiting and waiting[0].at == 0 and waiting[0].kind in ("message", "confirm"):
         yield from _done(waiting.pop(0), way)
     yield from _pause("tool centre point control on, tool high above the stock?")
-    at = [f"{ROTARY_NAMES[k]}{turn[0, k] / DEG:.5f}" for k in used]
     x, y, z = (tip[0] / MM).tolist()
-    yield f"G94 G0 {' '.join(at)}"
+    yield f"G94 G0 {rotary(0)}"
     yield f"G0 X{x:.5f} Y{y:.5f}"
     yield f"G0 Z{z:.5f}"
+    while waiting and waiting[0].at == 0:  # no stop asks anything of who stands before a spindle that runs
+        yield from _done(waiting.pop(0), way)
     for i in range(1, len(tip)):
         yield from _named(way, int(target[i]), int(target[i - 1]))
         place = " ".join(f"{word}{value:.5f}" for word, value in zip("XYZ", tip[i] / MM, strict=True))
-        around = " ".join(f"{ROTARY_NAMES[k]}{turn[i, k] / DEG:.5f}" for k in used)
-        yield f"G93 G1 {place} {around} F{60.0 / (time[i] - time[i - 1]):.6f}"
+        yield f"G93 G1 {place} {rotary(i)} F{feed[i - 1]:.6f}"
         if i + 1 == len(tip) or target[i + 1] > target[i]:
             while waiting and waiting[0].at <= target[i]:
                 yield from _done(waiting.pop(0), way)
@@ -235,9 +271,9 @@ def _named(way: Way, target: int, before: int) -> Iterator[str]:
 def _done(action: Action, way: Way) -> Iterator[str]:
     """What happens at a stop, in the words of the standard."""
     if action.kind in ("on", "off") and action.signal == way.signal:
-        yield f"M3 S{way.spindle_rpm:g}" if action.kind == "on" else "M5"
+        yield f"M3 S{round(way.spindle_rpm, 3):.10g}" if action.kind == "on" else "M5"
     elif action.kind == "wait":
-        yield f"G94 G4 P{action.seconds:g}"
+        yield f"G94 G4 P{action.seconds:.3f}"
     elif action.kind == "confirm":
         yield from _pause(action.text)
     elif action.kind == "message":

@@ -94,7 +94,7 @@ KINEMATICS: Final[dict[str, Convention]] = {
 carries the part. ``head_b_table_c``: B tilts the spindle, C turns the part."""
 
 
-def convention(name: ConventionName, reverse: str) -> Convention:
+def convention(name: str, reverse: str) -> Convention:
     """The convention of that name with the axes in ``reverse`` counted the other way round."""
     own = KINEMATICS[name]
     chain = tuple((letter, -sign if letter in reverse else sign) for letter, sign in own.chain)

@@ -283,8 +283,9 @@ def find_path(scene: Scene, targets: Targets, fine: bool = True) -> tuple[Grid, 
     """The path of least cost, or what is known of why there is none, and the samples that were looked at.
 
     With few freedoms slides and tables are in their middle first, and at more places only where that has no
-    path whose moves are free; at last, if ``fine``, spins and slides are sampled twice as densely. Very many
-    targets are planned on a skeleton first.
+    path whose moves are free; at last, if ``fine``, spins and slides are sampled twice as densely; if not,
+    a dead end that more places do not pass either ends the search, with the reasons of middle slides. Very
+    many targets are planned on a skeleton first.
     """
     if suits(targets):
         long = search_long(scene, targets)
@@ -294,22 +295,16 @@ def find_path(scene: Scene, targets: Targets, fine: bool = True) -> tuple[Grid, 
         return search_wide(scene, targets)
     free = [f for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
     moves, kept = scene.model is not None, None
-    grid = sample(targets, SPIN_STEP, 1)
-    found = search(scene, targets, grid, moves=moves)
-    slide = any(slides_only(f) for f in free)
-    if isinstance(found, Found):
-        if not found.loose:
-            return grid, found
-        kept = grid, found
-    elif slide and not fine and _leads_no_further(scene, targets, found):
-        return grid, found
-    if slide:
-        grid = sample(targets, SPIN_STEP, SLIDE_SAMPLES)
+    places = (1, SLIDE_SAMPLES) if any(slides_only(f) for f in free) else (1,)
+    for slides in places:
+        grid = sample(targets, SPIN_STEP, slides)
         found = search(scene, targets, grid, moves=moves)
         if isinstance(found, Found):
-            kept = kept or (grid, found)
             if not found.loose:
                 return grid, found
+            kept = kept or (grid, found)
+        elif slides < places[-1] and not fine and _leads_no_further(scene, targets, found):
+            return grid, found
     if fine and free:
         last = _finely(scene, targets, found)
         if last is not None and not (kept and isinstance(last[1], Blocked)):

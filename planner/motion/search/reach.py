@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from planner.catalogue.robots import OffsetParameters
 from planner.cell.clearance import Pairs
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.motion.planning_scene import FULL_TURN, Chain, Scene
@@ -167,10 +168,35 @@ def _steps(picks: IndexArray, counts: list[int], rings: list[bool], far: int) ->
 
 def reach(scene: Scene, targets: Targets, grid: Grid) -> dict[str, Reach]:
     """All states of all arms over the grid."""
+    poses, shape = _poses(scene, targets, grid)
+    return {arm: _known(scene, arm, poses[arm], shape) for arm in targets.arms}
+
+
+def on_branches(
+    scene: Scene, targets: Targets, grid: Grid, branch: Mapping[str, int]
+) -> dict[str, Rungs] | None:
+    """The states over the grid on one branch of each arm, as :func:`reach` has them; None where at some
+    target no sample has one for all arms."""
+    poses, shape = _poses(scene, targets, grid)
+    out, able = {}, np.ones(shape, dtype=np.bool_)
+    for arm in targets.arms:
+        chain = scene.chains[arm]
+        # branches of an offset wrist have the numbers that all of them together give
+        some = None if isinstance(chain.robot.form, OffsetParameters) else [branch[arm]]
+        angles = chain.joined(chain.inverse(poses[arm], some).reshape(*shape, -1, 6))
+        q = angles[:, :, branch[arm] if some is None else 0]
+        out[arm] = rungs_of(scene, chain, branch[arm], q)
+        able &= out[arm].ok.any(axis=2)
+        if not able.any(axis=1).all():
+            return None
+    return out
+
+
+def _poses(scene: Scene, targets: Targets, grid: Grid) -> tuple[dict[str, FloatArray], tuple[int, int]]:
+    """TCP poses {arm: (N * S, 4, 4)} of all N targets at their S samples, and (N, S)."""
     rows, samples = grid.values.shape[:2]
     index = np.repeat(np.arange(rows), samples)
-    poses = scene.tcp(targets, grid.values.reshape(rows * samples, -1), index)
-    return {arm: _known(scene, arm, poses[arm], (rows, samples)) for arm in targets.arms}
+    return scene.tcp(targets, grid.values.reshape(rows * samples, -1), index), (rows, samples)
 
 
 def _known(scene: Scene, arm: str, pose: FloatArray, shape: tuple[int, int]) -> Reach:

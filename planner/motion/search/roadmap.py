@@ -20,7 +20,7 @@ from planner.geometry.arrays import FloatArray, IndexArray
 from planner.motion.planning_scene import FULL_TURN, Scene
 from planner.motion.search.ladder import LARGEST_STEP, TIE_SHARE, TURN_CODE, Path, Turns
 from planner.motion.search.ladder_search import Blocked, Dead, Found, speed_limits
-from planner.motion.search.reach import Grid, Reach, Rungs, reach
+from planner.motion.search.reach import Grid, Reach, Rungs, on_branches, reach
 from planner.motion.search.subsampling import Coordinates, Level, levels, subset
 from planner.motion.trajectory.joint_path import dense
 from planner.motion.ways import ends_free
@@ -84,7 +84,7 @@ def search_near(
     level = Level(tuple(f.name for f in targets.freedoms), samples)
     rows = _rows(targets, RUNG_COUNTS[0])
     tried = _Attempt(scene, targets, coordinates, level, rows, not targets.coupled, [])
-    found = tried.run(tuple(branch[arm] for arm in targets.arms), NEAR_ROUNDS)
+    found = tried.run_on(branch)
     return None if found is None else (_as_grid(found), found)
 
 
@@ -148,20 +148,12 @@ class _Attempt:
         self._closed.append(target)
         return True
 
-    def run(self, only: tuple[int, ...] | None = None, rounds: int = MOST_ROUNDS) -> Found | None:
-        """A path, or None; ``hit`` then has a collision that was in the way, if there was one. ``only``: the
-        branches of all arms, in their order, that are looked at; ``rounds``: paths of each of them."""
-        count = len(self.samples)
-        every = np.repeat(self.rows[:, None], count, axis=1)
-        values = self.coordinates.values(
-            np.broadcast_to(self.samples, (len(self.rows), *self.samples.shape)), every
-        )
-        few = subset(self.targets, self.rows)
-        table = reach(self.scene, few, Grid(values, np.zeros((0, count), dtype=np.intp)))
+    def run(self) -> Found | None:
+        """A path, or None; ``hit`` then has a collision that was in the way, if there was one."""
+        few, grid = self._grid()
+        table = reach(self.scene, few, grid)
         offers: list[tuple[float, int, dict[str, Rungs]]] = []
         for branches in itertools.product(*(r.branches for r in table.values())):
-            if only is not None and branches != only:
-                continue
             rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
             cost = sum(r.penalty.min(axis=-1) for r in rungs.values())
             if np.isfinite(cost).any(axis=1).all():
@@ -183,10 +175,24 @@ class _Attempt:
             if any(self.closes(branch, i) for i in self._closed[::-1]):
                 continue
             # made again but for the best: all of them at once would fill the memory
-            path = (best.pop(number, None) or _Graph(self, rungs)).free_path(rounds)
+            path = (best.pop(number, None) or _Graph(self, rungs)).free_path(MOST_ROUNDS)
             if path is not None:
                 return dataclasses.replace(path, choices=len(offers))
         return None
+
+    def run_on(self, branch: Mapping[str, int]) -> Found | None:
+        """A path on one branch of each arm, or None; fewer rounds are spent on it."""
+        rungs = on_branches(self.scene, *self._grid(), branch)
+        return None if rungs is None else _Graph(self, rungs).free_path(NEAR_ROUNDS)
+
+    def _grid(self) -> tuple[Targets, Grid]:
+        """The targets that are rungs, with all samples of the level."""
+        count = len(self.samples)
+        every = np.repeat(self.rows[:, None], count, axis=1)
+        values = self.coordinates.values(
+            np.broadcast_to(self.samples, (len(self.rows), *self.samples.shape)), every
+        )
+        return subset(self.targets, self.rows), Grid(values, np.zeros((0, count), dtype=np.intp))
 
 
 class _Reached:
@@ -353,11 +359,12 @@ class _Graph:
         return any(self.attempt.closes(self.branch, i) for i in often)
 
     def _block_states(self, states: IndexArray) -> bool:
-        """Looks at the path's states; where one collides, at all states of its rung."""
+        """Looks at the path's states; where some collide, at all states of their rungs at once."""
         hits = self._check(np.arange(len(states)), states)
+        if hits:
+            some = [np.flatnonzero(~self.known[k]) for k in hits]
+            self._check(np.repeat(hits, [len(one) for one in some]), np.concatenate(some))
         for k in hits:
-            some = np.flatnonzero(~self.known[k])
-            self._check(np.full(len(some), k), some)
             if self.blocked[k].all():
                 self.attempt.closes(self.branch, int(self.rows[k]))
         return len(hits) > 0

@@ -250,7 +250,7 @@ def _key(spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, las
     own = (
         limits.least_time[first + 1 : last + 1],
         limits.rounded[first + 1 : last],
-        *_tcp(limits, first, last),
+        _tcp(limits, first, last),
     )
     arrays = (spline.x, spline.c, knots, *own, limits.speed, limits.acceleration)
     out = hashlib.sha256(repr((least, [part.shape for part in arrays])).encode())
@@ -259,9 +259,9 @@ def _key(spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, las
     return out.digest()
 
 
-def _tcp(limits: Limits, first: int, last: int) -> tuple[FloatArray, ...]:
-    """What the first and the last move of a piece take at the fastest that tools may go (2,) [s], if any."""
-    return () if limits.tcp_time is None else (limits.tcp_time[[first + 1, last]],)
+def _tcp(limits: Limits, first: int, last: int) -> FloatArray:
+    """What the first and the last move of a piece take at least (2,) [s] at the fastest that tools may go."""
+    return np.zeros(2) if limits.tcp_time is None else limits.tcp_time[[first + 1, last]]
 
 
 def _piece(
@@ -292,10 +292,8 @@ def _piece(
         time: FloatArray = np.interp(knots, grid, profile.time)
         if len(steps) == 1:
             time[1] = max(time[1], from_stop_to_stop(spline, CORNER_SHARE * limits.acceleration))
-        quick = np.zeros(2)
-        for tools in _tcp(limits, first, last):
-            took = np.diff(time)
-            quick = np.array(ramp_peaks(knots, took)) * tools / took[[0, -1]] / RAMP_SPEED
+        took = np.diff(time)
+        quick = np.array(ramp_peaks(knots, took)) * _tcp(limits, first, last) / took[[0, -1]] / RAMP_SPEED
         if len(steps) == 1:
             time[1] *= max(1.0, quick[0])
             quick[:] = 0.0

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,19 +210,20 @@ class Motion:
         """Joint accelerations (S, 6) or (S,) [rad/s^2] of an arm, as :meth:`speed`."""
         return differences(self.time, self.q[arm][:, axes], 2)
 
-    def switched(self, signal: str) -> list[tuple[float, float]]:
-        """Times [s] at which programs switch a signal, and to which values, in order; of one instant as their
-        text has them."""
+    def switched(self, signal: str, tasks: Collection[str]) -> list[tuple[float, float]]:
+        """Times [s] at which the programs of ``tasks``, those of its controller, switch a signal, and to
+        which values, in order; of one instant as their text has them."""
         found = [
             (at, float(step.value))
-            for at, _, _, step in self.step_time
-            if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
+            for at, _, task, step in self.step_time
+            if task in tasks and isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
         ]
         return sorted(found, key=lambda one: one[0])
 
-    def on_for(self, signal: str, time: FloatArray) -> FloatArray:
-        """How long (T,) [s] a signal has been on at some times; -1 where it is off."""
-        steps = self.switched(signal)
+    def on_for(self, signal: str, tasks: Collection[str], time: FloatArray) -> FloatArray:
+        """How long (T,) [s] a signal of the controller of ``tasks`` has been on at some times; -1 where it is
+        off."""
+        steps = self.switched(signal, tasks)
         out = np.full(len(time), -1.0)
         since = None
         for k, (at, value) in enumerate(steps):

@@ -19,7 +19,7 @@ from planner.geometry.arrays import inverse
 from planner.issues import Issue
 from planner.problem import Controller
 from planner.verify.context import Context, Outcome, OuterAxis, at_step, mm, outer_axes, rule
-from planner.verify.job import CONTROLLER, TaskText
+from planner.verify.job import CONTROLLER, TaskText, controllers
 from planner.verify.programs.program_text import (
     Partner,
     Row,
@@ -115,21 +115,15 @@ def _place(context: Context, task: TaskText) -> int:
     return [arm.name for arm in context.problem.cell.arms].index(task.arm.name)
 
 
-def _powered(context: Context, joined: bool) -> list[tuple[str, list[TaskText], list[str]]]:
+def _powered(context: Context, joined: bool) -> list[tuple[str, tuple[TaskText, ...], list[str]]]:
     """Folder, tasks and signals of each controller whose tasks switch something on, without the clamps of
     sheets, which are moved by pulses; of all controllers where two are ``joined``."""
     pulsed = {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder)}
     alone = context.problem.cell.controller.sync == "handshake"
-    groups: list[list[TaskText]] = []
-    for task in context.job.tasks:
-        if task.script is not None:
-            continue  # a UR controller takes no files: its installation is set at the panel
-        if alone or task.krl is not None or not groups or groups[-1][0].krl is not None:
-            groups.append([task])
-        else:
-            groups[-1].append(task)
     out = []
-    for tasks in groups:
+    for tasks in controllers(context.problem, context.job.tasks):
+        if tasks[0].script is not None:
+            continue  # a UR controller takes no files: its installation is set at the panel
         steps = [step for task in tasks for step in task.steps if isinstance(step, SignalStep)]
         own = context.problem.cell.controller.handshake.of(tasks[0].arm.name).output.lower()
         aside = pulsed | ({own} if alone else set())

@@ -170,7 +170,7 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
     """What is wrong with the values of external axes, and with their moves."""
     before: MoveStep | None = None
     last = {axis.column: axis.home for axis in axes}
-    came, here, off = -1, -1, False
+    came, here, off, since = -1, -1, False, 0  # since: the stage of the question before the axes' ways
     gone: list[OuterAxis] = []  # axes that moved in a setup, in order
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
@@ -182,7 +182,8 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
             values = {axis: axis.scale * float(move.target.external[axis.column]) for axis in axes}
             going = [axis for axis in axes if abs(values[axis] - last[axis.column]) > SAME_VALUE]
             gone, off, here = (gone, off, here) if index == here else ([], False, index)
-            off |= any(came < place.stage < number for place in context.spans.asked[index])
+            asked = [place.stage for place in context.spans.asked[index] if came < place.stage < number]
+            off, since = off or bool(asked), max(asked, default=since)
             in_turn = off and (not gone or all(axes.index(gone[-1]) < axes.index(one) for one in going))
             gone, off = [*gone, *going], off and bool(going)  # nothing comes between question and axes
             if len(going) > 1:
@@ -204,12 +205,13 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
                         what += ", or not in its order" if len(axes) > 1 else ""
                         yield at_step(_CODE, what, task, move)
                 if goes:
-                    for other in _not_home(context, task, number):
-                        yield at_step(_CODE, f"{axis.unit} moves while {other} is not at home", task, move)
+                    for other in _not_home(context, task, number, since):
+                        yield at_step(_CODE, f"{axis.unit} moves while {other}", task, move)
                 if before is None and goes:
                     what = f"the first move takes {axis.unit} to {axis.shown(value)}, not home "
                     yield at_step(_CODE, f"{what}({axis.shown(axis.home)})", task, move)
-                last[axis.column] = value
+                if before is None or goes:  # else it stays: a little at each move would add up
+                    last[axis.column] = value
             before, came = move, number
     for axis in axes:
         if abs(last[axis.column] - axis.home) > SAME_VALUE:
@@ -235,15 +237,20 @@ def _move_faults(
         yield f"{axis.unit} goes at {axis.shown(speed)}/s; allowed: {axis.shown(most)}/s"
 
 
-def _not_home(context: Context, task: TaskText, number: int) -> Iterator[str]:
-    """Other arms that are not at home, by their last move before stage ``number`` and those in it."""
+def _not_home(context: Context, task: TaskText, number: int, since: int) -> Iterator[str]:
+    """Other arms that are not at home, by their last move before stage ``number`` and those in it; or that
+    were not all the time since stage ``since``, where all other rules have all axes at their new stations."""
+    stages = context.job.stages
     for other in context.job.tasks:
         if other.name == task.name:
             continue
-        came = [move for stage in context.job.stages[:number] for move in stage.moves(other.name)[-1:]]
-        moves = [*came[-1:], *context.job.stages[number].moves(other.name)]
+        came = [move for stage in stages[:number] for move in stage.moves(other.name)[-1:]]
+        moves = [*came[-1:], *stages[number].moves(other.name)]
+        between = [move for stage in stages[since:number] for move in stage.moves(other.name)]
         if not came or not all(at_home(move, other.arm.data, other.arm.home) for move in moves):
-            yield other.arm.name
+            yield f"{other.arm.name} is not at home"
+        elif not all(at_home(move, other.arm.data, other.arm.home) for move in between):
+            yield f"{other.arm.name} has been away from home since it was asked for"
 
 
 def _unfit(move: MoveStep, axes: Sequence[OuterAxis], rapid: bool) -> str:

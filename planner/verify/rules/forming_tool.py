@@ -441,7 +441,7 @@ def holder(context: Context, forming: Forming) -> Outcome:
         if not way.own.any():
             issues.append(Issue("verify.holder", f"{claim.arm} never forms {claim.segment}"))
             continue
-        edges = _edges(context, claim.signal)
+        edges = _edges(context, claim)
         issues += _pulses(claim, edges)
         issues += _outside(context, claim, way, edges)
         off, far = _off(context, claim, way, [edge.time for edge in edges if edge.value > 0.0])
@@ -461,9 +461,10 @@ class _Edge:
     value: float
 
 
-def _edges(context: Context, signal: str) -> list[_Edge]:
-    """When a signal that is off at first goes on and off, in order; holders see its edges alone."""
-    found = [_Edge(time, value) for time, value in context.motion.switched(signal)]
+def _edges(context: Context, claim: SinksHolder) -> list[_Edge]:
+    """When the signal of a clamp, off at first, goes on and off, in order; holders see its edges alone."""
+    switched = context.motion.switched(claim.signal, context.switching((claim.arm,)))
+    found = [_Edge(time, value) for time, value in switched]
     before = [0.0, *(edge.value for edge in found)]
     return [edge for edge, value in zip(found, before, strict=False) if edge.value != value]
 

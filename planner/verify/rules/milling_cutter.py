@@ -500,7 +500,7 @@ def spindle(context: Context, milling: Milling) -> Outcome:
                 what = f"{arm.name} mills in setup {index + 1}, which claims no spindle"
                 issues.append(at_sample("verify.spindle", what, motion, arm.name, int(track.rows[inside[0]])))
             for claim in claims:
-                on = motion.on_for(claim.signal, track.time[inside])
+                on = motion.on_for(claim.signal, context.switching((arm.name,)), track.time[inside])
                 for i in np.flatnonzero(on < claim.heat_up - 1e-6)[:1]:
                     got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
                     what = f"the cutter is in the block and {claim.signal} is {got} on; wanted: "

@@ -307,7 +307,8 @@ def zero_length(context: Context) -> Outcome:
 @rule("verify.error_handler")
 def error_handler(context: Context) -> Outcome:
     """Every procedure has an error handler that switches the power off first, stops the motion, says so,
-    stops all tasks, and does not go on; KRL and URScript have none."""
+    stops all tasks, and does not go on; it switches no track or table on or off; KRL and URScript have
+    none."""
     issues = []
     many = len(context.job.tasks) > 1 and context.job.readings is None
     for task in context.job.tasks:
@@ -348,6 +349,8 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> 
     if any(isinstance(step, MoveStep | LoadStep) for step in steps):
         faults.append("it moves an arm")
     kinds = {step.kind for step in steps if isinstance(step, SettingStep)}
+    if kinds & {"ActUnit", "DeactUnit"}:
+        faults.append("it switches a track or table on or off")
     if kinds & {"RETRY", "TRYNEXT", "StartMove", "RETURN"}:
         faults.append("it goes on with the program")
     plain = [step for step in steps if not step.condition]

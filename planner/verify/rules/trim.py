@@ -8,7 +8,7 @@ trim_feed, trim_clear.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,24 +16,34 @@ from scipy.spatial import cKDTree
 from planner.claims.trim import TrimsSheet
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
-from planner.tooling import Cutter
+from planner.tooling import Mill, Torch
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.files import UnreadError
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import MoveStep, SignalStep, Step, WaitStep
 from planner.verify.trim.outlines import TRIM, Curve, winding
-from planner.verify.trim.torch_motion import Trimming, TrimWork, Way, off_sheet
+from planner.verify.trim.torch_motion import PLACE_ERROR, PLACE_STEP, Trimming, TrimWork, Way, off_sheet
 
 NOTHING_TRIMMED = "nothing is trimmed"
 """Why rules about trimming have not run."""
-PLACE_ERROR = 0.02e-3
-"""What places of ways and curves, between which nothing is looked at, may hide [m]."""
 ANGLE_ERROR = np.deg2rad(0.5)
 """What facets of a mesh may turn its normals by [rad]."""
 STANDING = 0.05e-3
 """A torch that moves by no more than this [m] stands."""
 AVERAGE_SLACK = 0.95
 """Share of the least average feed that is accepted, as ramps of the replay are those of no controller."""
+SAME_PLACE = 1e-9
+"""Places along a curve that are nearer [m] are one."""
+LEAST_JOINT = 0.5
+"""Share of its width that a micro-joint has at least."""
+LINGER = 3.0
+"""On a short stretch a torch may take so many times as long as at its least average feed,"""
+LINGER_TIME = 0.5
+"""and so much longer [s], as it stops at corners."""
+LINGER_KERFS = 3.0
+"""Such a stretch is as long as a slot is wide, so many times,"""
+LEAST_STRETCH = 3e-3
+"""and so long [m] at least."""
 GOING_DOWN = 2.0
 """A mill that is higher by more than so many tolerances is still on its way down."""
 CLEAR_SHARE = 0.1
@@ -73,40 +83,81 @@ def trim_cut(context: Context, trimming: Trimming) -> Outcome:
 def _closed(work: TrimWork, curve: Curve, ways: list[Way]) -> tuple[float, list[Issue]]:
     """How far [m] the slot's edge is off the outline where it is cut, and what is wrong with its joints."""
     claim, one, half = work.claim, curve.one, 0.5 * work.claim.kerf
-    near = claim.tolerance + work.sheet.tolerance + PLACE_ERROR
+    near = work.near
     foot = np.concatenate([way.feet.foot for way in ways])
     off, at = (np.concatenate([getattr(way, name) for way in ways]) for name in ("off", "at"))
-    apart = np.asarray(cKDTree(foot).query(curve.ring)[0]) - half
-    bare = apart > near
-    left = float(np.abs(apart[~bare]).max(initial=0.0))
     on = np.abs(off - half) <= near
+    apart = np.asarray(cKDTree(foot).query(curve.ring)[0]) - half
     if not on.any():
         what = f"the slot is nowhere within {mm(claim.tolerance):g} mm of {one.name}, on the side that "
         what += "drops; the "
         what += f"nearest place of it is {mm(float(np.abs(off - half).min())):.2f} mm off"
+        left = float(np.abs(apart[apart <= near]).max(initial=0.0))
         return left, [Issue("verify.trim_cut", what, field=one.name)]
     issues = []
-    gaps = _runs(bare)
-    if len(gaps) != one.joints:
-        x, y, _ = curve.ring[gaps[0][0]] / 1e-3 if gaps else curve.ring[0] / 1e-3
-        what = f"{one.name} is left uncut in {len(gaps)} places, wanted: {one.joints}"
-        what += f"; the first is at ({x:.1f}, {y:.1f}) mm" if gaps else ""
-        count = {"value": float(len(gaps)), "limit": float(one.joints)}
-        issues.append(Issue("verify.trim_cut", what, field=one.name, **count))  # type: ignore[arg-type]
-    for first, last in gaps if one.joints else ():
-        before = foot[on][int(np.argmin((curve.along[first] - at[on]) % curve.length))]
-        behind = foot[on][int(np.argmin((at[on] - curve.along[last]) % curve.length))]
+    gaps = []
+    held = np.zeros(len(curve.ring), dtype=bool)
+    for first, last in uncut(curve, ways, half, near):
+        before = foot[on][int(np.argmin((first + SAME_PLACE - at[on]) % curve.length))]
+        behind = foot[on][int(np.argmin((at[on] - last + SAME_PLACE) % curve.length))]
         width = float(np.linalg.norm(behind - before)) - 2.0 * half
-        if abs(width - one.width) > near:
-            x, y, _ = curve.ring[first] / 1e-3
-            what = (
-                f"the micro-joint of {one.name} at ({x:.1f}, {y:.1f}) mm is {mm(width):.2f} mm wide; wanted: "
-            )
-            what += f"{mm(one.width):g} mm within {mm(claim.tolerance):g}"
+        if width > PLACE_ERROR:  # else its round ends meet
+            gaps.append((first, last, width))
+            held |= (curve.along - first) % curve.length < last - first
+    bare = _runs((apart > near) & ~held)
+    left = float(np.abs(apart[(apart <= near) & ~held]).max(initial=0.0))
+    if bare or len(gaps) != one.joints:
+        count = len(gaps) + len(bare)
+        what = f"{one.name} is left uncut in {count} places, wanted: {one.joints}"
+        if count:
+            x, y, _ = curve.place(gaps[0][0] if gaps else float(curve.along[bare[0][0]])) / 1e-3
+            what += f"; the first is at ({x:.1f}, {y:.1f}) mm"
+        measure = {"value": float(count), "limit": float(one.joints)}
+        issues.append(Issue("verify.trim_cut", what, field=one.name, **measure))  # type: ignore[arg-type]
+    for first, last, width in gaps if one.joints else ():
+        x, y, _ = curve.place(first) / 1e-3
+        said = f"the micro-joint of {one.name} at ({x:.1f}, {y:.1f}) mm"
+        if abs(width - one.width) > near or width < LEAST_JOINT * one.width:
+            what = f"{said} is {mm(width):.2f} mm wide; wanted: {mm(one.width):g} mm within "
+            what += f"{mm(claim.tolerance):g}"
             issues.append(
                 Issue("verify.trim_cut", what, field=one.name, value=mm(width), limit=mm(one.width))
             )
+        if any(_passes(curve, way, first, last) for way in ways):
+            what = f"{said} is cut off behind, in what drops, so that it holds nothing"
+            issues.append(Issue("verify.trim_cut", what, field=one.name))
     return left, issues
+
+
+def uncut(curve: Curve, ways: list[Way], half: float, near: float) -> list[tuple[float, float]]:
+    """From where to where [m] along a closed curve no slot is ``half`` its width within ``near`` [m] off it.
+    Between two places next to each other it goes on, also across an inner corner."""
+    jump = 2.0 * np.sqrt((half + near) ** 2 - half**2) + 4.0 * PLACE_STEP
+    begin, size = [np.zeros(0)], [np.zeros(0)]
+    for way in ways:
+        on = np.abs(way.off - half) <= near
+        step = (np.diff(way.at) + 0.5 * curve.length) % curve.length - 0.5 * curve.length
+        goes_on = np.linalg.norm(np.diff(way.feet.foot, axis=0), axis=1) < 3.0 * PLACE_STEP
+        step = np.append(np.where(on[1:] & goes_on & (np.abs(step) <= jump), step, 0.0), 0.0)[on]
+        begin.append((way.at[on] + np.minimum(step, 0.0)) % curve.length)
+        size.append(np.abs(step))
+    order = np.argsort(np.concatenate(begin), kind="stable")
+    low, high = np.concatenate(begin)[order], (np.concatenate(begin) + np.concatenate(size))[order]
+    if not len(low):
+        return [(0.0, curve.length)]
+    # three times round, of which the second one has all that goes over the end
+    turns = curve.length * np.arange(3)[:, None]
+    low, high = (low + turns).ravel(), np.maximum.accumulate((high + turns).ravel())
+    ends = (high[:-1] >= curve.length) & (high[:-1] < 2.0 * curve.length) & (low[1:] > high[:-1] + SAME_PLACE)
+    return [(float(a), float(b)) for a, b in zip(high[:-1][ends], low[1:][ends], strict=True)]
+
+
+def _passes(curve: Curve, way: Way, first: float, last: float) -> bool:
+    """Whether a slot goes past the middle of a joint from ``first`` to ``last`` [m] along its curve, however
+    far off."""
+    beside = (way.at - 0.5 * (first + last) + 0.5 * curve.length) % curve.length - 0.5 * curve.length
+    there = np.abs(beside) < max(0.5 * (last - first), 2.0 * PLACE_STEP)
+    return bool((there[1:] & there[:-1] & (beside[1:] * beside[:-1] <= 0.0)).any())
 
 
 def _runs(flags: BoolArray) -> list[tuple[int, int]]:
@@ -137,7 +188,7 @@ def trim_kept(context: Context, trimming: Trimming) -> Outcome:
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for work, curve, key, way in every(trimming):
-        near = work.claim.tolerance + work.sheet.tolerance + PLACE_ERROR
+        near = work.near
         deep = 0.5 * work.claim.kerf - way.off
         if float(deep.max()) > worst:
             worst, limit, where = float(deep.max()), mm(near), key
@@ -167,7 +218,7 @@ def trim_torch(context: Context, trimming: Trimming) -> Outcome:
         near = claim.height + work.sheet.tolerance
         lift = max(claim.pierce_height - torch.standoff, 0.0)
         drop = min(claim.pierce_height - torch.standoff, 0.0)
-        leads = way.off > 0.5 * claim.kerf + claim.tolerance
+        leads = way.off > 0.5 * claim.kerf + work.near
         high = near + PLACE_ERROR + np.where(leads, lift, 0.0)
         low = -near - PLACE_ERROR + np.where(leads, drop, 0.0)
         lean = np.arccos(np.clip((way.axis * way.feet.normal).sum(axis=1), -1.0, 1.0))
@@ -257,11 +308,17 @@ def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin:
 
 
 def _waits(context: Context, claim: TrimsSheet) -> Iterator[Issue]:
-    """Whether the program waits for the arc between its start and the next move, as the text has it."""
+    """Whether the program waits for the arc between its start and the next move, as the text has it; no
+    other program can, that starts it."""
     if claim.ok_signal is None:
         return
     for task in context.job.tasks:
         if task.arm.name != claim.arm:
+            if task.name in context.switching((claim.arm,)):
+                lit = (s for s in task.steps if isinstance(s, SignalStep) and s.value)
+                yield from (
+                    _unwaited(task, s, claim) for s in lit if s.signal.lower() == claim.signal.lower()
+                )
             continue
         started: Step | None = None
         for step in task.steps:
@@ -294,8 +351,7 @@ def _unwaited(task: TaskText, step: Step, claim: TrimsSheet) -> Issue:
 
 @rule("verify.trim_order", TrimsSheet)
 def trim_order(context: Context, trimming: Trimming) -> Outcome:
-    """An outline that lies in another one is cut before that, which would let it move; slots of one outline
-    are cut without others between them."""
+    """An outline that lies in another one is wholly cut before that is begun, which would let it move."""
     issues: list[Issue] = []
     pairs = 0
     for work in trimming.works:
@@ -317,7 +373,8 @@ def trim_order(context: Context, trimming: Trimming) -> Outcome:
 @rule("verify.trim_feed", TrimsSheet)
 def trim_feed(context: Context, trimming: Trimming) -> Outcome:
     """While it cuts the tool goes no faster than its feed over the cosine of the wall's angle, by the
-    thickness that the sine law leaves there, and on average no slower than the wanted share of that."""
+    thickness that the sine law leaves there, and on average no slower than the wanted share of that; a torch
+    is nowhere much slower, where it would burn away more than its slot."""
     issues: list[Issue] = []
     worst, where = 0.0, ""
     for work, _, key, _way in every(trimming):
@@ -341,6 +398,8 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
             issues.append(
                 at_sample("verify.trim_feed", what, context.motion, claim.arm, int(rows[i]), measure)
             )
+        if claim.torch is not None:
+            issues += _lingers(context, work, key)
         if claim.mill is not None:  # on its way down another feed counts
             least = claim.thickness + claim.mill.below - GOING_DOWN * claim.height
             down = (deep[1:] >= least)[track.joined]
@@ -355,6 +414,28 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
     return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
 
 
+def _lingers(context: Context, work: TrimWork, key: str) -> Iterator[Issue]:
+    """Whether a torch, once it moves, takes too long for some short stretch of its slot."""
+    claim, track = work.claim, work.of_slot(key)
+    ends = [np.linalg.norm(track.tip - track.tip[k], axis=1) > STANDING for k in (0, -1)]
+    moved = np.flatnonzero(ends[0])
+    if not len(moved) or not ends[1].any():
+        return
+    some = slice(max(int(moved[0]) - 1, 0), int(np.flatnonzero(ends[1])[-1]) + 2)
+    time, rows = track.time[some], track.rows[some]
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(track.tip[some], axis=0), axis=1)))
+    stretch = max(LINGER_KERFS * claim.kerf, LEAST_STRETCH)
+    behind = np.minimum(np.searchsorted(along, along + stretch), len(along) - 1)
+    spent, way = time[behind] - time, along[behind] - along
+    most = LINGER * way / (claim.least_feed * claim.feed) + LINGER_TIME
+    k = int(np.argmax(spent - most))
+    if spent[k] > most[k]:
+        what = f"the torch takes {spent[k]:.2f} s for {mm(float(way[k])):.2f} mm in {key}; allowed: "
+        what += f"{most[k]:.2f} s"
+        measure = (float(spent[k]), float(most[k]), "s")
+        yield at_sample("verify.trim_feed", what, context.motion, claim.arm, int(rows[k]), measure)
+
+
 @rule("verify.trim_clear", TrimsSheet)
 def trim_clear(context: Context, trimming: Trimming) -> Outcome:
     """The tool that is mounted is the claimed one, and in slots and on the ways to them and from them no part
@@ -363,7 +444,7 @@ def trim_clear(context: Context, trimming: Trimming) -> Outcome:
     worst, limit, where = np.inf, None, ""
     for work in trimming.works:
         claim = work.claim
-        issues += _same_torch(context, work)
+        issues += _same_tool(context, work)
         rows = np.flatnonzero(np.char.startswith(work.track.label.astype(str), f"{TRIM}/"))
         if not len(rows):
             continue
@@ -388,26 +469,34 @@ def trim_clear(context: Context, trimming: Trimming) -> Outcome:
     return Outcome(tuple(issues), mm(worst), limit, "mm", where)
 
 
-def _same_torch(context: Context, work: TrimWork) -> Iterator[Issue]:
-    own: object = context.setups[work.index].cell.arm(work.claim.arm).tool
-    said = work.claim.torch if work.claim.mill is None else work.claim.mill.cutter
-    if said is None:
-        yield Issue("verify.trim_clear", f"no tool is claimed for {work.claim.arm}", arm=work.claim.arm)
-        return
-    names: tuple[str, ...] = ("standoff", "kerf", "nozzle", "cone", "body", "back")
-    if work.claim.mill is not None:
-        own, said = getattr(own, "cutter", None), work.claim.mill.cutter
-        names = ("radius", "corner", "flute", "overhang", "shank", "behind")
-    wanted = abs(work.claim.kerf - (2.0 * said.radius if isinstance(said, Cutter) else said.kerf)) < 1e-9
-    if not wanted or not all(_alike(getattr(own, name, np.inf), getattr(said, name)) for name in names):
-        what = f"the tool of {work.claim.arm} in setup {work.index + 1} is another one than the claimed"
-        yield Issue("verify.trim_clear", what, arm=work.claim.arm)
+TORCH_SIZES = ("standoff", "kerf", "nozzle", "cone", "body", "back")
+"""What of a torch counts,"""
+CUTTER_SIZES = ("radius", "corner", "flute", "overhang", "shank", "behind")
+"""and what of a mill's cutter."""
 
 
-def _alike(one: object, other: object) -> bool:
-    """Whether sizes are the same."""
-    a, b = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
-    return a.shape == b.shape and bool(np.all(np.abs(a - b) < 1e-9))
+def _same_tool(context: Context, work: TrimWork) -> Iterator[Issue]:
+    """Whether the tool on the arm is the claimed one, and cuts as wide as is claimed."""
+    claim, tool = work.claim, context.setups[work.index].cell.arm(work.claim.arm).tool
+    same = False
+    if claim.mill is not None and isinstance(tool, Mill):
+        said = claim.mill.cutter
+        same = _alike(tool.cutter, said, CUTTER_SIZES) and abs(claim.kerf - 2.0 * said.radius) < SAME_SIZE
+    elif claim.torch is not None and isinstance(tool, Torch):
+        same = _alike(tool, claim.torch, TORCH_SIZES) and abs(claim.kerf - claim.torch.kerf) < SAME_SIZE
+    if not same:
+        what = f"the tool of {claim.arm} in setup {work.index + 1} is another one than the claimed"
+        yield Issue("verify.trim_clear", what, arm=claim.arm)
+
+
+SAME_SIZE = 1e-9
+"""Sizes that differ by less [m] are the same."""
+
+
+def _alike(one: object, other: object, sizes: Sequence[str]) -> bool:
+    """Whether both have the same sizes."""
+    pairs = ([np.asarray(getattr(tool, name), dtype=np.float64) for tool in (one, other)] for name in sizes)
+    return all(a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_SIZE)) for a, b in pairs)
 
 
 def every(trimming: Trimming) -> Iterator[tuple[TrimWork, Curve, str, Way]]:

@@ -10,31 +10,34 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from planner.claims.trim import TrimCutter, TrimsSheet
 from planner.claims.vocabulary import Segment
-from planner.geometry.arrays import FloatArray, IntArray
-from planner.geometry.mesh import small_pieces
+from planner.geometry.arrays import IntArray
+from planner.geometry.swept_body import least_distances, places_near
 from planner.issues import Issue
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, mm, rule
 from planner.verify.rules.trim import (
     ANGLE_ERROR,
-    GOING_DOWN,
     ISSUES_SHOWN,
     NOTHING_TRIMMED,
-    PLACE_ERROR,
     every,
 )
 from planner.verify.trim.outlines import TRIM, Curve
-from planner.verify.trim.torch_motion import FACE_SPACING, Trimming, TrimWork, Way, behind
+from planner.verify.trim.torch_motion import PLACE_ERROR, Trimming, TrimWork, Way, behind, cylinder
 
 MILL, SPINDLE = "verify.trim_mill", "verify.trim_spindle"
 """Codes of the rules."""
-LOOKS = 600
-"""Places of a slot at which the cutter is held against the part."""
-MOST_PLACES = 400_000
-"""Places of a face at most."""
+PLACES_AT_ONCE = 1000
+"""Places of a way, ``PLACE_STEP`` apart, at which the cutter is held against the part together,"""
+PART_SPACING = 0.3e-3
+"""against places of both faces that are no farther from one another than this [m],"""
+MOST_PLACES = 1_000_000
+"""and at most so many."""
+DEEPER_SHARE = 0.5
+"""Chords, rounded corners and facets may take it deeper by this part of the tolerances, and of its depth."""
+START_SHARE = 0.5
+"""Its way into the sheet begins no lower than this part of its height over the sheet."""
 
 
 @rule("verify.trim_mill", TrimsSheet)
@@ -52,7 +55,7 @@ def trim_mill(context: Context, trimming: Trimming) -> Outcome:
             _depth(context, work, own, key, way),
             _leans(context, work, key, way),
             _entry(context, work, own, key, way),
-            _leaves(context, work, key),
+            _leaves(context, work, own, key),
             _beside(context, work, curve, own, key, way),
         ):
             issues += some
@@ -82,7 +85,7 @@ def _depth(context: Context, work: TrimWork, own: TrimCutter, key: str, way: Way
     claim = work.claim
     near = claim.height + work.sheet.tolerance + PLACE_ERROR
     through = behind(work.other, way.tip, way.axis)
-    cuts = way.off <= 0.5 * claim.kerf + claim.tolerance
+    cuts = way.off <= 0.5 * claim.kerf + work.near
     high = np.where(cuts, own.below - through, 0.0) / near
     low = (way.deep - claim.thickness - own.below) / near
     out = []
@@ -121,30 +124,34 @@ def _entry(context: Context, work: TrimWork, own: TrimCutter, key: str, way: Way
         )
         what += f"waste, {mm(claim.pierce_off):g} mm off"
         out.append(_told(context, work, key, what, int(way.rows[0])))
-    if way.deep[0] > -own.start + claim.height + work.sheet.tolerance:
+    if way.deep[0] > -own.start + min(claim.height + work.sheet.tolerance, START_SHARE * own.start):
         what = f"the way into the sheet begins {mm(-float(way.deep[0])):.2f} mm over it; wanted: "
         what += f"{mm(own.start):g} mm"
         out.append(_told(context, work, key, what, int(way.rows[0])))
+    share = 0.0
     track = work.of_slot(key)
     deep = work.feet(track.tip, track.axis)[1]
-    time = np.diff(track.time)
-    # once it is down, the tip is as deep as the face's facets have it
-    down = track.joined & (deep[1:] < claim.thickness + own.below - GOING_DOWN * claim.height)
-    speed = np.where(down, np.diff(deep) / np.maximum(time, 1e-6), 0.0)
-    share = float(speed.max(initial=0.0)) / own.plunge / FEED_SLACK
-    for k in _some(np.flatnonzero(speed > FEED_SLACK * own.plunge)):
-        what = f"the cutter goes down at {mm(float(speed[k])):.2f} mm/s; allowed: {mm(own.plunge):g} mm/s"
-        out.append(_told(context, work, key, what, int(track.rows[k + 1])))
+    jitter = DEEPER_SHARE * min(claim.tolerance, claim.height, claim.thickness + own.below)
+    jitter += work.sheet.tolerance + PLACE_ERROR
+    for run in np.split(np.arange(len(deep)), np.flatnonzero(~track.joined) + 1):
+        # how deep it would be at most had it gone down no faster than it may from anywhere before
+        gained = deep[run] - FEED_SLACK * own.plunge * track.time[run]
+        ahead = gained - np.minimum.accumulate(gained)
+        share = max(share, float(ahead.max(initial=0.0)) / jitter)
+        for k in _some(np.flatnonzero(ahead > jitter)):
+            what = f"the cutter is {mm(float(ahead[k])):.2f} mm deeper than at {mm(own.plunge):g} mm/s; "
+            what += f"allowed: {mm(jitter):.2f} mm"
+            out.append(_told(context, work, key, what, int(track.rows[run[k]])))
     if not own.ramp and len(way.tip) > 1:  # straight down before it goes anywhere
         gone = np.linalg.norm(way.feet.foot - foot, axis=1)
-        early = np.flatnonzero((gone > claim.tolerance) & (way.deep < 0.5 * claim.thickness))
+        early = np.flatnonzero((gone > claim.tolerance) & (way.deep < claim.thickness - work.sheet.tolerance))
         for k in early[:1]:
             what = "the cutter goes aside before it is through the sheet; wanted: straight down"
             out.append(_told(context, work, key, what, int(way.rows[k])))
     return share, out
 
 
-def _leaves(context: Context, work: TrimWork, key: str) -> Found:
+def _leaves(context: Context, work: TrimWork, mill: TrimCutter, key: str) -> Found:
     """On the way in the cutter is over the sheet, and the way out is along its axis until it is."""
     claim, out, worst = work.claim, list[Issue](), 0.0
     own = Segment(TRIM, key.split("/", 1)[1])
@@ -159,6 +166,10 @@ def _leaves(context: Context, work: TrimWork, key: str) -> Found:
                 what = f"the cutter comes down {mm(float(deep[k])):.2f} mm into the sheet on its way to it"
                 out.append(_told(context, work, key, what, int(track.rows[k])))
             continue
+        most = claim.thickness + mill.below + claim.height + work.sheet.tolerance + PLACE_ERROR
+        for k in np.flatnonzero(deep > most)[:1]:
+            what = f"the cutter is {mm(float(deep[k])):.2f} mm behind the face; allowed: {mm(most):.2f} mm"
+            out.append(_told(context, work, key, what, int(track.rows[k])))
         aside = np.linalg.norm(feet.foot - feet.foot[0], axis=1)[within]
         worst = float(aside.max(initial=0.0)) / (claim.tolerance + PLACE_ERROR)
         for k in within[aside > claim.tolerance + PLACE_ERROR][:1]:
@@ -171,42 +182,29 @@ def _beside(context: Context, work: TrimWork, curve: Curve, own: TrimCutter, key
     """What of the part is in the flute where the sheet is bent: on both faces, farther from the outline than
     its edge may be. The far face is the near one moved along z, so that its edge is off by the thickness."""
     claim, cutter = work.claim, own.cutter
-    out, worst = list[Issue](), 0.0
-    allowed = claim.tolerance + work.sheet.tolerance + PLACE_ERROR
-    half = 0.5 * cutter.flute
-    middle = way.tip + half * way.axis
-    reach = half + cutter.radius
-    near = _places(work.sheet.vertices[work.sheet.faces], middle, reach + claim.thickness)
-    part = near[~curve.in_waste(near)] if len(near) else near
-    if not len(part):
-        return 0.0, out
-    off = curve.off(part)[0]
+    out, worst, allowed = list[Issue](), 0.0, work.near
+    flute = cylinder(0.0, cutter.flute, cutter.radius)
+    corners = work.sheet.vertices[work.sheet.faces]
     drop = np.array([0.0, 0.0, claim.side * claim.thickness])
-    both, over = np.concatenate([part, part - drop]), np.concatenate([off, off - claim.thickness])
-    tree = cKDTree(both)
-    for k in range(0, len(way.tip), max(1, len(way.tip) // LOOKS)):
-        some = np.array(tree.query_ball_point(middle[k], reach), dtype=np.int64)
-        rest = both[some] - way.tip[k]
-        back = rest @ way.axis[k]
-        beside = np.linalg.norm(rest - back[:, None] * way.axis[k], axis=1)
-        inside = (beside < cutter.radius) & (back > 0.0) & (back < cutter.flute)
-        most = float(over[some[inside]].max(initial=0.0))
-        worst = max(worst, most / allowed)
-        if most > allowed and len(out) < ISSUES_SHOWN:
-            what = f"the cutter goes {mm(most):.2f} mm over the outline into the part; allowed: "
+    for first in range(0, len(way.tip), PLACES_AT_ONCE):
+        tip, axis = (row[first : first + PLACES_AT_ONCE] for row in (way.tip, way.axis))
+        near, _, count = places_near(corners, tip, axis, flute, claim.thickness, PART_SPACING, MOST_PLACES)
+        if count > MOST_PLACES:
+            what = f"the sheet would have to be looked at in {count} places; {MOST_PLACES} may be"
+            return np.inf, [_told(context, work, key, what, int(way.rows[first]))]
+        part = near[~curve.in_waste(near)] if len(near) else near
+        if not len(part):
+            continue
+        off = curve.off(part)[0]
+        both, over = np.concatenate([part, part - drop]), np.concatenate([off, off - claim.thickness])
+        inside, where = least_distances(both, tip, axis, flute, PART_SPACING)
+        most = np.where(inside < 0.0, over, 0.0)
+        worst = max(worst, float(most.max()) / allowed)
+        for k in _some(np.flatnonzero(most > allowed)):
+            what = f"the cutter goes {mm(float(most[k])):.2f} mm over the outline into the part; allowed: "
             what += f"{mm(allowed):.2f} mm"
-            out.append(_told(context, work, key, what, int(way.rows[k])))
-    return worst, out
-
-
-def _places(corners: FloatArray, middle: FloatArray, reach: float) -> FloatArray:
-    """Places (P, 3) of a face that a cutter may meet."""
-    low, high = middle.min(axis=0) - reach, middle.max(axis=0) + reach
-    near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
-    if not near.any():
-        return np.zeros((0, 3))
-    pieces = small_pieces(corners[near], FACE_SPACING, MOST_PLACES)[0]
-    return np.concatenate([pieces.mean(axis=1), corners[near].reshape(-1, 3)])
+            out.append(_told(context, work, key, what, int(way.rows[first + where[k]])))
+    return worst, out[:ISSUES_SHOWN]
 
 
 def _dies(context: Context, trimming: Trimming) -> Iterator[Issue]:
@@ -240,7 +238,7 @@ def trim_spindle(context: Context, trimming: Trimming) -> Outcome:
         for i in rows[~np.isin(track.label[rows], list(good))][:1]:
             what = f"the cutter is in the sheet, or just over it, in {track.label[i]}, where nothing is cut"
             issues.append(at_sample(SPINDLE, what, motion, claim.arm, int(track.rows[i])))
-        on = motion.on_for(claim.signal, track.time[rows])
+        on = motion.on_for(claim.signal, context.switching((claim.arm,)), track.time[rows])
         for i in np.flatnonzero(on < own.spin_up - 1e-6)[:1]:
             got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
             what = f"the cutter is in the sheet and {claim.signal} is {got} on; wanted: {own.spin_up:g} s"

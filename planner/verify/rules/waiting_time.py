@@ -79,11 +79,13 @@ def power_idle(context: Context) -> Outcome:
     slots = tuple(_slots(context))
     dwells = _dwells(context)
     for signal in sorted({claim.signal.lower(): claim.signal for claim in context.contacts}.values()):
-        walk = _Walk(context, signal, dwells)
-        for slot in slots:
-            walk.take(slot)
-        issues += [*walk.issues[:ISSUES_SHOWN], *_creeping(context, signal)]
-        worst = max(worst, walk.worst)
+        for tasks in job.controllers(context.problem, context.job.tasks):
+            own = frozenset(task.name for task in tasks)
+            walk = _Walk(context, signal, own, dwells)
+            for slot in slots:
+                walk.take(slot)
+            issues += [*walk.issues[:ISSUES_SHOWN], *_creeping(context, signal, own)]
+            worst = max(worst, walk.worst)
     issues += _unclaimed(context)
     if not context.contacts:
         return Outcome(tuple(issues), where="no power")
@@ -127,10 +129,17 @@ def _segment(stage: Stage, task: str, i: int) -> str:
 
 
 class _Walk:
-    """Goes through the slots with one signal."""
+    """Goes through the slots with one signal of the controller that runs the tasks ``own``."""
 
-    def __init__(self, context: Context, signal: str, dwells: Mapping[tuple[int, str], float]) -> None:
+    def __init__(
+        self,
+        context: Context,
+        signal: str,
+        own: Collection[str],
+        dwells: Mapping[tuple[int, str], float],
+    ) -> None:
         self.context, self.signal, self.key, self.dwells = context, signal, signal.lower(), dwells
+        self.own = own
         self.tasks = {task.name: task for task in context.job.tasks}
         self.mounted = {n for phase in context.phases for n in range(phase.first, phase.last + 1)}
         self.power = _Power()
@@ -140,7 +149,7 @@ class _Walk:
     def take(self, slot: _Slot) -> None:
         """One slot. What other tasks do counts where it keeps a task waiting that has left the power on."""
         power = self.power
-        switches = next((name for name, steps in slot.steps.items() if self._switched(steps)), "")
+        switches = next((n for n, steps in slot.steps.items() if n in self.own and self._switched(steps)), "")
         since = 0.0
         now = 0.0
         for step in slot.steps.get(switches, ()):
@@ -242,12 +251,12 @@ def _dwells(context: Context) -> dict[tuple[int, str], float]:
     return out
 
 
-def _creeping(context: Context, signal: str) -> list[Issue]:
-    """Moves with a hot wire that take much longer than at the lowest feed."""
+def _creeping(context: Context, signal: str, own: Collection[str]) -> list[Issue]:
+    """Moves with a wire that tasks ``own`` have made hot, which take much longer than at the lowest feed."""
     motion = context.motion
     if not len(motion.node_sample):
         return []
-    on = motion.on_for(signal, motion.time[motion.node_sample] - 0.5 * motion.node_duration) >= 0.0
+    on = motion.on_for(signal, own, motion.time[motion.node_sample] - 0.5 * motion.node_duration) >= 0.0
     issues = []
     for index, setup in enumerate(context.setup_claims):
         if all(claim.signal.lower() != signal.lower() for claim in setup.contacts):

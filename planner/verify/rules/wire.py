@@ -360,9 +360,9 @@ def wire_power(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     return Outcome(tuple(issues), where="" if wires else "no wire")
 
 
-def _switching(context: Context, signal: str) -> list[tuple[float, float]]:
-    """Times and values of a signal in order; off at first."""
-    return [(-np.inf, 0.0), *context.motion.switched(signal)]
+def _switching(context: Context, wire: Wire, signal: str) -> list[tuple[float, float]]:
+    """Times and values of a wire's signal in order; off at first."""
+    return [(-np.inf, 0.0), *context.motion.switched(signal, context.switching(wire.arms))]
 
 
 def _power_in_contact(context: Context, wire: Wire, signal: str, heat_up: float) -> list[Issue]:
@@ -370,7 +370,7 @@ def _power_in_contact(context: Context, wire: Wire, signal: str, heat_up: float)
     if not len(touching):
         return []
     issues = []
-    switching = _switching(context, signal)
+    switching = _switching(context, wire, signal)
     for run in np.split(touching, np.flatnonzero(np.diff(touching) > 1) + 1):
         first, last = context.motion.time[wire.sample[run[[0, -1]]]]
         before = [(time, value) for time, value in switching if time <= first]

@@ -238,8 +238,8 @@ class Curve:
         return cKDTree(self.ring)
 
     def off(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distances (N,) [m] of places (N, 3) from the curve, and where (N,) [m] along it they are "
-        "nearest."""
+        """Distances (N,) [m] of places (N, 3) from the curve, and where (N,) [m] along it they are
+        nearest."""
         near = np.asarray(self._tree.query(places)[1])
         best, where = np.full(len(places), np.inf), np.zeros(len(places))
         for first in ((near - 1) % len(self.ring), near):
@@ -252,6 +252,11 @@ class Curve:
             best[closer] = found[closer]
             where[closer] = (self.along[first] + share * np.sqrt(size))[closer] % self.length
         return best, where
+
+    def place(self, along: float) -> FloatArray:
+        """The place (3,) of its ring next behind some way along it [m]."""
+        k = int(np.searchsorted(self.along, along % self.length)) % len(self.ring)
+        return np.asarray(self.ring[k])
 
     def in_waste(self, places: FloatArray) -> BoolArray:
         """(N,) whether places (N, 3) are, seen along z, in what this outline lets drop."""

@@ -28,6 +28,8 @@ FACE_SPACING = 0.8e-3
 """How near [m] to one another places of a face are at which a torch is looked for."""
 PLACE_STEP = 0.2e-3
 """Places of a torch's way are no farther apart than this [m];"""
+PLACE_ERROR = 0.02e-3
+"""What places of ways and curves, between which nothing is looked at, may hide [m]."""
 BEND_SHARE = 0.05
 """straight lines between them leave its way by no more than this part of the tolerance."""
 MOST_FACE_PLACES = 1_000_000
@@ -42,11 +44,11 @@ class Burning:
     end: FloatArray
 
     @staticmethod
-    def of(context: Context, signal: str) -> Burning:
-        """When the programs have a signal on."""
+    def of(context: Context, claim: TrimsSheet) -> Burning:
+        """When the programs have the signal of a claim on."""
         begin: list[float] = []
         end: list[float] = []
-        for at, value in context.motion.switched(signal):
+        for at, value in context.motion.switched(claim.signal, context.switching((claim.arm,))):
             if value and len(begin) == len(end):
                 begin.append(at)
             elif not value and len(begin) > len(end):
@@ -112,7 +114,13 @@ class TrimWork:
         labels = tuple(sorted(set(context.motion.node_label.tolist())))
         self.track: Track = self._milling.track(index, claim.arm, labels)
         self._ways: dict[str, Way | None] = {}
-        self.burning = Burning.of(context, claim.signal)
+        self.burning = Burning.of(context, claim)
+
+    @property
+    def near(self) -> float:
+        """How far [m] a slot's edge may be off its outline: whatever is no farther cuts that, and is held
+        against all that is asked of what cuts."""
+        return self.claim.tolerance + self.sheet.tolerance + PLACE_ERROR
 
     @cached_property
     def on(self) -> BoolArray:
@@ -207,7 +215,7 @@ def body(torch: Torch) -> RoundBody:
     return RoundBody(torch.standoff, torch.back, torch.body, distance)
 
 
-def _cylinder(low: float, high: float, radius: float) -> RoundBody:
+def cylinder(low: float, high: float, radius: float) -> RoundBody:
     """A cylinder from ``low`` to ``high`` [m] behind the tip."""
 
     def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
@@ -225,9 +233,9 @@ def bodies(claim: TrimsSheet) -> list[RoundBody]:
     if claim.mill is None:
         return []
     cutter = claim.mill.cutter
-    out = [_cylinder(cutter.flute, cutter.overhang, cutter.shank)] if cutter.overhang > cutter.flute else []
+    out = [cylinder(cutter.flute, cutter.overhang, cutter.shank)] if cutter.overhang > cutter.flute else []
     rings = cutter.behind.tolist()
-    return out + [_cylinder(a[0], b[0], a[1]) for a, b in zip(rings[::2], rings[1::2], strict=True)]
+    return out + [cylinder(a[0], b[0], a[1]) for a, b in zip(rings[::2], rings[1::2], strict=True)]
 
 
 def off_sheet(work: TrimWork, rows: IntArray) -> tuple[float, int]:

@@ -3,18 +3,19 @@ LinuxCNC's ``rs274`` where it is on the path, and angles against rotations by sc
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner import pipeline, processes
+from planner import pipeline, plans, processes
 from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
 from planner.milling.gcode import inverse_time
 from planner.milling.gcode.inverse_time import AXIS_OFF, Way
-from planner.milling.gcode.state import KINEMATICS
+from planner.milling.gcode.state import KINEMATICS, convention
 from planner.milling.operation import Milling
 from planner.targets import Action
 from tests import small_problem
@@ -60,6 +61,16 @@ def test_angles_point_the_tool_along_any_vector_and_go_on_from_one_another(name:
         assert np.abs(turned(name, found) - axis).max() < 1e-7
         assert set(np.flatnonzero(found.any(axis=0))) <= {"ABC".index(c) for c in KINEMATICS[name].letters}
     assert np.abs(np.diff(found, axis=0)).sum(axis=1).max() < np.pi
+
+
+@pytest.mark.parametrize("name", TWO)
+@pytest.mark.parametrize("own", [0, 1])
+def test_an_axis_in_reverse_has_its_angles_negated(name: str, own: int) -> None:
+    axis = spiral(200, 0.7).axis
+    letter = KINEMATICS[name].letters[own]
+    found = inverse_time.angles(axis, convention(name, letter))
+    found[:, "ABC".index(letter)] *= -1.0
+    assert np.abs(turned(name, found) - axis).max() < 1e-7
 
 
 @pytest.mark.parametrize("name", TWO)
@@ -115,19 +126,59 @@ def test_a_milled_job_has_its_operator_and_its_spindle(tmp_path: Path) -> None:
     time = np.cumsum(np.append(0.0, targets.travel[1:] / targets.feed[1:]))
     way = inverse_time.way_of(made.operations[0], targets, targets.neutral(), time)
     lines = inverse_time.program(made.name, [way], KINEMATICS["table_ac"]).splitlines()
+    first = next(line for line in lines if line.startswith("G94 G0 A"))
     assert [line for line in lines if line[:2] in ("M3", "M5", "M0", "M2", "G9") and "G1" not in line] == [
         "M0",
+        "M0",  # nobody is asked anything while the spindle runs, which M0 stops on many machines
+        first,
         "M3 S12000",
-        "G94 G4 P1",
-        "M0",
-        "G94 G0 " + lines[lines.index("G94 G4 P1") + 3].removeprefix("G94 G0 "),
+        "G94 G4 P1.000",
         "M5",
-        "G94 G4 P1",
+        "G94 G4 P1.000",
         "M0",
+        "G94",
         "M2",
     ]
+    assert lines.index("M3 S12000") == lines.index(first) + 3  # at the first target, as in the plan
     assert "(NOT proven for this machine: its limits, its bodies and its clamping are not known)" in lines
     assert all(line.isascii() and line.count("(") <= 1 for line in lines)
+
+
+def straight(tilts: FloatArray, about: FloatArray, times: FloatArray) -> Way:
+    """A way along x whose axis leans by ``tilts`` (N,) towards ``about`` (N,) [rad]."""
+    axis = np.stack([np.sin(tilts) * np.cos(about), np.sin(tilts) * np.sin(about), np.cos(tilts)], axis=1)
+    tip = np.stack([0.01 * np.arange(len(tilts)), *np.zeros((2, len(tilts)))], axis=1)
+    return Way("a", tip, axis, times, [f"mill/a/{i}" for i in range(len(tilts))], (), 9000.0, "doSpindle")
+
+
+@pytest.mark.parametrize("name", ["head_ca", "table_bc", "head_b_table_c"])
+def test_along_the_axis_that_carries_it_the_tool_turns_in_time(name: str) -> None:
+    tilts = np.array([0, 0, 0, 0.2, 0.2, 0, 0, 0, 0, 0.2, 0])
+    about = np.array([0, 0, 0, 1.5, 1.5, 0, 0, 0, 0, 2.5, 0])
+    noise = np.random.default_rng(3).random(len(tilts))
+    way = straight(tilts + 4e-6 * noise, np.where(tilts > 0, about, 4.0 * noise), np.arange(11.0))
+    _, turn, time, target = inverse_time.blocks(way, KINEMATICS[name])
+    c = turn[:, 2]
+    assert len(c) < 30
+    assert np.ptp(c[target <= 4]) < 1e-3  # stands there before the first lean, whatever noise says
+    assert np.ptp(c[target >= 9]) < 1e-3
+    steps = np.diff(c[np.isin(time, np.arange(4.0, 10.0))])
+    assert steps == pytest.approx(steps[0], abs=1e-3)  # and turns evenly to the next one
+    assert (
+        np.linalg.norm(turned(name, inverse_time.angles(way.axis, KINEMATICS[name])) - way.axis, axis=1).max()
+        < 5e-5
+    )
+
+
+def test_moves_without_time_have_a_feed_that_controllers_take(tmp_path: Path) -> None:
+    way = straight(np.full(4, 0.2), np.zeros(4), np.array([0.0, 1.0, 1.0, 1.002]))
+    text = inverse_time.program("a job", [way], KINEMATICS["table_ac"])
+    assert [line.rpartition("F")[2] for line in text.splitlines() if line.startswith("G93")] == [
+        "60.000000",
+        "9999.000000",
+        "9999.000000",
+    ]
+    assert "(A counts as it turns the part about +x, right hand)" in text
 
 
 def test_what_a_machine_cannot_do_is_refused(tmp_path: Path) -> None:
@@ -150,6 +201,12 @@ def test_what_a_machine_cannot_do_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(TandemError, match=said):
             pipeline.export(tmp_path / "out", tmp_path / name, machine=machine)
+    with pytest.raises(TandemError, match="--reverse: got 'AB', allowed are letters of AC, each once"):
+        pipeline.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac", reverse="AB")
+    plans.save(dataclasses.replace(result.plan, digest="0" * 64), tmp_path / "out")
+    with pytest.raises(TandemError, match="is of problem 000000000000, the folder holds"):
+        pipeline.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac")
+    plans.save(result.plan, tmp_path / "out")
     next((tmp_path / "out" / "programs").rglob("*.mod*")).write_text("changed")
     with pytest.raises(TandemError, match="the proof names"):
         pipeline.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac")

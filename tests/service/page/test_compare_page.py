@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 import planner
 from tests import small_problem
@@ -107,3 +108,31 @@ def test_a_job_without_a_plan_is_compared_without_a_picture(
     page.goto(f"{server}/ui/compare?a={jobs[0]}&b={none}")
     expect(page.locator("#result")).to_contain_text("in the first alone")
     expect(page.get_by_role("button", name="Draw both over each other")).to_have_count(0)
+
+
+def test_what_is_chosen_last_is_compared_and_called_by_its_title(
+    page: Page, server: str, jobs: tuple[str, str]
+) -> None:
+    """Also where the answer to a former choice comes late."""
+    title = "<b>Vorschub</b> = ٣٠ " + "W" * 100
+    planner.Client(server).describe(jobs[0], title=title)
+    held: list[Route] = []
+    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={jobs[0]}")
+    heads = page.locator("#result thead th")
+    expect(heads).to_have_text([f"First: {title}", f"Second: {title}", "Change"])
+    expect(page.locator("#a option:checked")).to_contain_text(title)
+    page.route(re.compile(f"/v1/jobs/{jobs[1]}$"), lambda route: held.append(route))
+    page.locator("#b").select_option(jobs[1])
+    page.wait_for_function("location.search.includes('" + jobs[1] + "')")
+    with page.expect_response(re.compile(f"/v1/jobs/{jobs[0]}/files$")):
+        page.locator("#b").select_option(jobs[0])
+    expect(heads).to_have_count(3)
+    for route in held:
+        with page.expect_response(re.compile(f"/v1/jobs/{jobs[1]}/files$")):
+            route.continue_()
+    page.wait_for_timeout(300)
+    expect(heads.nth(1)).to_have_text(f"Second: {title}")
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
+    planner.Client(server).describe(jobs[0], title="")

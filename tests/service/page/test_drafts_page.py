@@ -135,6 +135,26 @@ def test_a_draft_that_was_sent_is_no_unsent_work(page: Page, server: str) -> Non
     asked(server, f"/v1/jobs/{job}", "DELETE")
 
 
+def test_a_draft_that_was_swept_is_no_unsent_work(page: Page, server: str) -> None:
+    begun(page, server)
+    called(page, "swept_1")
+    draft = draft_of(page)
+    page.locator("#f-name").fill("swept_2")
+    page.get_by_text("Sweep a field over values").click()
+    page.get_by_label("Field", exact=True).fill("operations.0.feed_mm_s")
+    page.get_by_label("Values, with spaces between").fill("20 30")
+    page.get_by_role("button", name="Make 2 jobs").click()
+    expect(page).to_have_url(re.compile("tag=sweep"))
+    kept = asked(server, f"/v1/drafts/{draft}")
+    assert kept["sent"] == kept["version"]
+    assert asked(server, f"/v1/drafts/{draft}/versions/{kept['version']}/problem")["name"] == "swept_2"
+    jobs = asked(server, "/v1/jobs?tag=sweep")["jobs"]
+    assert kept["job"] in [one["id"] for one in jobs]
+    for one in jobs:
+        asked(server, f"/v1/jobs/{one['id']}/cancel", "POST")
+        asked(server, f"/v1/jobs/{one['id']}", "DELETE")
+
+
 def test_a_draft_that_was_deleted_is_told(page: Page, server: str) -> None:
     begun(page, server)
     called(page, "gone")

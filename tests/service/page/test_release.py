@@ -205,8 +205,8 @@ def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(
     page: Page, server: str, tmp_path: Path
 ) -> None:
     """What the service does with it is for tests/service/test_elements.py: here it is played."""
-    state = {"A01": "verified", "A02": "verified", "A03": "infeasible"}
-    said: dict[str, str] = {}
+    state = {"A01": "verified", "A02": "verified", "A03": "infeasible", "A04": "verified"}
+    said = {"A04": "withdrawn"}  # with a reason, which the dialog does not show
     sent: list[dict[str, Any]] = []
 
     def told(route: Route) -> None:
@@ -231,10 +231,10 @@ def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(
     upload(page, server, shell_files(tmp_path))
     row = page.locator('[data-panel="A01"]')
     expect(row).to_contain_text("not released")
-    page.get_by_role("button", name="Release all 2 proven panels").click()
+    page.get_by_role("button", name="Release 2 proven panels").click()
     ask = page.get_by_role("dialog", name="Release the programs of these panels?")
     expect(ask.locator("#release-count")).to_have_text(
-        f"2 panels; {COUNT - 2} others are not proven, or released already."
+        f"2 panels; {COUNT - 2} others not: not proven, released already, or withdrawn."
     )
     for width in (390, 1440):
         page.set_viewport_size({"width": width, "height": 900})

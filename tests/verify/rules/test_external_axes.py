@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from planner import processes
+from planner.cell import axis_way, distance
 from planner.cell.kinematics import forward
 from planner.problem import Obstacle
 from planner.reading.cell import ObstacleFile, shape
@@ -53,6 +54,14 @@ def moves(text: str, new: str) -> str:
     return re.sub(rf"(MoveL .*?),\[{HERE},", rf"\1,[{new},", text)
 
 
+def creeping(text: str) -> str:
+    """The first station's value in straight moves, each less than a micrometre off the one before."""
+    off = iter((1, 2, 1, 0))
+    return re.sub(
+        rf"(MoveL .*?),\[{HERE},", lambda m: f"{m[1]},[{float(HERE) - 9e-4 * next(off, 0):.4f},", text
+    )
+
+
 ENTRY = "  PROC operation_1()"
 LOOK = "    check_axes;\n"
 """The call of what looks whether the track is at home."""
@@ -81,6 +90,11 @@ MUTANTS = {
     "missing value": ("external_axes", lambda t: moves(t, "9E9")),
     "missing at home": ("external_axes", lambda t: first(t, "[0.0000,9E9", "[9E9,9E9")),
     "another value": ("external_axes", lambda t: moves(t, "-480.0000")),
+    "creeping away and back": ("external_axes", creeping),
+    "switched off by a handler": (
+        "error_handler",
+        lambda t: first(t, "  ERROR\n", "  ERROR\n    DeactUnit TRACK_1;\n"),
+    ),
     "another value all along": ("setup", lambda t: t.replace(HERE, "-400.0000")),
     "beyond the range": ("external_axes", lambda t: t.replace(HERE, "-5000.0000")),
     "a second axis": ("external_axes", lambda t: t.replace(f"[{HERE},9E9", f"[{HERE},10")),
@@ -164,12 +178,46 @@ def test_a_unit_that_the_cell_does_not_have_is_refused(prover: Prover) -> None:
     assert {"verify.external_axes", "verify.move_kinds"} <= codes
 
 
-def test_the_way_between_stations_is_looked_at(prover: Prover) -> None:
+RAIL = {"kind": "box", "size_mm": [500, 7000, 50], "pose": {"xyz_mm": [0, 0, -25]}}
+POST = {"kind": "box", "size_mm": [100, 50, 700], "pose": {"xyz_mm": [0, 150, 350]}}
+STOP = {"kind": "box", "size_mm": [100, 50, 60], "pose": {"xyz_mm": [0, 150, 30]}}
+
+
+def _over(prover: Prover, shapes: list[dict[str, object]]) -> list[str]:
+    """What verify.track_way says of the way over one body of shapes."""
     good = track_job.planned().programs
-    box = {"kind": "box", "size_mm": [100, 50, 700], "pose": {"xyz_mm": [0, 150, 350]}}
-    made = ObstacleFile.model_validate({"name": "post", "shapes": [box]})
+    made = ObstacleFile.model_validate({"name": "rail", "shapes": shapes})
     cell = prover.problem.cell
-    here = Obstacle("post", tuple(shape(one, prover.problem.path.parent) for one in made.shapes))
+    here = Obstacle("rail", tuple(shape(one, prover.problem.path.parent) for one in made.shapes))
     there = dataclasses.replace(prover.problem, cell=dataclasses.replace(cell, obstacles=(here,)))
-    codes = {issue.code for issue in Prover(there, prover.claims).prove(good).issues}
-    assert "verify.track_way" in codes
+    found = Prover(there, prover.claims).prove(good).issues
+    return [issue.message for issue in found if issue.code == "verify.track_way"]
+
+
+@pytest.mark.parametrize(("shapes", "clear"), [([RAIL], True), ([POST], False), ([RAIL, STOP], False)])
+def test_the_way_between_stations_is_looked_at(
+    prover: Prover, shapes: list[dict[str, object]], clear: bool
+) -> None:
+    """A stop of one body with the rail is lower than all of the arm but the base that runs into it."""
+    assert (not _over(prover, shapes)) == clear
+
+
+def test_a_planner_that_leaves_out_a_stop_is_not_believed(
+    prover: Prover, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(axis_way, "_borne", lambda model, own, fixed, *_: np.ones(len(fixed), bool))
+    assert not _over(prover, [RAIL])
+    (message,) = _over(prover, [RAIL, STOP])
+    assert "nothing shows that the base keeps" in message
+
+
+def test_distances_that_are_too_far_are_not_believed(prover: Prover, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines are, not figures along them."""
+    stop = {"kind": "cylinder", "radius_mm": 40, "length_mm": 60, "pose": {"xyz_mm": [220, 150, 30]}}
+    assert not _over(prover, [RAIL, {**stop, "pose": {"xyz_mm": [260, 150, 30]}}])
+    right = distance.distances
+    monkeypatch.setattr(
+        axis_way.distance, "distances", lambda *args: (right(*args)[0] + 0.03, *right(*args)[1:])
+    )
+    (message,) = _over(prover, [RAIL, stop])  # it is 4 mm off
+    assert "nothing shows that the base keeps" in message

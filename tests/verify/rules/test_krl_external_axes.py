@@ -121,6 +121,13 @@ def broken(programs: Mapping[str, str], change: Callable[[str], str]) -> dict[st
     return bad
 
 
+def creeping(text: str, e: str) -> str:
+    """E1 in straight moves, each less than a micrometre off the one before."""
+    off = iter((1, 2, 1, 0))
+    pattern = rf"(SLIN [^\n]*,E1 ){re.escape(e)}\}}"
+    return re.sub(pattern, lambda m: f"{m[1]}{float(e) - 9e-4 * next(off, 0):.4f}}}", text)
+
+
 def in_cut(text: str, axis: str, old: str, new: str) -> str:
     """The value of the third straight move that has it."""
     at = [m.start() for m in re.finditer(rf"SLIN [^\n]*,{axis} {re.escape(old)}\}}", text)][2]
@@ -138,6 +145,7 @@ TRACK: dict[str, tuple[str, Callable[[str, str], str]]] = {
     "another E1 all along": ("setup", lambda t, e: t.replace(f"E1 {e}", f"E1 {float(e) + 100.0:.4f}")),
     "in metres": ("setup", lambda t, e: t.replace(f"E1 {e}", f"E1 {float(e) * 1e-3:.4f}")),
     "with the other sign": ("status", lambda t, e: t.replace(f"E1 {e}", f"E1 {-float(e):.4f}")),
+    "creeping away and back": ("external_axes", creeping),
     "moved in the cut": ("external_axes", lambda t, e: in_cut(t, "E1", e, f"{float(e) + 1.0:.4f}")),
     "beyond the range": ("external_axes", lambda t, e: t.replace(f"E1 {e}", "E1 -5000.0000")),
     "as the second axis": ("external_axes", lambda t, e: t.replace(f"E1 {e}}}", f"E2 {e}}}")),

@@ -15,10 +15,10 @@ function compare(answer) {
 }
 
 export class Refused extends Error {
-  constructor(status, issues) {
+  // of: of several things that were sent, which one each issue is of
+  constructor(status, issues, of = []) {
     super(issues.map((issue) => issue.message).join("; "));
-    this.status = status;
-    this.issues = issues;
+    Object.assign(this, { status, issues, of });
   }
 }
 
@@ -34,18 +34,14 @@ async function ask(path, options = {}) {
   }
   compare(answer);
   if (answer.ok) return answer;
-  let issues = [];
-  try {
-    issues = (await answer.json()).issues ?? [];
-  } catch {
-    issues = [];
-  }
+  const said = await answer.json().catch(() => null);
+  let issues = said?.issues ?? [];
   if (!issues.length) issues = [{ code: "service.request", severity: "error", message: `the service answered ${answer.status}` }];
   if (answer.status === 401 && document.body.dataset.page !== "login") {
     const back = encodeURIComponent(location.pathname + location.search + location.hash);
     location.assign(`/ui/login?next=${back}`);
   }
-  throw new Refused(answer.status, issues);
+  throw new Refused(answer.status, issues, said?.of);
 }
 
 export const json = async (path, options) => (await ask(path, options)).json();

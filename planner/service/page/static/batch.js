@@ -30,7 +30,7 @@ export function openBatch(found) {
   now = found;
   show($("batch"), true);
   $("batch-title").textContent = `${now.problems.length} problems`;
-  $("batch-list").replaceChildren(...now.problems.map((one) => h("li", { data: { name: one.name } }, icon("file"), h("bdi", {}, one.name), h("ul", { class: "issues" }))));
+  $("batch-list").replaceChildren(...now.problems.map((one) => h("li", {}, icon("file"), h("bdi", {}, one.name), h("ul", { class: "issues" }))));
   $("batch-files").textContent = now.files.length ? `With ${now.files.map((one) => one.name).join(", ")}: each problem takes what it names.` : "No other files were chosen with them.";
   $("batch-go").textContent = `Make ${now.problems.length} jobs`;
   $("batch-go").disabled = false;
@@ -41,15 +41,23 @@ export function openBatch(found) {
 
 export const closeBatch = () => show($("batch"), false);
 
+// As it is sent: what forms write otherwise is left out.
+const nameOf = (file) => file.name.replace(/["\r\n]/g, "_");
+
 // What is wrong, at the problems that it is wrong of; the others have nothing.
-function tellFaults(issues) {
+function tellFaults({ issues, of }) {
   const rows = [...$("batch-list").children];
   const left = [];
   for (const row of rows) row.lastChild.replaceChildren();
   for (const issue of sorted(issues)) {
-    const row = rows.find((one) => issue.message.startsWith(`${one.dataset.name.slice(0, 80)}: `));
-    if (row) row.lastChild.append(issueItem({ ...issue, message: issue.message.slice(Math.min(row.dataset.name.length, 80) + 2) }));
-    else left.push(issue.message);
+    const number = of[issues.indexOf(issue)];
+    if (number === undefined) {
+      left.push(issue.message);
+      continue;
+    }
+    const own = `${[...nameOf(now.problems[number])].slice(0, 80).join("")}: `; // it stands there already
+    const message = issue.message.startsWith(own) ? issue.message.slice(own.length) : issue.message;
+    rows[number].lastChild.append(issueItem({ ...issue, message }));
   }
   const wrong = rows.filter((row) => row.lastChild.children.length).length;
   banner(left.length ? left.join(" · ") : `${wrong} of ${rows.length} problems cannot be read, so no job was made.`);
@@ -62,13 +70,13 @@ export function setUpBatch() {
     banner("");
     const tag = $("batch-tag").value.trim().normalize("NFC");
     const form = new FormData();
-    for (const one of now.problems) form.append("problem", one, one.name);
+    for (const one of now.problems) form.append("problem", one, nameOf(one));
     for (const one of now.files) form.append("files", one, one.name);
     try {
       await post(`/v1/batches?${new URLSearchParams({ tag })}`, { body: form });
       location.assign(`/?${new URLSearchParams({ tag })}`);
     } catch (error) {
-      if (error instanceof Refused && error.status === 422) tellFaults(error.issues);
+      if (error instanceof Refused && error.status === 422) tellFaults(error);
       else tell(error);
       $("batch-go").disabled = false;
     }

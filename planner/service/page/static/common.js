@@ -24,6 +24,10 @@ export function tell(error) {
 // How long ago something was, with the moment itself on touch.
 export const age = (at) => h("time", { dateTime: at, title: new Date(at).toLocaleString("en-GB") }, ago(at));
 
+// Who released or withdrew something the last time, where the service asks for no tokens.
+export const signed = () => localStorage.getItem("tandem-name") ?? "";
+export const sign = (name) => localStorage.setItem("tandem-name", name);
+
 // Who uses this page; null where that is not known yet. What his role does not allow is not shown.
 export const me = document.body.dataset.page === "login" ? Promise.resolve(null) : json("/v1/session").catch(() => null);
 me.then((who) => {

@@ -12,27 +12,33 @@ import { readYaml } from "./yaml.js";
 const asked = new URLSearchParams(location.search);
 const { jobs } = await json("/v1/jobs?limit=200").catch((error) => (tell(error), { jobs: [] }));
 
+const called = (job) => job.title || job.name; // jobs of a sweep have one name
+let turn = 0; // of what was asked last; answers to former questions are dropped
+
 async function chooseFrom(select, chosen) {
   const known = [...jobs];
   if (chosen && !known.some((one) => one.id === chosen)) known.unshift(await json(path(chosen)));
   select.replaceChildren(
     ...(chosen ? [] : [h("option", { value: "" }, "Choose a job")]),
-    ...known.map((one) => h("option", { value: one.id, selected: one.id === chosen }, `${one.name} · ${STATES[one.state]?.[0] ?? one.state} · ${ago(one.created)} · ${one.id.slice(0, 6)}`)),
+    ...known.map((one) => h("option", { value: one.id, selected: one.id === chosen }, `${called(one)} · ${STATES[one.state]?.[0] ?? one.state} · ${ago(one.created)} · ${one.id.slice(0, 6)}`)),
   );
 }
 
 async function compare() {
   const [a, b] = [$("a").value, $("b").value];
+  turn += 1;
+  const mine = turn;
   history.replaceState(null, "", `/ui/compare?a=${a}&b=${b}`);
   if (!a || !b) return $("result").replaceChildren(h("div", { class: "card empty" }, h("p", {}, "Choose two jobs, and what differs between them is shown here.")));
   const [one, two] = await Promise.all([a, b].map((id) => json(path(id))));
   const [p, q] = await Promise.all([a, b].map(async (id) => readYaml(await text(fileOf(id, "problem/problem.yaml")))));
   const lists = await Promise.all([a, b].map(async (id) => (await json(`${path(id)}/files`)).files));
+  if (mine !== turn) return;
   $("result").replaceChildren(figures(one, two), ...inView(a, b, lists), programs(a, b, lists), fields(p, q), issues(one, two));
   banner("");
 }
 
-const link = (job) => h("a", { href: `/ui/jobs/${job.id}` }, job.name);
+const link = (job) => h("a", { href: `/ui/jobs/${job.id}` }, h("bdi", {}, called(job)));
 
 function figures(one, two) {
   const names = figureOrder(new Set([...Object.keys(one.metrics ?? {}), ...Object.keys(two.metrics ?? {})]));

@@ -21,6 +21,12 @@ export function titleOf(name) {
 // Whether a draft is as it was when it was sent.
 export const wasSent = (about) => about.sent === about.version;
 
+// Notes that a version was sent as that job: it is no unsent work any more.
+export async function sentAs({ id, number }, job) {
+  const body = JSON.stringify({ version: number, job });
+  await post(`${pathOf(id)}/sent`, { body, headers: { "Content-Type": "application/json" } });
+}
+
 // What is kept, and of which version: {problem, files, source} for the page, and how it is called.
 export async function fromDraft(id, number = null) {
   const about = await json(pathOf(id));
@@ -130,13 +136,11 @@ export class Draft {
     return this.saving ?? Promise.resolve();
   }
 
-  // Keeps what is not kept yet, and notes that it was sent as that job: it is no unsent work any more.
-  async sentAs(job) {
+  // Keeps what is not kept yet; the version that has what the page has now, null where it cannot be kept.
+  async version() {
     await this.save();
     if (this.dirty) await this.save();
-    if (!this.kept()) return;
-    const body = JSON.stringify({ version: Number(this.tag.slice(1, -1)), job });
-    await post(`${pathOf(this.id)}/sent`, { body, headers: { "Content-Type": "application/json" } });
+    return this.kept() ? { id: this.id, number: Number(this.tag.slice(1, -1)) } : null;
   }
 
   async send() {

@@ -9,7 +9,7 @@ import { badge } from "./outcome.js";
 import { COLOURS, PanelView } from "./panel_view.js";
 import { drawReleasePanels, released, setUpReleasePanels } from "./release_panels.js";
 import { Sliders } from "./sliders.js";
-import { ago, bytes, duration, isOpen, number } from "./words.js";
+import { ago, bytes, duration, isOpen, number, plural } from "./words.js";
 
 const SOON = 1200;
 const EACH = 2; // ms more for each panel that an answer has
@@ -37,7 +37,6 @@ let gone = false;
 let lost = false; // the service was out of reach
 
 const path = () => `/v1/elements/${encodeURIComponent(id)}`;
-const plural = (n, one) => `${n.toLocaleString("en-GB")} ${one}${n === 1 ? "" : "s"}`;
 const send = (what, body) => post(`${path()}/${what}`, { body: JSON.stringify(body) });
 const divided = () => element.state === "done";
 const stateOf = (panel) => (isOpen(panel.state) ? "open" : panel.state === "not_planned" || panel.state === "cancelled" ? "not_planned" : panel.state === "verified" ? "verified" : "refused");

@@ -4,7 +4,7 @@ import { ask } from "./ask.js";
 import { closeBatch, openBatch, setUpBatch, sortFiles } from "./batch.js";
 import { drawCells, takeCell } from "./cell.js";
 import { banner, tell } from "./common.js";
-import { Draft, fromDraft } from "./draft.js";
+import { Draft, fromDraft, sentAs } from "./draft.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { assign, drawFiles, drawUnits, fieldOfFile, inUnit, partMesh, sizeText, wanted } from "./files.js";
 import { Form } from "./form.js";
@@ -63,7 +63,7 @@ async function begin() {
     $("go").disabled = true;
     check();
   });
-  drawSweep = setUpSweep(state, () => wanted(state), (error) => (error instanceof Refused ? tellIssues(error.issues, false) : tell(error)));
+  drawSweep = setUpSweep(state, () => wanted(state), draft, (error) => (error instanceof Refused ? tellIssues(error.issues, false) : tell(error)));
   keeping = new Keeping(state, putIn);
   await keeping.load();
   $("kept").addEventListener("change", chooseKept);
@@ -405,8 +405,9 @@ async function start() {
   $("go").disabled = true;
   say("busy", "Sending …");
   try {
+    const version = await draft.version(); // that which is sent, whatever is typed meanwhile
     const made = await (await post("/v1/jobs", { body: upload(state.problem, wanted(state)) })).json();
-    await draft.sentAs(made.id).catch(() => null); // the job is made, whatever becomes of its draft
+    if (version) await sentAs(version, made.id).catch(() => null); // the job is made, whatever becomes of its draft
     state.sent = true;
     location.assign(`/ui/jobs/${made.id}`);
   } catch (error) {

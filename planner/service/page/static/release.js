@@ -1,9 +1,8 @@
 // Who answers for the programs of a job: released, withdrawn, and what that names.
 import { json, job as path, post } from "./api.js";
-import { tell } from "./common.js";
+import { sign, signed, tell } from "./common.js";
 import { $, announce, h, icon, show } from "./dom.js";
 
-const NAME = "tandem-name"; // who said so the last time, where the service asks for no tokens
 let now = { job: null, programs: [] };
 
 const moment = (text) => new Date(text).toLocaleString("en-GB", { day: "numeric", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit", second: "2-digit", timeZoneName: "short" });
@@ -48,7 +47,7 @@ export function setUpRelease(id, after, who) {
     $(`${name}-name`).required = Boolean(named);
     $(name).addEventListener("click", () => {
       $("release-what").replaceChildren(...pairs());
-      $(`${name}-name`).value = localStorage.getItem(NAME) ?? "";
+      $(`${name}-name`).value = signed();
       $(`${name}-ask`).returnValue = "";
       $(`${name}-ask`).showModal();
     });
@@ -56,7 +55,7 @@ export function setUpRelease(id, after, who) {
       if ($(`${name}-ask`).returnValue !== "yes") return;
       const text = name === "release" ? { note: $("release-note").value } : { reason: $("withdraw-reason").value };
       const by = named ? { name: $(`${name}-name`).value } : {};
-      if (named) localStorage.setItem(NAME, by.name);
+      if (named) sign(by.name);
       try {
         await post(`${path(id)}/${name}`, { body: JSON.stringify({ ...text, ...by }), headers: { "Content-Type": "application/json" } });
         announce(name === "release" ? "The programs are released" : "The release is withdrawn");

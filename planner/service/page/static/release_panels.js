@@ -1,11 +1,11 @@
 // Releases the proven panels of an element by one act, each as it was shown; those that are refused are named.
 import { post } from "./api.js";
-import { banner, me, tell } from "./common.js";
+import { banner, me, sign, signed, tell } from "./common.js";
 import { $, announce, h, icon, show } from "./dom.js";
+import { plural } from "./words.js";
 
-const NAME = "tandem-name"; // who said so the last time, where the service asks for no tokens
-export const toRelease = (panels) => panels.filter((panel) => panel.state === "verified" && panel.release !== "released");
-const plural = (n, one) => `${n.toLocaleString("en-GB")} ${one}${n === 1 ? "" : "s"}`;
+// What was withdrawn had its reason, and is released again where that stands: at its job.
+export const toRelease = (panels) => panels.filter((panel) => panel.state === "verified" && panel.release === "not-released");
 
 // How the button stands for these panels.
 export function drawReleasePanels(panels) {
@@ -13,7 +13,7 @@ export function drawReleasePanels(panels) {
   const proven = panels.filter((panel) => panel.state === "verified").length;
   show($("release-all"), proven > 0);
   $("release-all").disabled = !some.length;
-  $("release-all").textContent = some.length ? `Release ${some.length === proven ? "all " : ""}${plural(some.length, "proven panel")}` : "All proven panels are released";
+  $("release-all").textContent = some.length ? `Release ${some.length === proven ? "all " : ""}${plural(some.length, "proven panel")}` : panels.some((panel) => panel.release === "withdrawn") ? "Withdrawn: release them at their jobs" : "All proven panels are released";
 }
 
 // path(): the element's address; panels(): as they are shown now; after(): reads them anew.
@@ -26,16 +26,16 @@ export async function setUpReleasePanels(path, panels, after) {
   $("release-all").addEventListener("click", () => {
     shown = toRelease(panels());
     const left = panels().length - shown.length;
-    $("release-count").textContent = `${plural(shown.length, "panel")}${left ? `; ${left.toLocaleString("en-GB")} others are not proven, or released already` : ", all that there are"}.`;
+    $("release-count").textContent = `${plural(shown.length, "panel")}${left ? `; ${plural(left, "other")} not: not proven, released already, or withdrawn` : ", all that there are"}.`;
     $("release-what").replaceChildren(...shown.flatMap((one) => [h("dt", {}, one.id), h("dd", {}, h("code", { title: one.digest }, one.digest.slice(0, 16)))]));
-    $("release-name").value = localStorage.getItem(NAME) ?? "";
+    $("release-name").value = signed();
     $("release-ask").returnValue = "";
     $("release-ask").showModal();
   });
   $("release-ask").addEventListener("close", async () => {
     if ($("release-ask").returnValue !== "yes") return;
     const by = named ? { name: $("release-name").value } : {};
-    if (named) localStorage.setItem(NAME, by.name);
+    if (named) sign(by.name);
     const asked = Object.fromEntries(shown.map((one) => [one.id, { job: one.job, digest: one.digest }]));
     let done = null;
     try {

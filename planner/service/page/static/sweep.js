@@ -13,7 +13,7 @@ export function numbers(data, path = []) {
 const MOST_FIELDS = 400; // of tables nobody sweeps a single number
 
 // Gives back what draws the fields anew.
-export function setUpSweep(state, files, refused) {
+export function setUpSweep(state, files, draft, refused) {
   const draw = () => {
     const found = [...numbers(state.problem.operations, ["operations"]), ...numbers(state.problem.stock, ["stock"]), ...numbers(state.problem.settings, ["settings"])].slice(0, MOST_FIELDS);
     $("sweep-fields").replaceChildren(...found.map((path) => h("option", { value: path.join("."), label: fieldName(path.join(".")) })));
@@ -35,6 +35,8 @@ export function setUpSweep(state, files, refused) {
     const asked = new URLSearchParams({ field: $("sweep-field").value.trim(), tag: $("sweep-tag").value });
     for (const one of values()) asked.append("value", one);
     try {
+      const version = await draft.version();
+      if (version) asked.append("draft", `${version.id}@${version.number}`);
       await post(`/v1/sweeps?${asked}`, { body: upload(state.problem, files()) });
       state.sent = true;
       location.assign(`/?${new URLSearchParams({ tag: $("sweep-tag").value.trim().normalize("NFC") })}`);

@@ -1,5 +1,7 @@
 // Names, units and numbers as people read them.
 
+export const plural = (n, one) => `${n.toLocaleString("en-GB")} ${one}${n === 1 ? "" : "s"}`;
+
 const UNITS = [
   ["_mm_min", "mm/min"],
   ["_mm_s", "mm/s"],
