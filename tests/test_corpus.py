@@ -105,11 +105,11 @@ def unread(job: Job, folder: Path) -> list[str]:
 
 
 def test_jobs_are_valid_problem_files(tmp_path: Path) -> None:
-    """Two jobs of each family are read whole; a fault may be found by then, but no other one."""
-    for name in corpus.FAMILIES:
-        for index in (0, 2):
-            job = corpus.find(f"{name}_{index:02d}")
-            assert set(unread(job, tmp_path)) <= job.codes
+    """A job of each family is read whole, the first or the third, which has a fault: that may be found by
+    then, but no other one."""
+    for number, name in enumerate(corpus.FAMILIES):
+        job = corpus.find(f"{name}_{2 * (number % 2):02d}")
+        assert set(unread(job, tmp_path)) <= job.codes
 
 
 @pytest.mark.long

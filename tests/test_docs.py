@@ -68,8 +68,9 @@ def run(command: list[str], site: Path, folder: Path) -> subprocess.CompletedPro
     )
 
 
-DEAR = ("check problems/wave_wall", "springback cone_spif", "plan wing")
-"""Commands of the README that make test leaves to make test-long: each takes half a minute and more."""
+DEAR = ("check problems/wave_wall", "springback cone_spif", "plan wing", "report out")
+"""Commands of the README that make test leaves to make test-long: dear ones, and one of which
+`tests/batch/test_batch.py` has the exit codes."""
 FIRST = "tandem plan column_capital -o out"
 """The first command of the README: two setups, of which make test plans the second one, its faces, in
 `tests/test_whole_job.py`."""

@@ -129,7 +129,7 @@ def cells(surface: FineSurface, points: FloatArray) -> IntArray:
 
 def _whole(surface: FineSurface, label: IntArray) -> IntArray:
     faces = surface.mesh.faces
-    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = distinct_rows(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1))[0]
     label = label.copy()
     for _ in range(3):
         same = edges[label[edges[:, 0]] == label[edges[:, 1]]]

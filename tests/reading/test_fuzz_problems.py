@@ -41,17 +41,20 @@ ANYTHING = st.one_of(
 )
 
 
-# the capital's whole torus, which one mutation in 70 asks for, takes seconds to read
+# the capital's whole torus, which one mutation in 70 asks for, takes seconds to read; a face that juts out
+# of its block and that no wire fits a minute, as wires are tried in each block advised: seed 20 has one
 @pytest.mark.parametrize(
-    ("base", "count"),
-    [(CAPITAL, 40), pytest.param(CAPITAL, 150, marks=pytest.mark.long), (POSES, 150)],
+    ("base", "count", "number"),
+    [(CAPITAL, 40, 21), pytest.param(CAPITAL, 150, 20, marks=pytest.mark.long), (POSES, 150, 20)],
     ids=["capital", "capital_more", "poses"],
 )
-def test_mutated_problems_load_or_are_refused_by_field(tmp_path: Path, base: Any, count: int) -> None:
+def test_mutated_problems_load_or_are_refused_by_field(
+    tmp_path: Path, base: Any, count: int, number: int
+) -> None:
     where = places(base)
     (tmp_path / "targets.csv").write_text("\n".join([small_problem.COLUMNS, *small_problem.ROWS]))
 
-    @seed(20)
+    @seed(number)
     @settings(max_examples=count, deadline=None, database=None, suppress_health_check=list(HealthCheck))
     @given(st.data())
     def mutate(data: st.DataObject) -> None:

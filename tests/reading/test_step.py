@@ -62,6 +62,7 @@ def files() -> Any:
     return step_files
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     ("name", "unit", "raised"),
     [("a.step", "MM", 1), ("a.stp", "INCH", 3), ("a.step", "M", 2), ("a.igs", "INCH", 1)],

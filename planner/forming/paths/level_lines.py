@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from shapely import Polygon, contains_xy
 
-from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.arrays import FloatArray, IntArray, distinct_rows
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
 from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
@@ -327,7 +327,7 @@ def ridge_heights(mesh: TriangleMesh, radius: float, step: float, share: float) 
 def _least_within(places: FloatArray, value: FloatArray, reach: FloatArray, cell: float) -> FloatArray:
     """The least value (N,) of all places (N, 3) that are no farther than ``reach`` (N,) [m]: of those in one
     cell of size ``cell`` [m] the least stands for all, so that fine meshes take no longer."""
-    _, which = np.unique(np.floor(places / cell).astype(np.int64), axis=0, return_inverse=True)
+    which = distinct_rows(np.floor(places / cell).astype(np.int64))[2]
     order = np.lexsort((value, which.ravel()))
     first = order[np.diff(which.ravel()[order], prepend=-1) != 0]
     count = min(_LINE_NEIGHBOURS, len(first))
