@@ -9,17 +9,15 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import gc
-import itertools
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from planner import processes, spec
 from planner.batch import worker
 from planner.files import RELEASE, RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
 from planner.geometry.memory import give_back
-from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.problem import Problem
 from planner.reading import problem as problem_file
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
     from planner.motion.former import Former
     from planner.plans import Plan
     from planner.report.cell_picture import Picture
-    from planner.report.freedom_map import FreedomMap
     from planner.report.replay import Viewer
     from planner.targets import Job, Targets
     from planner.verify.context import Begin
@@ -89,7 +86,7 @@ class Outcome:
 
     def save(self, folder: str | Path, progress: Progress | None = None, pages: bool = True) -> None:
         """Write the result folder: programs only if verified, plan, motion, report, replay, simulated part.
-        Without ``pages`` neither report nor replay, which :func:`write_pages` makes of the folder."""
+        Without ``pages`` neither report nor replay, which :func:`planner.cli.results.write_pages` makes."""
         from planner import plans
         from planner.report import motion_file, output
 
@@ -224,7 +221,7 @@ def former(folder: str | Path) -> Former:
     (``plan.missing_file``, ``plan.damaged``, ``plan.schema``, or what is wrong with the problem in it)."""
     from planner.motion.former import Former
 
-    problem, made = _planned_result(folder)
+    problem, made = planned_result(folder)
     return Former(made, problem)
 
 
@@ -443,134 +440,12 @@ def load_result(folder: str | Path) -> Problem:
     return load(Path(folder) / "problem" / "problem.yaml")
 
 
-def _planned_result(folder: str | Path) -> tuple[Problem, Plan]:
+def planned_result(folder: str | Path) -> tuple[Problem, Plan]:
     """Problem and plan of a result folder, arms on tracks at the plan's stations."""
     from planner import plans
 
     made = plans.load(folder)  # first: what a folder that is no plan lacks is the plan
     return load_result(folder).stationed(made.stations), made
-
-
-def write_pages(folder: str | Path, processes: int = 1, maps: bool = False) -> Proof:
-    """Write report and replay into a result folder, of its problem, its plan and the proof of its programs,
-    which is made anew and given back; ``processes`` as for :func:`plan`. With ``maps`` the report has a map
-    of each freedom over some targets. Raises ``TandemError`` for what is missing or damaged there."""
-    from planner.report import output
-
-    problem, made = _planned_result(folder)
-    proof = verify(problem, read_programs(folder), processes)
-    shown = list(_maps(problem, made)) if maps else []
-    for name, text in output.pages(problem, made, proof, maps=shown).items():
-        write_whole(Path(folder) / name, text)
-    return proof
-
-
-def _maps(problem: Problem, made: Plan) -> Iterator[FreedomMap]:
-    """Maps of all freedoms of all operations, over :data:`FIRST_TARGETS` targets of each, with the plan's
-    values."""
-    from planner.geometry.arrays import spread_rows
-    from planner.motion import axis_map
-    from planner.motion.planning_scene import Scene
-    from planner.motion.search.subsampling import subset
-    from planner.report.freedom_map import FreedomMap
-    from planner.report.output import cell_model
-
-    for index, own in enumerate(made.operations):
-        setup = problem.setup_of(index)
-        place, model = made.places[setup.number - 1], cell_model(problem, made, setup)
-        scene = Scene.of(setup.cell, own.targets.arms, place, problem.settings, model, made.bases)
-        rows = spread_rows(own.targets.count, FIRST_TARGETS)
-        few, columns = subset(own.targets, rows), [one.name for one in own.targets.freedoms]
-        names = tuple(own.targets.name(row) for row in rows.tolist())
-        for freedom, unit in axis_map.freedoms(own.targets, stated=False).items():
-            found = axis_map.axis_map(scene, few, freedom, own.values[rows])
-            shown, scale = axis_map.SHOWN[unit]
-            yield FreedomMap(
-                operation=own.name,
-                freedom=freedom,
-                unit=shown,
-                names=names,
-                values=found.values / scale,
-                states=found.places.state,
-                causes=("", *axis_map.CAUSES.values()),
-                apart=found.clearance / MM,
-                clearance=problem.settings.clearance / MM,
-                path=own.values[rows, columns.index(freedom)] / scale,
-            )
-
-
-def export(
-    folder: str | Path,
-    output: Path,
-    seconds: float = 0.0,
-    machine: str | None = None,
-    reverse: str = "",
-) -> Path:
-    """Write the cell at ``seconds`` after the plan's first target, with wanted and simulated part, ways of
-    tools and wires, for CAD programs: ``output`` is a .glb or .3dm file. A .ngc file has what was milled as
-    G-code for a five-axis ``machine``, by its name in :data:`planner.milling.gcode.state.KINEMATICS`, whose
-    rotary axes in ``reverse`` count the other way round.
-
-    Raises ``TandemError``: ``problem.field`` for another ending, a time that the plan does not have or a
-    machine that cannot do it, ``upload.unproven`` for G-code of what is not proven, ``part.extra_missing``,
-    ``output.folder``, and for what is missing or damaged in the folder.
-    """
-    from planner.report import cad_export, rhino_file
-    from planner.report.output import cell_model
-
-    kinds = (*cad_export.KINDS, GCODE)
-    if output.suffix.lower() not in kinds:
-        what = f"-o: got {output.name}, allowed are files that end in {' or '.join(kinds)}"
-        raise TandemError(Issue("problem.field", what, field="output"))
-    if (output.suffix.lower() == GCODE) != (machine is not None):
-        what = f"--machine: got {machine}; {GCODE} files need one, other files have none"
-        raise TandemError(Issue("problem.field", what, field="machine"))
-    problem, made = _planned_result(folder)
-    if machine is not None:
-        return _written(output, _milled(Path(folder), problem, made, machine, reverse).encode("ascii"))
-    at = cad_export.moment(problem, made, seconds)
-    cut = cad_export.simulated(Path(folder) / "simulated_part.obj")
-    shapes = cad_export.shapes(cell_model(problem, made, at.setup), problem, made, at, cut)
-    if output.suffix.lower() == ".glb":
-        return _written(output, cad_export.glb(shapes))
-    lines, targets = cad_export.lines(problem, made, at), cad_export.targets(problem, made)
-    return _written(output, rhino_file.rhino(itertools.chain(shapes, lines, targets)))
-
-
-GCODE: Final = ".ngc"
-"""Ending of files for five-axis machines."""
-
-
-def _milled(folder: Path, problem: Problem, made: Plan, machine: str, reverse: str) -> str:
-    """What a proven result mills as G-code."""
-    from planner.loading import proven
-    from planner.milling.gcode import inverse_time, state
-
-    if machine not in state.KINEMATICS:
-        what = f"--machine: got {machine}, allowed are {', '.join(state.KINEMATICS)}"
-        raise TandemError(Issue("problem.field", what, field="machine"))
-    letters = state.KINEMATICS[machine].letters
-    if not set(reverse) <= set(letters) or len(set(reverse)) != len(reverse):
-        what = f"--reverse: got {reverse[:20]!r}, allowed are letters of {letters}, each once"
-        raise TandemError(Issue("problem.field", what, field="reverse"))
-    if made.digest != problem.digest:  # the proof is of the programs, and G-code is written of the plan
-        what = (
-            f"plan.json is of problem {made.digest[:12]}, the folder holds {problem.digest[:12]}; plan again"
-        )
-        raise TandemError(Issue("upload.unproven", f"{folder}: {what}", file=str(folder)))
-    proven.read(folder, problem)
-    each = zip(problem.operations, made.operations, strict=True)
-    ways = [inverse_time.way_of(own, done.targets, done.values, done.time) for own, done in each]
-    return inverse_time.program(problem.name, ways, state.convention(machine, reverse))
-
-
-def _written(output: Path, content: bytes) -> Path:
-    try:
-        write_whole(output, content)
-    except OSError as error:
-        what = f"{output}: cannot be written ({error.strerror}); choose another place"
-        raise TandemError(Issue("output.folder", what, field="output")) from error
-    return output
 
 
 def claim_output(folder: str | Path, problem: str | Path) -> None:

@@ -13,8 +13,9 @@ import yaml
 import planner
 from planner import processes
 from planner.batch.run import figures
+from planner.cli.results import write_pages
 from planner.issues import has_errors
-from planner.pipeline import looked_over, plan, verify, write_pages
+from planner.pipeline import looked_over, plan, verify
 from planner.report import scene
 from planner.report.output import cell_model
 from planner.verify.context import Context

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 import planner
 from planner import processes
-from planner.pipeline import plan, verify, write_pages
+from planner.cli.results import write_pages
+from planner.pipeline import plan, verify
 from planner.report import scene
 from planner.verify.context import Context
 from tests import table_job

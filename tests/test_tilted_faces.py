@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import planner
 from planner import processes
+from planner.cli.results import write_pages
 from planner.motion import stations
-from planner.pipeline import plan, verify, write_pages
+from planner.pipeline import plan, verify
 from planner.report import scene
 from planner.verify.context import Context
 from tests import positioner_job, table_job

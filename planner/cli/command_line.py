@@ -186,11 +186,13 @@ def report(folders: tyro.conf.Positional[tuple[Path, ...]], maps: bool = False) 
         maps: show of each freedom, over some of the targets, where each arm is free, what is in its way
             elsewhere, and how the plan goes through it.
     """
-    pipeline = _pipeline()
+    _pipeline()
+    from planner.cli import results
+
     code = DONE
     for folder in folders:
         try:
-            proof = pipeline.write_pages(folder, _processes(), maps)
+            proof = results.write_pages(folder, _processes(), maps)
         except TandemError as error:
             code = max(code, _refused(error, BAD_INPUT))
             continue
@@ -220,8 +222,11 @@ def export(
         reverse: letters of its rotary axes that count the other way round, as those of tables do that state
             the tool's motion against the table (ISO 841).
     """
+    _pipeline()
+    from planner.cli import results
+
     try:
-        written = _pipeline().export(folder, output, time, machine, reverse)
+        written = results.export(folder, output, time, machine, reverse)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     out.print(f"written to {written}", highlight=False, markup=False)

@@ -12,7 +12,7 @@ import rhino3dm
 import trimesh
 
 import planner
-from planner import pipeline
+from planner.cli import results
 from planner.issues import TandemError
 from planner.report import cad_export
 from tests import small_problem
@@ -31,7 +31,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def exported(folder: Path, name: str, seconds: float = 0.0) -> Path:
-    return pipeline.export(folder, folder.parent / name, seconds)
+    return results.export(folder, folder.parent / name, seconds)
 
 
 def test_a_3dm_file_has_targets_where_the_table_has_them(planned: Path) -> None:
@@ -91,7 +91,7 @@ def test_the_arm_is_where_it_is_at_that_time(planned: Path) -> None:
 
 def test_wanted_and_simulated_part_lie_in_the_block(tmp_path: Path) -> None:
     planner.plan(planner.load(ruled(tmp_path))).save(tmp_path / "out")
-    model = rhino3dm.File3dm.Read(str(pipeline.export(tmp_path / "out", tmp_path / "w.3dm")))
+    model = rhino3dm.File3dm.Read(str(results.export(tmp_path / "out", tmp_path / "w.3dm")))
     boxes: dict[str, list[np.ndarray]] = {}
     for one in model.Objects:
         box = one.Geometry.GetBoundingBox()
@@ -119,5 +119,5 @@ def test_other_files_and_times_are_refused(planned: Path, name: str, seconds: fl
 
 def test_a_folder_without_a_plan_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TandemError):
-        pipeline.export(tmp_path, tmp_path / "a.glb")
+        results.export(tmp_path, tmp_path / "a.glb")
     assert cad_export.simulated(tmp_path / "simulated_part.obj") == {}

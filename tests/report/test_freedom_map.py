@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from planner import pipeline
+from planner.cli import results
 from planner.report import freedom_map, markup
 from planner.report.freedom_map import FreedomMap
 from tests import small_problem
@@ -68,11 +69,11 @@ def test_the_report_of_a_plan_has_them_when_they_are_asked_for(tmp_path: Path) -
     outcome.save(tmp_path / "out")
     report = tmp_path / "out" / "report.html"
     assert "Maps of freedoms" not in report.read_text()
-    assert pipeline.write_pages(tmp_path / "out", maps=True).ok
+    assert results.write_pages(tmp_path / "out", maps=True).ok
     page = report.read_text()
     assert "Maps of freedoms" in page
     assert f"poses: roll [deg] over {outcome.plan.operations[0].targets.count} targets" in page
     # where the plan goes, it is free
-    (cells,) = pipeline._maps(outcome.problem, outcome.plan)
+    (cells,) = results.maps_of(outcome.problem, outcome.plan)
     near = np.abs(cells.values - cells.path[:, None]).argmin(axis=1)
     assert (cells.states["left"][np.arange(len(near)), near] == 0).all()

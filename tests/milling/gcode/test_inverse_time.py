@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner import pipeline, plans, processes
+from planner.cli import results
 from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
 from planner.milling.gcode import inverse_time
@@ -200,13 +201,13 @@ def test_what_a_machine_cannot_do_is_refused(tmp_path: Path) -> None:
         ("a.ngc", "hexapod", "--machine: got hexapod, allowed are head_a, head_b"),
     ):
         with pytest.raises(TandemError, match=said):
-            pipeline.export(tmp_path / "out", tmp_path / name, machine=machine)
+            results.export(tmp_path / "out", tmp_path / name, machine=machine)
     with pytest.raises(TandemError, match="--reverse: got 'AB', allowed are letters of AC, each once"):
-        pipeline.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac", reverse="AB")
+        results.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac", reverse="AB")
     plans.save(dataclasses.replace(result.plan, digest="0" * 64), tmp_path / "out")
     with pytest.raises(TandemError, match="is of problem 000000000000, the folder holds"):
-        pipeline.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac")
+        results.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac")
     plans.save(result.plan, tmp_path / "out")
     next((tmp_path / "out" / "programs").rglob("*.mod*")).write_text("changed")
     with pytest.raises(TandemError, match="the proof names"):
-        pipeline.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac")
+        results.export(tmp_path / "out", tmp_path / "a.ngc", machine="table_ac")
