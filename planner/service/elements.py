@@ -111,8 +111,8 @@ class Elements:
     ) -> ElementOut:
         """Divide an element anew with fields replaced, as another one with the marks of this one, and called
         as it; raises as :meth:`create`."""
-        _, before = self._jobs.get(element)
         files = self._jobs.files(element)
+        _, before = self._jobs.get(element)  # behind its files: they are none of one that is gone by now
         prefix = "problem/"
         given = {name.removeprefix(prefix): blob for name, blob in files.items() if name.startswith(prefix)}
         document = given.pop(ELEMENT)
@@ -168,13 +168,13 @@ class Elements:
 
     def get(self, element: str) -> ElementPanels:
         """An element with its panels; raises :class:`RefusedError`, 404."""
-        _, job = self._jobs.get(element)
         with self._database.read() as db:
             asked = select(ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job == element)
-            about = str(db.execute(asked).scalar_one())
+            about = str(db.execute(asked).scalar())
             planned = _panels(db, element)
             report = _report(db, element)
             files = job_files(db, element)
+        _, job = self._jobs.get(element)  # behind the rest, which is none of one that is gone by now
         head = self._head(job, about, len(planned)).model_dump()
         if DATA not in files:
             return ElementPanels(**head)

@@ -517,6 +517,22 @@ def test_two_who_change_one_element_each_have_an_answer(here: Elements, tmp_path
     assert here.http.get(f"/v1/elements/{element}").status_code == 404
 
 
+def test_an_element_that_goes_while_it_is_changed_is_none(
+    here: Elements, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """404, not a fault of the service, where it is deleted before its files are looked up."""
+    address = f"/v1/elements/{here.divided(here.upload(tmp_path, name='going').json()['id'])['id']}"
+    files, gone = here.service.jobs.files, []
+
+    def late(job: str) -> Any:
+        gone.append(here.http.delete(address).status_code)
+        return files(job)
+
+    monkeypatch.setattr(here.service.jobs, "files", late)
+    answer = here.http.post(f"{address}/divide", json={"fields": {"panels.hexagons.count": 28}})
+    assert (gone, answer.status_code) == ([204], 404)
+
+
 def test_bad_requests_are_told_by_field(here: Elements, dome: dict[str, Any]) -> None:
     address = f"/v1/elements/{dome['id']}"
     wrong = here.http.post(f"{address}/divide", json={"fields": {"nothing.at..all": 1}})
