@@ -69,13 +69,12 @@ def shares(
     levers: FloatArray,
     deviation: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """At least which share (M - 1,) of the time of the shorter one of the moves beside it each corner between
-    M moves is rounded over, on both sides: by the zone that :func:`room` allows, and by what the controller
-    takes without one. Arguments as there.
+    """At least which share (M - 1,) of the shorter one of the moves beside it each corner between M moves is
+    rounded over, on both sides: by the zone that :func:`room` allows, and by what the controller takes
+    without one. Arguments as there.
 
-    A zone is left and entered as fast as the faster one of both moves goes. No zone is larger than those that
-    programs name; one that would be smaller rounds nothing, nor does one of an angle where the TCP moves on
-    one side.
+    No zone is larger than those that programs name; one that would be smaller rounds nothing, nor does one of
+    an angle where the TCP moves on one side.
     """
     way, turn = np.diff(position, axis=0), _turns(quaternion)
     span = duration[:, None]
@@ -87,10 +86,8 @@ def shares(
     stands = np.maximum(far[1:], far[:-1]) <= STANDING_MM
     whole = np.where(stands, _shorter(angle)[:-1], _shorter(np.where(far > STANDING_MM, far, 0.0))[:-1])
     size = np.minimum(zone * whole / ZONE_STEP, np.where(stands, LARGEST_ZONE_DEG, LARGEST_ZONE_MM))
-    by_way, by_turn = (duration / np.maximum(gone, 1e-9) for gone in (far, angle))  # [s/mm] and [s/deg]
-    pace = np.where(stands, np.minimum(by_turn[1:], by_turn[:-1]), np.minimum(by_way[1:], by_way[:-1]))
-    taken = size * pace / np.minimum(duration[1:], duration[:-1])
-    return np.where(size >= FINE_ZONES[-1], taken, 0.0), without
+    named = size >= FINE_ZONES[-1]
+    return np.where(named, size / np.maximum(whole, FINE_ZONES[-1]), 0.0), without
 
 
 def _turns(quaternion: FloatArray) -> FloatArray:

@@ -18,7 +18,6 @@ from planner.post.krl import syntax
 from planner.post.rapid import syntax as rapid_syntax
 from planner.targets import Rounding, lever
 from planner.tooling import bow
-from planner.verify.replay.moves import time_law_of
 from tests.hotwire import foam_blocks
 from tests.post import synthetic
 from tests.post.reading import moves, numbers, programs
@@ -83,32 +82,6 @@ def test_corners_stay_within_what_is_allowed_by_the_points_of_their_curves():
         assert off <= corner_rounding.CORNER_DEVIATION_MM * (1.0 + 1e-6)
         if even and share < 0.5:
             assert off == pytest.approx(corner_rounding.CORNER_DEVIATION_MM, rel=1e-3)
-
-
-def test_corners_are_rounded_over_no_less_time_than_the_clock_counts_with():
-    """Random corners and times, by the proof's law of time for the zone that is written: that of a slow move
-    behind a fast one is left as fast as that."""
-    rng = np.random.default_rng(8)
-    sizes = np.sort([15.0, 8.0, 1.0, 0.3, *rapid_syntax.OWN_ZONES.values()])
-    still = np.tile([1.0, 0.0, 0.0, 0.0], (3, 1))
-    counted = 0
-    for _ in range(200):
-        ways = rng.normal(size=(2, 3)) * rng.uniform(0.1, 3.0, (2, 1))
-        times = rng.uniform(0.05, 1.0, 2)
-        position = np.concatenate([np.zeros((1, 3)), np.cumsum(ways, axis=0)])
-        stop = np.array([False, True])
-        reach = corner_rounding.room(position, still, times, stop)[0][0]
-        share = corner_rounding.shares(position, still, times, np.full(3, 100.0), np.full(2, 0.02))[0][0]
-        if reach < sizes[0]:
-            assert share == 0.0
-            continue
-        zone = sizes[sizes <= reach][-1]
-        far = np.linalg.norm(ways, axis=1)
-        part = np.array([[0.5, 0.5], zone / far, [0.5, 0.5]])
-        window = time_law_of(times, far, np.array([True, False, True]), part, np.zeros(3)).window[1]
-        assert share * times.min() <= window * (1.0 + 1e-9)
-        counted += share > 0.0
-    assert counted > 100
 
 
 def test_a_tool_that_only_gets_faster_has_all_of_its_moves_for_zones():
