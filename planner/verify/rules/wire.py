@@ -296,26 +296,24 @@ def signals(context: Context) -> Outcome:
     known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder | TrimsSheet)}
     known.add(context.problem.cell.controller.wire_signal.lower())
     issues += _left_on(context, known)
+    runs = {task.name: tasks for tasks in controllers(context.problem, context.job.tasks) for task in tasks}
     for stage in context.job.stages:
-        for tasks in controllers(context.problem, context.job.tasks):
-            first: TaskText | None = None
-            for task in tasks:
-                for step in stage.steps[task.name]:
-                    if not isinstance(step, SignalStep):
-                        continue
-                    faults = []
-                    if step.signal.lower() not in known:
-                        faults.append(f"{step.signal} is no signal of a wire, a spindle, a clamp or a torch")
-                    if step.value not in (0.0, 1.0):
-                        faults.append(f"{step.signal} is set to {step.value:g}, neither 0 nor 1")
-                    if step.delay:
-                        faults.append(f"{step.signal} is switched {step.delay:g} s later")
-                    if first is not None and first is not task:
-                        faults.append(
-                            f"{first.name} switches a signal between the same synchronisation points"
-                        )
-                    first = first or task
-                    issues += [at_step("verify.signals", fault, task, step) for fault in faults]
+        switches: dict[str, TaskText] = {}  # of each controller, by its first task
+        for task in context.job.tasks:
+            for step in stage.steps[task.name]:
+                if not isinstance(step, SignalStep):
+                    continue
+                faults = []
+                if step.signal.lower() not in known:
+                    faults.append(f"{step.signal} is no signal of a wire, a spindle, a clamp or a torch")
+                if step.value not in (0.0, 1.0):
+                    faults.append(f"{step.signal} is set to {step.value:g}, neither 0 nor 1")
+                if step.delay:
+                    faults.append(f"{step.signal} is switched {step.delay:g} s later")
+                first = switches.setdefault(runs[task.name][0].name, task)
+                if first is not task:
+                    faults.append(f"{first.name} switches a signal between the same synchronisation points")
+                issues += [at_step("verify.signals", fault, task, step) for fault in faults]
     for task in context.job.tasks:
         issues += [
             Issue(
