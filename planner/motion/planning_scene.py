@@ -106,6 +106,12 @@ class Chain:
         target to target: those of an offset wrist have no numbers that hold everywhere."""
         return offset_wrist.joined(q) if isinstance(self.robot.form, OffsetParameters) else q
 
+    def joined_on(self, pose: FloatArray, branch: int) -> FloatArray:
+        """Those of one branch alone, joints (N, S, 6), at TCP poses (N, S, 4, 4)."""
+        if isinstance(self.robot.form, OffsetParameters):  # all of them together give each its number
+            return self.joined(self.inverse(pose))[..., branch, :]
+        return self.inverse(pose, [branch])[..., 0, :]
+
     def _flange(self, pose: FloatArray) -> FloatArray:
         return np.asarray(rigid_inverse(self.base) @ pose @ rigid_inverse(self.tcp))
 

@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import OffsetParameters
 from planner.cell.clearance import Pairs
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.motion.planning_scene import FULL_TURN, Chain, Scene
@@ -181,10 +180,7 @@ def on_branches(
     out, able = {}, np.ones(shape, dtype=np.bool_)
     for arm in targets.arms:
         chain = scene.chains[arm]
-        # branches of an offset wrist have the numbers that all of them together give
-        some = None if isinstance(chain.robot.form, OffsetParameters) else [branch[arm]]
-        angles = chain.joined(chain.inverse(poses[arm], some).reshape(*shape, -1, 6))
-        q = angles[:, :, branch[arm] if some is None else 0]
+        q = chain.joined_on(poses[arm].reshape(*shape, 4, 4), branch[arm])
         out[arm] = rungs_of(scene, chain, branch[arm], q)
         able &= out[arm].ok.any(axis=2)
         if not able.any(axis=1).all():
