@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -102,25 +103,25 @@ def torch_body(torch: Torch) -> RoundBody:
 
 
 def flute_body(cutter: Cutter) -> RoundBody:
-    """What of a mill cuts: a cylinder. Its distances are those from its ends and side, never more than the
-    true ones."""
-
-    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
-        return np.asarray(np.maximum(beside - cutter.radius, np.maximum(-back, back - cutter.flute)))
-
-    return RoundBody(0.0, cutter.flute, cutter.radius, distance)
+    """What of a mill cuts: a cylinder."""
+    return _cylinders([(0.0, cutter.flute, cutter.radius)])
 
 
 def shank_body(cutter: Cutter) -> RoundBody:
-    """What of a mill does not cut: shank, holder and spindle, cylinders one behind the other. Its distances
-    are those from their planes and sides, never more than the true ones."""
+    """What of a mill does not cut: shank, holder and spindle, cylinders one behind the other."""
     rings = cutter.behind
     pieces = [(cutter.flute, cutter.overhang, cutter.shank)]
     pieces += [(float(a[0]), float(b[0]), float(a[1])) for a, b in zip(rings[::2], rings[1::2], strict=True)]
+    return _cylinders(pieces)
+
+
+def _cylinders(pieces: Sequence[tuple[float, float, float]]) -> RoundBody:
+    """Cylinders one behind the other, from where to where behind the tip and of which radius [m] each. Their
+    distances are those from their planes and sides, never more than the true ones."""
 
     def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
         own = [np.maximum(beside - r, np.maximum(low - back, back - high)) for low, high, r in pieces]
         return np.asarray(np.min(own, axis=0))
 
     widest = max(radius for _, _, radius in pieces)
-    return RoundBody(cutter.flute, pieces[-1][1], widest, distance)
+    return RoundBody(pieces[0][0], pieces[-1][1], widest, distance)

@@ -328,8 +328,8 @@ def _least_within(places: FloatArray, value: FloatArray, reach: FloatArray, cell
     """The least value (N,) of all places (N, 3) that are no farther than ``reach`` (N,) [m]: of those in one
     cell of size ``cell`` [m] the least stands for all, so that fine meshes take no longer."""
     which = distinct_rows(np.floor(places / cell).astype(np.int64))[2]
-    order = np.lexsort((value, which.ravel()))
-    first = order[np.diff(which.ravel()[order], prepend=-1) != 0]
+    order = np.lexsort((value, which))
+    first = order[np.diff(which[order], prepend=-1) != 0]
     count = min(_LINE_NEIGHBOURS, len(first))
     apart, other = cKDTree(places[first]).query(places, k=[*range(1, count + 1)])
     found = np.where(apart <= reach[:, None], value[first[other]], np.inf).min(axis=1)
