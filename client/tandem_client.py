@@ -209,7 +209,7 @@ class Client:
         """
         self._check_key(key)
         asked = {"timeout_s": timeout_s, "memory_mb": memory_mb}
-        query = urllib.parse.urlencode({name: value for name, value in asked.items() if value is not None})
+        query = self._query({name: value for name, value in asked.items() if value is not None})
         body, kind = self._body(problem, files)
         return str(self._make(f"/v1/jobs?{query}", body, kind, key)["id"])
 
@@ -224,17 +224,18 @@ class Client:
         draft: tuple[str, int] | None = None,
     ) -> list[str]:
         """Plan a problem with a field (``operations.0.feed_mm_s``) at several values: numbers, truth, words.
-        The ids of the jobs, all or none, which have that ``tag``. ``key`` as of :meth:`submit`; ``draft``: id
-        and version of the draft that it is, which was sent then."""
+        The ids of the jobs, all or none, which have that ``tag``. ``key`` as of :meth:`submit`; where some of
+        its jobs were deleted since, it is refused (``service.idempotency``). ``draft``: id and version of the
+        draft that it is, which was sent then."""
         self._check_key(key)
         self._want(DRAFTS_API if draft is None else BATCHES_API, "sweeps")
         texts = [one if isinstance(one, str) else json.dumps(one) for one in values]
         asked = {"field": field, "value": texts, "tag": tag}
         if draft is not None:
             asked["draft"] = f"{draft[0]}@{draft[1]}"
-        query = urllib.parse.urlencode(asked, doseq=True)
+        query = self._query(asked)
         body, kind = self._body(problem, files)
-        return [str(one["id"]) for one in self._make(f"/v1/sweeps?{query}", body, kind, key)["jobs"]]
+        return self._all_of(self._make(f"/v1/sweeps?{query}", body, kind, key), len(values), key)
 
     def batch(
         self,
@@ -246,7 +247,7 @@ class Client:
     ) -> list[str]:
         """Plan up to 50 problems: by names that tell them apart, or paths of their files, which have names.
         The ids of the jobs in their order, all or none, which have that ``tag``. ``files`` are for all of
-        them, ``key`` as of :meth:`submit`; ``drafts``: id and version of those that the first ones are.
+        them, ``key`` as of :meth:`sweep`; ``drafts``: id and version of those that the first ones are.
 
         What is wrong is told of each problem, in messages that begin with its name; ``data["of"]`` of an
         issue is its place, from 0.
@@ -255,9 +256,9 @@ class Client:
         texts, sent = self._bundles(problems, files or {})
         self._want(BATCHES_API, "batches")
         asked: dict[str, Any] = {"tag": tag, "draft": [f"{draft}@{version}" for draft, version in drafts]}
-        body, kind = _multipart(texts, sent)
-        made = self._make(f"/v1/batches?{urllib.parse.urlencode(asked, doseq=True)}", body, kind, key)
-        return [str(one["id"]) for one in made["jobs"]]
+        body, kind = self._form(texts, sent)
+        made = self._make(f"/v1/batches?{self._query(asked)}", body, kind, key)
+        return self._all_of(made, len(texts), key)
 
     def keep_draft(
         self, problem: Any, title: str = "", kind: str = "draft", files: Mapping[str, Content] | None = None
@@ -265,7 +266,7 @@ class Client:
         """Keep a problem as it is, right or wrong, or a ``kind``: draft, cell, tool or template. Its ``id``
         and ``version``, from 1."""
         self._want(DRAFTS_API, "drafts")
-        asked = urllib.parse.urlencode({"title": title, "kind": kind})
+        asked = self._query({"title": title, "kind": kind})
         return self._upload(f"/v1/drafts?{asked}", problem, files)
 
     def save_draft(
@@ -280,7 +281,7 @@ class Client:
         those of before but ``without`` some. Raises ``TandemError``: ``service.draft`` where somebody else
         has saved it since."""
         self._want(DRAFTS_API, "drafts")
-        asked = urllib.parse.urlencode({"without": list(without)}, doseq=True)
+        asked = self._query({"without": list(without)})
         body, kind = self._body(problem, files)
         headers = {"Content-Type": kind, "If-Match": f'"{version}"'}
         return self._read_json(self._request(_of(draft, f"?{asked}", "drafts"), body, headers, "PUT"))
@@ -297,7 +298,7 @@ class Client:
         number = self._json(_of(draft, kind="drafts"))["version"] if version is None else version
         own = _of(draft, f"/versions/{number}", "drafts")
         names = [one["name"] for one in self._json(own)["files"]]
-        files = {name: self._request(f"{own}/files/{urllib.parse.quote(name)}") for name in names}
+        files = {name: self._request(f"{own}/files/{_quoted(name)}") for name in names}
         return self._request(f"{own}/problem"), files
 
     def versions(self, draft: str) -> list[dict[str, Any]]:
@@ -373,9 +374,10 @@ class Client:
         """Delete jobs and their files; the ids of those that there are not."""
         self._want(FINDING_API, "deleting many jobs")
         unknown: list[str] = []
-        for start in range(0, len(jobs), MOST_DELETED):
-            some = list(jobs[start : start + MOST_DELETED])
-            unknown += self._send("/v1/jobs/delete", {"jobs": some}, "POST")["unknown"]
+        ids = [jobs] if isinstance(jobs, str) else list(jobs)
+        for start in range(0, len(ids), MOST_DELETED):
+            some = {"jobs": ids[start : start + MOST_DELETED]}
+            unknown += self._send("/v1/jobs/delete", some, "POST")["unknown"]
         return unknown
 
     def events(self, job: str, timeout_s: float | None = None) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -409,7 +411,7 @@ class Client:
 
     def file(self, job: str, name: str) -> bytes:
         """A file of a job, by its name in the list of files."""
-        return self._request(_of(job, f"/files/{urllib.parse.quote(name)}"))
+        return self._request(_of(job, f"/files/{_quoted(name)}"))
 
     def files(self, job: str) -> dict[str, bytes]:
         """All files of a job by name: its problem and its results."""
@@ -525,6 +527,9 @@ class Client:
         proven, was planned again meanwhile, or is released already, with its ``issues``. ``name`` as of
         :meth:`release`. Raises ``TandemError``: ``service.release`` where that is all of them."""
         self._want(BATCHES_API, "releases of panels")
+        if not all(isinstance(one, Mapping) and "id" in one for one in panels):
+            what = "panels: give rows of element(...)['panels'], each with id, job and digest"
+            raise self._refused({"code": "problem.field", "message": what, "field": "panels"})
         shown = {str(one["id"]): {"job": one.get("job"), "digest": one.get("digest")} for one in panels}
         said = {"panels": shown, "note": note, "name": name}
         return self._send(_of(element, "/release", "elements"), said, "POST")
@@ -562,7 +567,7 @@ class Client:
     def link(self, job: str, name: str, seconds: int = 3600) -> str:
         """The address of a file of a job, which whoever has it may read for so long."""
         self._want(LINKS_API, "links")
-        asked = urllib.parse.urlencode({"name": name, "seconds": seconds})
+        asked = self._query({"name": name, "seconds": seconds})
         return f"{self._url}{self._json(_of(job, f'/links?{asked}'), method='POST')['path']}"
 
     def look(self, job: str, seconds: int = 7 * 86400) -> str:
@@ -577,7 +582,7 @@ class Client:
 
     def withdraw_look(self, job: str, look: str) -> None:
         """Withdraw a link to look, by its ``id``."""
-        self._request(_of(job, f"/looks/{urllib.parse.quote(look, safe='')}"), method="DELETE")
+        self._request(_of(job, f"/looks/{_quoted(look, '')}"), method="DELETE")
 
     def _issue(self, data: Mapping[str, Any]) -> Any:
         """An issue as it was sent."""
@@ -593,7 +598,24 @@ class Client:
     def _body(self, problem: Any, files: Mapping[str, Content] | None) -> tuple[bytes, str]:
         """The body with a problem and its files, and its content type."""
         text, sent = self._bundle(problem, files or {})
-        return _multipart({"problem.yaml": text}, sent)
+        return self._form({"problem.yaml": text}, sent)
+
+    def _form(self, problems: Mapping[str, bytes], files: Mapping[str, bytes]) -> tuple[bytes, str]:
+        """The body with problems and files, whose names are texts."""
+        try:
+            return _multipart(problems, files)
+        except UnicodeEncodeError as error:
+            name = error.object[max(error.start - 40, 0) : error.end + 40]
+            what = f"the name {name!a} has half a character; rename it"
+            raise self._refused({"code": "service.file_name", "message": what, "field": "files"}) from error
+
+    def _query(self, asked: Mapping[str, Any]) -> str:
+        """The query with what is asked."""
+        try:
+            return urllib.parse.urlencode(asked, doseq=True)
+        except UnicodeEncodeError as error:
+            what = f"{error.object[:80]!a} has half a character; correct the text"
+            raise self._refused({"code": "service.request", "message": what, "field": None}) from error
 
     def _bundles(
         self, problems: Any, files: Mapping[str, Content]
@@ -698,7 +720,7 @@ class Client:
         """What a list has under ``name``, page by page."""
         asked = {"limit": 200, **asked}
         while True:
-            page = self._json(f"/v1/{path}?{urllib.parse.urlencode(asked, doseq=True)}")
+            page = self._json(f"/v1/{path}?{self._query(asked)}")
             yield from page[name]
             if page.get("next") is None:
                 return
@@ -741,6 +763,15 @@ class Client:
         headers = {"Content-Type": kind, "Idempotency-Key": secrets.token_hex(16) if key is None else key}
         pauses = PAUSES_S if self._api >= KEYS_API else ()
         return self._read_json(self._request(path, body, headers, "POST", pauses=pauses))
+
+    def _all_of(self, made: Mapping[str, Any], count: int, key: str | None) -> list[str]:
+        """The ids of so many jobs in their order; fewer are left where some that a key had made were
+        deleted."""
+        ids = [str(one["id"]) for one in made["jobs"]]
+        if len(ids) == count:
+            return ids
+        what = f"key: got {key!r}, which made {count} jobs before; left of them: {len(ids)}. Give another key"
+        raise self._refused({"code": "service.idempotency", "message": what, "field": "key", "jobs": ids})
 
     def _check_key(self, key: str | None) -> None:
         """See that the service takes a key: a header changes some others on their way, or ends at them."""
@@ -827,7 +858,12 @@ def _left(until: float) -> float:
 
 def _of(job: str, what: str = "", kind: str = "jobs") -> str:
     """The path of a job, or an element."""
-    return f"/v1/{kind}/{urllib.parse.quote(job, safe='')}{what}"
+    return f"/v1/{kind}/{_quoted(job, '')}{what}"
+
+
+def _quoted(name: str, safe: str = "/") -> str:
+    """A name in an address; half a character, which no name has there, is a question mark."""
+    return urllib.parse.quote(name, safe, errors="replace")
 
 
 def _described(title: str | None, tags: Sequence[str] | None, notes: str | None) -> dict[str, Any]:

@@ -88,6 +88,41 @@ def test_a_batch_makes_a_job_of_each_problem_or_none(client: tandem_client.Clien
     client.delete_draft(draft["id"])
 
 
+def test_a_key_whose_jobs_are_gone_in_part_is_told(client: tandem_client.Client, tmp_path: Path) -> None:
+    """Else ids would stand for other problems than they are of."""
+    problems = {name: named(name).encode() for name in ("left_1", "left_2")}
+    path = small_problem.write(tmp_path, named("left_3"))
+    field = "operations.0.feed_mm_s"
+    for ask in (
+        lambda: client.batch(problems, files=FILES, key="left-1"),
+        lambda: client.sweep(path, field, [20, 30], files=FILES, key="left-2"),
+    ):
+        first, second = ask()
+        client.wait(first)
+        client.delete(first)
+        (issue,) = refusal(ask)
+        assert (issue.code, issue.field, issue.data["jobs"]) == ("service.idempotency", "key", [second])
+        assert "made 2 jobs before; left of them: 1" in issue.message
+        client.delete(second)
+        assert len(ask()) == 2
+
+
+def test_what_is_half_a_character_is_told(client: tandem_client.Client) -> None:
+    """Names of files that are no UTF-8 have some on Linux."""
+    half = "a\udce4b"
+    problem = {half: named("half").encode()}
+    for asked, code in (
+        (lambda: client.batch(problem, files=FILES), "service.file_name"),
+        (lambda: client.submit(problem[half], files={half: b"1"}), "service.file_name"),
+        (lambda: list(client.jobs(half)), "service.request"),
+        (lambda: client.keep_draft(b"", half), "service.request"),
+        (lambda: client.job(half), "service.unknown_job"),
+    ):
+        (issue,) = refusal(asked)
+        assert issue.code == code
+        str(issue).encode()
+
+
 def test_problems_of_a_batch_share_the_files_that_they_name(
     client: tandem_client.Client, tmp_path: Path
 ) -> None:
@@ -164,6 +199,7 @@ def test_the_queue_is_seen_and_its_order_changed(
     for job in jobs:
         client.wait(job, timeout_s=60)
     assert client.delete_jobs([*jobs, "0" * 32]) == ["0" * 32]
+    assert client.delete_jobs("0" * 32) == ["0" * 32]
     assert list(client.jobs(tags=["queue"])) == []
     acts = [(one["act"], one["job"]) for one in client.audit(acts=["cancelled"])]
     assert {("cancelled", one) for one in waiting} == set(acts)
@@ -208,6 +244,8 @@ def test_panels_are_released_marked_and_reported(client: tandem_client.Client, d
     assert {one.code for one in issues} == {"service.release"}
     unplanned = next(one for one in client.element(dome)["panels"] if one["state"] == "not_planned")
     assert refusal(lambda: client.release_panels(dome, [unplanned], name="Ann"))[0].code == "service.request"
+    (issue,) = refusal(lambda: client.release_panels(dome, names, name="Ann"))  # type: ignore[arg-type]
+    assert issue.field == "panels"
     marked = client.mark_panel(dome, names[0], "cut")
     assert {one["id"]: one["mark"] for one in marked["panels"] if "mark" in one} == {names[0]: "cut"}
     report = client.report_panels(dome, key="report-1")
