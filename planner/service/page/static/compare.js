@@ -1,6 +1,6 @@
 // Two jobs side by side: state, figures, what differs in their problems, issues that only one has.
 import { fileOf, job as path, json, text, Unreachable } from "./api.js";
-import { banner, tell } from "./common.js";
+import { banner, patiently, ready, tell } from "./common.js";
 import { $, h, icon } from "./dom.js";
 import { short } from "./form.js";
 import { fieldName, issueList } from "./issues.js";
@@ -11,7 +11,6 @@ import { readYaml } from "./yaml.js";
 
 const asked = new URLSearchParams(location.search);
 const RETRY_MS = 2000;
-
 const called = (job) => job.title || job.name; // jobs of a sweep have one name
 let turn = 0; // of what was asked last; answers to former questions are dropped
 let wanted = false; // whether both are to be drawn
@@ -38,13 +37,6 @@ async function load() {
   return faults;
 }
 
-// What a service that is away did not answer is asked again, until something else is wanted.
-const again = (action) => (error) => {
-  const mine = turn;
-  if (error instanceof Unreachable) setTimeout(() => mine === turn && action(), RETRY_MS);
-  tell(error);
-};
-
 function empty(text) {
   endView();
   $("result").replaceChildren(h("div", { class: "card empty" }, h("p", {}, text)));
@@ -67,7 +59,8 @@ async function compare() {
   } catch (error) {
     if (mine !== turn) return;
     empty("These two cannot be compared now."); // and not what was chosen before
-    again(show)(error);
+    if (error instanceof Unreachable) setTimeout(() => mine === turn && show(), RETRY_MS);
+    tell(error, true);
   }
 }
 
@@ -196,8 +189,8 @@ function issues(one, two) {
 
 const show = () => compare().catch(tell);
 async function begin() {
-  const faults = await load();
-  for (const control of [$("a"), $("b"), $("swap")]) control.disabled = false;
+  const faults = await patiently(load);
+  ready();
   await show();
   if (faults.length) tell(faults[0]);
 }
@@ -208,5 +201,7 @@ $("swap").addEventListener("click", () => {
   [$("a").value, $("b").value] = [$("b").value, $("a").value];
   show();
 });
-const first = () => begin().catch(again(first));
-await first();
+await begin().catch((error) => {
+  ready();
+  tell(error);
+});

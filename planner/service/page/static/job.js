@@ -1,6 +1,6 @@
 // One job: stages and issues as they happen, then report, replay, programs.
 import { fileOf, job as path, json, post, remove } from "./api.js";
-import { banner, me, tell } from "./common.js";
+import { banner, me, patiently, ready, tell } from "./common.js";
 import { drawDescription, setUpDescription } from "./describe.js";
 import { Estimate } from "./estimate.js";
 import { $, announce, h, icon, show } from "./dom.js";
@@ -270,7 +270,7 @@ function listen() {
   hear("end", () => {
     ended = true;
     source.close();
-    refresh().catch(tell);
+    patiently(refresh).catch(tell);
   });
   source.onerror = () => {
     if (ended) return;
@@ -306,7 +306,8 @@ $("sure").addEventListener("close", async () => {
   if ($("sure").returnValue !== "yes") return;
   await remove(path(id)).then(() => location.assign("/"), tell);
 });
-await refresh().catch((error) => {
+ready();
+await patiently(refresh).catch((error) => {
   show($("missing"), !job);
   tell(error);
 });
