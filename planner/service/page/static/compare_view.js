@@ -18,7 +18,7 @@ const WORDS = { link: "arms", tool: "tools", edge: "tools", wire: "wire", stock:
 export function filmOf(page) {
   const data = (id) => JSON.parse(page.match(new RegExp(`<script type='application/json' id='${id}'>(.*?)</script>`, "s"))?.[1] ?? "null");
   const [film, times] = [data("film"), data("track")];
-  if (!film || !times) throw new Error("the replay is of another version; plan the job again");
+  if (!film?.fine || !times?.segments) throw new Error("the replay is of another version; plan the job again");
   return { film, times };
 }
 

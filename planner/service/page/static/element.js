@@ -345,9 +345,9 @@ $("more").addEventListener("click", () => {
   drawList();
 });
 addEventListener("visibilitychange", () => !document.hidden && again(0));
-ready();
 await refresh().then(drawReport).catch((error) => {
   show($("missing"), !element);
   failed(error);
 });
+ready();
 if (!gone) again();

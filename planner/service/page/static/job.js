@@ -306,9 +306,9 @@ $("sure").addEventListener("close", async () => {
   if ($("sure").returnValue !== "yes") return;
   await remove(path(id)).then(() => location.assign("/"), tell);
 });
-ready();
 await patiently(refresh).catch((error) => {
   show($("missing"), !job);
   tell(error);
 });
+ready();
 if (job && isOpen(job.state)) listen();
