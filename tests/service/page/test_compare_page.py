@@ -175,6 +175,17 @@ def test_jobs_beyond_the_list_are_swapped_and_a_service_that_is_away_is_asked_ag
     expect(page.locator("#banner")).to_be_hidden()
 
 
+def test_the_picture_comes_when_the_service_is_back(page: Page, server: str, jobs: tuple[str, str]) -> None:
+    """Browsers keep that a script did not come: asked for while the service was away, it never came."""
+    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}")
+    page.route("**/ui/static/*", lambda route: route.abort())
+    page.get_by_role("button", name="Draw both over each other").click()
+    expect(page.locator("#banner")).to_contain_text("Trying again")
+    page.unroute("**/ui/static/*")
+    expect(page.locator("#both-legend")).to_contain_text("block as in the first")
+    expect(page.locator("#banner")).to_be_hidden()
+
+
 def test_nothing_can_be_chosen_before_there_is_something_to_choose(
     page: Page, server: str, jobs: tuple[str, str]
 ) -> None:

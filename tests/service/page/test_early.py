@@ -157,6 +157,29 @@ def test_a_job_is_made_once_although_the_connection_broke_off(
     assert len(list(planner.Client(server).jobs("broken_off"))) == 1
 
 
+def test_what_is_changed_while_the_service_is_away_is_not_sent_as_it_was(
+    page: Page, server: str, small: list[Path]
+) -> None:
+    small[0].write_text(small[0].read_text().replace("name: small", "name: before"))
+    page.goto(f"{server}/ui/new")
+    page.locator("#problem-file").set_input_files(small)
+    go = page.get_by_role("button", name="Start planning")
+    expect(go).to_be_enabled()
+    address = re.compile("/v1/jobs$")
+    page.route(address, lambda route: route.abort())
+    go.click()
+    expect(page.locator("#banner")).to_contain_text("Trying again")
+    page.locator('.field[data-path="name"] input').fill("after")
+    page.unroute(address)
+    expect(page.locator("#banner")).to_contain_text("was changed while the service could not be reached")
+    expect(go).to_be_enabled()
+    go.click()
+    page.wait_for_url(re.compile("/ui/jobs/"))
+    client = planner.Client(server)
+    assert [one["name"] for one in client.jobs("before")] == []
+    assert [one["name"] for one in client.jobs("after")] == ["after"]
+
+
 def test_planning_is_started_again_after_a_refusal_that_the_problem_has_no_part_in(
     page: Page, server: str, small: list[Path]
 ) -> None:

@@ -1,5 +1,5 @@
 // What all pages share: when they work, the banner, logging out, ages.
-import { json, remove, Refused, Unreachable } from "./api.js";
+import { json, remove, Refused, text, Unreachable } from "./api.js";
 import { $, announce, h, show } from "./dom.js";
 import { ago } from "./words.js";
 
@@ -24,7 +24,7 @@ export async function patiently(ask) {
   for (let told = false; ; told = true) {
     try {
       const found = await ask();
-      if (told) banner("");
+      if (told) reached();
       return found;
     } catch (error) {
       if (!(error instanceof Unreachable)) throw error;
@@ -32,6 +32,22 @@ export async function patiently(ask) {
     }
     await new Promise((after) => setTimeout(after, RETRY_MS));
   }
+}
+
+// A script that is loaded when it is wanted. Browsers do not ask again for one that did not come, so it is seen first
+// whether the service sends it.
+export async function script(name) {
+  await patiently(() => text(`/ui/static/${name}`));
+  try {
+    return await import(`./${name}`);
+  } catch {
+    throw new Refused(0, [{ code: "service.request", severity: "error", message: "a script of this page did not come; load the page anew" }]);
+  }
+}
+
+// The service answers: what was told of one that is away is past. What it refused stays until something else is done.
+export function reached() {
+  if ($("banner")?.classList.contains("warn")) banner("");
 }
 
 // Says what went wrong with a request; again: it is sent once more by itself.

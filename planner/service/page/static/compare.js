@@ -1,6 +1,6 @@
 // Two jobs side by side: state, figures, what differs in their problems, issues that only one has.
 import { fileOf, job as path, json, text, Unreachable } from "./api.js";
-import { banner, patiently, ready, tell } from "./common.js";
+import { banner, patiently, ready, script, tell } from "./common.js";
 import { $, h, icon } from "./dom.js";
 import { short } from "./form.js";
 import { fieldName, issueList } from "./issues.js";
@@ -113,7 +113,7 @@ function inView(a, b, lists) {
     button.disabled = true;
     button.textContent = "Loading …";
     try {
-      const { openBoth } = await import("./compare_view.js");
+      const { openBoth } = await script("compare_view.js");
       const made = await openBoth(place, a, b, left);
       if (!made) return; // something else was chosen meanwhile
       globalThis.both = made;

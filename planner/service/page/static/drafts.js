@@ -65,9 +65,14 @@ function rename(one) {
 
 async function drop(one) {
   if (!(await ask(`${one.title} and its ${one.version > 1 ? "versions are" : "content is"} gone then, for all of the team.`, "Delete it"))) return;
-  await remove(path(one.id)).catch(tell);
-  announce("Deleted");
-  await load().catch(tell);
+  try {
+    await remove(path(one.id));
+    announce("Deleted");
+    banner("");
+    await load();
+  } catch (error) {
+    tell(error);
+  }
 }
 
 $("rename-ask").addEventListener("close", async () => {

@@ -1,6 +1,6 @@
 // Building elements: a new one, from files or a bundled one; and those there are.
 import { blob, json, once, post, Refused, upload } from "./api.js";
-import { age, banner, patiently, ready, tell } from "./common.js";
+import { age, banner, patiently, reached, ready, tell } from "./common.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { held } from "./files.js";
 import { issueItem, sorted } from "./issues.js";
@@ -42,7 +42,7 @@ async function load(cursor = null) {
   const focus = document.activeElement?.dataset.key;
   $("rows").replaceChildren(...[...elements.values()].map(row));
   if (focus) document.querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus();
-  banner("");
+  reached();
 }
 
 function row(one) {
@@ -64,6 +64,7 @@ function narrow(some) {
 
 // Asks anew, from the first page on, and keeps in the address what was asked.
 function anew() {
+  banner("");
   turn += 1;
   elements = new Map();
   next = null;

@@ -1,7 +1,7 @@
 // The history: found by words and tags, by state, sorted; jobs can be marked, two for comparison, any to be deleted.
 import { json, post } from "./api.js";
 import { ask } from "./ask.js";
-import { age, banner, me, ready, tell } from "./common.js";
+import { age, banner, me, reached, ready, tell } from "./common.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { badge } from "./outcome.js";
 import { AGAIN, ago, bytes, duration, isOpen, number, processName } from "./words.js";
@@ -48,7 +48,7 @@ async function load(cursor = null) {
   if (now !== drawn) draw();
   else for (const time of document.querySelectorAll("#rows time")) time.textContent = ago(time.dateTime); // what is marked stays
   drawn = now;
-  banner("");
+  reached();
 }
 
 function draw() {
@@ -90,6 +90,7 @@ function place(one) {
 }
 
 async function act(one, what, said) {
+  banner("");
   await post(`/v1/jobs/${one.id}/${what}`).then(() => announce(`${one.title || one.name} ${said}`), tell);
   await load().catch(tell);
 }
@@ -128,6 +129,7 @@ function narrow(some) {
 
 // Asks anew, from the first page on, and keeps in the address what was asked.
 function anew() {
+  banner("");
   turn += 1;
   jobs = new Map();
   next = null;

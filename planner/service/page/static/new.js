@@ -3,7 +3,7 @@ import { json, once, post, Refused, upload } from "./api.js";
 import { ask } from "./ask.js";
 import { closeBatch, openBatch, setUpBatch, sortFiles } from "./batch.js";
 import { drawCells, takeCell } from "./cell.js";
-import { banner, patiently, ready, tell } from "./common.js";
+import { banner, patiently, ready, script, tell } from "./common.js";
 import { Draft, fromDraft, sentAs } from "./draft.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { assign, drawFiles, drawUnits, fieldOfFile, held, inUnit, partMesh, sizeText, wanted } from "./files.js";
@@ -65,7 +65,7 @@ async function begin() {
   drawProcesses("", chooseProcess);
   if (asked.has("draft")) return takeKept(asked.get("draft"), true);
   if (asked.has("template")) return takeKept(asked.get("template"), false);
-  if (asked.has("job")) take({ ...(await fromJob(asked.get("job"))), job: asked.get("job") });
+  if (asked.has("job")) take({ ...(await patiently(() => fromJob(asked.get("job")))), job: asked.get("job") });
   else if (asked.has("example")) await begun(asked.get("example"));
   else if (asked.has("process")) await chooseProcess(asked.get("process"));
 }
@@ -162,7 +162,7 @@ function afterwards() {
 
 // What was kept, as the draft that goes on, or as the start of a new one.
 async function takeKept(id, goesOn) {
-  const found = await fromDraft(id);
+  const found = await patiently(() => fromDraft(id));
   state.example = "";
   take(found);
   if (goesOn) {
@@ -207,6 +207,7 @@ async function chooseCell(name) {
 }
 
 function changed() {
+  state.sending = null;
   if (!$("banner").classList.contains("warn")) banner("");
   drawChanges();
   draft.changed();
@@ -306,7 +307,7 @@ function drawTabs() {
     show($("size"), name === "part");
     $("view-title").textContent = name === "part" ? partTitle : name === "cell" ? "Cell in 3D" : "Axis map";
     if (name !== "part" && !cell) {
-      const { CellPanel } = await import("./cell_panel.js");
+      const { CellPanel } = await script("cell_panel.js");
       cell ??= new CellPanel(state, () => wanted(state), (path) => form.reshape(path, at(state.problem, path)));
       cell.begin(seen.signal, seen.looked);
     }
@@ -407,8 +408,12 @@ async function start() {
   say("busy", "Sending …");
   try {
     const version = await draft.version(); // that which is sent, whatever is typed meanwhile
-    const [body, headers] = [upload(state.problem, wanted(state)), once()];
-    const made = await (await patiently(() => post("/v1/jobs", { body, headers }))).json();
+    const [body, headers, own] = [upload(state.problem, wanted(state)), once(), (state.sending = {})];
+    const send = () => {
+      if (state.sending === own) return post("/v1/jobs", { body, headers });
+      throw new Refused(0, [{ code: "service.request", severity: "error", message: "the problem was changed while the service could not be reached; start planning once more" }]);
+    };
+    const made = await (await patiently(send)).json();
     if (version) await sentAs(version, made.id).catch(() => null); // the job is made, whatever becomes of its draft
     state.sent = true;
     location.assign(`/ui/jobs/${made.id}`);
