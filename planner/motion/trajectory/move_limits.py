@@ -62,9 +62,7 @@ def require(scene: Scene, targets: Targets, samples: Dense, time: FloatArray) ->
     late = np.flatnonzero(slow).tolist()
     issues = [_slow(scene, targets, samples, i, float(took[i]), float(most[i])) for i in late]
     issues += [*_corners(targets, took, slow), *_turns(scene, targets, samples, took)]
-    causes = dict.fromkeys(
-        issue.hint for issue in issues
-    )  # each with its worst
+    causes = dict.fromkeys(issue.hint for issue in issues)  # each with its worst
     if causes:
         raise TandemError([one for why in causes for one in aggregate(i for i in issues if i.hint == why)])
 
