@@ -180,7 +180,7 @@ def _changed(document: Document, far: bool) -> list[Issue]:
     from planner.motion import solve
 
     problem = problem_file.build(document, processes.readers())
-    targets = targets_of(problem, processes.jobs(problem))
+    targets = targets_of(problem, processes.jobs(problem, advise=False))
     found = [*_stands(problem), *(issue for item in targets for issue in item.issues)]
     return [*found, *(solve.check(problem, targets, advise=False) if far else [])]
 

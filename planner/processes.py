@@ -35,9 +35,9 @@ class Process(NamedTuple):
     module: str
     name: str
 
-    def job(self, operation: Any, setup: Setup, part: Part | None) -> Job[Any]:
+    def job(self, operation: Any, setup: Setup, part: Part | None, advise: bool) -> Job[Any]:
         """The job of an operation of this process."""
-        made: Job[Any] = getattr(import_module(self.module), self.name)(operation, setup, part)
+        made: Job[Any] = getattr(import_module(self.module), self.name)(operation, setup, part, advise)
         return made
 
 
@@ -100,18 +100,19 @@ def readers() -> dict[str, type[BaseModel] | Issue]:
     return {name: one.schema if isinstance(one, Process) else one for name, one in all_processes().items()}
 
 
-def job(problem: Problem, index: int) -> Job[Any]:
-    """The job of one operation, by its index. Raises ``TandemError`` where its process cannot be used."""
+def job(problem: Problem, index: int, advise: bool = True) -> Job[Any]:
+    """The job of one operation, by its index; it looks for what would help where it ends, with ``advise``.
+    Raises ``TandemError`` where its process cannot be used."""
     operation = problem.operations[index]
     process = all_processes()[operation.process]
     if isinstance(process, Issue):
         raise TandemError(process)
-    return process.job(operation, problem.found_by(index), problem.part)
+    return process.job(operation, problem.found_by(index), problem.part, advise)
 
 
-def jobs(problem: Problem) -> tuple[Job[Any], ...]:
-    """The jobs of all operations, in order."""
-    return tuple(job(problem, index) for index in range(len(problem.operations)))
+def jobs(problem: Problem, advise: bool = True) -> tuple[Job[Any], ...]:
+    """The jobs of all operations, in order; ``advise`` as in :func:`job`."""
+    return tuple(job(problem, index, advise) for index in range(len(problem.operations)))
 
 
 def claims(problem: Problem, made: Sequence[Job[Any]] | None = None) -> dict[str, tuple[Claim, ...]]:

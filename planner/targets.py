@@ -320,6 +320,8 @@ class Job(abc.ABC, Generic[_Operation]):
     operation: _Operation
     setup: Setup
     part: Part | None
+    advise: bool = True
+    """Whether what would help is looked for where the process cannot make the part."""
 
     @abc.abstractmethod
     def targets(self) -> Targets:

@@ -42,7 +42,6 @@ _CORNER_SHARE: Final = 0.5
 def room(
     position: FloatArray,
     quaternion: FloatArray,
-    duration: FloatArray,
     stop: BoolArray,
     levers: FloatArray | float = TURNING_LEVER_MM,
     deviation: FloatArray | float = CORNER_DEVIATION_MM,
@@ -50,16 +49,17 @@ def room(
     """Largest zones (M,) [mm] and (M,) [rad] at the ends of M moves between M + 1 poses; 0 at stops, and
     those in mm where the TCP stands in one of the moves beside them.
 
-    ``position`` [mm] and ``quaternion`` of the poses, ``duration`` (M,) [s]; ``deviation`` (M,) [mm] is how
-    far a corner may pass its target. Turning about the tool's axes counts by ``levers`` (3,) [mm/rad].
+    ``position`` [mm] and ``quaternion`` of the poses; ``deviation`` (M,) [mm] is how far a corner may pass
+    its target. Turning about the tool's axes counts by ``levers`` (3,) [mm/rad].
     """
     way, turn = np.diff(position, axis=0), _turns(quaternion)
     angle = 2.0 * np.arcsin(np.clip(0.5 * lengths(turn), 0.0, 1.0))
-    rate = np.concatenate([way, levers * turn], axis=1) / duration[:, None]
-    taken = np.append(_share(_sideways(rate), duration, np.broadcast_to(deviation, stop.shape)[:-1]), 0.0)
-    taken[stop] = 0.0
-    shorter = _shorter(lengths(way))
-    return np.where(shorter > STANDING_MM, taken * shorter, 0.0), taken * _shorter(angle)
+    steps, within = np.concatenate([way, levers * turn], axis=1), np.broadcast_to(deviation, stop.shape)[:-1]
+    out = np.zeros((2, len(stop)))
+    for size, far in zip(out, (lengths(way), angle), strict=True):
+        size[:-1] = _zone(steps, far, within)
+    out[:, stop] = 0.0
+    return np.where(_shorter(lengths(way)) > STANDING_MM, out[0], 0.0), out[1]
 
 
 def shares(
@@ -69,25 +69,27 @@ def shares(
     levers: FloatArray,
     deviation: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """At least which share (M - 1,) of the shorter one of the moves beside it each corner between M moves is
-    rounded over, on both sides: by the zone that :func:`room` allows, and by what the controller takes
-    without one. Arguments as there.
+    """At least which share (M - 1,) of the time of the shorter one of the moves beside it each corner between
+    M moves of ``duration`` (M,) [s] is rounded over, on both sides: by the zone that :func:`room` allows, and
+    by what the controller takes without one. Other arguments as there.
 
-    No zone is larger than those that programs name; one that would be smaller rounds nothing, nor does one of
-    an angle where the TCP moves on one side.
+    A zone is a length, so the faster move goes through its side in less time, which counts. No zone is larger
+    than those that programs name; one that would be smaller rounds nothing, nor does one of an angle where
+    the TCP moves on one side.
     """
     way, turn = np.diff(position, axis=0), _turns(quaternion)
     span = duration[:, None]
-    rate = np.concatenate([way, levers * turn], axis=1) / span
     own = [(way / span, PATH_ACCURACY_MM), (turn / span, PATH_ACCURACY_RAD)]
     without = np.minimum(*(_share(_sideways_at_most(speed), duration, within) for speed, within in own))
-    zone = _share(_sideways(rate), duration, deviation[:-1])
-    far, angle = lengths(way), np.rad2deg(lengths(turn))
+    steps, far, angle = np.concatenate([way, levers * turn], axis=1), lengths(way), np.rad2deg(lengths(turn))
     stands = np.maximum(far[1:], far[:-1]) <= STANDING_MM
-    whole = np.where(stands, _shorter(angle)[:-1], _shorter(np.where(far > STANDING_MM, far, 0.0))[:-1])
-    size = np.minimum(zone * whole / ZONE_STEP, np.where(stands, LARGEST_ZONE_DEG, LARGEST_ZONE_MM))
-    named = size >= FINE_ZONES[-1]
-    return np.where(named, size / np.maximum(whole, FINE_ZONES[-1]), 0.0), without
+    moved = np.where(far > STANDING_MM, far, 0.0)
+    zone = np.where(stands, _zone(steps, angle, deviation[:-1]), _zone(steps, moved, deviation[:-1]))
+    size = np.minimum(zone / ZONE_STEP, np.where(stands, LARGEST_ZONE_DEG, LARGEST_ZONE_MM))
+    by_way, by_turn = (duration / np.maximum(gone, 1e-9) for gone in (far, angle))  # [s/mm] and [s/deg]
+    pace = np.where(stands, np.minimum(by_turn[1:], by_turn[:-1]), np.minimum(by_way[1:], by_way[:-1]))
+    taken = size * pace / np.minimum(duration[1:], duration[:-1])
+    return np.where(size >= FINE_ZONES[-1], taken, 0.0), without
 
 
 def _turns(quaternion: FloatArray) -> FloatArray:
@@ -99,12 +101,24 @@ def _turns(quaternion: FloatArray) -> FloatArray:
     return np.asarray(2.0 * half * np.where(dots(a, b) < 0.0, -1.0, 1.0)[:, None])
 
 
+def _zone(steps: FloatArray, far: FloatArray, deviation: FloatArray) -> FloatArray:
+    """Size (M - 1,) of the largest zones between M moves over ``steps`` (M, D) [mm], in the measure of their
+    lengths ``far`` (M,), at most half of the shorter one.
+
+    A corner that is rounded over the length z before and behind it passes the target at z |dr| / 4, dr being
+    the change across the way of the steps over their lengths (the quadratic Bezier curve with the corner as
+    its control point), and no farther off than it begins or ends.
+    """
+    rate = steps / np.maximum(far, 1e-9)[:, None]
+    passed = np.minimum(0.25 * _sideways(rate), _shorter(lengths(rate))[:-1])
+    return np.asarray(np.minimum(_CORNER_SHARE * _shorter(far)[:-1], deviation / np.maximum(passed, 1e-12)))
+
+
 def _share(sideways: FloatArray, duration: FloatArray, deviation: FloatArray | float) -> FloatArray:
     """Share (M - 1,) of the shorter one of two moves that the corner between them may take before and behind
     it, at most one half; ``sideways`` (M - 1,) is the change of speed that leaves the way.
 
-    A corner that is rounded over the time h before and behind it passes the target at h |dv| / 4, dv being
-    the change of velocity across the way (the quadratic Bezier curve with the corner as its control point).
+    As in :func:`_zone`, over the time h at h |dv| / 4, dv being the change of velocity across the way.
     """
     passed = np.minimum(duration[:-1], duration[1:]) * sideways / 4.0
     return np.asarray(np.minimum(_CORNER_SHARE, deviation / np.maximum(passed, 1e-12)))

@@ -610,7 +610,6 @@ def _track(
     room = corner_rounding.room(
         position[stations],
         quaternion[stations],
-        duration,
         stop,
         1e3 * plan.targets.rounding.turning(arm.name, arm.tool),
         1e3 * plan.targets.rounding.deviations(segments),

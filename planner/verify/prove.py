@@ -24,6 +24,7 @@ from planner.problem import Problem, Settings
 from planner.verify import result
 from planner.verify.context import Begin, Context, Outcome, Rule, at_once
 from planner.verify.forming import swept
+from planner.verify.forming.face import Face
 from planner.verify.forming.state import Forming, Left, begun_faces
 from planner.verify.job import setups_of
 from planner.verify.milling import wanted_ways
@@ -280,13 +281,14 @@ def unproven(claims: Mapping[str, tuple[Claim, ...]]) -> list[Issue]:
 
 @dataclasses.dataclass
 class Prover:
-    """Proves programs of one problem. Keeps the Drake models of its setups between proofs, which then start
-    at once. ``begin``: what begins rules that no other rule waits for."""
+    """Proves programs of one problem. Keeps the Drake models of its setups and the faces of its claims
+    between proofs, which then start at once. ``begin``: what begins rules that no other rule waits for."""
 
     problem: Problem
     claims: Mapping[str, tuple[Claim, ...]]
     begin: Begin = at_once
     _models: dict[int, CellModel] = dataclasses.field(default_factory=dict)
+    _faces: list[tuple[float, Face]] = dataclasses.field(default_factory=list)
     _worked_out: tuple[Mapping[str, tuple[Claim, ...]], tuple[Issue, ...]] | None = None
 
     def prove(self, programs: Mapping[str, str], first_error: bool = False, last: str | None = None) -> Proof:
@@ -308,7 +310,7 @@ class Prover:
 
     def __getstate__(self) -> dict[str, Any]:
         """For another process, which has models of its own and begins nothing elsewhere."""
-        return {**vars(self), "begin": at_once, "_models": {}}
+        return {**vars(self), "begin": at_once, "_models": {}, "_faces": []}
 
     def model(self, context: Context, index: int = 0) -> CellModel:
         """The cell of a setup, by its index, with block, bases and what is tilted where the text has them."""
@@ -407,7 +409,7 @@ class Prover:
                 context.problem.settings,
             )
             of_bodies = self._of_bodies(context, (looks, found))
-        forming = run.forming = Forming(context, self.begin, left)
+        forming = run.forming = Forming(context, self.begin, left, self._faces)
         passes = [swept.Swept.of(one) for one in forming.formed]
         envelopes = (self.begin if passes else at_once)(swept.envelopes, passes)
         for form_rule in FORMING_RULES:

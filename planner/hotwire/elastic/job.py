@@ -251,7 +251,7 @@ class ElasticJob(Job[ElasticWire]):
         setup = self.setup
         wanted = _wanted(self.operation, self.part)
         screen = Screen(self.operation, setup, wanted, lambda op: 0.5 * _slot(op, setup))
-        return (screen, *choose(screen, _attempt))
+        return (screen, *choose(screen, _attempt, self.advise))
 
     def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
         """``kerf.too_hot`` where the arms cannot drive the wire as fast as the feed asks for."""

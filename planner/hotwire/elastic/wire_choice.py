@@ -60,9 +60,10 @@ Fit = Callable[[ElasticWire, Mapping[str, Mesh], Setup], Attempt]
 """Fits an operation with its wire and sweep to faces in a block; raises ``TandemError``."""
 
 
-def choose(screen: Screen, fit: Fit) -> tuple[Attempt, list[Sweep]]:
+def choose(screen: Screen, fit: Fit, advise: bool = True) -> tuple[Attempt, list[Sweep]]:
     """The first wire and sweep that do, of those that the operation leaves open, with all that were looked
-    at. Raises ``TandemError`` with what the nearest ones lack and what would help."""
+    at. Raises ``TandemError`` with what the nearest ones lack and, with ``advise``, what would help, which
+    takes up to half a minute."""
     op, tol = screen.op, screen.op.shape_tol_mm * MM
     wires = op.wires(screen.setup.cell.wires)
     sweeps = SWEEP_ANGLES if op.degrees is None else (op.degrees,)
@@ -78,7 +79,7 @@ def choose(screen: Screen, fit: Fit) -> tuple[Attempt, list[Sweep]]:
         made = _made(screen, fit, sweep, refused)
         if made is not None:
             return made, tried if len(tried) > 1 else []
-    raise TandemError(_refusal(screen, fit, tried, refused))
+    raise TandemError(_refusal(screen, fit, tried, refused, advise))
 
 
 def sweep_notes(screen: Screen, made: Attempt, tried: list[Sweep]) -> list[Issue]:
@@ -109,10 +110,12 @@ def _made(
         return None
 
 
-def _refusal(screen: Screen, fit: Fit, tried: list[Sweep], refused: list[tuple[Issue, ...]]) -> list[Issue]:
+def _refusal(
+    screen: Screen, fit: Fit, tried: list[Sweep], refused: list[tuple[Issue, ...]], advise: bool
+) -> list[Issue]:
     """What the nearest wire and sweep lack, with what helps as the hint of the first."""
     issues = list(refused[0])
-    helps = "; or ".join(_helps(screen, fit, tried, issues))
+    helps = "; or ".join(_helps(screen, fit, tried, issues)) if advise else ""
     if len(tried) > 1:
         wires = len({s.wire for s in tried})
         count = f"{wires} wire{'s' if wires > 1 else ''} along {len({s.degrees for s in tried})} directions"

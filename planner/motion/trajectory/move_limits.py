@@ -46,6 +46,8 @@ USED_TIME_SHARE: Final = 0.999
 """Moves take at most this share of the time they may, for it is rounded when it is written."""
 KRL_TURN_RAD_S: Final = float(np.deg2rad(200.0))
 """How fast tools may turn in programs in KRL [rad/s], whose moves are led by their way."""
+BENT_SHARE: Final = 0.99
+"""A corner at which a tool is slower than this share of its speeds before and behind slows it by itself."""
 CORNER_SAMPLES: Final = 33
 """Instants of a corner that are looked at."""
 
@@ -56,11 +58,13 @@ def require(scene: Scene, targets: Targets, samples: Dense, time: FloatArray) ->
         return
     took = np.diff(time, prepend=time[0])
     most = allowed(targets)
-    slow = np.flatnonzero(took > USED_TIME_SHARE * most)
-    issues = [_slow(scene, targets, samples, i, float(took[i]), float(most[i])) for i in slow.tolist()]
-    issues += [*_corners(targets, took), *_turns(scene, targets, samples, took)]
-    if issues:
-        raise TandemError(list(aggregate(issues)))
+    slow = took > USED_TIME_SHARE * most
+    late = np.flatnonzero(slow).tolist()
+    issues = [_slow(scene, targets, samples, i, float(took[i]), float(most[i])) for i in late]
+    issues += [*_corners(targets, took, slow), *_turns(scene, targets, samples, took)]
+    causes = dict.fromkeys(issue.hint for issue in issues)  # each with its worst
+    if causes:
+        raise TandemError([one for why in causes for one in aggregate(i for i in issues if i.hint == why)])
 
 
 def stretches(targets: Targets) -> list[tuple[int, int]]:
@@ -150,9 +154,9 @@ def _at_an_end(targets: Targets, i: int) -> bool:
     return i in (first, last) or min(before, behind) < (targets.run_up or 0.0)
 
 
-def _corners(targets: Targets, took: FloatArray) -> list[Issue]:
+def _corners(targets: Targets, took: FloatArray, slow: BoolArray) -> list[Issue]:
     """Corners that tools round at less than their share of the least feed: there they go evenly from the
-    speed of one move to that of the next."""
+    speed of one move to that of the next. Not where it is a move beside them that is ``slow`` (N,)."""
     out: list[Issue] = []
     for first, last in stretches(targets):
         moves = np.arange(first, last + 1)
@@ -167,6 +171,7 @@ def _corners(targets: Targets, took: FloatArray) -> list[Issue]:
         scale[0] = np.clip(speed[1] / speed[0], 1.0, MOST_RAMP)
         scale[-1] = np.clip(speed[-2] / speed[-1], 1.0, MOST_RAMP)
         fastest = np.zeros((CORNER_SAMPLES, len(moves) - 1))
+        beside = slow[moves[:-1]] | slow[moves[1:]]
         share = (np.arange(CORNER_SAMPLES) / (CORNER_SAMPLES - 1))[:, None, None]
         for pose in targets.pose.values():
             step = pose[moves, :3, 3] - pose[moves - 1, :3, 3]
@@ -174,7 +179,8 @@ def _corners(targets: Targets, took: FloatArray) -> list[Issue]:
             between = (1.0 - share) * rate[:-1] + share * rate[1:]
             fastest = np.maximum(fastest, np.linalg.norm(between, axis=2))
         slowest = fastest.min(axis=0)
-        bad = np.flatnonzero(slowest < limit).tolist()
+        bends = slowest < BENT_SHARE * np.minimum(fastest[0], fastest[-1])
+        bad = np.flatnonzero((slowest < limit) & (bends | ~beside)).tolist()
         out += [_corner_issue(targets, first + k, float(slowest[k]), float(limit[k])) for k in bad]
     return out
 

@@ -227,6 +227,8 @@ class Face:
         pieces, self._owner = small_pieces(self.corners, max(_SEED_SIZE, 0.25 * scale), _MOST_SEEDS)
         self._seeds = cKDTree(pieces.mean(axis=1))
         self._tree = Tree(self.corners)
+        self.left: dict[tuple[float, int, float], Face | None] = {}
+        """What :func:`left_by` found so far, by its other arguments; None for the face itself."""
 
     @cached_property
     def smooth(self) -> FloatArray:
@@ -446,6 +448,14 @@ def _beyond(points: FloatArray, normal: FloatArray, level: FloatArray) -> tuple[
 def left_by(face: Face, radius: float, side: int, start: float) -> Face:
     """The face as a ball of ``radius`` [m] on ``side`` leaves it at best, with fillets where it does not
     reach; the face itself where it reaches all of it. What is flat at the level ``start`` [m] it reaches."""
+    key = radius, side, start
+    if key not in face.left:
+        made = _left_by(face, *key)
+        face.left[key] = None if made is face else made  # a face that holds itself would outlive its proof
+    return face.left[key] or face
+
+
+def _left_by(face: Face, radius: float, side: int, start: float) -> Face:
     corners = face.corners
     moved = np.flatnonzero((side * corners[:, :, 2]).min(axis=1) < side * start - CUT_IN)
     parts, owner = small_pieces(corners[moved], PIECE_SHARE * radius, _MOST_PIECES)

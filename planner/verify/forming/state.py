@@ -462,13 +462,19 @@ def begun_faces(context: Context, begin: Begin) -> Left:
 
 class Forming:
     """The forming of one proof; ``begin`` begins what another process may work out meanwhile, ``left`` is
-    what of it was begun before."""
+    what of it was begun before, ``faces`` those of earlier proofs of the same claims, which are kept."""
 
-    def __init__(self, context: Context, begin: Begin = at_once, left: Left | None = None) -> None:
+    def __init__(
+        self,
+        context: Context,
+        begin: Begin = at_once,
+        left: Left | None = None,
+        faces: list[tuple[float, Face]] | None = None,
+    ) -> None:
         self.context, self.begin = context, begin
         self._left = left or {}
         self._tracks: dict[tuple[str, int, tuple[str, ...]], Track] = {}
-        self._faces: list[tuple[float, Face]] = []
+        self._faces: list[tuple[float, Face]] = [] if faces is None else faces
         self._balls: dict[tuple[int, int], Balls] = {}
         self.by_setup: tuple[tuple[int, Claim], ...] = tuple(
             (index, claim)

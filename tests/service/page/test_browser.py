@@ -394,6 +394,21 @@ def test_a_token_is_asked_for_once_and_refused_at_its_field(page: Page, tmp_path
         process.stop()
 
 
+def test_a_token_given_before_the_script_is_there_is_not_sent(page: Page, server: str) -> None:
+    """A form without its script asks for `/ui/login?` anew: token and the page that was wanted are lost."""
+    held: list[Route] = []
+    page.route("**/static/login.js", lambda route: held.append(route))
+    page.goto(f"{server}/ui/login?next=/ui/drafts", wait_until="commit")
+    page.get_by_label("Token").fill("ann")
+    page.keyboard.press("Enter")
+    send = page.get_by_role("button", name="Log in")
+    expect(send).to_be_disabled()
+    held[0].continue_()
+    expect(send).to_be_enabled()
+    expect(page.get_by_label("Token")).to_have_value("ann")
+    expect(page).to_have_url(re.compile("next="))
+
+
 def test_every_field_of_the_schema_has_a_part_of_the_form(page: Page, server: str) -> None:
     """Each definition, each of its fields, and each choice of a field is drawn with a value in it; all that
     can be filled in has a label."""

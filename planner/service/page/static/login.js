@@ -22,4 +22,6 @@ $("login").addEventListener("submit", async (event) => {
     $("token").focus();
   }
 });
+// Not before: what is sent without this script goes nowhere.
+$("send").disabled = false;
 $("token").focus();
