@@ -63,8 +63,9 @@ FINDING_API: Final = 11
 """The interface from which on jobs have titles, tags and notes, and are searched."""
 DRAFTS_API: Final = 13
 """The interface from which on there are drafts, sweeps, and links to look."""
-SENT_API: Final = 14
-"""The interface from which on drafts say whether they were sent."""
+BATCHES_API: Final = 14
+"""The interface from which on there are batches, releases of panels, titles of elements, pages of drafts, and
+drafts say whether they were sent."""
 RELEASE: Final = "release.json"
 """What stands beside the programs, and says whether they are released."""
 PLANNED: Final = ("verified", "unproven")
@@ -77,6 +78,8 @@ RETRY_S: Final = 1.0
 """Pause [s] before a stream that broke off is opened again."""
 PAUSES_S: Final = (1.0, 3.0, 9.0)
 """Pauses [s] before a request that makes jobs is sent again after its connection broke off."""
+MOST_DELETED: Final = 200
+"""Jobs that one request deletes."""
 LONGEST_KEY: Final = 255
 """Characters that a key of a request may have."""
 HEALTH_BYTES: Final = 100_000
@@ -206,8 +209,8 @@ class Client:
         """
         self._check_key(key)
         asked = {"timeout_s": timeout_s, "memory_mb": memory_mb}
-        query = urllib.parse.urlencode({name: value for name, value in asked.items() if value is not None})
-        body, kind = _multipart(*self._bundle(problem, files or {}))
+        query = self._query({name: value for name, value in asked.items() if value is not None})
+        body, kind = self._body(problem, files)
         return str(self._make(f"/v1/jobs?{query}", body, kind, key)["id"])
 
     def sweep(
@@ -221,17 +224,41 @@ class Client:
         draft: tuple[str, int] | None = None,
     ) -> list[str]:
         """Plan a problem with a field (``operations.0.feed_mm_s``) at several values: numbers, truth, words.
-        The ids of the jobs, all or none, which have that ``tag``. ``key`` as of :meth:`submit`; ``draft``: id
-        and version of the draft that it is, which was sent then."""
+        The ids of the jobs, all or none, which have that ``tag``. ``key`` as of :meth:`submit`; where some of
+        its jobs were deleted since, it is refused (``service.idempotency``). ``draft``: id and version of the
+        draft that it is, which was sent then."""
         self._check_key(key)
-        self._want(DRAFTS_API if draft is None else SENT_API, "sweeps")
+        self._want(DRAFTS_API if draft is None else BATCHES_API, "sweeps")
         texts = [one if isinstance(one, str) else json.dumps(one) for one in values]
         asked = {"field": field, "value": texts, "tag": tag}
         if draft is not None:
             asked["draft"] = f"{draft[0]}@{draft[1]}"
-        query = urllib.parse.urlencode(asked, doseq=True)
-        body, kind = _multipart(*self._bundle(problem, files or {}))
-        return [str(one["id"]) for one in self._make(f"/v1/sweeps?{query}", body, kind, key)["jobs"]]
+        query = self._query(asked)
+        body, kind = self._body(problem, files)
+        return self._all_of(self._make(f"/v1/sweeps?{query}", body, kind, key), len(values), key)
+
+    def batch(
+        self,
+        problems: Mapping[str, Any] | Sequence[str | PathLike[str]],
+        tag: str = "batch",
+        files: Mapping[str, Content] | None = None,
+        key: str | None = None,
+        drafts: Sequence[tuple[str, int]] = (),
+    ) -> list[str]:
+        """Plan up to 50 problems: by names that tell them apart, or paths of their files, which have names.
+        The ids of the jobs in their order, all or none, which have that ``tag``. ``files`` are for all of
+        them, ``key`` as of :meth:`sweep`; ``drafts``: id and version of those that the first ones are.
+
+        What is wrong is told of each problem, in messages that begin with its name; ``data["of"]`` of an
+        issue is its place, from 0.
+        """
+        self._check_key(key)
+        texts, sent = self._bundles(problems, files or {})
+        self._want(BATCHES_API, "batches")
+        asked: dict[str, Any] = {"tag": tag, "draft": [f"{draft}@{version}" for draft, version in drafts]}
+        body, kind = self._form(texts, sent)
+        made = self._make(f"/v1/batches?{self._query(asked)}", body, kind, key)
+        return self._all_of(made, len(texts), key)
 
     def keep_draft(
         self, problem: Any, title: str = "", kind: str = "draft", files: Mapping[str, Content] | None = None
@@ -239,7 +266,7 @@ class Client:
         """Keep a problem as it is, right or wrong, or a ``kind``: draft, cell, tool or template. Its ``id``
         and ``version``, from 1."""
         self._want(DRAFTS_API, "drafts")
-        asked = urllib.parse.urlencode({"title": title, "kind": kind})
+        asked = self._query({"title": title, "kind": kind})
         return self._upload(f"/v1/drafts?{asked}", problem, files)
 
     def save_draft(
@@ -254,15 +281,15 @@ class Client:
         those of before but ``without`` some. Raises ``TandemError``: ``service.draft`` where somebody else
         has saved it since."""
         self._want(DRAFTS_API, "drafts")
-        asked = urllib.parse.urlencode({"without": list(without)}, doseq=True)
-        body, kind = _multipart(*self._bundle(problem, files or {}))
+        asked = self._query({"without": list(without)})
+        body, kind = self._body(problem, files)
         headers = {"Content-Type": kind, "If-Match": f'"{version}"'}
         return self._read_json(self._request(_of(draft, f"?{asked}", "drafts"), body, headers, "PUT"))
 
     def drafts(self, kind: str | None = None) -> Iterator[dict[str, Any]]:
         """Drafts of the token and of its team, or those of a ``kind``, what was changed last first."""
         self._want(DRAFTS_API, "drafts")
-        whole = {} if self._api >= SENT_API else {"limit": 1000}  # before that, one page was all
+        whole = {} if self._api >= BATCHES_API else {"limit": 1000}  # before that, one page was all
         yield from self._pages("drafts", "drafts", whole | ({} if kind is None else {"kind": kind}))
 
     def draft(self, draft: str, version: int | None = None) -> tuple[bytes, dict[str, bytes]]:
@@ -271,8 +298,23 @@ class Client:
         number = self._json(_of(draft, kind="drafts"))["version"] if version is None else version
         own = _of(draft, f"/versions/{number}", "drafts")
         names = [one["name"] for one in self._json(own)["files"]]
-        files = {name: self._request(f"{own}/files/{urllib.parse.quote(name)}") for name in names}
+        files = {name: self._request(f"{own}/files/{_quoted(name)}") for name in names}
         return self._request(f"{own}/problem"), files
+
+    def versions(self, draft: str) -> list[dict[str, Any]]:
+        """The versions of a draft, the newest first: ``number``, ``at``, ``by`` whom, names of ``files``."""
+        self._want(DRAFTS_API, "drafts")
+        return list(self._json(_of(draft, kind="drafts"))["versions"])
+
+    def rename_draft(self, draft: str, title: str) -> dict[str, Any]:
+        """Call a draft otherwise, in any language; it is no new version."""
+        self._want(DRAFTS_API, "drafts")
+        return self._send(_of(draft, kind="drafts"), {"title": title}, "PATCH")
+
+    def mark_sent(self, draft: str, version: int, job: str) -> dict[str, Any]:
+        """Note that a version of a draft was sent as a job, so that it is no unsent work any more."""
+        self._want(BATCHES_API, "drafts that were sent")
+        return self._send(_of(draft, "/sent", "drafts"), {"version": version, "job": job}, "POST")
 
     def delete_draft(self, draft: str) -> None:
         """Delete a draft with its versions."""
@@ -283,15 +325,13 @@ class Client:
         return self._json(_of(job))
 
     def jobs(
-        self, search: str = "", tags: Sequence[str] = (), sort: str = "newest"
+        self, search: str = "", tags: Sequence[str] = (), sort: str = "newest", states: Sequence[str] = ()
     ) -> Iterator[dict[str, Any]]:
         """All jobs of the token and of its team, or those with all words of ``search`` in name, title, tags
-        or notes and with all ``tags``; ``sort``: newest, oldest or title. ``by`` says whose each is."""
-        asked: dict[str, Any] = {}
-        if search or tags or sort != "newest":
-            self._want(FINDING_API, "search")
-            asked.update(search=search, tag=list(tags), sort=sort)
-        yield from self._pages("jobs", "jobs", asked)
+        or notes, with all ``tags`` and one of the ``states``; ``sort``: newest, oldest, title, or turn, which
+        is the queue of those that wait. ``by`` says whose each is."""
+        asked = self._sought(search, tags, sort, DRAFTS_API if sort == "turn" else FINDING_API)
+        yield from self._pages("jobs", "jobs", {**asked, "state": list(states)})
 
     def describe(
         self,
@@ -302,8 +342,19 @@ class Client:
     ) -> dict[str, Any]:
         """Give a job a title in any language, tags and notes; what is None stays as it is."""
         self._want(FINDING_API, "titles, tags and notes")
-        said = {"title": title, "tags": None if tags is None else list(tags), "notes": notes}
-        return self._send(_of(job), said, "PATCH")
+        return self._send(_of(job), _described(title, tags, notes), "PATCH")
+
+    def first(self, job: str) -> dict[str, Any]:
+        """Let a job that waits come before the others of its owner. Raises ``TandemError``:
+        ``service.state`` for one that does not wait."""
+        self._want(DRAFTS_API, "the order of the queue")
+        return self._json(_of(job, "/first"), method="POST")
+
+    def estimate(self, job: str) -> dict[str, Any]:
+        """How long a job may still take by ``like`` proven jobs: ``left_s`` and ``whole_s``, where there are
+        such; ``elapsed_s`` while it runs. An estimate, nothing more."""
+        self._want(DRAFTS_API, "estimates")
+        return self._json(_of(job, "/estimate"))
 
     def cancel(self, job: str) -> None:
         """Cancel a job."""
@@ -318,6 +369,16 @@ class Client:
     def delete(self, job: str) -> None:
         """Delete a job and its files."""
         self._request(_of(job), method="DELETE")
+
+    def delete_jobs(self, jobs: Sequence[str]) -> list[str]:
+        """Delete jobs and their files; the ids of those that there are not."""
+        self._want(FINDING_API, "deleting many jobs")
+        unknown: list[str] = []
+        ids = [jobs] if isinstance(jobs, str) else list(jobs)
+        for start in range(0, len(ids), MOST_DELETED):
+            some = {"jobs": ids[start : start + MOST_DELETED]}
+            unknown += self._send("/v1/jobs/delete", some, "POST")["unknown"]
+        return unknown
 
     def events(self, job: str, timeout_s: float | None = None) -> Iterator[tuple[str, dict[str, Any]]]:
         """Kind and data of a job's events until it has ended, over lost connections and restarts; with
@@ -350,7 +411,7 @@ class Client:
 
     def file(self, job: str, name: str) -> bytes:
         """A file of a job, by its name in the list of files."""
-        return self._request(_of(job, f"/files/{urllib.parse.quote(name)}"))
+        return self._request(_of(job, f"/files/{_quoted(name)}"))
 
     def files(self, job: str) -> dict[str, bytes]:
         """All files of a job by name: its problem and its results."""
@@ -379,11 +440,11 @@ class Client:
         self._want(RELEASES_API, "releases")
         return list(self._json(_of(job, "/releases"))["releases"])
 
-    def audit(self, job: str | None = None) -> Iterator[dict[str, Any]]:
+    def audit(self, job: str | None = None, acts: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
         """Who did what, the newest first: ``at``, ``by``, ``act``, ``job`` and ``about``; of one job, or of
-        all of the token's team. It needs a token with the role release."""
+        all of the token's team, and of some ``acts`` alone. It needs a token with the role release."""
         self._want(AUDIT_API, "the audit log")
-        yield from self._pages("audit", "acts", {} if job is None else {"job": job})
+        yield from self._pages("audit", "acts", {"act": list(acts)} | ({} if job is None else {"job": job}))
 
     def motion(self, job: str) -> dict[str, Any]:
         """The motion of a planned job as data: planes at the TCPs [mm], joints by name [deg], times [s]."""
@@ -406,7 +467,7 @@ class Client:
         """
         self._check_key(key)
         self._want(DESK_API, "elements")
-        body, kind = _multipart(*self._bundle(element, files or {}))
+        body, kind = self._body(element, files)
         return str(self._make("/v1/elements", body, kind, key)["id"])
 
     def element(self, element: str) -> dict[str, Any]:
@@ -425,6 +486,76 @@ class Client:
         made = self._make(_of(element, "/plan", "elements"), body, "application/json", key)
         return [str(one["id"]) for one in made["jobs"]]
 
+    def elements(
+        self, search: str = "", tags: Sequence[str] = (), sort: str = "newest"
+    ) -> Iterator[dict[str, Any]]:
+        """All elements of the token and of its team, or those that are sought as :meth:`jobs` are."""
+        self._want(DESK_API, "elements")
+        yield from self._pages("elements", "elements", self._sought(search, tags, sort, BATCHES_API))
+
+    def describe_element(
+        self,
+        element: str,
+        title: str | None = None,
+        tags: Sequence[str] | None = None,
+        notes: str | None = None,
+    ) -> dict[str, Any]:
+        """Give an element a title, tags and notes, as :meth:`describe` does a job."""
+        self._want(BATCHES_API, "titles, tags and notes of elements")
+        return self._send(_of(element, kind="elements"), _described(title, tags, notes), "PATCH")
+
+    def divide_anew(
+        self, element: str, fields: Mapping[str, Any], instead: bool = False, key: str | None = None
+    ) -> str:
+        """Divide an element with other values of ``fields``, by their places (``panels.hexagons.count``); the
+        id of the new one, which has the former one's marks. With ``instead`` the former one is deleted if
+        none of its panels was planned or marked. ``key`` as of :meth:`submit`."""
+        self._check_key(key)
+        self._want(DESK_API, "elements")
+        text, sent = self._bundle({"fields": fields}, {})
+        if sent:
+            what = "fields: got a file; what an element is read from stays, so divide the changed file"
+            raise self._refused({"code": "problem.field", "message": what, "field": "fields"})
+        path = _of(element, f"/divide?instead={str(instead).lower()}", "elements")
+        return str(self._make(path, text, "application/json", key)["id"])
+
+    def release_panels(
+        self, element: str, panels: Sequence[Mapping[str, Any]], note: str = "", name: str | None = None
+    ) -> dict[str, Any]:
+        """Release the programs of panels by one act: rows of :meth:`element`, each by its ``job`` and
+        ``digest`` as it was looked at. The ``releases``, and what is ``refused``: a ``panel`` that is not
+        proven, was planned again meanwhile, or is released already, with its ``issues``. ``name`` as of
+        :meth:`release`. Raises ``TandemError``: ``service.release`` where that is all of them."""
+        self._want(BATCHES_API, "releases of panels")
+        if not all(isinstance(one, Mapping) and "id" in one for one in panels):
+            what = "panels: give rows of element(...)['panels'], each with id, job and digest"
+            raise self._refused({"code": "problem.field", "message": what, "field": "panels"})
+        shown = {str(one["id"]): {"job": one.get("job"), "digest": one.get("digest")} for one in panels}
+        said = {"panels": shown, "note": note, "name": name}
+        return self._send(_of(element, "/release", "elements"), said, "POST")
+
+    def mark_panel(self, element: str, panel: str, state: str) -> dict[str, Any]:
+        """Mark a panel as cut, glued or broken, or open, which takes its mark away: the element, whose
+        ``told`` says what is next."""
+        self._want(DESK_API, "elements")
+        return self._send(_of(element, "/mark", "elements"), {"panel": panel, "state": state}, "POST")
+
+    def report_panels(self, element: str, key: str | None = None) -> str:
+        """Report on the panels that have ended: the id of a job, whose files are ``element.html``,
+        ``report.csv`` and ``joints.csv`` when it is done. ``key`` as of :meth:`submit`."""
+        self._check_key(key)
+        self._want(DESK_API, "elements")
+        return str(self._make(_of(element, "/report", "elements"), b"", "application/json", key)["id"])
+
+    def cancel_element(self, element: str) -> dict[str, Any]:
+        """Cancel what of an element waits or runs: its division, its panels, a report."""
+        self._want(DESK_API, "elements")
+        return self._json(_of(element, "/cancel", "elements"), method="POST")
+
+    def delete_element(self, element: str) -> None:
+        """Delete an element with its reports; panels that were planned stay as jobs."""
+        self._request(_of(element, kind="elements"), method="DELETE")
+
     def report_url(self, job: str, seconds: int = 3600) -> str:
         """The address of a job's report, which a browser opens without a token for so long."""
         return self.link(job, "report.html", seconds)
@@ -436,7 +567,7 @@ class Client:
     def link(self, job: str, name: str, seconds: int = 3600) -> str:
         """The address of a file of a job, which whoever has it may read for so long."""
         self._want(LINKS_API, "links")
-        asked = urllib.parse.urlencode({"name": name, "seconds": seconds})
+        asked = self._query({"name": name, "seconds": seconds})
         return f"{self._url}{self._json(_of(job, f'/links?{asked}'), method='POST')['path']}"
 
     def look(self, job: str, seconds: int = 7 * 86400) -> str:
@@ -451,7 +582,7 @@ class Client:
 
     def withdraw_look(self, job: str, look: str) -> None:
         """Withdraw a link to look, by its ``id``."""
-        self._request(_of(job, f"/looks/{urllib.parse.quote(look, safe='')}"), method="DELETE")
+        self._request(_of(job, f"/looks/{_quoted(look, '')}"), method="DELETE")
 
     def _issue(self, data: Mapping[str, Any]) -> Any:
         """An issue as it was sent."""
@@ -463,6 +594,65 @@ class Client:
             return _bundle(problem, files)
         except _FaultError as fault:
             raise self._refused(fault.data) from fault
+
+    def _body(self, problem: Any, files: Mapping[str, Content] | None) -> tuple[bytes, str]:
+        """The body with a problem and its files, and its content type."""
+        text, sent = self._bundle(problem, files or {})
+        return self._form({"problem.yaml": text}, sent)
+
+    def _form(self, problems: Mapping[str, bytes], files: Mapping[str, bytes]) -> tuple[bytes, str]:
+        """The body with problems and files, whose names are texts."""
+        try:
+            return _multipart(problems, files)
+        except UnicodeEncodeError as error:
+            name = error.object[max(error.start - 40, 0) : error.end + 40]
+            what = f"the name {name!a} has half a character; rename it"
+            raise self._refused({"code": "service.file_name", "message": what, "field": "files"}) from error
+
+    def _query(self, asked: Mapping[str, Any]) -> str:
+        """The query with what is asked."""
+        try:
+            return urllib.parse.urlencode(asked, doseq=True)
+        except UnicodeEncodeError as error:
+            what = f"{error.object[:80]!a} has half a character; correct the text"
+            raise self._refused({"code": "service.request", "message": what, "field": None}) from error
+
+    def _bundles(
+        self, problems: Any, files: Mapping[str, Content]
+    ) -> tuple[dict[str, bytes], dict[str, bytes]]:
+        """Texts of several problems by their names, and the files of all; what is wrong is told of each."""
+        _, sent = self._bundle(b"", files)
+        texts: dict[str, bytes] = {}
+        wrong: list[dict[str, Any]] = []
+        for number, (name, problem) in enumerate(self._named(problems)):
+            if name in texts:
+                what = f"two problems have the name {name!r}; rename one, or give {{name: problem}}"
+                double = {"code": "service.file_name", "message": what, "field": "problems"}
+                wrong.append({**double, "of": number})
+            texts[name], sent, faults = self._one_of_many(problem, sent)
+            wrong += [{**one, "message": f"{name}: {one['message']}", "of": number} for one in faults]
+        if wrong:
+            raise self._refused(*wrong)
+        return texts, sent
+
+    def _named(self, problems: Any) -> list[tuple[str, Any]]:
+        """Several problems with their names."""
+        if isinstance(problems, Mapping):
+            return [(str(name), problem) for name, problem in problems.items()]
+        if isinstance(problems, (list, tuple)) and all(isinstance(one, (str, PathLike)) for one in problems):
+            return [(Path(fspath(one)).name, one) for one in problems]
+        what = "problems: give {name: problem}, or a list of paths of problem files"
+        raise self._refused({"code": "problem.field", "message": what, "field": "problems"})
+
+    def _one_of_many(
+        self, problem: Any, sent: dict[str, bytes]
+    ) -> tuple[bytes, dict[str, bytes], list[dict[str, Any]]]:
+        """Text of a problem, the files with its own, and what is wrong with it."""
+        try:
+            return (*self._bundle(problem, sent), [])
+        except self._error as error:
+            asked = ("code", "message", "field", "file", "line", "hint")
+            return b"", sent, [{name: getattr(one, name) for name in asked} for one in error.issues]
 
     def _refused(self, *found: Mapping[str, Any]) -> Exception:
         error: Exception = self._error(tuple(self._issue(one) for one in found))
@@ -489,6 +679,8 @@ class Client:
             said: Any = None
             try:
                 said = json.loads(error.read())
+                for issue, number in zip(said["issues"], said.get("of") or ()):  # of several problems
+                    issue["of"] = number
                 return self._refused(*said["issues"])
             except (ValueError, KeyError, TypeError, OSError, http.client.HTTPException):
                 told = [said.get(name) for name in ("title", "detail")] if isinstance(said, dict) else []
@@ -517,11 +709,18 @@ class Client:
             raise self._answer(self._url, message, "service.version")
         self._api = has
 
+    def _sought(self, search: str, tags: Sequence[str], sort: str, api: int) -> dict[str, Any]:
+        """What a list is asked for, if the service has an interface with that."""
+        if not (search or tags or sort != "newest"):
+            return {}
+        self._want(api, "search")
+        return {"search": search, "tag": list(tags), "sort": sort}
+
     def _pages(self, path: str, name: str, asked: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         """What a list has under ``name``, page by page."""
         asked = {"limit": 200, **asked}
         while True:
-            page = self._json(f"/v1/{path}?{urllib.parse.urlencode(asked, doseq=True)}")
+            page = self._json(f"/v1/{path}?{self._query(asked)}")
             yield from page[name]
             if page.get("next") is None:
                 return
@@ -555,7 +754,7 @@ class Client:
             raise self._refusal(error) from error
 
     def _upload(self, path: str, problem: Any, files: Mapping[str, Content] | None) -> dict[str, Any]:
-        body, kind = _multipart(*self._bundle(problem, files or {}))
+        body, kind = self._body(problem, files)
         return self._read_json(self._request(path, body, {"Content-Type": kind}, "POST"))
 
     def _make(self, path: str, body: bytes, kind: str, key: str | None) -> dict[str, Any]:
@@ -564,6 +763,15 @@ class Client:
         headers = {"Content-Type": kind, "Idempotency-Key": secrets.token_hex(16) if key is None else key}
         pauses = PAUSES_S if self._api >= KEYS_API else ()
         return self._read_json(self._request(path, body, headers, "POST", pauses=pauses))
+
+    def _all_of(self, made: Mapping[str, Any], count: int, key: str | None) -> list[str]:
+        """The ids of so many jobs in their order; fewer are left where some that a key had made were
+        deleted."""
+        ids = [str(one["id"]) for one in made["jobs"]]
+        if len(ids) == count:
+            return ids
+        what = f"key: got {key!r}, which made {count} jobs before; left of them: {len(ids)}. Give another key"
+        raise self._refused({"code": "service.idempotency", "message": what, "field": "key", "jobs": ids})
 
     def _check_key(self, key: str | None) -> None:
         """See that the service takes a key: a header changes some others on their way, or ends at them."""
@@ -650,13 +858,24 @@ def _left(until: float) -> float:
 
 def _of(job: str, what: str = "", kind: str = "jobs") -> str:
     """The path of a job, or an element."""
-    return f"/v1/{kind}/{urllib.parse.quote(job, safe='')}{what}"
+    return f"/v1/{kind}/{_quoted(job, '')}{what}"
 
 
-def _multipart(problem: bytes, files: Mapping[str, bytes]) -> tuple[bytes, str]:
-    """The body with a problem and its files by name, and its content type (RFC 7578)."""
+def _quoted(name: str, safe: str = "/") -> str:
+    """A name in an address; half a character, which no name has there, is a question mark."""
+    return urllib.parse.quote(name, safe, errors="replace")
+
+
+def _described(title: str | None, tags: Sequence[str] | None, notes: str | None) -> dict[str, Any]:
+    """What people call a job or an element."""
+    return {"title": title, "tags": None if tags is None else list(tags), "notes": notes}
+
+
+def _multipart(problems: Mapping[str, bytes], files: Mapping[str, bytes]) -> tuple[bytes, str]:
+    """The body with problems and their files by name, and its content type (RFC 7578)."""
     boundary = secrets.token_hex(16)
-    parts = [("problem", "problem.yaml", problem), *(("files", name, files[name]) for name in files)]
+    parts = [("problem", name, problems[name]) for name in problems]
+    parts += [("files", name, files[name]) for name in files]
     body = bytearray()
     for field, name, content in parts:
         quoted = name.replace("\\", "\\\\").replace('"', "%22").replace("\r", "%0D").replace("\n", "%0A")
@@ -728,7 +947,10 @@ def _plain(value: Any, field: str, sent: dict[str, bytes]) -> Any:
 
 
 def _carry(content: bytes, name: str, sent: dict[str, bytes]) -> str:
-    """Add a file under a name of its own; that name."""
+    """Add a file under a name of its own, or find it where it is there already; that name."""
+    for known, other in sent.items():
+        if known.partition("-")[2] == name and other == content:
+            return known
     number = len(sent) + 1
     while f"{number}-{name}" in sent:
         number += 1

@@ -61,7 +61,8 @@ class Reader:
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
-        self._begun = self._ending = False
+        self._begun = self._asked = self._unwanted = self._ending = False
+        self._turn = threading.Lock()  # of who asks and who breaks that off
 
     @property
     def alive(self) -> bool:
@@ -69,9 +70,14 @@ class Reader:
         return self._process.poll() is None
 
     def renew(self) -> None:
-        """End who reads, and with it what is asked; another one takes its place."""
-        self._ending = True
-        self._process.send_signal(signal.SIGUSR2)
+        """End what is asked, and with it who reads that; another one takes its place. What was not asked yet
+        will not be: who is ended before it was asked, or before it has begun, would leave lines behind that
+        are taken for others."""
+        with self._turn:
+            self._unwanted = True
+            if self._asked and not self._ending:
+                self._ending = True
+                self._process.send_signal(signal.SIGUSR2)
 
     def end(self) -> None:
         """End both."""
@@ -79,27 +85,33 @@ class Reader:
         self._process.wait()
 
     def ask(self, line: str) -> list[Any] | None:
-        """The answer to one line; None where who reads has ended."""
+        """The answer to one line; None where who reads has ended, or nobody wants to know any more."""
         if not self._begun and not self._wait():
             return None
         if self._process.stdin is None:
             raise RuntimeError("a reader has no pipes")
-        try:
-            self._process.stdin.write(line + "\n")
-            self._process.stdin.flush()
-        except OSError:
-            return None
-        answer = self._line()
-        found = _json_of(answer)
+        with self._turn:
+            if self._unwanted:
+                return None
+            self._asked = True
+            try:
+                self._process.stdin.write(line + "\n")
+                self._process.stdin.flush()
+            except OSError:
+                return None
+        found = _json_of(self._line())
+        with self._turn:
+            self._asked = False
         self._begun = found is not None
         return found
 
     def settle(self) -> None:
         """Wait for the one that takes the place of who was ended; nobody calls :meth:`renew` any more."""
         if self._ending or not self._begun:
-            self._ending = self._begun = False
+            self._begun = False
             if not self._wait():
                 self.end()
+        self._asked = self._unwanted = self._ending = False
 
     def _wait(self) -> bool:
         """Whether somebody reads from now on."""

@@ -104,10 +104,15 @@ def test_a_round_trip_by_another_python(served: tuple[Process, str], version: st
     assert out["wrong_token"] == ["service.token"]
 
 
+def readme_blocks() -> list[str]:
+    """The scripts on the page of the client."""
+    return re.findall(r"^```python\n(.*?)^```", (FOLDER / "README.md").read_text("utf-8"), re.M | re.S)
+
+
 def test_the_problem_of_its_page_is_one(served: tuple[Process, str], tmp_path: Path) -> None:
     """As far as it is sent; the round trip plans a smaller one."""
     process, token = served
-    (code,) = re.findall(r"^```python\n(.*?)^```", (FOLDER / "README.md").read_text("utf-8"), re.M | re.S)
+    code, _ = readme_blocks()
     code = code.replace("https://plans.example.org", process.url).replace("tandem_...", token)
     sent, _, rest = code.partition("job = client.submit(problem)")
     assert rest

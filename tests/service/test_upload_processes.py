@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -15,7 +18,7 @@ from starlette.requests import Request
 
 from planner.service.models import Database, default_url
 from planner.service.security import Auth, Limits, RefusedError
-from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
+from planner.service.upload_processes import Examined, Examiners, Reader, Reading, connection_closed
 from tests import small_problem
 from tests.service.support import InProcess, codes, named, until
 
@@ -152,3 +155,86 @@ def test_a_reading_that_is_broken_off_costs_its_process_alone(tmp_path: Path) ->
         assert readers.examine(small, uploads).readable
     finally:
         readers.close()
+
+
+class Late(Reading):
+    """Is broken off as soon as it is known who reads; goes on to ask that one so many seconds later."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__()
+        self.seconds = seconds
+
+    def by(self, reader: Reader | None) -> bool:
+        wanted = super().by(reader)
+        if reader is not None:
+            self.break_off()
+            time.sleep(self.seconds)
+        return wanted
+
+
+class Early(Reading):
+    """Is broken off so many seconds after the process of who reads can be told so: it has not begun yet."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__()
+        self.seconds = seconds
+
+    def by(self, reader: Reader | None) -> bool:
+        if reader is not None:
+            threading.Thread(target=self.end, args=(reader._process.pid,)).start()
+        return super().by(reader)
+
+    def end(self, pid: int) -> None:
+        caught = re.compile(r"^SigCgt:\s*(\w+)", re.M)
+
+        def hears() -> bool:
+            found = caught.search(Path(f"/proc/{pid}/status").read_text())
+            return found is not None and bool(int(found[1], 16) & 1 << (signal.SIGUSR2 - 1))
+
+        until(hears)
+        time.sleep(self.seconds)
+        self.break_off()
+
+
+@pytest.fixture
+def three(tmp_path: Path) -> Iterator[tuple[Examiners, dict[str, Path], dict[str, Path]]]:
+    """One reader, and three problems by their names with the files of all."""
+    uploads = {"targets.csv": tmp_path / "targets.csv"}
+    paths = {}
+    for name in ("first", "second", "third"):
+        (tmp_path / name).mkdir()
+        paths[name] = small_problem.write(tmp_path / name, named(name))
+        shutil.copy(tmp_path / name / "targets.csv", tmp_path)
+    readers = Examiners(1, tmp_path, 60.0, 4096.0, 1000)
+    yield readers, paths, uploads
+    readers.close()
+
+
+def test_what_was_broken_off_is_no_answer_to_what_is_asked_next(
+    three: tuple[Examiners, dict[str, Path], dict[str, Path]],
+) -> None:
+    """It is broken off, and whoever takes the place of who was to read it is there, before it is written, as
+    under load: the next one was answered by what became of it."""
+    readers, paths, uploads = three
+    assert readers.examine(paths["first"], uploads).name == "first"
+    with pytest.raises(RefusedError) as caught:
+        readers.examine(paths["second"], uploads, reading=Late(1.0))
+    assert caught.value.status == 499
+    for name in ("third", "first"):
+        assert readers.examine(paths[name], uploads).name == name
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.004])
+def test_a_reading_that_is_broken_off_while_its_process_begins_costs_nobody_a_reader(
+    three: tuple[Examiners, dict[str, Path], dict[str, Path]], seconds: float
+) -> None:
+    """Who was ended before it said that it begins was waited for ever after."""
+    readers, paths, uploads = three
+    reading, pool = Early(seconds), ThreadPoolExecutor(1)
+    asked = pool.submit(readers.examine, paths["first"], uploads, reading=reading)
+    until(lambda: reading.off)
+    try:
+        assert asked.result(60).name == "first"  # it was quicker
+    except RefusedError as error:
+        assert error.status == 499
+    assert pool.submit(readers.examine, paths["second"], uploads).result(60).name == "second"

@@ -91,8 +91,8 @@ export class Replay extends Stage {
     return [low.map((v, i) => Math.min(v, this.whole[0][i])), high.map((v, i) => Math.max(v, this.whole[1][i]))];
   }
 
-  cut(one) {
-    const [vertices, faces, keys, upto] = [one.vertices, one.faces, one.keys, one.upto].map(this.read);
+  cut(one, read = this.read) {
+    const [vertices, faces, keys, upto] = [one.vertices, one.faces, one.keys, one.upto].map(read);
     const shape = new THREE.BufferGeometry();
     shape.setAttribute("position", new THREE.BufferAttribute(vertices, 3));
     shape.setIndex(new THREE.BufferAttribute(faces, 1));

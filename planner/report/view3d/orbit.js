@@ -25,9 +25,17 @@ export class Orbit {
     if (!this.gl) return;
     this.program = link(this.gl);
     this.at = Object.fromEntries(["view", "lens", "colour", "lit"].map((n) => [n, this.gl.getUniformLocation(this.program, n)]));
+    this.over = new AbortController(); // of what listens beyond the canvas
     new ResizeObserver(() => this.draw()).observe(canvas);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour(), { signal: this.over.signal });
     this.listen();
+  }
+
+  // Gives back what it holds of the graphics card: browsers have few such canvases at once.
+  end() {
+    this.over?.abort();
+    this.gl?.getExtension("WEBGL_lose_context")?.loseContext();
+    this.gl = null;
   }
 
   get works() {

@@ -33,7 +33,12 @@ export class Stage extends Orbit {
     this.round = disc();
     this.cell = this.stage.add(new THREE.Group()).children.at(-1);
     this.marks = this.stage.add(new THREE.Group()).children.at(-1);
-    addEventListener("themechange", () => this.recolour());
+    addEventListener("themechange", () => this.recolour(), { signal: this.over.signal });
+  }
+
+  end() {
+    this.three?.dispose();
+    super.end();
   }
 
   clear(group) {

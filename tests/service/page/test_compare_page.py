@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page, Route, expect
+from playwright.sync_api import Locator, Page, Route, expect
 
 import planner
 from tests import small_problem
@@ -36,6 +36,171 @@ def jobs(server: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, st
         ids.append(client.submit(planner.load(small_problem.write(folder, named(name), table))))
     assert [client.wait(one)["state"] for one in ids] == ["verified", "verified"]
     return ids[0], ids[1]
+
+
+@pytest.fixture(scope="module")
+def moved(server: str, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The first of these, its block 40 mm aside and a table beside it."""
+    text = named("moved").replace("xyz_mm: [450, 0, 0]", "xyz_mm: [450, 40, 0]")
+    box = "{kind: box, size_mm: [300, 300, 100], pose: {xyz_mm: [450, 700, 50]}}"
+    text = text.replace("stock: {", f"  obstacles: [{{name: table, shapes: [{box}]}}]\nstock: {{")
+    client = planner.Client(server)
+    job = client.submit(planner.load(small_problem.write(tmp_path_factory.mktemp("moved"), text)))
+    assert client.wait(job)["state"] == "verified"
+    return job
+
+
+@pytest.fixture(scope="module")
+def none(server: str, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A job without a plan."""
+    client = planner.Client(server)
+    far = "\n".join([small_problem.COLUMNS, *small_problem.ROWS]).replace("450,", "4500,") + "\n"
+    job = client.submit(planner.load(small_problem.write(tmp_path_factory.mktemp("far"), named("far"), far)))
+    assert client.wait(job)["state"] == "infeasible"
+    return job
+
+
+SEEN: Final = """() => {
+  const least = (one) => one.points[0].clone().applyMatrix4(one.matrix).toArray().map(Math.round);
+  const seen = both.ghost.bodies.filter((one) => one.visible);
+  return seen.map((one) => [one.userData.kind, ...least(one)]);
+}"""
+"""Bodies of the second that are drawn, each with its least corner [mm] in the world."""
+
+
+def figures(page: Page) -> Locator:
+    """Heads of the columns of figures."""
+    return page.locator("#result thead").first.locator("th")
+
+
+def test_what_of_the_second_stands_elsewhere_is_drawn_and_named(
+    page: Page, server: str, jobs: tuple[str, str], moved: str
+) -> None:
+    """The block and a table of the other problem, and not what both have at one place."""
+    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={moved}")
+    page.get_by_role("button", name="Draw both over each other").click()
+    legend = page.locator("#both-legend")
+    expect(legend).to_contain_text("Second, clear: block, obstacles; arms, tools as in the first")
+    page.evaluate("both.go(both.end / 2)")
+    expect(legend).to_contain_text("Second, clear: block, obstacles; arms, tools, cuts as in the first")
+    drawn = sorted(page.evaluate(SEEN))
+    assert drawn == [["obstacle", 300, 550, 0], ["stock", 400, -10, 0]]
+    low, high = page.evaluate("both.view.all")
+    assert high[1] > 849, "the table is in the whole picture"
+    box = page.evaluate("both.view.whole")
+    assert box[0][1] <= -50 and box[1][1] >= 90, "the work of both is in the picture at first"
+    assert low[2] <= 0
+    page.get_by_label("The second, clear").uncheck()
+    expect(legend).to_contain_text("Second, clear: not shown")
+    assert page.evaluate(SEEN) == []
+    page.get_by_label("The second, clear").check()
+    page.emulate_media(color_scheme="dark")
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
+
+
+def test_another_choice_is_drawn_as_the_former_was(
+    page: Page, server: str, jobs: tuple[str, str], moved: str, none: str
+) -> None:
+    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={moved}")
+    page.get_by_role("button", name="Draw both over each other").click()
+    legend = page.locator("#both-legend")
+    expect(legend).to_contain_text("block, obstacles")
+    page.locator("#both-speed").select_option("20")
+    page.evaluate("() => { both.go(3); both.view.rotate(1, 0); globalThis.former = both; }")
+    page.locator("#b").select_option(jobs[1])
+    expect(legend).to_contain_text("Second, clear: arms, tools; block as in the first")
+    assert page.evaluate("former !== both && former.view.three.getContext().isContextLost()")
+    assert page.evaluate("both.at === 3 && both.view.turn === former.view.turn")
+    expect(page.locator("#both-speed")).to_have_value("20")
+    page.locator("#b").select_option(none)
+    expect(page.locator("#result")).to_contain_text("The second has no plan to draw.")
+    expect(page.locator("canvas")).to_have_count(0)
+    page.get_by_role("button", name="Swap the two").click()
+    expect(page.locator("#result")).to_contain_text("The first has no plan to draw.")
+    page.locator("#a").select_option(jobs[1])
+    expect(legend).to_contain_text("block as in the first")
+    held: list[Route] = []
+    page.route(re.compile(f"/v1/jobs/{moved}/files/replay.html$"), lambda route: held.append(route))
+    page.locator("#b").select_option(moved)
+    expect(page.get_by_role("button", name="Loading")).to_be_visible()
+    page.locator("#b").select_option(jobs[0])
+    expect(legend).to_contain_text("block as in the first")
+    for route in held:
+        route.continue_()
+    page.wait_for_timeout(300)
+    expect(page.locator("canvas")).to_have_count(1)
+    assert page.evaluate("both.two.times.end") < page.evaluate("both.one.times.end")
+    expect(page.locator("#banner")).to_be_hidden()
+
+
+def test_a_job_that_is_gone_is_told_and_nothing_else_is_shown_for_it(
+    page: Page, server: str, jobs: tuple[str, str], tmp_path: Path
+) -> None:
+    client = planner.Client(server)
+    gone = client.submit(planner.load(small_problem.write(tmp_path, named("gone"))))
+    client.wait(gone)
+    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}")
+    expect(figures(page)).to_have_count(3)
+    client.delete(gone)
+    page.locator("#b").select_option(gone)
+    expect(page.locator("#banner")).to_contain_text("there is none")
+    expect(page.locator("#result")).to_have_text("These two cannot be compared now.")
+    page.locator("#b").select_option(jobs[1])
+    expect(figures(page)).to_have_count(3)
+    expect(page.locator("#banner")).to_be_hidden()
+    page.goto(f"{server}/ui/compare?a={gone}&b={jobs[1]}")  # as a link that somebody kept
+    expect(page.locator("#banner")).to_contain_text("there is none")
+    page.locator("#a").select_option(jobs[0])
+    expect(figures(page)).to_have_count(3)
+
+
+def test_jobs_beyond_the_list_are_swapped_and_a_service_that_is_away_is_asked_again(
+    page: Page, server: str, jobs: tuple[str, str]
+) -> None:
+    """Of a team with thousands of jobs the list has the last ones."""
+    page.route("**/v1/jobs?limit=200", lambda route: route.fulfill(json={"jobs": []}))
+    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}")
+    expect(figures(page)).to_have_count(3)
+    page.get_by_role("button", name="Swap the two").click()
+    page.wait_for_url(f"**/ui/compare?a={jobs[1]}&b={jobs[0]}")
+    expect(figures(page).nth(0)).to_contain_text("higher")
+    away = re.compile("/v1/jobs/")
+    page.route(away, lambda route: route.abort())
+    page.locator("#a").select_option(jobs[0])
+    expect(page.locator("#banner")).to_contain_text("cannot be reached")
+    page.unroute(away)
+    expect(figures(page).nth(0)).to_contain_text("lower")
+    expect(page.locator("#banner")).to_be_hidden()
+
+
+def test_the_picture_comes_when_the_service_is_back(page: Page, server: str, jobs: tuple[str, str]) -> None:
+    """Browsers keep that a script did not come: asked for while the service was away, it never came."""
+    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}")
+    page.route("**/ui/static/*", lambda route: route.abort())
+    page.get_by_role("button", name="Draw both over each other").click()
+    expect(page.locator("#banner")).to_contain_text("Trying again")
+    page.unroute("**/ui/static/*")
+    expect(page.locator("#both-legend")).to_contain_text("block as in the first")
+    expect(page.locator("#banner")).to_be_hidden()
+
+
+def test_nothing_can_be_chosen_before_there_is_something_to_choose(
+    page: Page, server: str, jobs: tuple[str, str]
+) -> None:
+    held: list[Route] = []
+    page.route("**/v1/jobs?limit=200", lambda route: held.append(route))
+    page.goto(f"{server}/ui/compare")
+    controls = [page.locator("#a"), page.locator("#b"), page.locator("#swap")]
+    for one in controls:
+        expect(one).to_be_disabled()
+    held[0].continue_()
+    for one in controls:
+        expect(one).to_be_enabled()
+    page.locator("#a").select_option(jobs[0])
+    page.locator("#b").select_option(jobs[1])
+    expect(figures(page)).to_have_count(3)
 
 
 def test_both_plans_are_drawn_over_each_other_at_one_time(
@@ -99,12 +264,8 @@ def test_programs_say_what_differs(page: Page, server: str, jobs: tuple[str, str
 
 
 def test_a_job_without_a_plan_is_compared_without_a_picture(
-    page: Page, server: str, jobs: tuple[str, str], tmp_path: Path
+    page: Page, server: str, jobs: tuple[str, str], none: str
 ) -> None:
-    client = planner.Client(server)
-    far = "\n".join([small_problem.COLUMNS, *small_problem.ROWS]).replace("450,", "4500,") + "\n"
-    none = client.submit(planner.load(small_problem.write(tmp_path, named("far"), far)))
-    assert client.wait(none)["state"] == "infeasible"
     page.goto(f"{server}/ui/compare?a={jobs[0]}&b={none}")
     expect(page.locator("#result")).to_contain_text("in the first alone")
     expect(page.get_by_role("button", name="Draw both over each other")).to_have_count(0)

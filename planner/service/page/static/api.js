@@ -34,7 +34,10 @@ async function ask(path, options = {}) {
   }
   compare(answer);
   if (answer.ok) return answer;
-  const said = await answer.json().catch(() => null);
+  const said = await answer.json().catch((error) => {
+    if (error.name === "AbortError") throw error; // nobody wants to know any more
+    return null;
+  });
   let issues = said?.issues ?? [];
   if (!issues.length) issues = [{ code: "service.request", severity: "error", message: `the service answered ${answer.status}` }];
   if (answer.status === 401 && document.body.dataset.page !== "login") {
@@ -50,6 +53,12 @@ export const blob = async (path, options) => (await ask(path, options)).blob();
 export const post = (path, options = {}) => ask(path, { method: "POST", ...options });
 export const put = (path, options = {}) => ask(path, { method: "PUT", ...options });
 export const remove = (path) => ask(path, { method: "DELETE" });
+
+// Headers of a request that may be sent again and makes what it makes once.
+export function once() {
+  const key = [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+  return { "Idempotency-Key": key };
+}
 
 // The body of a job: the problem as JSON, or as the file that the user gave, and the files that it names.
 export function upload(problem, files) {

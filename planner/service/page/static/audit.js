@@ -1,6 +1,6 @@
 // The audit log, for who may release: who did what, by job and act.
 import { json } from "./api.js";
-import { banner, tell } from "./common.js";
+import { banner, patiently, ready, tell } from "./common.js";
 import { $, h, later, show } from "./dom.js";
 
 const asked = new URLSearchParams(location.search);
@@ -50,4 +50,5 @@ if (asked.has("act")) $("act").value = asked.get("act");
 $("act").addEventListener("change", anew);
 $("of").addEventListener("input", later(300, anew));
 $("older").addEventListener("click", () => load(next).catch(tell));
-await anew();
+ready();
+await patiently(load).catch(tell);

@@ -1,6 +1,6 @@
 // Several problem files at once: a job for each, all or none.
-import { post, Refused } from "./api.js";
-import { banner, tell } from "./common.js";
+import { once, post, Refused } from "./api.js";
+import { banner, patiently, tell } from "./common.js";
 import { $, announce, h, icon, show } from "./dom.js";
 import { issueItem, sorted } from "./issues.js";
 import { isMap, parse } from "./yaml.js";
@@ -72,8 +72,9 @@ export function setUpBatch() {
     const form = new FormData();
     for (const one of now.problems) form.append("problem", one, nameOf(one));
     for (const one of now.files) form.append("files", one, one.name);
+    const headers = once();
     try {
-      await post(`/v1/batches?${new URLSearchParams({ tag })}`, { body: form });
+      await patiently(() => post(`/v1/batches?${new URLSearchParams({ tag })}`, { body: form, headers }));
       location.assign(`/?${new URLSearchParams({ tag })}`);
     } catch (error) {
       if (error instanceof Refused && error.status === 422) tellFaults(error);

@@ -1,5 +1,5 @@
-// What all pages share: the banner, logging out, ages.
-import { json, remove, Refused, Unreachable } from "./api.js";
+// What all pages share: when they work, the banner, logging out, ages.
+import { json, remove, Refused, text, Unreachable } from "./api.js";
 import { $, announce, h, show } from "./dom.js";
 import { ago } from "./words.js";
 
@@ -11,9 +11,48 @@ export function banner(text, kind = "bad") {
   if (place.textContent !== text) place.textContent = text ?? "";
 }
 
-// Says what went wrong with a request.
-export function tell(error) {
-  if (error instanceof Unreachable) banner("The service cannot be reached. Trying again …", "warn");
+// The page's controls work from now on; they are disabled until somebody hears them.
+export function ready() {
+  $("whole").disabled = false;
+  $("main").removeAttribute("aria-busy");
+}
+
+const RETRY_MS = 2000;
+
+// What is asked for; again and again while the service cannot be reached.
+export async function patiently(ask) {
+  for (let told = false; ; told = true) {
+    try {
+      const found = await ask();
+      if (told) reached();
+      return found;
+    } catch (error) {
+      if (!(error instanceof Unreachable)) throw error;
+      tell(error, true);
+    }
+    await new Promise((after) => setTimeout(after, RETRY_MS));
+  }
+}
+
+// A script that is loaded when it is wanted. Browsers do not ask again for one that did not come, so it is seen first
+// whether the service sends it.
+export async function script(name) {
+  await patiently(() => text(`/ui/static/${name}`));
+  try {
+    return await import(`./${name}`);
+  } catch {
+    throw new Refused(0, [{ code: "service.request", severity: "error", message: "a script of this page did not come; load the page anew" }]);
+  }
+}
+
+// The service answers: what was told of one that is away is past. What it refused stays until something else is done.
+export function reached() {
+  if ($("banner")?.classList.contains("warn")) banner("");
+}
+
+// Says what went wrong with a request; again: it is sent once more by itself.
+export function tell(error, again = false) {
+  if (error instanceof Unreachable) banner(`The service cannot be reached. ${again === true ? "Trying again …" : "Try it once more in a moment."}`, "warn");
   else if (error instanceof Refused) banner(error.issues.map((issue) => (issue.hint ? `${issue.message}; ${issue.hint}` : issue.message)).join(" · "));
   else {
     banner(`The page failed: ${error.message}`);
@@ -37,7 +76,12 @@ me.then((who) => {
 });
 
 $("logout")?.addEventListener("click", async () => {
-  await remove("/v1/session");
-  announce("Logged out");
-  location.assign("/ui/login");
+  try {
+    await remove("/v1/session");
+    announce("Logged out");
+    location.assign("/ui/login");
+  } catch (error) {
+    tell(error);
+  }
 });
+if ($("logout")) $("logout").disabled = false;

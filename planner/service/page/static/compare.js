@@ -1,6 +1,6 @@
 // Two jobs side by side: state, figures, what differs in their problems, issues that only one has.
-import { fileOf, job as path, json, text } from "./api.js";
-import { banner, tell } from "./common.js";
+import { fileOf, job as path, json, text, Unreachable } from "./api.js";
+import { banner, patiently, ready, script, tell } from "./common.js";
 import { $, h, icon } from "./dom.js";
 import { short } from "./form.js";
 import { fieldName, issueList } from "./issues.js";
@@ -10,18 +10,36 @@ import { ago, BETTER, duration, figureName, figureOrder, number, STATES, unitOf 
 import { readYaml } from "./yaml.js";
 
 const asked = new URLSearchParams(location.search);
-const { jobs } = await json("/v1/jobs?limit=200").catch((error) => (tell(error), { jobs: [] }));
-
+const RETRY_MS = 2000;
 const called = (job) => job.title || job.name; // jobs of a sweep have one name
 let turn = 0; // of what was asked last; answers to former questions are dropped
+let wanted = false; // whether both are to be drawn
+let left = null; // how the picture of two others was left
 
-async function chooseFrom(select, chosen) {
-  const known = [...jobs];
-  if (chosen && !known.some((one) => one.id === chosen)) known.unshift(await json(path(chosen)));
-  select.replaceChildren(
-    ...(chosen ? [] : [h("option", { value: "" }, "Choose a job")]),
-    ...known.map((one) => h("option", { value: one.id, selected: one.id === chosen }, `${called(one)} · ${STATES[one.state]?.[0] ?? one.state} · ${ago(one.created)} · ${one.id.slice(0, 6)}`)),
-  );
+// The last jobs, and before them those that the address asks for; a reason for each of these that there is not.
+async function load() {
+  const { jobs } = await json("/v1/jobs?limit=200");
+  const faults = [];
+  for (const id of new Set(["a", "b"].map((name) => asked.get(name)).filter(Boolean))) {
+    if (jobs.some((one) => one.id === id)) continue;
+    try {
+      jobs.unshift(await json(path(id)));
+    } catch (error) {
+      if (error instanceof Unreachable) throw error;
+      faults.push(error);
+    }
+  }
+  const options = () => jobs.map((one) => h("option", { value: one.id }, `${called(one)} · ${STATES[one.state]?.[0] ?? one.state} · ${ago(one.created)} · ${one.id.slice(0, 6)}`));
+  for (const name of ["a", "b"]) {
+    $(name).replaceChildren(h("option", { value: "" }, "Choose a job"), ...options());
+    $(name).value = jobs.some((one) => one.id === asked.get(name)) ? asked.get(name) : "";
+  }
+  return faults;
+}
+
+function empty(text) {
+  endView();
+  $("result").replaceChildren(h("div", { class: "card empty" }, h("p", {}, text)));
 }
 
 async function compare() {
@@ -29,13 +47,29 @@ async function compare() {
   turn += 1;
   const mine = turn;
   history.replaceState(null, "", `/ui/compare?a=${a}&b=${b}`);
-  if (!a || !b) return $("result").replaceChildren(h("div", { class: "card empty" }, h("p", {}, "Choose two jobs, and what differs between them is shown here.")));
-  const [one, two] = await Promise.all([a, b].map((id) => json(path(id))));
-  const [p, q] = await Promise.all([a, b].map(async (id) => readYaml(await text(fileOf(id, "problem/problem.yaml")))));
-  const lists = await Promise.all([a, b].map(async (id) => (await json(`${path(id)}/files`)).files));
-  if (mine !== turn) return;
-  $("result").replaceChildren(figures(one, two), ...inView(a, b, lists), programs(a, b, lists), fields(p, q), issues(one, two));
-  banner("");
+  if (!a || !b) return empty("Choose two jobs, and what differs between them is shown here.");
+  try {
+    const [one, two] = await Promise.all([a, b].map((id) => json(path(id))));
+    const [p, q] = await Promise.all([a, b].map(async (id) => readYaml(await text(fileOf(id, "problem/problem.yaml")))));
+    const lists = await Promise.all([a, b].map(async (id) => (await json(`${path(id)}/files`)).files));
+    if (mine !== turn) return;
+    endView();
+    $("result").replaceChildren(figures(one, two), ...inView(a, b, lists), programs(a, b, lists), fields(p, q), issues(one, two));
+    banner("");
+  } catch (error) {
+    if (mine !== turn) return;
+    empty("These two cannot be compared now."); // and not what was chosen before
+    if (error instanceof Unreachable) setTimeout(() => mine === turn && show(), RETRY_MS);
+    tell(error, true);
+  }
+}
+
+// Of what is shown of a former choice nothing goes on.
+function endView() {
+  if (!globalThis.both) return;
+  left = globalThis.both.left;
+  globalThis.both.close();
+  globalThis.both = null;
 }
 
 const link = (job) => h("a", { href: `/ui/jobs/${job.id}` }, h("bdi", {}, called(job)));
@@ -69,25 +103,33 @@ function figures(one, two) {
   );
 }
 
-// Both plans in one picture, where both have a replay; it is loaded when it is wanted.
+// Both plans in one picture, where both have a replay; it is loaded when it is wanted, and then for other choices too.
 function inView(a, b, lists) {
-  if (a === b || !lists.every((files) => files.some((file) => file.name === "replay.html"))) return [];
+  if (a === b) return [];
   const place = h("div", {});
+  const none = lists.map((files) => !files.some((file) => file.name === "replay.html"));
   const open = async () => {
+    wanted = true;
     button.disabled = true;
     button.textContent = "Loading …";
     try {
-      const { openBoth } = await import("./compare_view.js");
-      globalThis.both = await openBoth(place, a, b);
+      const { openBoth } = await script("compare_view.js");
+      const made = await openBoth(place, a, b, left);
+      if (!made) return; // something else was chosen meanwhile
+      globalThis.both = made;
       button.remove();
     } catch (error) {
+      if (!place.isConnected) return;
       button.disabled = false;
       button.textContent = "Try again";
       tell(error);
     }
   };
   const button = h("button", { type: "button", class: "small", id: "both-open", onclick: open }, "Draw both over each other");
-  return [h("section", { class: "card flush view", "aria-labelledby": "both-title" }, h("div", { class: "view-head" }, h("h2", { id: "both-title" }, "Both in 3D"), button), place)];
+  const why = none[0] && none[1] ? "Neither has a plan to draw." : `The ${none[0] ? "first" : "second"} has no plan to draw.`;
+  const section = h("section", { class: "card flush view", "aria-labelledby": "both-title" }, h("div", { class: "view-head" }, h("h2", { id: "both-title" }, "Both in 3D"), none.some(Boolean) ? h("span", { class: "soft" }, why) : button), place);
+  if (wanted && !none.some(Boolean)) queueMicrotask(open); // when it is on the page
+  return [section];
 }
 
 const MOST_LINES = 12;
@@ -145,12 +187,21 @@ function issues(one, two) {
   return h("section", { class: "card" }, h("h2", {}, "Issues"), h("div", { class: "columns" }, column("Only the first", only(one, two)), column("Only the second", only(two, one))), both.length ? column("Both", both) : null);
 }
 
+const show = () => compare().catch(tell);
+async function begin() {
+  const faults = await patiently(load);
+  ready();
+  await show();
+  if (faults.length) tell(faults[0]);
+}
+
 $("swap").append(icon("swap"));
-await chooseFrom($("a"), asked.get("a")).catch(tell);
-await chooseFrom($("b"), asked.get("b")).catch(tell);
-for (const name of ["a", "b"]) $(name).addEventListener("change", () => compare().catch(tell));
+for (const name of ["a", "b"]) $(name).addEventListener("change", show);
 $("swap").addEventListener("click", () => {
   [$("a").value, $("b").value] = [$("b").value, $("a").value];
-  compare().catch(tell);
+  show();
 });
-await compare().catch(tell);
+await begin().catch((error) => {
+  ready();
+  tell(error);
+});

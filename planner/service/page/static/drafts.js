@@ -1,14 +1,14 @@
 // What people keep: drafts, cells, tools, templates; opened, called otherwise, deleted.
 import { json, post, remove } from "./api.js";
 import { ask } from "./ask.js";
-import { age, banner, me, tell } from "./common.js";
+import { age, banner, me, patiently, ready, tell } from "./common.js";
 import { $, announce, h, icon, show } from "./dom.js";
 import { wasSent } from "./draft.js";
 
 const KINDS = { draft: "Draft", cell: "Cell", tool: "Tool", template: "Template" };
 const PAGE = 100;
 const MOST = 1000; // of one answer
-const own = (await me)?.name;
+let own;
 const path = (id) => `/v1/drafts/${encodeURIComponent(id)}`;
 let named = null;
 
@@ -42,6 +42,7 @@ async function load() {
     drafts = drafts.concat(page.drafts);
     next = page.next;
   } while (next && drafts.length < shown);
+  own = (await me)?.name;
   show($("table"), drafts.length > 0);
   show($("empty"), !drafts.length);
   show($("more"), Boolean(next));
@@ -64,9 +65,14 @@ function rename(one) {
 
 async function drop(one) {
   if (!(await ask(`${one.title} and its ${one.version > 1 ? "versions are" : "content is"} gone then, for all of the team.`, "Delete it"))) return;
-  await remove(path(one.id)).catch(tell);
-  announce("Deleted");
-  await load().catch(tell);
+  try {
+    await remove(path(one.id));
+    announce("Deleted");
+    banner("");
+    await load();
+  } catch (error) {
+    tell(error);
+  }
 }
 
 $("rename-ask").addEventListener("close", async () => {
@@ -79,4 +85,5 @@ $("rename-ask").addEventListener("close", async () => {
     tell(error);
   }
 });
-await load().catch(tell);
+ready();
+await patiently(load).catch(tell);

@@ -1,7 +1,7 @@
 // One building element: divided as its sliders say, its panels as jobs, and the list that is ticked off.
 import { fileOf, json, post, Refused, remove, Unreachable } from "./api.js";
 import { ask } from "./ask.js";
-import { banner, tell } from "./common.js";
+import { banner, ready, tell } from "./common.js";
 import { drawDescription, setUpDescription } from "./describe.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { atFields, goTo, issueItem, placeOf, sorted } from "./issues.js";
@@ -301,7 +301,7 @@ async function tick(panel, mark) {
 function failed(error) {
   lost = error instanceof Unreachable;
   gone ||= error instanceof Refused && error.issues[0]?.code === "service.unknown_job";
-  if (!gone || !element) return tell(error);
+  if (!gone || !element) return tell(error, true);
   clearTimeout(timer);
   banner("This element is there no more: it was divided anew, or deleted, in another window. The list of elements has what there is.");
   for (const control of document.querySelectorAll("#element button:not(.id), #element input, #element select")) control.disabled = true;
@@ -349,4 +349,5 @@ await refresh().then(drawReport).catch((error) => {
   show($("missing"), !element);
   failed(error);
 });
+ready();
 if (!gone) again();

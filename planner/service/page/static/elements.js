@@ -1,7 +1,8 @@
 // Building elements: a new one, from files or a bundled one; and those there are.
-import { blob, json, post, Refused, upload } from "./api.js";
-import { age, banner, tell } from "./common.js";
+import { blob, json, once, post, Refused, upload } from "./api.js";
+import { age, banner, patiently, reached, ready, tell } from "./common.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
+import { held } from "./files.js";
 import { issueItem, sorted } from "./issues.js";
 import { badge } from "./outcome.js";
 import { isOpen } from "./words.js";
@@ -41,7 +42,7 @@ async function load(cursor = null) {
   const focus = document.activeElement?.dataset.key;
   $("rows").replaceChildren(...[...elements.values()].map(row));
   if (focus) document.querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus();
-  banner("");
+  reached();
 }
 
 function row(one) {
@@ -63,6 +64,7 @@ function narrow(some) {
 
 // Asks anew, from the first page on, and keeps in the address what was asked.
 function anew() {
+  banner("");
   turn += 1;
   elements = new Map();
   next = null;
@@ -76,7 +78,7 @@ async function again() {
   try {
     if (!document.hidden) await load();
   } catch (error) {
-    tell(error);
+    tell(error, true);
   } finally {
     setTimeout(again, [...elements.values()].some((one) => isOpen(one.state)) || !$("banner").hidden ? EVERY : SELDOM);
   }
@@ -96,7 +98,8 @@ async function send(element, files) {
   banner("");
   try {
     busy("Reading the element …");
-    const made = await (await post("/v1/elements", { body: upload(element, await files()) })).json();
+    const [body, headers] = [upload(element, await files()), once()];
+    const made = await (await patiently(() => post("/v1/elements", { body, headers }))).json();
     location.assign(`/ui/elements/${made.id}`);
   } catch (error) {
     busy("");
@@ -107,7 +110,8 @@ async function send(element, files) {
 }
 
 // The element file among those that were chosen: the one that says so.
-async function take(list) {
+async function take(chosen) {
+  const list = await held(chosen);
   if (!list.length) return;
   const own = [];
   for (const file of list) {
@@ -120,7 +124,7 @@ async function take(list) {
 }
 
 async function begin() {
-  examples = await json("/ui/example-elements");
+  examples = await patiently(() => json("/ui/example-elements"));
   const option = ([name, one]) => h("option", { value: name }, `${name} (${one.kind})`);
   $("example").replaceChildren(h("option", { value: "" }, "choose one"), ...Object.entries(examples).map(option));
 }
@@ -142,7 +146,7 @@ $("go").addEventListener("click", async () => {
   }
 });
 $("choose").addEventListener("click", () => $("files").click());
-$("files").addEventListener("change", () => take([...$("files").files]).then(() => ($("files").value = "")));
+$("files").addEventListener("change", () => take([...$("files").files]).finally(() => ($("files").value = "")));
 for (const name of ["dragover", "drop"])
   addEventListener(name, (event) => {
     event.preventDefault();
@@ -154,5 +158,7 @@ $("search").value = given.get("search") ?? "";
 $("search").addEventListener("input", later(250, anew));
 $("older").addEventListener("click", () => load(next).catch(tell));
 
-await Promise.all([begin(), tags.length ? narrow(tags) : load()]).catch(tell);
+ready();
+if ($("files").files.length) $("files").dispatchEvent(new Event("change")); // chosen before there was this script
 setTimeout(again, EVERY);
+await Promise.all([begin(), tags.length ? narrow(tags) : load()]).catch((error) => tell(error, true));

@@ -1,10 +1,29 @@
 // The files of a problem: which ones it names, where a new one belongs, and what units make of a mesh.
+import { banner } from "./common.js";
 import { $, h, icon, show } from "./dom.js";
 import { boxOf, isMesh, readMesh } from "./mesh.js";
 import { at, put } from "./schema.js";
 import { bytes, number } from "./words.js";
 
 const UNITS = { mm: 1, cm: 10, m: 1000, in: 25.4, ft: 304.8 };
+
+// What was chosen or dropped, as it is now: browsers send no file that was written anew since. Tells what cannot be
+// read, as folders; then there is none of it.
+export async function held(chosen) {
+  const unread = [];
+  const read = async (file) => {
+    try {
+      return new File([await file.arrayBuffer()], file.name, { type: file.type });
+    } catch {
+      unread.push(file.name);
+      return null;
+    }
+  };
+  const found = await Promise.all(chosen.map(read));
+  if (!unread.length) return found;
+  banner(`${unread.join(", ")} cannot be read. Choose files, not folders, and those that have moved or changed once more.`);
+  return [];
+}
 
 // [path, object] of everything in the data that names a file.
 export function naming(data, path = []) {

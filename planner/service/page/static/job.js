@@ -1,6 +1,6 @@
 // One job: stages and issues as they happen, then report, replay, programs.
 import { fileOf, job as path, json, post, remove } from "./api.js";
-import { banner, me, tell } from "./common.js";
+import { banner, me, patiently, reached, ready, tell } from "./common.js";
 import { drawDescription, setUpDescription } from "./describe.js";
 import { Estimate } from "./estimate.js";
 import { $, announce, h, icon, show } from "./dom.js";
@@ -211,10 +211,17 @@ async function refresh() {
   if (job.issues?.length || !isOpen(job.state)) issues = job.issues ?? [];
   if (!isOpen(job.state)) await drawFiles();
   draw();
+  reached();
+}
+
+// What is done to the job; then it is read anew.
+function act(what) {
   banner("");
+  return post(`${path(id)}/${what}`).then(refresh).catch(tell);
 }
 
 async function retry() {
+  banner("");
   try {
     await post(`${path(id)}/retry`);
   } catch (error) {
@@ -241,7 +248,7 @@ function listen() {
   const hear = (kind, action) =>
     source.addEventListener(kind, (event) => {
       seen = Math.max(seen, Number(event.lastEventId) || 0);
-      banner("");
+      reached();
       action(JSON.parse(event.data));
     });
   hear("state", ({ state, attempt }) => {
@@ -270,7 +277,7 @@ function listen() {
   hear("end", () => {
     ended = true;
     source.close();
-    refresh().catch(tell);
+    patiently(refresh).catch(tell);
   });
   source.onerror = () => {
     if (ended) return;
@@ -294,20 +301,25 @@ $("cancel").prepend(icon("stop"));
 $("delete").prepend(icon("bin"));
 $("again").prepend(icon("again"));
 $("compare").prepend(icon("swap"));
-setUpDescription(() => job, () => refresh().catch(tell));
-setUpRelease(id, () => refresh().catch(tell), await me);
+const after = () => {
+  banner("");
+  return refresh().catch(tell);
+};
+setUpDescription(() => job, after);
+setUpRelease(id, after, await me);
 setUpLooks(id);
 $("retry").prepend(icon("again"));
-$("first").addEventListener("click", () => post(`${path(id)}/first`).then(refresh).catch(tell));
+$("first").addEventListener("click", () => act("first"));
 $("retry").addEventListener("click", retry);
-$("cancel").addEventListener("click", () => post(`${path(id)}/cancel`).then(refresh).catch(tell));
+$("cancel").addEventListener("click", () => act("cancel"));
 $("delete").addEventListener("click", () => $("sure").showModal());
 $("sure").addEventListener("close", async () => {
   if ($("sure").returnValue !== "yes") return;
   await remove(path(id)).then(() => location.assign("/"), tell);
 });
-await refresh().catch((error) => {
+await patiently(refresh).catch((error) => {
   show($("missing"), !job);
   tell(error);
 });
+ready();
 if (job && isOpen(job.state)) listen();

@@ -1,7 +1,7 @@
 // The history: found by words and tags, by state, sorted; jobs can be marked, two for comparison, any to be deleted.
 import { json, post } from "./api.js";
 import { ask } from "./ask.js";
-import { age, banner, me, tell } from "./common.js";
+import { age, banner, me, reached, ready, tell } from "./common.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { badge } from "./outcome.js";
 import { AGAIN, ago, bytes, duration, isOpen, number, processName } from "./words.js";
@@ -24,7 +24,7 @@ let turn = 0; // of what was asked last; answers to former questions are dropped
 let jobs = new Map();
 let next = null;
 const marked = [];
-const own = (await me)?.name; // jobs of others say whose they are
+let own; // jobs of others say whose they are
 
 function query(cursor) {
   const given = new URLSearchParams({ limit: 50, sort: GROUPS[group][0] === "Queue" ? "turn" : $("sort").value });
@@ -39,6 +39,7 @@ const narrowed = () => group !== 0 || tags.length > 0 || Boolean($("search").val
 async function load(cursor = null) {
   const mine = turn;
   const page = await json(query(cursor));
+  own = (await me)?.name;
   if (mine !== turn) return;
   if (!cursor) jobs = new Map([...page.jobs.map((one) => [one.id, one]), ...[...jobs].filter(([id]) => jobs.size > 50 && !page.jobs.some((one) => one.id === id))]);
   else for (const one of page.jobs) jobs.set(one.id, one);
@@ -47,7 +48,7 @@ async function load(cursor = null) {
   if (now !== drawn) draw();
   else for (const time of document.querySelectorAll("#rows time")) time.textContent = ago(time.dateTime); // what is marked stays
   drawn = now;
-  banner("");
+  reached();
 }
 
 function draw() {
@@ -89,6 +90,7 @@ function place(one) {
 }
 
 async function act(one, what, said) {
+  banner("");
   await post(`/v1/jobs/${one.id}/${what}`).then(() => announce(`${one.title || one.name} ${said}`), tell);
   await load().catch(tell);
 }
@@ -127,6 +129,7 @@ function narrow(some) {
 
 // Asks anew, from the first page on, and keeps in the address what was asked.
 function anew() {
+  banner("");
   turn += 1;
   jobs = new Map();
   next = null;
@@ -172,7 +175,7 @@ async function again() {
   try {
     if (!document.hidden) await load();
   } catch (error) {
-    tell(error);
+    tell(error, true);
   } finally {
     setTimeout(again, [...jobs.values()].some((one) => isOpen(one.state)) || !$("banner").hidden ? EVERY : SELDOM);
   }
@@ -185,8 +188,9 @@ $("sort").addEventListener("change", anew);
 $("delete").addEventListener("click", removeMarked);
 $("older").addEventListener("click", () => load(next).catch(tell));
 filters();
+ready();
 if (tags.length) narrow(tags);
-await load().then(room).catch(tell);
+await load().then(room).catch((error) => tell(error, true));
 setTimeout(again, EVERY);
 addEventListener("visibilitychange", () => !document.hidden && load().catch(tell));
 

@@ -1,12 +1,12 @@
 // Makes a job: where to begin, cell, part, operations; the part and what is wrong with it show at once.
-import { json, post, Refused, upload } from "./api.js";
+import { json, once, post, Refused, upload } from "./api.js";
 import { ask } from "./ask.js";
 import { closeBatch, openBatch, setUpBatch, sortFiles } from "./batch.js";
 import { drawCells, takeCell } from "./cell.js";
-import { banner, tell } from "./common.js";
+import { banner, patiently, ready, script, tell } from "./common.js";
 import { Draft, fromDraft, sentAs } from "./draft.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
-import { assign, drawFiles, drawUnits, fieldOfFile, inUnit, partMesh, sizeText, wanted } from "./files.js";
+import { assign, drawFiles, drawUnits, fieldOfFile, held, inUnit, partMesh, sizeText, wanted } from "./files.js";
 import { Form } from "./form.js";
 import { atFields, errors, fieldName, goTo, issueItem, sorted } from "./issues.js";
 import { goneRobots, Keeping } from "./keeping.js";
@@ -36,13 +36,8 @@ let partTitle = "Part";
 const seen = { signal: null, looked: false }; // what is known of the problem as it stands, for who draws the cell later
 
 async function begin() {
-  const [schema, robots, materials, found, bundled] = await Promise.all([
-    json("/v1/schema"),
-    json("/v1/catalogue/robots"),
-    json("/v1/catalogue/materials"),
-    json("/v1/catalogue/cells"),
-    json("/ui/examples"),
-  ]);
+  const needed = ["/v1/schema", "/v1/catalogue/robots", "/v1/catalogue/materials", "/v1/catalogue/cells", "/ui/examples"];
+  const [schema, robots, materials, found, bundled] = await patiently(() => Promise.all(needed.map((path) => json(path))));
   cells = found.entries;
   catalogue = Object.keys(robots.entries);
   examples = bundled;
@@ -65,12 +60,12 @@ async function begin() {
   });
   drawSweep = setUpSweep(state, () => wanted(state), draft, (error) => (error instanceof Refused ? tellIssues(error.issues, false) : tell(error)));
   keeping = new Keeping(state, putIn);
-  await keeping.load();
+  await patiently(() => keeping.load());
   $("kept").addEventListener("change", chooseKept);
   drawProcesses("", chooseProcess);
   if (asked.has("draft")) return takeKept(asked.get("draft"), true);
   if (asked.has("template")) return takeKept(asked.get("template"), false);
-  if (asked.has("job")) take({ ...(await fromJob(asked.get("job"))), job: asked.get("job") });
+  if (asked.has("job")) take({ ...(await patiently(() => fromJob(asked.get("job")))), job: asked.get("job") });
   else if (asked.has("example")) await begun(asked.get("example"));
   else if (asked.has("process")) await chooseProcess(asked.get("process"));
 }
@@ -167,7 +162,7 @@ function afterwards() {
 
 // What was kept, as the draft that goes on, or as the start of a new one.
 async function takeKept(id, goesOn) {
-  const found = await fromDraft(id);
+  const found = await patiently(() => fromDraft(id));
   state.example = "";
   take(found);
   if (goesOn) {
@@ -212,6 +207,7 @@ async function chooseCell(name) {
 }
 
 function changed() {
+  state.sending = null;
   if (!$("banner").classList.contains("warn")) banner("");
   drawChanges();
   draft.changed();
@@ -311,7 +307,7 @@ function drawTabs() {
     show($("size"), name === "part");
     $("view-title").textContent = name === "part" ? partTitle : name === "cell" ? "Cell in 3D" : "Axis map";
     if (name !== "part" && !cell) {
-      const { CellPanel } = await import("./cell_panel.js");
+      const { CellPanel } = await script("cell_panel.js");
       cell ??= new CellPanel(state, () => wanted(state), (path) => form.reshape(path, at(state.problem, path)));
       cell.begin(seen.signal, seen.looked);
     }
@@ -362,7 +358,9 @@ function remove(field) {
   announce(`${fieldName(field)} is removed`);
 }
 
-async function addFiles(list) {
+async function addFiles(chosen) {
+  const list = await held(chosen);
+  if (!list.length) return;
   for (const file of list) {
     state.files.set(file.name, file);
     const path = assign(state.problem, file.name, state.process);
@@ -373,7 +371,11 @@ async function addFiles(list) {
 }
 
 async function openProblem(chosen) {
-  const { problems, files } = await sortFiles(chosen);
+  await started; // what is chosen before the form is there waits for it
+  if (!form) return; // why there is none is told
+  const own = await held(chosen);
+  if (!own.length) return;
+  const { problems, files } = await sortFiles(own);
   if (problems.length > 1) return openBatch({ problems, files }); // beside what is edited here
   const list = [...problems, ...files];
   if (!(await mayLeave("Drop them and open the file"))) return;
@@ -394,7 +396,7 @@ async function sendAsItIs(list) {
   if (!body) return;
   show($("check-card"), true);
   try {
-    await post("/ui/preview", { body: upload(body, []) });
+    await patiently(() => post("/ui/preview", { body: upload(body, []) }));
   } catch (error) {
     if (!(error instanceof Refused)) return tell(error);
     tellIssues(error.issues, false);
@@ -406,13 +408,21 @@ async function start() {
   say("busy", "Sending …");
   try {
     const version = await draft.version(); // that which is sent, whatever is typed meanwhile
-    const made = await (await post("/v1/jobs", { body: upload(state.problem, wanted(state)) })).json();
+    const [body, headers, own] = [upload(state.problem, wanted(state)), once(), (state.sending = {})];
+    const send = () => {
+      if (state.sending === own) return post("/v1/jobs", { body, headers });
+      throw new Refused(0, [{ code: "service.request", severity: "error", message: "the problem was changed while the service could not be reached; start planning once more" }]);
+    };
+    const made = await (await patiently(send)).json();
     if (version) await sentAs(version, made.id).catch(() => null); // the job is made, whatever becomes of its draft
     state.sent = true;
     location.assign(`/ui/jobs/${made.id}`);
   } catch (error) {
-    if (error instanceof Refused) tellIssues(error.issues, false);
-    else tell(error);
+    if (error instanceof Refused && error.status === 422) tellIssues(error.issues, false);
+    else {
+      check(); // so that it can be sent again
+      tell(error);
+    }
     if (errors(state.issues ?? [])[0]?.field) goTo(errors(state.issues)[0].field);
   }
 }
@@ -421,19 +431,22 @@ setUpBatch();
 $("go").addEventListener("click", start);
 $("form").addEventListener("submit", (event) => event.preventDefault());
 $("choose").addEventListener("click", () => $("files").click());
-$("files").addEventListener("change", () => addFiles([...$("files").files]).then(() => ($("files").value = "")));
+$("files").addEventListener("change", () => addFiles([...$("files").files]).finally(() => ($("files").value = "")));
 $("open-problem").addEventListener("click", () => $("problem-file").click());
-$("problem-file").addEventListener("change", () => openProblem([...$("problem-file").files]).then(() => ($("problem-file").value = "")));
+$("problem-file").addEventListener("change", () => openProblem([...$("problem-file").files]).finally(() => ($("problem-file").value = "")));
 for (const name of ["dragover", "drop"])
   addEventListener(name, (event) => {
     event.preventDefault();
     $("drop").classList.toggle("over", name === "dragover");
     if (name === "drop" && form && !$("rest").hidden) addFiles([...event.dataTransfer.files]);
-    else if (name === "drop" && form) openProblem([...event.dataTransfer.files]);
+    else if (name === "drop") openProblem([...event.dataTransfer.files]);
   });
 addEventListener("beforeunload", (event) => !state.sent && !draft?.kept() && unsent() && event.preventDefault());
 addEventListener("dragleave", () => $("drop").classList.remove("over"));
 
 drawTabs();
-await begin().catch(tell);
+const started = begin().catch(tell);
+if ($("problem-file").files.length) $("problem-file").dispatchEvent(new Event("change")); // chosen before there was this script
+await started;
+ready();
 if (location.hash) goTo(decodeURIComponent(location.hash.slice(1)));

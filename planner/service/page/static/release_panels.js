@@ -17,13 +17,14 @@ export function drawReleasePanels(panels) {
 }
 
 // path(): the element's address; panels(): as they are shown now; after(): reads them anew.
-export async function setUpReleasePanels(path, panels, after) {
-  const who = await me;
-  const named = Boolean(who && !who.tokens); // nobody is known by a token
+export function setUpReleasePanels(path, panels, after) {
+  let named = false; // nobody is known by a token
   let shown = [];
-  show($("release-who"), named);
-  $("release-name").required = named;
-  $("release-all").addEventListener("click", () => {
+  $("release-all").addEventListener("click", async () => {
+    const who = await me;
+    named = Boolean(who && !who.tokens);
+    show($("release-who"), named);
+    $("release-name").required = named;
     shown = toRelease(panels());
     const left = panels().length - shown.length;
     $("release-count").textContent = `${plural(shown.length, "panel")}${left ? `; ${plural(left, "other")} not: not proven, released already, or withdrawn` : ", all that there are"}.`;

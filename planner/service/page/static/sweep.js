@@ -1,5 +1,6 @@
 // A field at several values: a job for each, all or none.
-import { post, upload } from "./api.js";
+import { once, post, upload } from "./api.js";
+import { patiently } from "./common.js";
 import { $, h } from "./dom.js";
 import { fieldName } from "./issues.js";
 
@@ -37,7 +38,8 @@ export function setUpSweep(state, files, draft, refused) {
     try {
       const version = await draft.version();
       if (version) asked.append("draft", `${version.id}@${version.number}`);
-      await post(`/v1/sweeps?${asked}`, { body: upload(state.problem, files()) });
+      const [body, headers] = [upload(state.problem, files()), once()];
+      await patiently(() => post(`/v1/sweeps?${asked}`, { body, headers }));
       state.sent = true;
       location.assign(`/?${new URLSearchParams({ tag: $("sweep-tag").value.trim().normalize("NFC") })}`);
     } catch (error) {

@@ -12,26 +12,38 @@
     chosen = null; // storage may be forbidden; the system's choice holds
   }
   apply(chosen);
-  addEventListener("DOMContentLoaded", () => {
+  const dark = () =>
+    root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  const tell = () => {
     const button = document.getElementById("theme");
-    const dark = () =>
-      root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-    const tell = () => {
-      const text = dark() ? "Use light colours" : "Use dark colours";
-      button.title = text;
-      button.setAttribute("aria-label", text);
-    };
-    button.addEventListener("click", () => {
-      const next = dark() ? "light" : "dark";
-      apply(next);
-      try {
-        localStorage.setItem("tandem-theme", next);
-      } catch {
-        return tell();
-      }
-      tell();
-      dispatchEvent(new Event("themechange"));
-    });
+    if (!button) return;
+    const text = dark() ? "Use light colours" : "Use dark colours";
+    button.title = text;
+    button.setAttribute("aria-label", text);
+  };
+  // heard from the first paint on, before there are the scripts of the page
+  addEventListener("click", (event) => {
+    if (!event.target.closest?.("#theme")) return;
+    const next = dark() ? "light" : "dark";
+    apply(next);
+    try {
+      localStorage.setItem("tandem-theme", next);
+    } catch {
+      return tell();
+    }
     tell();
+    dispatchEvent(new Event("themechange"));
   });
+  document.addEventListener("readystatechange", tell);
+  // a file that is dropped takes the place of no page, whoever hears it or does not
+  for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event.dataTransfer?.types.includes("Files") && event.preventDefault());
+  // a page whose scripts do not come stays disabled, and says so
+  const stuck = (event) => {
+    const place = event.target instanceof HTMLScriptElement && document.getElementById("banner");
+    if (!place) return;
+    place.textContent = "This page was not loaded whole, and nothing on it works. Load it anew.";
+    place.className = "banner bad";
+    place.hidden = false;
+  };
+  addEventListener("error", stuck, true);
 })();
