@@ -59,7 +59,8 @@ class LinearTrack:
     """A linear axis that an arm's base stands on: with its value v [m] the base is moved by v times ``axis``
     (3,), a unit vector of the world. ``low`` to ``high`` [m] is its range, ``speed`` [m/s] and
     ``acceleration`` [m/s2] are its own; ``unit`` is its mechanical unit's name, ``home`` [m] where it stands
-    before a program begins."""
+    before a program begins. ``follow``: the share of the tool's way along it that it goes along while the arm
+    works, None where it stands then."""
 
     axis: FloatArray
     low: float
@@ -68,6 +69,7 @@ class LinearTrack:
     acceleration: float
     unit: str
     home: float
+    follow: float | None = None
 
     def moved(self, base: FloatArray, value: float) -> FloatArray:
         """A base (4, 4) of value 0, at another value [m]."""
@@ -194,6 +196,11 @@ class Arm:
     given: RobotData | None = None
     track: LinearTrack | None = None
     station: float | None = None
+
+    @property
+    def follows(self) -> bool:
+        """Whether its track goes along while it works."""
+        return self.track is not None and self.track.follow is not None
 
     def at_station(self, value: float) -> Arm:
         """The arm of a cell where its track has this value [m]; raises ``ValueError`` for one without."""
