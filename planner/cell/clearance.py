@@ -575,7 +575,7 @@ def _names(model: CellModel, a: int, b: int) -> tuple[str, str]:
 @contextmanager
 def _ignored(model: CellModel, ignore: Pairs) -> Iterator[None]:
     """Pairs that the checker leaves out within this block; pairs of fixed bodies are left out anyway."""
-    checker = model.checker
+    checker = model.at_rows(0).checker
     before = np.array(checker.GetFilteredCollisionMatrix())
     changed = before.copy()
     for pair in ignore:

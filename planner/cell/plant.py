@@ -300,7 +300,7 @@ class CellModel:
         return np.concatenate(columns, axis=1)
 
     def tcp(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """TCP poses {arm: (B, 4, 4)} in the world for {arm: (B, 6)}, bases in each row as they stand there."""
+        """TCP poses {arm: (B, 4, 4)} in the world for {arm: (B, 6)}, bases as they stand in each row."""
         return {
             arm: self.bases[arm] @ forward(self.robots[arm], rows) @ self.cell.arm(arm).tool.tcp
             for arm, rows in q.items()
@@ -368,7 +368,7 @@ class CellModel:
         return any(base.ndim > 2 for base in self.bases.values())
 
     def at_rows(self, rows: IndexArray | int) -> CellModel:
-        """The model of some rows of what is asked (K,), or of one alone, with bases where they stand in these;
+        """The model of some rows (K,) of what is asked, or of one alone, bases where they stand in these;
         itself where they stand in one place."""
         if not self.rides:
             return self

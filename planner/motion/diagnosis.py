@@ -232,7 +232,7 @@ def _blocking(
     index = np.full(len(samples), dead.index)
     wanted = scene.settings.clearance
     found: dict[tuple[str, str], set[int]] = {}
-    there = scene.at(targets, index).model or scene.model
+    there = scene.bodies(targets, index) or scene.model
     for ignore, rows in scene.by_kind(targets, index):
         part = scene.model.stack({arm: v[rows] for arm, v in q.items()})
         every = clearance.gradients_at(there.at_rows(rows), part, wanted + TOUCHING_M, ignore)

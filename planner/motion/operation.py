@@ -246,7 +246,7 @@ def _avoid(scene: Scene, targets: Targets) -> Avoid | None:
     if scene.model is None:
         return None
     kinds = scene.by_kind(targets, np.arange(targets.count))
-    model = scene.at(targets).model or scene.model
+    model = scene.bodies(targets) or scene.model
     return Avoid(model, targets.arms, scene.settings.clearance, CLEARANCE_WEIGHT, kinds)
 
 
@@ -481,6 +481,9 @@ def _clock(
     try:
         rounded = functools.partial(joint_path.corner_shares, scene, targets, samples)
         fastest = np.maximum.reduce(list(lengths.values())) / settings.tcp_speed
+        for arm, values in targets.ride.items():  # ramps are faster in between for a track as for a tool
+            top = settings.speed_fraction * scene.tracks[arm][0].speed
+            fastest = np.maximum(fastest, np.abs(np.diff(values, prepend=values[0])) / top)
         own = settings.acceleration_fraction * strength
         limits = Limits(speed, own, least, rounded(least), fastest)
         targets, path, ticks = move_limits.clocked_with_stops(scene, targets, samples, limits, rounded, known)

@@ -264,7 +264,7 @@ class Scene:
 
     Where a base rides along (:attr:`Targets.ride`) its chain stands where the track is at its station, and
     poses of TCPs that joints are found of are those seen from there: shifted back by the way that the base
-    has gone (:meth:`tcp`). A straight move is straight there as well. :meth:`at` has the bodies where they
+    has gone (:meth:`tcp`). A straight move is straight there as well. :meth:`bodies` has them where they
     are. ``tracks`` {arm: (its track, its station [m])}.
     """
 
@@ -295,7 +295,7 @@ class Scene:
         self, targets: Targets, index: IndexArray | None = None, share: FloatArray | None = None
     ) -> dict[str, FloatArray]:
         """How far {arm: (..., 3)} [m] bases have gone from their stations at targets ``index`` (...,), at all
-        unless stated; or at ``share`` (...,) of the moves that lead to them. Those that stand are left out."""
+        unless stated; or at ``share`` (...,) of the moves that lead there. Those that stand are left out."""
         out = {}
         for arm, values in targets.ride.items():
             track, station = self.tracks[arm]
@@ -319,18 +319,18 @@ class Scene:
         poses = {arm: self.chains[arm].pose(angles) for arm, angles in q.items()}
         return {arm: _shifted(pose, gone[arm]) if arm in gone else pose for arm, pose in poses.items()}
 
-    def at(
+    def bodies(
         self, targets: Targets, index: IndexArray | None = None, share: FloatArray | None = None
-    ) -> Scene:
-        """The scene whose bodies stand, row by row, where bases are at targets, as :meth:`ridden` has them;
-        itself where no base rides."""
+    ) -> CellModel | None:
+        """The model whose bases stand, row by row, where they are at targets, as :meth:`ridden` has them; the
+        scene's own where none rides."""
         if self.model is None or not targets.ride:
-            return self
+            return self.model
         bases = {}
         for arm, gone in self.ridden(targets, index, share).items():
             bases[arm] = np.tile(self.model.bases[arm], (len(gone), 1, 1))
             bases[arm][:, :3, 3] += gone
-        return dataclasses.replace(self, model=self.model.with_bases(bases))
+        return self.model.with_bases(bases)
 
     def standing(self, targets: Targets, row: int) -> Scene:
         """The scene whose bases, chains too, stand where they are at a target; itself where none rides."""
@@ -424,7 +424,7 @@ class Scene:
         if self.model is None or len(index) == 0:
             return np.ones(len(index), dtype=bool)
         ok = np.zeros(len(index), dtype=bool)
-        there = self.at(targets, index if move is None else move, share).model or self.model
+        there = self.bodies(targets, index if move is None else move, share) or self.model
         for ignore, part in self.by_kind(targets, index if move is None else move):
             some = {arm: v[part] for arm, v in q.items()}
             ok[part] = clearance.free(there.at_rows(part), some, self.settings.clearance, ignore | ignored)
@@ -457,7 +457,7 @@ class Scene:
         distance, pair = np.full(len(move), reach), [("", "")] * len(move)
         if self.model is None:
             return LeastClearance(distance, tuple(pair))
-        there = self.at(targets, move).model or self.model
+        there = self.bodies(targets, move) or self.model
         for ignore, rows in self.by_kind(targets, move):
             part = {arm: v[rows] for arm, v in q.items()}
             found = clearance.least(there.at_rows(rows), part, reach, ignore)
@@ -475,7 +475,7 @@ class Scene:
         best, pair, where = reach, ("", ""), 0
         if self.model is None:
             return best, pair, where
-        model = (self.at(targets).model or self.model).with_easing(NOT_EASED)
+        model = (self.bodies(targets) or self.model).with_easing(NOT_EASED)
         aside = own_clearance.other_pairs(model) if own else own_clearance.own_pairs(model)
         for passing, rows in self.by_kind(targets, np.arange(targets.count)):
             part, ignore, here = {arm: v[rows] for arm, v in q.items()}, passing | aside, model.at_rows(rows)

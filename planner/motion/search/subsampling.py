@@ -85,8 +85,8 @@ class Few:
 
     @functools.cached_property
     def distinct_poses(self) -> dict[str, tuple[IndexArray, IndexArray]]:
-        """{arm: (rows with different poses, which of them each row has)} of arms whose frames and bases stand:
-        a holder has few poses."""
+        """{arm: (rows with different poses, which of them each row has)} of arms whose frames and bases
+        stand: a holder has few poses."""
         out = {}
         for arm, holder in holders(self.targets):
             if holder is None and arm not in self.targets.ride:

@@ -116,14 +116,16 @@ def clear(scene: Scene, targets: Targets, samples: Dense) -> BoolArray:
 def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray) -> JointPath:
     """Splines through the samples, by the length of the way in the joints (each by its speed limit (J,)) and
     in space; in cuts by the way of the guarded point, so that an even speed of it is one of the spline too.
-    Tracks that go along are joints behind all others, in m.
+    Tracks that go along are joints behind all others, in m; they go as evenly as the tool, so the way is not
+    theirs.
     """
-    q = np.concatenate([*(samples.q[arm] for arm in targets.arms), rides(targets, samples)], axis=1)
+    joints = np.concatenate([samples.q[arm] for arm in targets.arms], axis=1)
+    q = np.concatenate([joints, rides(targets, samples)], axis=1) if targets.ride else joints
     own = {arm: samples.q[arm] for arm in targets.arms}
     poses = scene.chain_poses(targets, own, samples.move, samples.share)
     places = [poses[arm][:, :3, 3] for arm in targets.arms]
     straight = [pose[:, :3, 3] for pose in in_work_frames(targets, poses).values()]
-    way = np.linalg.norm(np.diff(q, axis=0) / speed, axis=1)
+    way = np.linalg.norm(np.diff(joints, axis=0) / speed[: joints.shape[1]], axis=1)
     way += sum(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in places)
     cut = guarded(targets, samples)
     way = np.where(cut > 0.0, np.maximum(cut, LEAST_ADVANCE_SHARE * way), way)

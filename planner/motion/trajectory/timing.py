@@ -142,7 +142,8 @@ MANY_GRID: Final = 24
 class Limits:
     """Joint speeds and accelerations (J,), the least time (N,) [s] that feeds allow for the move to each
     target, and which share (N,) of the shorter move beside it each corner is rounded over. ``tcp_time`` (N,)
-    [s]: what each move takes at the fastest that tools may go, None where nothing limits them."""
+    [s]: what each move takes at the fastest that tools, and tracks that go along, may go, None where nothing
+    limits them."""
 
     speed: FloatArray
     acceleration: FloatArray
