@@ -13,10 +13,11 @@ from planner import processes
 from planner.cell import clearance, plant
 from planner.issues import TandemError
 from planner.motion import following, stations
+from planner.motion.former import Former
 from planner.pipeline import targets_of
 from planner.problem import LinearTrack
 from planner.targets import ScrewFreedom
-from tests import following_job, track_job
+from tests import following_job
 
 RAIL = LinearTrack(np.array([0.0, 1.0, 0.0]), -1.0, 1.0, 1.0, 1.0, "TRACK_1", 0.0, 1.0)
 
@@ -124,4 +125,14 @@ def test_where_an_arm_that_stands_reaches_not_all_going_along_is_advised(tmp_pat
         i for i in planner.check(following_job.problem(tmp_path, standing)) if i.code == "motion.station"
     ]
     assert issue.hint is not None and "let it go along while the arm works (track: follow: 1)" in issue.hint
-    assert track_job.TRACK.get("follow") is None
+
+
+def test_a_former_plan_of_an_arm_on_a_track_may_be_taken_over() -> None:
+    out = following_job.planned()
+    former = Former(out.plan, out.problem)
+    assert former.unlike(out.problem) == ""
+    base = out.problem.cell.arms[0].base.copy()
+    base[0, 3] += 0.1
+    arm = dataclasses.replace(out.problem.cell.arms[0], base=base)
+    moved = dataclasses.replace(out.problem, cell=dataclasses.replace(out.problem.cell, arms=(arm,)))
+    assert former.unlike(moved) == "the base of arm left stands elsewhere"

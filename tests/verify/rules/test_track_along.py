@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 from planner import processes
+from planner.cell import clearance as cell_clearance
 from planner.cell.kinematics import forward
 from planner.problem import Obstacle
 from planner.reading.cell import ObstacleFile, shape
 from planner.verify.context import Context
 from planner.verify.prove import Prover
-from planner.verify.rules import external_axes
+from planner.verify.replay import clearance_samples
+from planner.verify.rules import clearance, external_axes
 from planner.verify.rules.track_way import track_way
 from tests import following_job
 
@@ -236,3 +238,22 @@ def _on(
 def _told(prover: Prover, *codes: str) -> list[str]:
     found = prover.prove(following_job.planned().programs).issues
     return [issue.message for issue in found if issue.code in codes]
+
+
+def test_of_many_looks_those_in_doubt_have_the_base_where_it_is(
+    context: Context, prover: Prover, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A long motion is measured at some looks first; by what all looks at once give."""
+    models = functools.partial(prover.model, context)
+    some = [look for look in clearance.looks(context) if not look.itself and look.index == 0]
+    (whole,) = clearance.measured(models, some, prover.problem.settings)
+    monkeypatch.setattr(clearance_samples, "MOST_MEASURED", 40)
+    monkeypatch.setattr(clearance, "MEASURED_REACH", 0.4)
+    (part,) = clearance.measured(models, some, prover.problem.settings)
+    assert whole is not None and part is not None and 10 <= len(part.look) < len(whole.look)
+    model = prover.model(context).with_bases(some[0].bases)
+    for look, distance in zip(part.look.tolist(), part.least.distance, strict=True):
+        q = {arm: rows[look : look + 1] for arm, rows in some[0].q.items()}
+        ignore = some[0].ignore | clearance.aside(model, False)
+        alone = cell_clearance.least(model.at_rows(look), q, 0.4, ignore)
+        assert distance == pytest.approx(float(alone.distance[0]), abs=1e-6)
