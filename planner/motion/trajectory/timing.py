@@ -342,7 +342,7 @@ def parameterise(
     ``speed`` and ``acceleration`` (J,) are joint limits, ``corners`` what is to hold besides, which Drake's
     solver does not know. The second value names the solver.
     """
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):  # of joints that hardly move nothing limits the path
         fastest = np.min(speed / np.abs(spline(grid, 1)), axis=1)
     limit = np.minimum(bound, fastest)
     found = path_speeds(spline, grid, limit, acceleration, corners)
