@@ -97,7 +97,8 @@ def along(scene: Scene, targets: Targets, arm: str) -> tuple[FloatArray, FloatAr
 
 def law(track: LinearTrack, share: float, place: FloatArray, gone: FloatArray, offset: float) -> FloatArray:
     """Values (N,) [m] of a track at targets whose tool is at ``place`` (N,) [m] along it and has ``gone``
-    (N,) [m]; ``offset`` [m] is the c of the law."""
+    (N,) [m]; ``offset`` [m] is the c of the law. No move takes the track farther than the tool, so zones that
+    suit the tool suit the track."""
     exact = np.clip(share * place + offset, track.low, track.high)
     steps = int(min(max(np.ceil(gone[-1] / GRID_M), 1.0), MOST_STEPS))
     grid = np.linspace(0.0, max(float(gone[-1]), GRID_M), steps + 1)

@@ -35,6 +35,7 @@ def test_the_law_is_the_tools_way_within_the_range_and_its_mean_near_corners() -
         assert values[at] == pytest.approx(-1.0 + share * following.SMOOTHED_M / 6.0, abs=1e-3)
         assert np.abs(values - exact).max() < share * following.SMOOTHED_M / 6.0 + 2e-3
         assert values.min() >= -1.0 and values.max() <= 1.0
+        assert np.abs(np.diff(values)).max() < share * 0.005 + 1e-6  # never farther than the tool
         second = np.diff(values, 2) / 0.005**2  # by the way: at most k / W
         assert np.abs(second).max() < 1.1 * share / following.SMOOTHED_M
 

@@ -224,18 +224,9 @@ def corner_shares(scene: Scene, targets: Targets, samples: Dense, duration: Floa
         found = corner_rounding.shares(pose[:, :3, 3] / MM, quaternion, duration[1:], levers, deviation)
         zone[1:-1] = np.minimum(zone[1:-1], found[0])
         own[1:-1] = np.minimum(own[1:-1], found[1])
-    for arm, values in targets.ride.items():  # a zone is as long for the track as for the tool
-        way = np.abs(np.diff(values))
-        tool = np.linalg.norm(np.diff(poses[arm][:, :3, 3], axis=0), axis=1)
-        zone[1:-1] *= np.minimum(1.0, _shorter(tool) / np.maximum(_shorter(way), 1e-9))
     if scene.model is not None and scene.model.cell.controller.path == "spline":
         zone[1:-1] = 0.0  # blocks have none: the proof rounds their corners as it does where there is no zone
     return np.asarray(np.maximum(np.maximum(zone, own), LEAST_CORNER_SHARE))
-
-
-def _shorter(way: FloatArray) -> FloatArray:
-    """The shorter one (N - 2,) of the ways (N - 1,) beside each inner target."""
-    return np.minimum(way[:-1], way[1:])
 
 
 def from_stop_to_stop(spline: CubicSpline, acceleration: FloatArray) -> float:
