@@ -6,14 +6,17 @@ import dataclasses
 import functools
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import planner
 from planner import processes
 from planner.cell import clearance as cell_clearance
 from planner.cell.kinematics import forward
+from planner.motion.planning_scene import Scene
 from planner.problem import Obstacle
 from planner.reading.cell import ObstacleFile, shape
 from planner.verify.context import Context
@@ -257,3 +260,15 @@ def test_of_many_looks_those_in_doubt_have_the_base_where_it_is(
         ignore = some[0].ignore | clearance.aside(model, False)
         alone = cell_clearance.least(model.at_rows(look), q, 0.4, ignore)
         assert distance == pytest.approx(float(alone.distance[0]), abs=1e-6)
+
+
+def test_a_planner_that_leaves_bodies_at_the_station_is_not_believed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The post is where the tool passes as the base goes along."""
+    post = {**GATE, "pose": {"xyz_mm": [430, 300, 610]}}
+    made = following_job.problem(tmp_path, obstacles=[{"name": "post", "shapes": [post]}])
+    monkeypatch.setattr(Scene, "bodies", lambda scene, *_: scene.model)
+    outcome = planner.plan(made)
+    assert not outcome.verified
+    assert {issue.code for issue in outcome.proof.issues} == {"verify.clearance"}
