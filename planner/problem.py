@@ -16,7 +16,14 @@ import numpy as np
 from planner.catalogue.materials import Foam, SheetMetal
 from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.claims.claim import ForceFrame
-from planner.claims.vocabulary import CLOSED, KEEP_OFF, KEEP_OFF_POSITIONER, KEEP_OFF_TABLE, Handshake
+from planner.claims.vocabulary import (
+    CLOSED,
+    KEEP_OFF,
+    KEEP_OFF_POSITIONER,
+    KEEP_OFF_RIDING,
+    KEEP_OFF_TABLE,
+    Handshake,
+)
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape, exp_rotation
 from planner.geometry.units import DEG
 from planner.issues import Issue
@@ -59,7 +66,8 @@ class LinearTrack:
     """A linear axis that an arm's base stands on: with its value v [m] the base is moved by v times ``axis``
     (3,), a unit vector of the world. ``low`` to ``high`` [m] is its range, ``speed`` [m/s] and
     ``acceleration`` [m/s2] are its own; ``unit`` is its mechanical unit's name, ``home`` [m] where it stands
-    before a program begins."""
+    before a program begins. ``follow``: the share of the tool's way along it that it goes along while the arm
+    works, None where it stands then."""
 
     axis: FloatArray
     low: float
@@ -68,6 +76,7 @@ class LinearTrack:
     acceleration: float
     unit: str
     home: float
+    follow: float | None = None
 
     def moved(self, base: FloatArray, value: float) -> FloatArray:
         """A base (4, 4) of value 0, at another value [m]."""
@@ -80,12 +89,16 @@ STOCK: Final = "stock"
 """What a turntable carries, by the name that it has among stations: no arm can be called so."""
 TILT: Final = "stock/tilt"
 """The value of a positioner's tilt axis among stations: no arm can be called so."""
+END: Final = "/end"
+"""Behind an arm's name among stations: the value of its track behind an operation in which it goes along."""
 PLATE: Final = "turntable"
 """Name of the body of the cell that is a turntable's plate."""
 
 
+FOLLOWING_WRITTEN: Final = ("ABB",)
+"""Families of arms in whose language tracks are written that go along while the arm works,"""
 AXES_WRITTEN: Final = ("ABB", "KUKA")
-"""Families of arms in whose language tracks and turntables are written,"""
+"""tracks and turntables that stand then,"""
 TILTS_WRITTEN: Final = ("ABB",)
 """and positioners."""
 
@@ -194,6 +207,11 @@ class Arm:
     given: RobotData | None = None
     track: LinearTrack | None = None
     station: float | None = None
+
+    @property
+    def follows(self) -> bool:
+        """Whether its track goes along while it works."""
+        return self.track is not None and self.track.follow is not None
 
     def at_station(self, value: float) -> Arm:
         """The arm of a cell where its track has this value [m]; raises ``ValueError`` for one without."""
@@ -534,6 +552,12 @@ def any_lean(operation: Operation) -> bool:
     return bool(getattr(operation, "any_lean", False))
 
 
+def any_base(operation: Operation) -> bool:
+    """Whether the base of its arm may ride along while an operation is worked at: only where its process says
+    so (``any_base = True`` of its schema)."""
+    return bool(getattr(operation, "any_base", False))
+
+
 def lights_torch(operation: Operation) -> bool:
     """Whether the signal of an operation lights a torch: that of one that trims, but by a mill."""
     return operation.process == "trim" and getattr(getattr(operation, "by", None), "kind", "torch") == "torch"
@@ -655,7 +679,8 @@ class Problem:
     ``forces`` {index of an operation: {arm: force}}: what the work exerts on tools; those of operations of
     one setup are alike. ``stations`` {index of an operation: {arm: value [m] of its track, :data:`STOCK`:
     value [rad] of the turntable, :data:`TILT`: of its tilt}}: where arms on tracks and the block stand in it;
-    where nothing is said they stay, at first at home.
+    where nothing is said they stay, at first at home. A track that goes along stands there before the first
+    target, and behind the last one where its arm's name with :data:`END` says.
     """
 
     name: str
@@ -710,7 +735,8 @@ class Problem:
                 tracked |= self.stations.get(index, {})
                 stands = dataclasses.replace(cell, arms=tuple(_standing(arm, tracked) for arm in cell.arms))
                 stands = stands.tilted(tracked.get(TILT, 0.0))
-                steps += tuple(_keep_off(arm) for arm in stands.arms if arm.track is not None)
+                on = [arm for arm in stands.arms if arm.track is not None]
+                steps += tuple(_keep_off(arm, arm.follows and arm.name in operation.arms) for arm in on)
                 if table is not None and stock.place is not None:
                     stock = stock.at_station(table, {name: tracked[name] for name in table.axes})
                     steps += (_keep_off_table(table, stock.stands),)
@@ -718,6 +744,8 @@ class Problem:
             else:
                 out[-1] = dataclasses.replace(out[-1], operations=(*out[-1].operations, index))
             left = operation.leaves(left)
+            gone = [name for name in tracked if name.endswith(END)]
+            tracked |= {name.removesuffix(END): tracked.pop(name) for name in gone}
         return tuple(out)
 
     @property
@@ -779,10 +807,11 @@ def _back(arm: Arm) -> Arm:
     return dataclasses.replace(arm, base=arm.track.moved(arm.base, way), station=arm.track.home)
 
 
-def _keep_off(arm: Arm) -> str:
-    """What the operator does before a track goes to a station."""
+def _keep_off(arm: Arm, rides: bool = False) -> str:
+    """What the operator does before a track goes to a station, and perhaps ``rides`` along from there."""
     unit = arm.track.unit if arm.track is not None else ""
-    return KEEP_OFF.filled(arm=arm.name, unit=unit, value=f"{1e3 * (arm.station or 0.0):.3f}")
+    said = KEEP_OFF_RIDING if rides else KEEP_OFF
+    return said.filled(arm=arm.name, unit=unit, value=f"{1e3 * (arm.station or 0.0):.3f}")
 
 
 def _keep_off_table(table: Turntable, values: Mapping[str, float]) -> str:

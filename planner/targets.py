@@ -203,6 +203,8 @@ class Targets:
     corners may be rounded off; ``may_stop``, whether a single arm may stop at further targets, where it is
     asked for no least feed and a sharp corner takes longer than a stop; ``may_join``, whether targets on one
     line may be left out, and moves slowed, where moves are shorter than controllers like.
+    ``ride`` {arm: (N,)} [m]: the values of tracks that go along, at each target; between targets they change
+    as evenly as the tool goes. Arms that are not named stand.
     ``feed_throughout``: the feeds bind at every instant, not only each move as a whole. ``feed_source``: what
     the feed of each place is read from ("the G-code file"), of which no curve can keep more than one in a
     segment; empty where nothing is.
@@ -231,6 +233,7 @@ class Targets:
     may_join: bool = False
     feed_throughout: bool = True
     feed_source: str = ""
+    ride: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
     @property
     def count(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
 from pathlib import Path
 
@@ -14,12 +15,13 @@ import planner
 from planner import processes
 from planner.batch.run import figures
 from planner.cli.results import write_pages
+from planner.geometry.arrays import FloatArray
 from planner.issues import has_errors
-from planner.pipeline import looked_over, plan, verify
-from planner.report import scene
+from planner.pipeline import Outcome, looked_over, plan, verify
+from planner.report import cad_export, motion_file, scene
 from planner.report.output import cell_model
 from planner.verify.context import Context
-from tests import track_job
+from tests import following_job, track_job
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 
@@ -148,3 +150,65 @@ def test_a_place_that_is_searched_and_a_track_are_refused_together(tmp_path: Pat
     path.write_text(yaml.safe_dump(data))
     (issue,) = [i for i in planner.check(planner.load(path)) if i.code == "problem.track"]
     assert issue.field == "stock.place"
+
+
+def test_one_cut_of_six_metres_is_in_reach_as_the_track_goes_along() -> None:
+    problem = planner.load(PROBLEMS / "long_wall" / "one_cut.yaml")
+    (arm,) = problem.cell.arms
+    assert arm.follows and len(problem.operations) == 1
+    found = looked_over(problem, 6)
+    assert not has_errors(found.issues) and found.targets >= 6
+
+
+@pytest.mark.long
+def test_one_cut_of_six_metres_is_milled_and_proven(tmp_path: Path) -> None:
+    outcome = plan(planner.load(PROBLEMS / "long_wall" / "one_cut.yaml"))
+    assert outcome.verified
+    (made,) = outcome.plan.operations
+    place = outcome.plan.places[0] @ made.targets.pose["robot"]
+    cut = np.array([segment.works and not segment.phase for segment in made.targets.segment])
+    assert np.ptp(place[cut, 1, 3]) > 5.9  # in one run, by an arm that reaches 2.8 m
+    assert not made.targets.stop[cut][:-1].any()
+    outcome.save(tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "while the arm works goes along" in page and "base frame moved by" in page
+    again = write_pages(tmp_path)  # of the files alone
+    assert again.ok
+
+
+def test_report_and_files_show_the_arm_where_its_track_takes_it(tmp_path: Path) -> None:
+    outcome = following_job.planned()
+    problem, made = outcome.problem, outcome.plan.operations[0]
+    wanted, values = made.targets.pose["left"][:, :3, 3], made.targets.ride["left"]
+    run = scene.track(problem, outcome.plan, 200)
+    model = cell_model(problem, outcome.plan)
+    shown = scene.extract(model)
+    poses = scene.ridden(shown, problem.setups, run.setup, shown.poses(run.q), run.stands)
+    tip = (poses["left/tool"] @ problem.cell.arms[0].tool.tcp)[:, :3, 3]
+    work = np.array([segment.kind == "move" for segment in run.segment]) & (run.operation == 0)
+    near = np.linalg.norm(tip[work][:, None] - wanted, axis=2)
+    assert near.min(axis=0)[[0, -1]].max() < 0.02 and near.min(axis=1).max() < 0.04
+    assert run.stands["left"][-1] == 0.0 and np.ptp(run.stands["left"]) > 2.5
+    told = json.loads(motion_file.text(problem, outcome.plan))["operations"]
+    np.testing.assert_allclose(told[0]["arms"]["left"]["track_mm"], 1e3 * values, atol=1e-6)
+    np.testing.assert_allclose(
+        np.array(told[0]["arms"]["left"]["tcp"])[:, :3], 1e3 * wanted, rtol=0, atol=1e-5
+    )
+    assert told[1]["stations_mm"] == {"left": pytest.approx(1e3 * made_of(outcome, 1)[0], abs=1e-6)}
+    at = cad_export.moment(problem, outcome.plan, float(made.time[30] - made.time[0]))
+    np.testing.assert_allclose(at.bases["left"][1, 3], values[30], atol=1e-9)
+    (way,) = [line for line in cad_export.lines(problem, outcome.plan, at) if line.layer == WAY]
+    np.testing.assert_allclose(way.points, wanted, atol=1e-6)
+    outcome.save(tmp_path)
+    assert write_pages(tmp_path).ok  # of the files alone
+    again = planner.load(tmp_path / "problem" / "problem.yaml")
+    assert verify(again, outcome.programs).ok
+
+
+WAY = "ways::row::left::work"
+"""The layer of the tool's way in the first operation."""
+
+
+def made_of(outcome: Outcome, index: int) -> FloatArray:
+    """Values of the track in an operation."""
+    return outcome.plan.operations[index].targets.ride["left"]

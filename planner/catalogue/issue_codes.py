@@ -374,6 +374,7 @@ CODES: Final[dict[str, Code]] = {
     "verify.external_axes": Code(
         "unit, value or moves of a track, table or positioner are not as they must be"
     ),
+    "verify.track_along": Code("a track that goes along does not by its law, or asks for more than it can"),
     "verify.track_way": Code("bodies come too near on the way of a track, table or positioner to a station"),
     "verify.zone_size": Code("a zone takes more than half of the shorter move beside it"),
     "verify.zero_length": Code("a move goes nowhere"),

@@ -21,7 +21,7 @@ from planner.cell.plant import CellModel
 from planner.cell.support import Ground
 from planner.geometry.arrays import BoolArray, FloatArray, Shape, corners, transform
 from planner.geometry.units import DEG
-from planner.problem import BLIND_SPEED, PLATE, STOCK, TILT, Arm, Problem, RotaryAxis, Setup, Turntable
+from planner.problem import BLIND_SPEED, END, PLATE, STOCK, TILT, Arm, Problem, RotaryAxis, Setup, Turntable
 
 LEVEL: Final = 1e-12
 """Axes whose unit vectors' heights are off 1 by less stand upright."""
@@ -245,7 +245,7 @@ def travels(problem: Problem, places: Sequence[FloatArray]) -> tuple[dict[str, T
                 top = min(speeds[name], float(np.sqrt(way * ramp)))
                 own[name] = Travel(here[name], value, way / top + top / ramp)
         out.append(own)
-        here = {**here, **there}
+        here = {name: there.get(f"{name}{END}", there.get(name, here[name])) for name in here}
     return tuple(out)
 
 

@@ -245,7 +245,7 @@ def _ours(shape: object, pose: FloatArray) -> Shape:
 
 def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> dict[str, FloatArray]:
     """World poses (B, 4, 4) of the links and the tool of one arm at serial angles q (B, 6); the base's is
-    (1, 4, 4).
+    (1, 4, 4), or (B, 4, 4) where it stands elsewhere in each row.
 
     A link's frame is that of the URDF: one of the catalogue is parallel to the base at the controller's zero
     pose; the tool's is the flange.
@@ -258,10 +258,11 @@ def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> d
     turn[6] = np.eye(4)
     if robot.file is not None:
         turn[:6] = inverse(links[-1, :6]) @ robot.file.zero[1:7]
-    frames = base @ links[:-1] @ turn
+    bases = base.reshape(-1, 4, 4)
+    frames = bases[:, None] @ links[:-1] @ turn
     out = {f"{arm}/link_{i + 1}": frames[:, i] for i in range(6)}
     out[f"{arm}/tool"] = frames[:, 6]
-    out[f"{arm}/base_link"] = base[None]
+    out[f"{arm}/base_link"] = bases
     return out
 
 

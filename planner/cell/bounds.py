@@ -648,12 +648,16 @@ class _NearBox:
 
 
 def prepare(
-    solids: Sequence[Solid], filtered: Sequence[tuple[str, str, str]], holder: str | None = None
+    solids: Sequence[Solid],
+    filtered: Sequence[tuple[str, str, str]],
+    holder: str | None = None,
+    riding: Collection[str] = (),
 ) -> Bounds:
     """The bounds of a cell's solids; ``filtered`` are pairs of bodies that are not held apart, ``holder`` is
-    the arm that holds the stock, if any."""
+    the arm that holds the stock, if any, and ``riding`` are bodies that stand elsewhere from row to row."""
     skip = {frozenset(pair[:2]) for pair in filtered}
-    boxed = [is_fixed(s.body, holder) and s.shape.kind in ("box", "mesh") for s in solids]
+    still = [is_fixed(s.body, holder) and s.body not in riding for s in solids]
+    boxed = [own and s.shape.kind in ("box", "mesh") for own, s in zip(still, solids, strict=True)]
     boxes = [s for s, fixed in zip(solids, boxed, strict=True) if fixed]
     rows = [_capsule(s) for s, fixed in zip(solids, boxed, strict=True) if not fixed]
     capsules = tuple(_as_box(s) for s, fixed in zip(solids, boxed, strict=True) if not fixed)

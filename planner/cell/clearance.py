@@ -262,7 +262,7 @@ def free(
     bounds, asked = model.bounds.among(ignore), np.flatnonzero(good)
     for start in range(0, len(asked), CONFIGURATIONS_AT_ONCE):
         some = asked[start : start + CONFIGURATIONS_AT_ONCE]
-        good[some] = bounds.apart(model.poses(_by_arm(model, rows[some])), padding)
+        good[some] = bounds.apart(model.at_rows(some).poses(_by_arm(model, rows[some])), padding)
     return good
 
 
@@ -287,7 +287,7 @@ def stay_free(
     bounds, asked = model.bounds.among(ignore), np.flatnonzero(out)
     for start in range(0, len(asked), CONFIGURATIONS_AT_ONCE):
         some = asked[start : start + CONFIGURATIONS_AT_ONCE]
-        poses = model.poses(_by_arm(model, rows[some]))
+        poses = model.at_rows(some).poses(_by_arm(model, rows[some]))
         out[some] = bounds.stay_apart(poses, padding, far[some], levers)
     return out
 
@@ -303,6 +303,7 @@ def solid_levers(model: CellModel) -> FloatArray:
     postures: from the joint's axis along the links, then to the solid's farthest corner; about the last joint
     that moves it, as far as that corner is from its axis."""
     out = np.zeros((len(model.bounds.given), 6 * len(model.arms)))
+    model = model.at_rows(0)
     placed = model.poses({})
     for i, arm in enumerate(model.arms):
         frames = model.bases[arm] @ link_frames(model.robots[arm], model.cell.arm(arm).home)
@@ -330,11 +331,16 @@ def at_least(
     """Cheap lower bounds (B,) [m] of the least distance between bodies, ``reach`` where it is more."""
     bounds, rows = model.bounds.among(ignore), model.stack(q)
     lower = np.empty(len(rows))
-    for start in range(0, len(rows), CONFIGURATIONS_AT_ONCE):
-        part = slice(start, start + CONFIGURATIONS_AT_ONCE)
-        poses = model.poses(_by_arm(model, rows[part]))
+    for part in _parts(len(rows)):
+        poses = model.at_rows(part).poses(_by_arm(model, rows[part]))
         lower[part], _ = bounds.least(poses, reach + 2.0 * BOUND_ERROR, both=False)
     return np.asarray(np.minimum(lower - BOUND_ERROR, reach))
+
+
+def _parts(count: int) -> Iterator[IndexArray]:
+    """Rows of ``count``, so many at once as are worked out."""
+    for start in range(0, count, CONFIGURATIONS_AT_ONCE):
+        yield np.arange(start, min(start + CONFIGURATIONS_AT_ONCE, count))
 
 
 def _nearest(
@@ -345,9 +351,9 @@ def _nearest(
     bounds = model.bounds.among(ignore)
     distance, deep = np.empty(len(rows)), np.empty(len(rows), dtype=np.bool_)
     pairs: list[tuple[str, str]] = []
-    for start in range(0, len(rows), CONFIGURATIONS_AT_ONCE):
-        part = slice(start, start + CONFIGURATIONS_AT_ONCE)
-        distance[part], solids, deep[part] = bounds.nearest(model.poses(_by_arm(model, rows[part])), reach)
+    for part in _parts(len(rows)):
+        poses = model.at_rows(part).poses(_by_arm(model, rows[part]))
+        distance[part], solids, deep[part] = bounds.nearest(poses, reach)
         for one, other in solids.tolist():
             first, second = sorted((bounds.given[one].body, bounds.given[other].body))
             pairs.append((first, second) if one >= 0 else ("", ""))
@@ -366,14 +372,14 @@ def least(
     distance = np.where(finite, reach, np.nan)
     pairs = [("", "")] * len(rows)
     looked = np.flatnonzero(finite)
-    distance[looked], found, deep = _nearest(model, rows[looked], reach, ignore)
+    distance[looked], found, deep = _nearest(model.at_rows(looked), rows[looked], reach, ignore)
     for i, pair in zip(looked, found, strict=True):
         pairs[i] = pair
     # how deep solids are in one another is Drake's to say
     inside = looked[deep]
     if not len(inside):  # to leave pairs out of Drake's checker and put them back takes longer than all else
         return LeastClearance(distance, tuple(pairs))
-    drake = witness(model, _by_arm(model, rows[inside]), model.easing.by, ignore)
+    drake = witness(model.at_rows(inside), _by_arm(model, rows[inside]), model.easing.by, ignore)
     for i, depth, pair in zip(inside, drake.distance, drake.pair, strict=True):
         if depth < distance[i] and any(pair):
             distance[i], pairs[i] = depth, pair
@@ -390,12 +396,13 @@ def witness(
     pairs = [("", "")] * len(rows)
     asked = np.flatnonzero(np.isfinite(distance))
     with _ignored(model, ignore) if len(asked) else nullcontext():
-        for i in asked:
-            found = _steady(functools.partial(_clearance, model, reach), rows[i])
+        for i in asked.tolist():
+            here = model.at_rows(i)
+            found = _steady(functools.partial(_clearance, here, reach), rows[i])
             each = zip(found.distances(), found.robot_indices(), found.other_indices(), strict=True)
             near = [(float(d), _names(model, int(a), int(b))) for d, a, b in each]
             near = [one for one in near if frozenset(one[1]) not in model.held_in_part]
-            near += _steady(functools.partial(_between_parts, model, ignore), rows[i])
+            near += _steady(functools.partial(_between_parts, here, ignore), rows[i])
             near = [(d + model.easing.of(*pair), pair) for d, pair in near]
             least, pair = min(near, key=lambda one: one[0], default=(np.inf, ("", "")))
             if least < reach:
@@ -443,8 +450,8 @@ def gradients_at(model: CellModel, rows: FloatArray, reach: float, ignore: Pairs
     bodies at any point of the line. Where solids overlap, depth and gradient are Drake's.
     """
     bounds = model.bounds.among(ignore)
-    parts = (rows[i : i + CONFIGURATIONS_AT_ONCE] for i in range(0, len(rows), CONFIGURATIONS_AT_ONCE))
-    return [near for part in parts for near in _gradients(model, part, reach, bounds)]
+    parts = _parts(len(rows))
+    return [near for part in parts for near in _gradients(model.at_rows(part), rows[part], reach, bounds)]
 
 
 def _gradients(model: CellModel, rows: FloatArray, reach: float, bounds: Bounds) -> Iterator[Near]:
@@ -462,7 +469,7 @@ def _gradients(model: CellModel, rows: FloatArray, reach: float, bounds: Bounds)
     slope = _slopes(model, q, row, [s.body for s in bounds.given], solids[some], way[some], place[some])
     for one in np.unique(row[deep]).tolist():
         own = np.flatnonzero(deep & (row == one))
-        _drake_into(model, rows[one], bodies[own], own, gap, slope)
+        _drake_into(model.at_rows(one), rows[one], bodies[own], own, gap, slope)
     for start, end in itertools.pairwise(np.searchsorted(row, np.arange(len(rows) + 1)).tolist()):
         yield Near(gap[start:end], slope[start:end], bodies[start:end])
 
@@ -482,7 +489,8 @@ def _slopes(
     for k, arm in enumerate(model.arms):
         count = np.array([model.joints_of(arm, body) for body in bodies], dtype=np.intp)[solids]
         moved = (np.arange(6) < count.reshape(-1, 2, 1)).astype(np.float64)
-        frames = model.bases[arm] @ link_frames(model.robots[arm], q[arm])[:, :6]
+        base = model.bases[arm].reshape(-1, 1, 4, 4)
+        frames = base @ link_frames(model.robots[arm], q[arm])[:, :6]
         axes = joint_axes(model.robots[arm], frames)[row]
         speed = np.cross(axes, place[:, None] - frames[row, :, :3, 3])
         out[:, 6 * k : 6 * k + 6] = (moved[:, 0] - moved[:, 1]) * np.einsum("mkc,mc->mk", speed, way)
@@ -518,7 +526,7 @@ def overlaps(model: CellModel, tolerance: float = 1e-3) -> tuple[tuple[str, str,
     Bases and the support may stand on obstacles, so what they stand in is looked at only for the stock and
     between bases and the support. A support may not stand in its block, but a clamp may in its sheet.
     """
-    context = model.checker.UpdatePositions(model.home)
+    context = model.at_rows(0).checker.UpdatePositions(model.home)
     query = model.plant.get_geometry_query_input_port().Eval(context)
     out = []
     for a, b in _standing_pairs(model):
@@ -567,7 +575,7 @@ def _names(model: CellModel, a: int, b: int) -> tuple[str, str]:
 @contextmanager
 def _ignored(model: CellModel, ignore: Pairs) -> Iterator[None]:
     """Pairs that the checker leaves out within this block; pairs of fixed bodies are left out anyway."""
-    checker = model.checker
+    checker = model.at_rows(0).checker
     before = np.array(checker.GetFilteredCollisionMatrix())
     changed = before.copy()
     for pair in ignore:

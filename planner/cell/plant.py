@@ -48,7 +48,7 @@ from planner.cell.bodies import (
 )
 from planner.cell.bounds import Bounds, SolidPair, prepare
 from planner.cell.kinematics import forward
-from planner.geometry.arrays import FloatArray, Shape, inverse
+from planner.geometry.arrays import FloatArray, IndexArray, Shape, inverse
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Stock
 from planner.tooling import working_solid
@@ -188,6 +188,9 @@ class CellModel:
     edge, if it has one), "stock", "support", "<obstacle>". A held stock moves with its holder;
     ``stock_pose`` is then only remembered. What is said of distances between bodies counts pairs of
     ``easing`` as farther apart than they are; there are none unless :meth:`with_easing` states them.
+
+    A base whose track follows the work may stand elsewhere in each row of what is asked: it is (B, 4, 4) in
+    ``bases`` then, and :meth:`at_rows` gives the model of some rows. Drake is asked row by row.
     """
 
     cell: Cell
@@ -297,7 +300,7 @@ class CellModel:
         return np.concatenate(columns, axis=1)
 
     def tcp(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """TCP poses {arm: (B, 4, 4)} in the world for {arm: (B, 6)}."""
+        """TCP poses {arm: (B, 4, 4)} in the world for {arm: (B, 6)}, bases as they stand in each row."""
         return {
             arm: self.bases[arm] @ forward(self.robots[arm], rows) @ self.cell.arm(arm).tool.tcp
             for arm, rows in q.items()
@@ -309,8 +312,9 @@ class CellModel:
         world, rows = self.plant.world_frame(), self.stack(q)
         ends = {arm: self._flange(arm) for arm in q}
         out = {arm: np.empty((len(rows), 6, 6)) for arm in q}
+        checker = self.at_rows(0).checker  # where a base stands changes no Jacobian in the world's axes
         for i, row in enumerate(rows):
-            context = self.checker.UpdatePositions(row)
+            context = checker.UpdatePositions(row)
             for arm, (frame, place, columns) in ends.items():
                 out[arm][i] = self.plant.CalcJacobianSpatialVelocity(
                     context, JacobianWrtVariable.kQDot, frame, place, world, world
@@ -357,6 +361,19 @@ class CellModel:
     def with_bases(self, bases: Mapping[str, FloatArray]) -> CellModel:
         """The same cell with the named arms' bases at other poses (4, 4) in the world; nothing is rebuilt."""
         return dataclasses.replace(self, bases={**self.bases, **bases})
+
+    @property
+    def rides(self) -> bool:
+        """Whether a base stands elsewhere from row to row."""
+        return any(base.ndim > 2 for base in self.bases.values())
+
+    def at_rows(self, rows: IndexArray | int) -> CellModel:
+        """The model of some rows (K,) of what is asked, or of one alone, bases where they stand in these;
+        itself where they stand in one place."""
+        if not self.rides:
+            return self
+        some = {arm: base[rows] if base.ndim > 2 else base for arm, base in self.bases.items()}
+        return dataclasses.replace(self, bases=some)
 
     def with_tilted(self, motion: FloatArray) -> CellModel:
         """The same cell with what a positioner tilts moved by a motion (4, 4); nothing is rebuilt."""
@@ -472,7 +489,8 @@ def _new(
     filtered = filter_pairs(checker, names, stock.held_by)
     inspector = checker.model().scene_graph().model_inspector()
     solids = collect(plant, inspector, names, own)
-    bounds = prepare(solids, filtered, stock.held_by)
+    riding = {f"{arm.name}/base_link" for arm in cell.arms if arm.follows}
+    bounds = prepare(solids, filtered, stock.held_by, riding)
     shared = _Shared(plant, checker.model(), checker, mounts, names, filtered, solids, bounds)
     model = CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), placed, robots, shared)
     _leave_out_always_near(model)

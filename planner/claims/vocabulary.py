@@ -190,6 +190,11 @@ KEEP_OFF: Final = Sentence(
     "Keep off the track {unit}: it takes arm {arm}, folded at its home, to {value} mm once this is confirmed."
 )
 """Told before a track goes to a station, of which nothing else tells."""
+KEEP_OFF_RIDING: Final = Sentence(
+    "Keep off the track {unit}: it takes arm {arm}, folded at its home, to {value} mm once this is "
+    "confirmed, and goes along while the arm works."
+)
+"""The same of one that goes along from there."""
 KEEP_OFF_TABLE: Final = Sentence(
     "Keep off the turntable {unit} and what stands on it: it turns to {value} deg once this is confirmed."
 )

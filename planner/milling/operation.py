@@ -359,7 +359,9 @@ class Milling(Strict):
         return tuple(cut_name(cut) for cut in self.cuts)
 
     any_lean: ClassVar[bool] = True
-    """Its targets and claims are the same however the block leans."""
+    """Its targets and claims are the same however the block leans,"""
+    any_base: ClassVar[bool] = True
+    """and wherever the arm stands meanwhile."""
 
     def leaves(self, stock: Stock) -> Stock:
         """The block as it was: what milling takes away only makes room."""

@@ -232,9 +232,10 @@ def _blocking(
     index = np.full(len(samples), dead.index)
     wanted = scene.settings.clearance
     found: dict[tuple[str, str], set[int]] = {}
+    there = scene.bodies(targets, index) or scene.model
     for ignore, rows in scene.by_kind(targets, index):
         part = scene.model.stack({arm: v[rows] for arm, v in q.items()})
-        every = clearance.gradients_at(scene.model, part, wanted + TOUCHING_M, ignore)
+        every = clearance.gradients_at(there.at_rows(rows), part, wanted + TOUCHING_M, ignore)
         for row, near in zip(rows.tolist(), every, strict=True):
             for a, b in near.bodies[near.distance <= wanted].tolist():
                 first, second = sorted((scene.model.body_name(a), scene.model.body_name(b)))

@@ -72,7 +72,8 @@ class Former:
             if before.robot != arm.robot or content_digest(before.given) != content_digest(arm.given):
                 return f"arm {name} is a {before.data.title} there, here a {arm.data.title}"
             given = not arm.base_auto
-            if given and np.abs(self.plan.bases[name] - arm.base).max() > SAME_POSE:
+            stood = self.plan.bases.get(name, before.base)  # the plan has none of arms on tracks
+            if given and np.abs(stood - arm.base).max() > SAME_POSE:
                 return f"the base of arm {name} stands elsewhere"
         counts = [[len(p.setups), len(p.operations)] for p in (self.problem, problem)]
         if counts[0] != counts[1]:
@@ -123,6 +124,7 @@ def _whole(operation: OperationPlan) -> bool:
     shapes += [(q, (count, 6)) for q in operation.q.values()]
     shapes += [(w, (max(len(w), 2), 6)) for w in (*operation.entry.values(), *operation.exit.values())]
     shapes += [(pose, (count, 4, 4)) for pose in targets.pose.values()]
+    shapes += [(values, (count,)) for values in targets.ride.values()]
     return all(array.shape == shape and bool(np.isfinite(array).all()) for array, shape in shapes)
 
 

@@ -101,7 +101,8 @@ def plan_operation(
     families = {scene.chains[arm].robot.family for arm in targets.arms}
     synchronised = cell.controller.sync == "multimove" and families == {"ABB"}
     before = None if former is None else former.ways
-    homeward = ways.BothWays(scene, _ends(targets, better.q), synchronised, begin, before)
+    stands = scene.standing(targets, 0), scene.standing(targets, -1)
+    homeward = ways.BothWays(stands[0], _ends(targets, better.q), synchronised, begin, before, stands[1])
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
         diagnosis.require_moves(scene, targets, found.path.branch, samples)
@@ -134,7 +135,7 @@ def plan_operation(
     watch.lap("timing")
     ends = _ends(targets, better.q)
     if any(not np.array_equal(homeward.ends[arm], ends[arm]) for arm in targets.arms):
-        homeward = ways.BothWays(scene, ends, synchronised, former=before)
+        homeward = ways.BothWays(stands[0], ends, synchronised, former=before, leaving=stands[1])
     entering, leaving = homeward.found(targets)
     watch.lap("entry")
     metrics = {
@@ -245,7 +246,8 @@ def _avoid(scene: Scene, targets: Targets) -> Avoid | None:
     if scene.model is None:
         return None
     kinds = scene.by_kind(targets, np.arange(targets.count))
-    return Avoid(scene.model, targets.arms, scene.settings.clearance, CLEARANCE_WEIGHT, kinds)
+    model = scene.bodies(targets) or scene.model
+    return Avoid(model, targets.arms, scene.settings.clearance, CLEARANCE_WEIGHT, kinds)
 
 
 def _improve(
@@ -470,12 +472,18 @@ def _clock(
     settings = scene.settings
     speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
     strength = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
+    for track, _ in (scene.tracks[arm] for arm in targets.ride):  # joints behind all others
+        speed = np.append(speed, settings.speed_fraction * track.speed)
+        strength = np.append(strength, track.acceleration)
     lengths = tcp_ways(scene, targets, samples)
     least = least_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
     least = least if slowed is None else slowed(targets, least)
     try:
         rounded = functools.partial(joint_path.corner_shares, scene, targets, samples)
         fastest = np.maximum.reduce(list(lengths.values())) / settings.tcp_speed
+        for arm, values in targets.ride.items():  # ramps are faster in between for a track as for a tool
+            top = settings.speed_fraction * scene.tracks[arm][0].speed
+            fastest = np.maximum(fastest, np.abs(np.diff(values, prepend=values[0])) / top)
         own = settings.acceleration_fraction * strength
         limits = Limits(speed, own, least, rounded(least), fastest)
         targets, path, ticks = move_limits.clocked_with_stops(scene, targets, samples, limits, rounded, known)

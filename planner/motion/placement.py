@@ -497,7 +497,7 @@ def margins_at(
 def _poses_at(scene: Scene, few: Few, stock: FloatArray) -> Iterator[tuple[str, FloatArray, IndexArray]]:
     """Each arm with the different poses (K, D, 4, 4) of its TCP, and which of them each state (M,) has."""
     placed = dataclasses.replace(scene, stock=stock)
-    poses = placed.world(few.targets, few.poses)
+    poses = placed.world(few.targets, few.poses, few.index)
     every = np.arange(len(few.index))
     for arm in few.targets.arms:
         rows, back = few.distinct_poses.get(arm, (every, every))

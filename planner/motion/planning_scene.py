@@ -33,7 +33,7 @@ from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, interpolate, inverse, transform
 from planner.geometry.arrays import inverse as rigid_inverse
 from planner.motion import offset_wrist, own_clearance, spherical_wrist, three_parallel
-from planner.problem import Arm, Cell, Settings
+from planner.problem import Arm, Cell, LinearTrack, Settings
 from planner.targets import Targets
 from planner.tooling import FormingTool, working_solid
 
@@ -261,12 +261,18 @@ class Scene:
     ``model`` is the cell's collision model, or None for kinematics alone. Of :meth:`of` it is one in which
     bodies of one arm count as farther apart than they are, so that ``settings.clearance`` can be asked of all
     (:mod:`planner.motion.own_clearance`).
+
+    Where a base rides along (:attr:`Targets.ride`) its chain stands where the track is at its station, and
+    poses of TCPs that joints are found of are those seen from there: shifted back by the way that the base
+    has gone (:meth:`tcp`). A straight move is straight there as well. :meth:`bodies` has them where they
+    are. ``tracks`` {arm: (its track, its station [m])}.
     """
 
     chains: Mapping[str, Chain]
     stock: FloatArray
     settings: Settings
     model: CellModel | None = None
+    tracks: Mapping[str, tuple[LinearTrack, float]] = dataclasses.field(default_factory=dict)
 
     @staticmethod
     def of(
@@ -280,23 +286,89 @@ class Scene:
         """The scene of the named arms of a cell; ``bases`` replaces base poses."""
         moved = bases or {}
         chains = {name: Chain.of(cell.arm(name), moved.get(name)) for name in arms}
-        return Scene(chains, stock, settings, None if model is None else own_clearance.eased(model, settings))
+        stands = [arm for arm in cell.arms if arm.track is not None and arm.name in arms]
+        tracks = {arm.name: (arm.track, arm.station or 0.0) for arm in stands if arm.track is not None}
+        eased = None if model is None else own_clearance.eased(model, settings)
+        return Scene(chains, stock, settings, eased, tracks)
 
-    def world(self, targets: Targets, poses: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """TCP poses in the world of poses {arm: (..., 4, 4)} in the work frames of the targets."""
+    def ridden(
+        self, targets: Targets, index: IndexArray | None = None, share: FloatArray | None = None
+    ) -> dict[str, FloatArray]:
+        """How far {arm: (..., 3)} [m] bases have gone from their stations at targets ``index`` (...,), at all
+        unless stated; or at ``share`` (...,) of the moves that lead there. Those that stand are left out."""
+        out = {}
+        for arm, values in targets.ride.items():
+            track, station = self.tracks[arm]
+            here = values if index is None else values[index]
+            if share is not None and index is not None:
+                before = values[np.maximum(index - 1, 0)]
+                here = before + share * (here - before)
+            out[arm] = (here - station)[..., None] * track.axis
+        return out
+
+    def chain_poses(
+        self,
+        targets: Targets,
+        q: Mapping[str, FloatArray],
+        index: IndexArray,
+        share: FloatArray | None = None,
+    ) -> dict[str, FloatArray]:
+        """TCP poses {arm: (B, 4, 4)} in the world of joints {arm: (B, 6)}, bases where :meth:`ridden` has
+        them."""
+        gone = self.ridden(targets, index, share)
+        poses = {arm: self.chains[arm].pose(angles) for arm, angles in q.items()}
+        return {arm: _shifted(pose, gone[arm]) if arm in gone else pose for arm, pose in poses.items()}
+
+    def bodies(
+        self, targets: Targets, index: IndexArray | None = None, share: FloatArray | None = None
+    ) -> CellModel | None:
+        """The model whose bases stand, row by row, where they are at targets, as :meth:`ridden` has them; the
+        scene's own where none rides."""
+        if self.model is None or not targets.ride:
+            return self.model
+        bases = {}
+        for arm, gone in self.ridden(targets, index, share).items():
+            bases[arm] = np.tile(self.model.bases[arm], (len(gone), 1, 1))
+            bases[arm][:, :3, 3] += gone
+        return self.model.with_bases(bases)
+
+    def standing(self, targets: Targets, row: int) -> Scene:
+        """The scene whose bases, chains too, stand where they are at a target; itself where none rides."""
+        if not targets.ride:
+            return self
+        gone = self.ridden(targets, np.array(row))
+        chains, tracks = dict(self.chains), dict(self.tracks)
+        for arm, way in gone.items():
+            base = self.chains[arm].base.copy()
+            base[:3, 3] += way
+            chains[arm] = dataclasses.replace(self.chains[arm], base=base)
+            tracks[arm] = self.tracks[arm][0], float(targets.ride[arm][row])
+        model = self.model
+        if model is not None:
+            model = model.with_bases({arm: chains[arm].base for arm in gone})
+        return dataclasses.replace(self, chains=chains, model=model, tracks=tracks)
+
+    def world(
+        self, targets: Targets, poses: Mapping[str, FloatArray], index: IndexArray | None = None
+    ) -> dict[str, FloatArray]:
+        """TCP poses in the world of poses {arm: (..., 4, 4)} in the work frames of the targets, at targets
+        ``index`` (...,), at all unless stated; where a base rides as its chain sees them."""
         done: dict[str, FloatArray] = {}
         for arm, holder in holders(targets):
             if holder is not None:
                 done[arm] = done[holder] @ poses[arm]
             else:
                 done[arm] = poses[arm] if targets.frame.get(arm) == "world" else self.stock @ poses[arm]
+        for arm, gone in self.ridden(targets, index).items():
+            done[arm] = _shifted(done[arm], -gone)
         return done
 
     def tcp(
         self, targets: Targets, values: FloatArray, index: IndexArray | None = None
     ) -> dict[str, FloatArray]:
-        """TCP poses in the world {arm: (..., 4, 4)} at freedom values (..., F), as :meth:`Targets.poses`."""
-        return self.world(targets, targets.poses(values, index))
+        """TCP poses in the world {arm: (..., 4, 4)} at freedom values (..., F), as :meth:`Targets.poses`;
+        where a base rides as its chain sees them."""
+        return self.world(targets, targets.poses(values, index), index)
 
     def edge(self, targets: Targets, index: IndexArray) -> FloatArray | None:
         """Points (B, P, 3) of the flexible edge in the world at targets ``index`` (B,), or None without an
@@ -340,19 +412,22 @@ class Scene:
         move: IndexArray | None = None,
         ignored: Pairs = frozenset(),
         edge: bool = True,
+        share: FloatArray | None = None,
     ) -> BoolArray:
         """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, that of the
         flexible ``edge`` included.
 
         ``move`` (B,) are the targets that the moves lead to on which the joints lie, where that is not
-        ``index``. Pairs of bodies in ``ignored`` are not looked at.
+        ``index``, and ``share`` (B,) how much of them is gone. Pairs of bodies in ``ignored`` are not looked
+        at.
         """
         if self.model is None or len(index) == 0:
             return np.ones(len(index), dtype=bool)
         ok = np.zeros(len(index), dtype=bool)
+        there = self.bodies(targets, index if move is None else move, share) or self.model
         for ignore, part in self.by_kind(targets, index if move is None else move):
             some = {arm: v[part] for arm, v in q.items()}
-            ok[part] = clearance.free(self.model, some, self.settings.clearance, ignore | ignored)
+            ok[part] = clearance.free(there.at_rows(part), some, self.settings.clearance, ignore | ignored)
         if not edge:
             return ok
         rows = np.flatnonzero(ok)
@@ -377,13 +452,15 @@ class Scene:
         self, targets: Targets, q: Mapping[str, FloatArray], move: IndexArray, reach: float
     ) -> LeastClearance:
         """Least distances (B,) between bodies, as they count, at joints {arm: (B, 6)} on the moves to targets
-        ``move`` (B,), of those within ``reach`` [m]; without the flexible edge."""
+        ``move`` (B,), at their ends where a base rides, of those within ``reach`` [m]; without the flexible
+        edge."""
         distance, pair = np.full(len(move), reach), [("", "")] * len(move)
         if self.model is None:
             return LeastClearance(distance, tuple(pair))
+        there = self.bodies(targets, move) or self.model
         for ignore, rows in self.by_kind(targets, move):
             part = {arm: v[rows] for arm, v in q.items()}
-            found = clearance.least(self.model, part, reach, ignore)
+            found = clearance.least(there.at_rows(rows), part, reach, ignore)
             distance[rows] = found.distance
             for row, names in zip(rows, found.pair, strict=True):
                 pair[row] = names
@@ -398,18 +475,19 @@ class Scene:
         best, pair, where = reach, ("", ""), 0
         if self.model is None:
             return best, pair, where
-        model = self.model.with_easing(NOT_EASED)
+        model = (self.bodies(targets) or self.model).with_easing(NOT_EASED)
         aside = own_clearance.other_pairs(model) if own else own_clearance.own_pairs(model)
         for passing, rows in self.by_kind(targets, np.arange(targets.count)):
-            part, ignore = {arm: v[rows] for arm, v in q.items()}, passing | aside
-            lower = clearance.at_least(model, part, reach, ignore)
+            part, ignore, here = {arm: v[rows] for arm, v in q.items()}, passing | aside, model.at_rows(rows)
+            lower = clearance.at_least(here, part, reach, ignore)
             order = np.argsort(lower, kind="stable")
             for start in range(0, len(order), DISTANCE_BATCH):
                 some = order[start : start + DISTANCE_BATCH]
                 some = some[lower[some] < best]
                 if not len(some):
                     break
-                found = clearance.least(model, {arm: v[some] for arm, v in part.items()}, best, ignore)
+                q_some = {arm: v[some] for arm, v in part.items()}
+                found = clearance.least(here.at_rows(some), q_some, best, ignore)
                 k = found.worst()
                 if found.distance[k] < best:
                     best, pair, where = float(found.distance[k]), found.pair[k], int(rows[some[k]])
@@ -455,6 +533,13 @@ class Scene:
             for row, pair in zip(rows, found.pair, strict=True):
                 pairs[row] = pair
         return distance, pairs
+
+
+def _shifted(poses: FloatArray, way: FloatArray) -> FloatArray:
+    """Poses (..., 4, 4) moved by ways (..., 3) [m]."""
+    out = np.array(np.broadcast_to(poses, (*np.broadcast_shapes(poses.shape[:-2], way.shape[:-1]), 4, 4)))
+    out[..., :3, 3] += way
+    return out
 
 
 def _held_against(targets: Targets, index: IndexArray) -> list[tuple[Against, IndexArray]]:

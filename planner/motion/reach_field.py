@@ -85,7 +85,7 @@ def _nearest(scene: Scene, few: Targets, arm: str, points: FloatArray) -> tuple[
     """Which target (G,) works nearest to each place, and from its nearest point to there (G, 3)."""
     lines = scene.edge(few, np.arange(few.count))
     if lines is None:
-        tcp = scene.tcp(few, few.neutral())[arm]
+        tcp = scene.tcp(dataclasses.replace(few, ride={}), few.neutral())[arm]
         tool = None if scene.model is None else scene.model.cell.arm(arm).tool
         lines = tcp[:, None, :3, 3]
         if isinstance(tool, Bow):

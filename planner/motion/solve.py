@@ -117,7 +117,7 @@ def solve(
     :class:`TandemError` with the reasons when there is no plan.
     """
     problem, targets = with_room(problem, targets)
-    problem = stations.stationed(problem, targets)
+    problem, targets = stations.stationed(problem, targets)
     at = [0]
     try:
         return _solve(problem, targets, progress or _silent, at, begin, former)
@@ -197,7 +197,7 @@ def check(
     if none of these will do."""
     problem, targets = with_room(problem, targets)
     try:
-        problem = stations.stationed(problem, targets, None if first is None else first.passes)
+        problem, targets = stations.stationed(problem, targets, None if first is None else first.passes)
     except TandemError as error:
         return list(error.issues)
     bases: Mapping[str, FloatArray] | None = None

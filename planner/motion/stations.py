@@ -1,5 +1,6 @@
 """Where arms on tracks, or the block on a turntable, stand in each operation: they go there before it, and
-the work is done standing.
+the work is done standing. A track that goes along (:mod:`planner.motion.following`) stands there before the
+first target; what is chosen is its law's offset, the best first.
 
 Values of an axis are a grid over its range. What stood somewhere before stays if the work is as good there;
 else it goes the least way to where the margin is. The first place with a path that is free is taken.
@@ -8,6 +9,7 @@ else it goes the least way to where the margin is. The first place with a path t
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
@@ -18,7 +20,7 @@ from planner.cell.axis_way import AxisWay
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.motion import diagnosis, own_clearance
+from planner.motion import diagnosis, following, own_clearance
 from planner.motion.placement import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
@@ -26,6 +28,8 @@ from planner.motion.search.path_search import find_path, with_aims
 from planner.motion.search.subsampling import few_of
 from planner.problem import (
     AXES_WRITTEN,
+    END,
+    FOLLOWING_WRITTEN,
     STOCK,
     TILT,
     TILTS_WRITTEN,
@@ -34,6 +38,7 @@ from planner.problem import (
     RotaryAxis,
     Setup,
     Turntable,
+    any_base,
     any_lean,
 )
 from planner.targets import Targets
@@ -183,34 +188,45 @@ Passes = Callable[[Scene, Targets, int], bool]
 """Whether the targets of an operation, by its index, can be worked at where all stands in the scene."""
 
 
-def stationed(problem: Problem, targets: Sequence[Targets], passes: Passes | None = None) -> Problem:
-    """The problem with a station of each arm on a track, and of the block on a turntable, in each operation;
-    where an axis can stand says ``passes``, which asks for no way there, by default whether there is a way
-    there and a path. Raises :class:`TandemError`
+def stationed(
+    problem: Problem, targets: Sequence[Targets], passes: Passes | None = None
+) -> tuple[Problem, tuple[Targets, ...]]:
+    """The problem with a station of each arm on a track, and of the block on a turntable, in each operation,
+    and the targets with the values of tracks that go along; where an axis can stand says ``passes``, which
+    asks for no way there, by default whether there is a way there and a path. Raises :class:`TandemError`
     (``motion.station``) where there is none, with the operation, and ``problem.track`` for a block whose
-    place is not stated."""
+    place is not stated, and for tools that slide along a track that goes along."""
     axes: dict[str, _Axis] = {
         arm.name: _Track(arm.name, arm.track) for arm in problem.cell.arms if arm.track is not None
     }
     if problem.cell.turntable is not None:
         axes[STOCK] = _Table(problem.cell.turntable)
     if not axes:
-        return problem
+        return problem, tuple(targets)
     if problem.stock.place is None or any(setup.stock.place is None for setup in problem.setups):
         what = "an arm stands on a track and the block's place is searched; both together are not written "
         raise TandemError(Issue("problem.track", f"{what}yet; state stock.place", field="stock.place"))
     at = problem.homes
     out: dict[int, dict[str, float]] = {}
+    riding: list[Targets] = []
     for index, own in enumerate(targets):
+        gone: dict[str, float] = {}
         for name in axes:  # in the order in which programs move them
             if name in (*own.arms, STOCK):
-                there = problem.stationed({**out, index: at})
-                at = {**at, **_station(there, index, own, axes[name], at, passes)}
-        out[index] = at
+                there, axis = problem.stationed({**out, index: at}), axes[name]
+                if isinstance(axis, _Track) and axis.track.follow is not None:
+                    values = _followed(there, index, own, axis, at, passes)
+                    own = dataclasses.replace(own, ride={name: values})
+                    at, gone = {**at, name: float(values[0])}, {f"{name}{END}": float(values[-1])}
+                else:
+                    at = {**at, **_station(there, index, own, axis, at, passes)}
+        out[index] = {**at, **gone}
+        at = {**at, **{name.removesuffix(END): value for name, value in gone.items()}}
+        riding.append(own)
     made = problem.stationed(out)
     if passes is None:
         _check_way_home(made, axes, at)
-    return made
+    return made, tuple(riding)
 
 
 def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str, float]) -> None:
@@ -218,10 +234,12 @@ def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str
     index = len(problem.operations) - 1
     enough = problem.settings.clearance + WAY_ROOM_M
     homes = problem.homes
+    own = problem.stations.get(index, {})
+    stands = {name: value for name, value in own.items() if not name.endswith(END)}
     for axis in axes.values():
         if all(at[name] == homes[name] for name in axis.names):
             continue
-        setup = problem.stationed({**problem.stations, index: at}).setup_of(index)
+        setup = problem.stationed({**problem.stations, index: {**stands, **at}}).setup_of(index)
         way = axis.way(setup, at, homes, enough)
         at = {**at, **{name: homes[name] for name in axis.names}}
         if not way.clear:
@@ -292,6 +310,61 @@ def _station(
     if first == NO_PATH:
         first = _in_the_way(*_there(problem, index, targets, at, _named(axis, tried[0])))
     raise TandemError(_nowhere(problem, index, axis, grid, score, tried, first))
+
+
+def _followed(
+    problem: Problem,
+    index: int,
+    targets: Targets,
+    axis: _Track,
+    at: Mapping[str, float],
+    passes: Passes | None,
+) -> FloatArray:
+    """The values (N,) [m] of a track that goes along in an operation, with which there is a way to the first
+    one and a path."""
+    scene, name = _scene(problem, index, targets), problem.operations[index].name
+    slides = following.slides(scene, targets, axis.name)
+    if slides > following.MOST_SLIDE_M:
+        what = f"operation {name}: its freedoms let the tool slide by up to {slides / MM:.1f} mm along "
+        what += f"{axis.unit}, which goes along by nominal poses; allowed are "
+        what += f"{following.MOST_SLIDE_M / MM:g} mm; leave them out, or take follow out of the track"
+        raise TandemError(Issue("problem.track", what, arm=axis.name, field=f"operations.{index}"))
+
+    def fault(riding: Targets) -> str:
+        values = riding.ride[axis.name]
+        start = {axis.name: float(values[0])}
+        found = _fault(problem, index, riding, axis, at, start, passes)
+        if found == NO_PATH:
+            return _in_the_way(*_there(problem, index, riding, at, start))
+        return found or ("" if passes is not None else _base_fault(problem, index, axis, at, values))
+
+    found = following.chosen(scene, problem.setup_of(index).cell, targets, axis.name, fault)
+    if not isinstance(found, following.Unreached):
+        return found
+    from_to = f"{found.best[0] / MM:g} to {found.best[-1] / MM:g} mm"
+    what = f"operation {name}: {axis.what} reaches not all of it while {axis.unit} goes along, within "
+    what += f"{axis.ranges} mm; from {from_to} it reaches most"
+    if found.tried:
+        what = f"operation {name}: there is no path while {axis.unit} goes along; tried {found.tried} laws, "
+        what += f"at the best, from {from_to}: {found.fault}"
+    hint = "make the track longer or put it nearer to the work, split the operation, or let the track stand "
+    hint += "(take follow out)"
+    raise TandemError(Issue("motion.station", what, arm=axis.name, hint=hint, field=f"operations.{index}"))
+
+
+def _base_fault(
+    problem: Problem, index: int, axis: _Track, at: Mapping[str, float], values: FloatArray
+) -> str:
+    """What the base itself comes too near to while it goes along with ``values`` (N,) [m]; the rest of the
+    arm is looked at as it works."""
+    low, high = float(values.min()), float(values.max())
+    setup = problem.stationed({**problem.stations, index: {**at, axis.name: low}}).setup_of(index)
+    model = _model(setup)
+    bodies = sorted({solid.body for solid in model.solids})
+    aside = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
+    enough = problem.settings.clearance + WAY_ROOM_M
+    way = axis_way.along(model, axis.name, axis.track.axis, (low, high), _homes(setup), enough, aside)
+    return "" if way.clear else f"as the base goes along {_near(way)}"
 
 
 def _named(axis: _Axis, row: FloatArray) -> dict[str, float]:
@@ -405,6 +478,10 @@ def _nowhere(
         hint += "elsewhere, where the arms reach one side of the block and leave it room to turn"
     else:
         hint = f"split the operation, as an arm stands while it works ({best}), or make the track longer"
+        arms = problem.cell.arms
+        able = len(arms) == 1 and arms[0].data.family in FOLLOWING_WRITTEN and arms[0].sag is None
+        if able and all(map(any_base, problem.operations)):
+            hint += ", or let it go along while the arm works (track: follow: 1)"
     arm = None if table else axis.name
     return Issue("motion.station", what, arm=arm, hint=hint, field=f"operations.{index}")
 

@@ -80,7 +80,8 @@ class BothWays:
 
     They follow from the joints ``ends`` {arm: (2, 6)} at these targets alone: ``begin`` begins them as soon
     as those are known, and they are asked for later. ``former``: ways in and out of a former plan, which are
-    taken where they still hold.
+    taken where they still hold. ``leaving``: the scene where all stands behind the last target, where bases
+    have gone along since the first.
     """
 
     def __init__(
@@ -90,18 +91,20 @@ class BothWays:
         synchronised: bool,
         begin: Begin = here,
         former: tuple[Ways, Ways] | None = None,
+        leaving: Scene | None = None,
     ) -> None:
-        self.ends, self._scene, self._synchronised = ends, scene, synchronised
+        self.ends, self._synchronised = ends, synchronised
+        self._scenes = scene, scene if leaving is None else leaving
         self._former = None if former is None else (former[0], _backwards(former[1]))
         self._first = self._begun(tuple(ends), begin)
 
     def _begun(self, order: tuple[str, ...], begin: Begin) -> list[Iterator[Ways | _Stuck]]:
         """The ways in and out; of two that wait, whoever asks works out the one in beside the other."""
-        scene = dataclasses.replace(self._scene)  # without what it has kept
+        scenes = [dataclasses.replace(scene) for scene in self._scenes]  # without what they have kept
         goals = [{arm: q[row] for arm, q in self.ends.items()} for row in (0, 1)]
         known = self._former or (None, None)
         leaving, entering = (
-            begin(_found, scene, goals[row], order, self._synchronised, known[row]) for row in (1, 0)
+            begin(_found, scenes[row], goals[row], order, self._synchronised, known[row]) for row in (1, 0)
         )
         return [entering, leaving]
 
@@ -111,10 +114,11 @@ class BothWays:
         failed: Issue | None = None
         for order in itertools.permutations(self.ends):
             calls = self._first if order == tuple(self.ends) else self._begun(order, here)
-            for call, row in zip(calls, (0, targets.count - 1), strict=True):
+            ends = zip(calls, self._scenes, (0, targets.count - 1), strict=True)
+            for call, scene, row in ends:
                 ways = next(call)
                 if isinstance(ways, _Stuck):
-                    failed = failed or _blocked(self._scene, targets, ways, row)
+                    failed = failed or _blocked(scene, targets, ways, row)
                     break
             else:
                 entering, leaving = (next(call) for call in calls)

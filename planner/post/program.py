@@ -41,6 +41,8 @@ Outer = tuple[tuple[int, float], ...]
 """External axes of a target: their columns [from 0], each with its value [mm or deg], rounded as written."""
 OUTER_DECIMALS = 4
 """Decimals of their values."""
+TRACK_COLUMN = 0
+"""Column of a track among external axes: the first one, eax_a or E1."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,7 +120,8 @@ class Track:
 
     ``position`` (M, 3) [mm, rounded] and ``quaternion`` (M, 4) [rounded, sign continuous] in the work frame
     ``frame``; ``q`` (M, 6) [rad, serial]; ``duration`` (M,) [s, rounded]; ``distance`` (M,) [mm] of the TCP;
-    ``reach`` (M,) [mm] and ``reach_turn`` (M,) [rad]: the most that a zone at the target may take.
+    ``reach`` (M,) [mm] and ``reach_turn`` (M,) [rad]: the most that a zone at the target may take. ``outer``
+    (M,) [mm, rounded]: values of the arm's track, where it goes along; None where external axes stand.
     """
 
     position: FloatArray
@@ -129,6 +132,7 @@ class Track:
     reach: FloatArray
     reach_turn: FloatArray
     frame: str
+    outer: FloatArray | None = None
 
 
 @dataclasses.dataclass(frozen=True)

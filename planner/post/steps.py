@@ -28,6 +28,7 @@ from planner.post.program import (
     POSITION_DECIMALS,
     QUATERNION_DECIMALS,
     TIME_DECIMALS,
+    TRACK_COLUMN,
     AxesLook,
     Carry,
     Do,
@@ -93,8 +94,6 @@ def _load(plan: Plan, setup: Setup, holder: str) -> Load:
 
 MAX_TASKS = 2
 """Motion tasks of a program at most."""
-TRACK_COLUMN = 0
-"""Column of a track among external axes: the first one, eax_a or E1."""
 SAME_JOINTS = 1e-6
 """Joints [rad] that differ by less are one place, some 0.00005 deg apart."""
 
@@ -215,6 +214,8 @@ class _Builder:
         self._meet(f"all tasks are ready for operation {plan.name}")
         before = dict(self.stands)
         stands = {arm: _outer(arms[arm], setup.cell, _values(setup)) for arm in self.arms}
+        gone = {arm: float(values[-1]) for arm, values in targets.ride.items()}
+        leaves = {arm: _outer(arms[arm], setup.cell, {**_values(setup), **gone}) for arm in self.arms}
         homes = {arm: arms[arm].home for arm in self.arms}
         opened = number == setup.operations[0] and bool(setup.steps)
         for arm in self.arms:
@@ -240,6 +241,9 @@ class _Builder:
                 self._alone(arm, steps[1:] if from_home else steps, f"{arm} stands at its first target")
         self._actions(targets, -1, keep)
         self._blocks(number, targets, keep, segments, meets, duration)
+        for arm in self.arms:
+            self.steps[arm] = [_at_station(step, stands[arm]) for step in self.steps[arm]]
+            self.stands[arm] = leaves[arm]
         if "exit" in plan.together:
             self._at_once({arm: (plan.q[arm][-1], *plan.exit[arm], homes[arm]) for arm in plan.order}, "exit")
         else:
@@ -247,7 +251,7 @@ class _Builder:
                 steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
                 self._alone(arm, steps[1:], f"{arm} is home again")
         for arm in self.arms:
-            self.steps[arm] = [_at_station(step, stands[arm]) for step in self.steps[arm]]
+            self.steps[arm] = [_at_station(step, leaves[arm]) for step in self.steps[arm]]
         if closing is not None:
             self._setup(closing, "all work is done")
             ends = {arm: _outer(arms[arm], closing.cell, _values(closing)) for arm in self.arms}
@@ -614,4 +618,7 @@ def _track(
         1e3 * plan.targets.rounding.turning(arm.name, arm.tool),
         1e3 * plan.targets.rounding.deviations(segments),
     )
-    return Track(position[keep], quaternion[keep], plan.q[arm.name][keep], duration, distance, *room, frame)
+    ride = plan.targets.ride.get(arm.name)
+    outer = None if ride is None else np.round(ride[keep] / MM, OUTER_DECIMALS) + 0.0
+    q = plan.q[arm.name][keep]
+    return Track(position[keep], quaternion[keep], q, duration, distance, *room, frame, outer)

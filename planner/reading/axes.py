@@ -1,7 +1,7 @@
 """Axes beyond an arm in a cell file: a linear track under its base, a turntable or a tilt-turn positioner
 under the block, with what cannot be one told.
 
-Gantries and axes that move while an arm works are not written yet.
+Gantries, and turntables that turn while an arm works, are not written yet.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from planner.issues import Issue, TandemError
 from planner.problem import (
     AXES_WRITTEN,
     BLIND_SPEED,
+    FOLLOWING_WRITTEN,
     PLATE,
     TILTS_WRITTEN,
     Arm,
@@ -28,6 +29,7 @@ from planner.problem import (
     Problem,
     RotaryAxis,
     Turntable,
+    any_base,
     any_lean,
 )
 from planner.reading.strict_yaml import Name, Positive, Strict, Vector
@@ -46,7 +48,8 @@ _UNIT: Final = "its name: of the mechanical unit (`MECHANICAL_UNIT` in MOC.cfg),
 
 
 class TrackFile(Strict):
-    """A linear track under an arm, that takes it from station to station between operations."""
+    """A linear track under an arm, that takes it from station to station between operations, or goes along
+    while the arm works."""
 
     axis: Annotated[Vector, Field(description="direction of growing values in the world, any length")]
     range_mm: Annotated[tuple[float, float], Field(description="least and largest value")]
@@ -54,6 +57,15 @@ class TrackFile(Strict):
     speed_mm_s: Annotated[float, Field(le=5000, description="its highest")]
     acceleration_mm_s2: Annotated[float, Field(le=50_000, description="its highest")]
     home_mm: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
+    follow: Annotated[
+        float | None,
+        Field(
+            gt=0.0,
+            le=1.0,
+            description="the share of the tool's way along it that it goes along while the arm works, within "
+            "its range; none: it stands then",
+        ),
+    ] = None
 
 
 def track(spec: TrackFile | None, arm: Arm, number: int) -> LinearTrack | None:
@@ -81,6 +93,18 @@ def track(spec: TrackFile | None, arm: Arm, number: int) -> LinearTrack | None:
         what = f"arm {arm.name} is of {arm.data.family}; tracks are written for {' and '.join(AXES_WRITTEN)} "
         what += "controllers alone; take the track out and move the base, or take such an arm"
         wrong.append(Issue("problem.track", what, field=field, arm=arm.name))
+    elif spec.follow is not None and arm.data.family not in FOLLOWING_WRITTEN:
+        what = (
+            f"arm {arm.name} is of {arm.data.family}; tracks that go along while the arm works are written "
+        )
+        what += (
+            f"for {' and '.join(FOLLOWING_WRITTEN)} controllers alone; take follow out, so that it stands "
+        )
+        wrong.append(Issue("problem.track", f"{what}then", field=f"{field}.follow", arm=arm.name))
+    if spec.follow is not None and arm.sag is not None:
+        what = f"arm {arm.name} goes along with its track and has its sag compensated; both together are not "
+        what += "written yet; take follow or compensate_sag out"
+        wrong.append(Issue("problem.track", what, field=f"{field}.follow", arm=arm.name))
     if arm.base_auto:
         what = f"arm {arm.name} stands on a track, whose place is not searched; state its base"
         wrong.append(Issue("problem.track", what, field=f"arms.{number}.base_auto", arm=arm.name))
@@ -94,6 +118,7 @@ def track(spec: TrackFile | None, arm: Arm, number: int) -> LinearTrack | None:
         spec.acceleration_mm_s2 * MM,
         spec.unit,
         spec.home_mm * MM,
+        spec.follow,
     )
 
 
@@ -114,6 +139,34 @@ def check_units(arms: Sequence[Arm], controller: Controller) -> None:
             what = f"the unit {unit} is that of {taken[unit.lower()]}, too; give each track its own"
             raise TandemError(Issue("problem.duplicate_name", what, field=f"{field}.unit", arm=arm.name))
         taken[unit.lower()] = f"arm {arm.name}"
+
+
+def following_faults(problem: Problem) -> list[Issue]:
+    """What cannot be worked at while the track of an arm goes along (``problem.track``)."""
+    out: list[Issue] = []
+    number = next((k for k, arm in enumerate(problem.cell.arms) if arm.follows), None)
+    if number is None:
+        return out
+    arm, field = problem.cell.arms[number], f"cell.arms.{number}.track.follow"
+
+    def told(what: str, field: str = field) -> None:
+        out.append(Issue("problem.track", what, field=field, arm=arm.name))
+
+    if len(problem.cell.arms) > 1:
+        told(
+            f"the track of arm {arm.name} goes along while it works, which is written for one arm alone; the "
+            f"cell has {len(problem.cell.arms)}; take follow out, so that it stands then, or the other arm"
+        )
+    if any(setup.stock.held_by == arm.name for setup in problem.setups):
+        told(f"arm {arm.name} holds the block, and its track cannot go along then; take follow out")
+    for index, operation in enumerate(problem.operations):
+        if not any_base(operation):
+            told(
+                f"operation {operation.name}: {operation.process} is worked at standing; milling and targets "
+                "take a track that goes along; take follow out of the track for the others",
+                f"operations.{index}",
+            )
+    return out
 
 
 class TurntablePlateFile(Strict):

@@ -97,7 +97,9 @@ class Posed(Strict):
         return folder / value
 
     any_lean: ClassVar[bool] = True
-    """Its targets and claims are the same however the block leans."""
+    """Its targets and claims are the same however the block leans,"""
+    any_base: ClassVar[bool] = True
+    """and wherever the arm stands meanwhile."""
 
     def leaves(self, stock: Stock) -> Stock:
         """The block as it was: what is cut stays in its place."""

@@ -266,6 +266,7 @@ def build(document: Document, models: OperationModels) -> Problem:
     issues = [_placed(issue, document) for issue in stock_file.check_setups(problem)]
     issues += [_placed(issue, document) for issue in loads.faults(problem)]
     issues += [_placed(issue, document) for issue in axes.turntable_faults(problem)]
+    issues += [_placed(issue, document) for issue in axes.following_faults(problem)]
     issues = grip_choice.advised(problem, issues)
     if issues:
         raise TandemError(issues)

@@ -12,7 +12,7 @@ import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -42,12 +42,14 @@ MOST_WIRES: Final = 400
 
 @dataclasses.dataclass(frozen=True)
 class Moment:
-    """Where everything is: the operation and its setup, joints {arm: (6,)} [rad], the block's pose (4, 4)."""
+    """Where everything is: the operation and its setup, joints {arm: (6,)} [rad], the block's pose (4, 4),
+    and ``bases`` {arm: (4, 4)} of arms whose tracks go along."""
 
     operation: OperationPlan
     setup: Setup
     q: Mapping[str, FloatArray]
     block: FloatArray
+    bases: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
 
 def moment(problem: Problem, plan: Plan, seconds: float) -> Moment:
@@ -65,7 +67,13 @@ def moment(problem: Problem, plan: Plan, seconds: float) -> Moment:
     rows = {name: value[None] for name, value in q.items()}
     place = np.asarray(plan.places[setup.number - 1])
     block = scene.block_pose(setup, place, plan.bases, rows)
-    return Moment(plan.operations[index], setup, q, block if block.ndim == 2 else block[0])
+    own = plan.operations[index]
+    here = seconds - sum(float(one.time[-1] - one.time[0]) for one in plan.operations[:index]) + own.time[0]
+    bases = {
+        name: scene.ridden_base(setup.cell.arm(name), np.asarray(np.interp(here, own.time, values)))
+        for name, values in own.targets.ride.items()
+    }
+    return Moment(own, setup, q, block if block.ndim == 2 else block[0], bases)
 
 
 def shapes(
@@ -73,7 +81,7 @@ def shapes(
 ) -> Iterator[Shape]:
     """Robots, tools, fixed bodies, block, support; the wanted part, and the ``cut`` one, by name in the stock
     frame."""
-    drawn = scene.extract(model)
+    drawn = scene.extract(model.with_bases(at.bases))
     place = np.asarray(plan.places[at.setup.number - 1])
     rows = {name: value[None] for name, value in at.q.items()}
     poses = scene.stand(drawn, at.setup, place, rows)
@@ -99,13 +107,15 @@ def lines(problem: Problem, plan: Plan, at: Moment) -> Iterator[Line]:
         setup = problem.setup_of(index)
         for name, q in own.q.items():
             arm = setup.cell.arm(name)
-            for word, joints in (
-                ("in", [arm.home, *own.entry.get(name, ()), q[0]]),
-                ("work", q),
-                ("out", [q[-1], *own.exit.get(name, ())]),
-            ):
+            every: tuple[tuple[str, Any, slice | int], ...] = (
+                ("in", [arm.home, *own.entry.get(name, ()), q[0]], 0),
+                ("work", q, slice(None)),
+                ("out", [q[-1], *own.exit.get(name, ())], -1),
+            )
+            for word, joints, at_rows in every:
                 rows = np.asarray(joints) if word == "work" else _between(np.asarray(joints))
-                way = (scene.flange_poses(arm, plan.bases, rows) @ arm.tool.tcp)[:, :3, 3]
+                bases = scene.riding(setup, plan.bases, own, at_rows)
+                way = (scene.flange_poses(arm, bases, rows) @ arm.tool.tcp)[:, :3, 3]
                 yield Line(f"ways::{own.name}::{name}::{word}", way, WAY_COLOUR)
     for sweep in track.sweeps:
         name = f"wire::setup {sweep.setup + 1}"
@@ -119,7 +129,8 @@ def targets(problem: Problem, plan: Plan) -> Iterator[Target]:
         setup = problem.setup_of(index)
         for name, q in own.q.items():
             arm = setup.cell.arm(name)
-            tcp = (scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)[:, :3, 3]
+            bases = scene.riding(setup, plan.bases, own)
+            tcp = (scene.flange_poses(arm, bases, q) @ arm.tool.tcp)[:, :3, 3]
             for k in range(0, len(q), -(-len(q) // MOST_TARGETS)):
                 text = {"target": own.targets.name(k), "time_s": f"{own.time[k] - own.time[0]:.5f}"}
                 text |= {f"j{i}_deg": f"{value:.5f}" for i, value in enumerate(q[k] / DEG, 1)}

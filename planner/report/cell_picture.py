@@ -40,7 +40,7 @@ class Moment:
     """Joint angles {arm: (6,)} in a setup with the stock at ``place`` (4, 4) in the world.
 
     A wire (P, 3) in the world that joins the arms, earlier ones (S, P, 3); wanted surfaces ``part`` and what
-    has been ``cut``, in the stock frame.
+    has been ``cut``, in the stock frame. ``bases`` {arm: (4, 4)}: of arms whose tracks go along.
     """
 
     setup: Setup
@@ -50,6 +50,7 @@ class Moment:
     earlier: Sequence[FloatArray] = ()
     part: Sequence[Mesh] = ()
     cut: Sequence[Mesh] = ()
+    bases: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -219,8 +220,9 @@ def setup_pictures(model: CellModel, problem: Problem, plan: Plan | None) -> tup
         names = ", ".join(plan.operations[i].name for i in setup.operations)
         title = f"Setup {setup.number}: {names}" if len(setups) > 1 else ""
         there = seen.model.with_bases(scene.standing(setup)).with_tilted(scene.leaning(seen.model, setup))
-        here = dataclasses.replace(seen, model=there)
-        out.append((title, picture(here, _moment(problem, plan, setup, place))))
+        moment = _moment(problem, plan, setup, place)
+        here = dataclasses.replace(seen, model=there.with_bases(moment.bases))
+        out.append((title, picture(here, moment)))
     return tuple(out)
 
 
@@ -246,7 +248,8 @@ def _moment(problem: Problem, plan: Plan, setup: Setup, place: FloatArray) -> Mo
         before = [int(i) for i in rows if i < here][:: max(1, here // 9)]
         wires = [transform(place if frame == "stock" else np.eye(4), edge.points[i]) for i in (*before, here)]
     wire = wires[-1] if wires else None
-    return dataclasses.replace(still, q=q, wire=wire, earlier=wires[:-1], cut=done)
+    bases = scene.riding(setup, {}, operation, here)
+    return dataclasses.replace(still, q=q, wire=wire, earlier=wires[:-1], cut=done, bases=bases)
 
 
 def _cuts(operation: OperationPlan) -> list[IndexArray]:
@@ -278,7 +281,9 @@ def _cut_so_far(problem: Problem, plan: Plan, last: int, here: int, shown: Setup
             if len(rows) < 2:
                 continue
             q = {name: joints[rows] for name, joints in operation.q.items()}
-            points = scene.wire_in_block(setup, arm, place, plan.bases, q)
+            points = scene.wire_in_block(
+                setup, arm, place, scene.riding(setup, plan.bases, operation, rows), q
+            )
             mesh = raster.swept_surface(points, shown.stock.lower + left, shown.stock.upper - left)
             out += [] if mesh is None else [mesh]
     return out

@@ -14,7 +14,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
-from planner.problem import STOCK, TILT, Arm, Problem, Setup
+from planner.problem import END, STOCK, TILT, Arm, Problem, Setup
 from planner.report import scene
 
 FORMAT: Final = 1
@@ -31,9 +31,9 @@ def text(problem: Problem, plan: Plan) -> str:
     all targets ``time_s`` from there, ``names`` and ``segments``, and by arm ``tcp``, ``joints_deg``,
     ``entry_deg`` and ``exit_deg``; ``block`` is the plane of the block's frame, or of a held one its holder
     and the plane in the holder's TCP; ``stations_mm`` by arm are values of tracks, whose ``base`` is that of
-    value 0, and ``turntable_deg`` is that of a turntable, to which the block is turned, ``tilt_deg``
-    that of a positioner's tilt axis, by which it is tilted then. Joint angles are
-    those of the arms' URDFs.
+    value 0, before the first target where they go along: ``track_mm`` by arm has those at all targets then;
+    ``turntable_deg`` is that of a turntable, to which the block is turned, ``tilt_deg`` that of a
+    positioner's tilt axis, by which it is tilted then. Joint angles are those of the arms' URDFs.
     """
     arms = {
         arm.name: {
@@ -59,7 +59,11 @@ def text(problem: Problem, plan: Plan) -> str:
     }
     for index, stands in plan.stations.items():
         turned = {STOCK: "turntable_deg", TILT: "tilt_deg"}
-        arms_on = {arm: round(value / MM, DIGITS) for arm, value in stands.items() if arm not in turned}
+        arms_on = {
+            arm: round(value / MM, DIGITS)
+            for arm, value in stands.items()
+            if arm not in turned and not arm.endswith(END)
+        }
         operations[index] |= {"stations_mm": arms_on} if arms_on else {}
         shown = {word: round(stands[name] / DEG, DIGITS) for name, word in turned.items() if name in stands}
         operations[index] |= shown
@@ -77,12 +81,18 @@ def _operation(own: OperationPlan, setup: Setup, plan: Plan, start: float) -> di
         "order": list(own.order),
         "together": list(own.together),
         "block": _block(setup, np.asarray(plan.places[setup.number - 1])),
-        "arms": {name: _way(setup.cell.arm(name), q, own, plan.bases) for name, q in own.q.items()},
+        "arms": {
+            name: _way(setup.cell.arm(name), q, own, scene.riding(setup, plan.bases, own))
+            for name, q in own.q.items()
+        },
     }
 
 
 def _way(arm: Arm, q: FloatArray, own: OperationPlan, bases: Mapping[str, FloatArray]) -> dict[str, Any]:
+    ride = own.targets.ride.get(arm.name)
+    gone = {} if ride is None else {"track_mm": _rounded(ride / MM)}
     return {
+        **gone,
         "tcp": _planes(scene.flange_poses(arm, bases, q) @ arm.tool.tcp),
         "joints_deg": _rounded(q / DEG),
         "entry_deg": _rounded(np.asarray(own.entry.get(arm.name, ())) / DEG),

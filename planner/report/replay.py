@@ -396,7 +396,7 @@ def _cuts(film: _Film, problem: Problem, plan: Plan, run: Track, size: float) ->
         if index in swept or not works.any():
             continue
         setup = problem.setup_of(index)
-        bases = {**plan.bases, **scenes.standing(setup)}
+        bases = scenes.riding(setup, {**plan.bases, **scenes.standing(setup)}, operation, rows)
         q = {name: own[rows] for name, own in operation.q.items()}
         to_block = inverse(scenes.block_pose(setup, plan.places[setup.number - 1], bases, q))
         time = operation.time[rows] - operation.time[0] + start - run.time[0]

@@ -36,6 +36,29 @@ def flange_poses(arm: Arm, bases: Mapping[str, FloatArray], q: FloatArray) -> Fl
     return np.asarray(base @ forward(arm.data, q))
 
 
+def riding(
+    setup: Setup,
+    bases: Mapping[str, FloatArray],
+    operation: OperationPlan,
+    rows: IntArray | slice | int = slice(None),
+) -> dict[str, FloatArray]:
+    """Bases {arm: (4, 4)}, or (T, 4, 4) of arms whose tracks go along, at targets ``rows`` (T,) of an
+    operation; one row is (4, 4)."""
+    out = dict(bases)
+    for name, values in operation.targets.ride.items():
+        out[name] = ridden_base(setup.cell.arm(name), values[rows])
+    return out
+
+
+def ridden_base(arm: Arm, values: FloatArray) -> FloatArray:
+    """Bases (..., 4, 4) of an arm of a setup at values (...,) [m] of its track."""
+    values = np.asarray(values)
+    out = np.array(np.broadcast_to(arm.base, (*values.shape, 4, 4)))
+    if arm.track is not None:
+        out[..., :3, 3] += (values - (arm.station or 0.0))[..., None] * arm.track.axis
+    return out
+
+
 def block_pose(
     setup: Setup, place: FloatArray, bases: Mapping[str, FloatArray], q: Mapping[str, FloatArray]
 ) -> FloatArray:
@@ -135,12 +158,11 @@ class Scene:
         Bodies are those of :meth:`bodies`, and every arm's tool, whose frame is the flange.
         """
         rows = self.model.stack(q)
-        checker = self.model.checker
         tools = (f"{arm}/tool" for arm in self.model.arms)
         shown = {name: self.model.body(name) for name in (*self.bodies(), *tools)}
         out = {name: np.empty((len(rows), 4, 4)) for name in shown}
         for i, row in enumerate(rows):
-            context = checker.UpdatePositions(row)
+            context = self.model.at_rows(i).checker.UpdatePositions(row)
             for name, body in shown.items():
                 out[name][i] = body.EvalPoseInWorld(context).GetAsMatrix4()
         return out
@@ -474,7 +496,8 @@ def _operation_rows(
         )
         text = text or f"wait {action.seconds:g} s"
         rows.stops.append((float(time[action.at]), text))
-    _append(rows, index, time, q, edge_in_world(setup, plan, operation), targets.segment)
+    _append(rows, index, time, q, edge_in_world(setup, plan, operation), targets.segment, targets.ride)
+    rows.here = {**rows.here, **{arm: float(values[-1]) for arm, values in targets.ride.items()}}
     return {**here, **{arm: operation.q[arm][-1] for arm in operation.q}}
 
 
@@ -562,7 +585,7 @@ def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, problem: Problem, 
         block = np.stack([table.placed(pose, wanted, at) for pose, wanted, at in both])
     wire = mix(np.concatenate(rows.wire))
     shown = np.asarray(np.isfinite(wire).all(axis=(1, 2)), dtype=np.bool_)
-    sweeps = _sweeps(problem, plan, q, segments, operation, wire, block)
+    sweeps = _sweeps(problem, plan, q, segments, operation, wire, block, stands)
     edges = [op.targets.edge for op in plan.operations if op.targets.edge is not None]
     base = (pick, q, segments, setup, block)
     more = (operation, tuple(rows.starts))
@@ -584,6 +607,7 @@ def _sweeps(
     operation: IntArray,
     wire: FloatArray,
     block: FloatArray,
+    stands: Mapping[str, FloatArray],
 ) -> tuple[Sweep, ...]:
     """For each operation and each run of keyframes that cut, with the keyframe before it."""
     cutting = np.array([segment.kind == "cut" for segment in segments])
@@ -602,7 +626,11 @@ def _sweeps(
             elif arm is not None:
                 joints = {name: values[keys] for name, values in q.items()}
                 place = plan.places[setup.number - 1]
-                points = scene.wire_in_block(setup, arm, place, plan.bases, joints)
+                own_bases = {
+                    name: scene.ridden_base(setup.cell.arm(name), stands[name][keys])
+                    for name in made.targets.ride
+                }
+                points = scene.wire_in_block(setup, arm, place, {**plan.bases, **own_bases}, joints)
             else:
                 continue
             out.append(Sweep(setup.number - 1, keys, points))

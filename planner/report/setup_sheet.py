@@ -458,6 +458,7 @@ def _track(arm: Arm, track: LinearTrack, robot: str) -> list[tuple[str, str]]:
         (f"mechanical unit {track.unit}", "there, one linear axis, the first external one (eax_a), in mm"),
         (f"{track.unit}: base frame", f"its values grow along ({along}) of the world"),
         (f"{track.unit}: joint", f"{span}{track.acceleration / MM:g} mm/s²; home {track.home / MM:g} mm"),
+        *_goes_along(track),
         (f"{track.unit} before PP to main", _jogged(f"{track.home / MM:g} mm")),
         (f"{robot}: base frame moved by", f"{track.unit}"),
         (f"{robot}: base frame", f"that of arm {arm.name} at 0 mm: {_point(arm.base[:3, 3])} mm"),
@@ -532,6 +533,14 @@ def _tilt(problem: Problem, table: Turntable, tilt: RotaryAxis) -> list[tuple[st
         (f"{tilt.label}: joint", ends),
         (f"{table.unit}: load", carried),
     ]
+
+
+def _goes_along(track: LinearTrack) -> list[tuple[str, str]]:
+    """What is to be told of a track that goes along while the arm works."""
+    if track.follow is None:
+        return []
+    what = f"by {track.follow:g} of the tool's way along it, within its range, coordinated with the arm"
+    return [(f"{track.unit} while the arm works goes along", what)]
 
 
 def _kuka_track(arm: Arm, track: LinearTrack) -> list[tuple[str, str]]:

@@ -90,7 +90,7 @@ def view(
             out["map"] = _map(made) | _path(looked, operation, made, plan)
         if reach and placed and setup.stock.held_by is None:
             out |= _reach(looked)
-    seen = scenes.extract(model)
+    seen = scenes.extract(model if looked is None else model.with_bases(_ridden(looked, out["targets"])))
     poses = scenes.stand(seen, setup, place, q)
     out["poses"] = {body: _rows(poses[body]) for body in {one["body"] for one in out["bodies"]}}
     return out, issues
@@ -114,7 +114,7 @@ def _looked(problem: Problem, operation: int, make: Make | None, most: int) -> _
     every = pipeline.targets_of(problem, processes.jobs(problem), make)
     problem, roomy = solve.with_room(problem, every)
     first = FirstLook(tuple(item.count for item in roomy), most)
-    problem = stations.stationed(problem, roomy, first.passes)
+    problem, roomy = stations.stationed(problem, roomy, first.passes)
     stand = next(one for one in solve.setup_groups(problem, roomy) if _has(one, operation))
     models = stand.models()
     at = next(i for i, setup in enumerate(stand.setups) if operation in setup.operations)
@@ -228,14 +228,15 @@ def _targets(looked: _Looked, home: Mapping[str, FloatArray]) -> tuple[dict[str,
     scene, targets, rows = looked.scene, looked.targets, looked.rows
     known = axis_map.postures(scene, targets, rows)
     few = subset(targets, rows)
-    nominal = scene.tcp(few, few.neutral())
+    nominal = scene.tcp(dataclasses.replace(few, ride={}), few.neutral())
     edge = scene.edge(few, np.arange(few.count))
     out, wires, postures = [], [], []
     for k, (row, found) in enumerate(zip(rows.tolist(), known, strict=True)):
         here = isinstance(found, dict)
         points = {arm: nominal[arm][k, :3, 3] for arm in targets.arms}
         if isinstance(found, dict):
-            points = {arm: scene.chains[arm].pose(q)[:3, 3] for arm, q in found.items()}
+            chains = scene.standing(targets, row).chains
+            points = {arm: chains[arm].pose(q)[:3, 3] for arm, q in found.items()}
             postures.append(found)
             if edge is not None:
                 wires.append(np.round(edge[k, spread_rows(edge.shape[1], WIRE_POINTS)] / MM, 1).tolist())
@@ -258,6 +259,17 @@ def _targets(looked: _Looked, home: Mapping[str, FloatArray]) -> tuple[dict[str,
         "joints_deg": {arm: np.round(own / DEG, 3).tolist() for arm, own in q.items()},
     }
     return (told | {"wires_mm": wires} if wires else told), q
+
+
+def _ridden(looked: _Looked, told: Sequence[Mapping[str, Any]]) -> dict[str, FloatArray]:
+    """Bases {arm: (1 + P, 4, 4)} of arms whose tracks go along: at the station, then at every target of those
+    ``told`` that has a posture, in order."""
+    rows = np.array([one["index"] for one in told if one["posture"] is not None], dtype=np.intp)
+    out = {}
+    for name, values in looked.targets.ride.items():
+        arm = looked.setup.cell.arm(name)
+        out[name] = scenes.ridden_base(arm, np.append(arm.station or 0.0, values[rows]))
+    return out
 
 
 def _map(found: axis_map.AxisMap) -> dict[str, Any]:

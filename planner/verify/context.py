@@ -8,6 +8,7 @@ breaks a rule and the rule itself knows nothing better.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property
@@ -28,7 +29,7 @@ from planner.claims.claim import (
 )
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
-from planner.problem import STOCK, TILT, Arm, Problem, Setup, Stock, Turntable
+from planner.problem import END, STOCK, TILT, Arm, Problem, Setup, Stock, Turntable
 from planner.verify import job as job_text
 from planner.verify import job as setup_text
 from planner.verify.job import JobText, SetupClaims, Spans, Stage, TaskText
@@ -37,6 +38,7 @@ from planner.verify.rapid.syntax_tree import Data, Literal, build
 from planner.verify.replay import arm_model, bending
 from planner.verify.replay.bending import Bent
 from planner.verify.replay.motion import Motion
+from planner.verify.replay.moves import Riding
 from planner.verify.replay.playback import replay
 
 FEED_SLACK = 1.05
@@ -53,7 +55,8 @@ class OuterAxis:
     stations, an arm's, :data:`STOCK` or :data:`TILT`; its ``unit``, of the mechanical unit of that name or
     one of its two axes; its ``column`` [from 0] in targets, whose values times ``scale`` are in m or
     rad, as ``low``, ``high``, ``home``, ``speed`` and ``acceleration`` are, which is infinite where none is
-    stated; ``sign`` is the unit of values in texts. ``mechanism``: name of its mechanical unit."""
+    stated; ``sign`` is the unit of values in texts. ``mechanism``: name of its mechanical unit. ``follow``:
+    of a track that goes along while its arm works, the share of the tool's way."""
 
     carries: str
     mechanism: str
@@ -66,6 +69,7 @@ class OuterAxis:
     home: float
     speed: float
     acceleration: float
+    follow: float | None = None
 
     def told(self, move: MoveStep) -> float:
         """The speed [m/s, rad/s] that the text gives the axis in a move."""
@@ -84,7 +88,7 @@ def outer_axes(arm: Arm, table: Turntable | None) -> tuple[OuterAxis, ...]:
     out = []
     if (track := arm.track) is not None:
         ends = (track.low, track.high, track.home, track.speed, track.acceleration)
-        out.append(OuterAxis(arm.name, track.unit, track.unit, 0, 1e-3, "mm", *ends))
+        out.append(OuterAxis(arm.name, track.unit, track.unit, 0, 1e-3, "mm", *ends, track.follow))
     for name, axis in table.axes.items() if table is not None and table.arm == arm.name else ():
         ends = (axis.low, axis.high, axis.home, axis.speed, axis.acceleration)
         known = (axis.unit, axis.label, axis.column)
@@ -344,16 +348,56 @@ class Context:
     def stations(self) -> dict[int, dict[str, float]]:
         """{index of an operation: {arm, STOCK or TILT: value [m, rad] of its track or axis}}, as targets
         of the text have them: those of the last move of each setup, whose others
-        :mod:`planner.verify.rules.external_axes` compares."""
+        :mod:`planner.verify.rules.external_axes` compares; of a track that goes along that of the last move
+        before the first straight one, and with :data:`END` that of the last move."""
         out: dict[int, dict[str, float]] = {}
         if not self.problem.homes:
             return out
         for number, _, task, moves in self.moves():
+            index = int(self.spans.of_stage[number])
             for axis in outer_axes(task.arm, self.problem.cell.turntable):
-                value = float(moves[-1].target.external[axis.column])
-                if abs(value) < MOST_OUTER:
-                    for index in self.setups[int(self.spans.of_stage[number])].operations:
-                        out.setdefault(index, {})[axis.carries] = axis.scale * value
+                name = axis.carries if axis.follow is None else f"{axis.carries}{END}"
+                found = [(name, moves[-1])]
+                if axis.follow is not None:
+                    found += [(axis.carries, move) for move in self._before_work(index, task)[-1:]]
+                for own, move in found:
+                    value = float(move.target.external[axis.column])
+                    if abs(value) < MOST_OUTER:
+                        for operation in self.setups[index].operations:
+                            out.setdefault(operation, {})[own] = axis.scale * value
+        return out
+
+    def _before_work(self, index: int, task: TaskText) -> list[MoveStep]:
+        """The moves of a task in setup ``index`` before its first straight one."""
+        own = (
+            move
+            for number, _, other, moves in self.moves()
+            if other is task and int(self.spans.of_stage[number]) == index
+            for move in moves
+        )
+        return list(itertools.takewhile(lambda move: move.by_joints, own))
+
+    @cached_property
+    def riding(self) -> tuple[dict[str, Riding], ...]:
+        """{arm: how its base rides} of arms whose tracks go along, in each setup with operations."""
+        out = []
+        for setup in self.setups:
+            own: dict[str, Riding] = {}
+            for arm in setup.cell.arms if setup.operations else ():
+                for axis in outer_axes(arm, None):
+                    if axis.follow is not None and arm.track is not None:
+                        station = arm.station or 0.0
+                        own[arm.name] = Riding(arm.track.axis, axis.column, axis.scale, station)
+            out.append(own)
+        return tuple(out)
+
+    def ridden(self, index: int, rows: IntArray) -> dict[str, FloatArray]:
+        """Base poses {arm: (K, 4, 4)} at samples ``rows`` (K,) of setup ``index``, of arms whose tracks go
+        along."""
+        out = {}
+        for arm, how in self.riding[index].items():
+            out[arm] = np.tile(self.based(index)[arm], (len(rows), 1, 1))
+            out[arm][:, :3, 3] += self.motion.ridden[arm][rows, None] * how.axis
         return out
 
     def based(self, index: int) -> dict[str, FloatArray]:
@@ -442,7 +486,7 @@ class Context:
         based = self.bases_by_setup
         of_stage = self.spans.of_stage
         rows = ([based[i] for i in of_stage], [tools[i] for i in of_stage])
-        made = replay(self.job, *rows, self._travels())
+        made = replay(self.job, *rows, self._travels(), [self.riding[i] for i in of_stage])
         arms = [self._bending(index) for index in range(len(self.setups))]
         if not any(arms):
             return made
@@ -457,12 +501,13 @@ class Context:
             for axis in outer_axes(task.arm, self.problem.cell.turntable):
                 here = axis.home
                 for move in (step for step in task.steps if isinstance(step, MoveStep)):
+                    along = axis.follow is not None and not move.by_joints  # in the time of the move
                     value = axis.scale * float(move.target.external[axis.column])
                     if abs(value) >= axis.scale * MOST_OUTER:
                         continue
                     way, speed = abs(value - here), axis.told(move)
                     here = value
-                    if way > 0.0 and speed > 0.0:  # none is a fault of its own
+                    if way > 0.0 and speed > 0.0 and not along:  # none is a fault of its own
                         reached = min(speed, float(np.sqrt(way * axis.acceleration)))
                         seconds = way / reached + reached / axis.acceleration
                         out[id(move)] = max(out.get(id(move), 0.0), seconds)

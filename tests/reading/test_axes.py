@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,52 @@ def test_two_arms_on_one_unit_and_two_controllers_are_refused(
     with pytest.raises(TandemError) as refused:
         planner.load(path)
     assert {issue.code for issue in refused.value.issues} == {code}
+
+
+# ---- tracks that go along ----
+
+
+SOFT = {"stiffness": {"joints_nm_rad": [1e5] * 6, "source": "a guess"}, "compensate_sag": {"load": True}}
+
+
+@pytest.mark.parametrize(
+    ("arm", "words"),
+    [
+        ({"robot": "kr16_2"}, "tracks that go along while the arm works are written for ABB"),
+        (SOFT, "has its sag compensated; both together are not"),
+    ],
+    ids=["KUKA", "sag"],
+)
+def test_what_cannot_go_along_is_told(tmp_path: Path, arm: dict[str, Any], words: str) -> None:
+    found = told(tmp_path, {**TRACK, "follow": 1}, **arm)
+    assert [message for code, message in found if words in message and code == "problem.track"], found
+
+
+@pytest.mark.parametrize("share", [0.0, -1.0, 1.5])
+def test_a_track_goes_along_by_a_share_of_the_way(tmp_path: Path, share: float) -> None:
+    assert problem(tmp_path, {**TRACK, "follow": 0.5}).cell.arm("left").follows
+    assert not problem(tmp_path).cell.arm("left").follows
+    assert any("follow" in message for _, message in told(tmp_path, {**TRACK, "follow": share}))
+
+
+def test_one_arm_alone_goes_along_and_only_in_work_that_takes_it(tmp_path: Path) -> None:
+    made = problem(tmp_path, {**TRACK, "follow": 1})
+    assert "and goes along while the arm works" in made.setups[0].steps[-1]
+    assert axes.following_faults(made) == []
+    trimmed = SimpleNamespace(name="edge", process="trim", arms=("left",), leaves=lambda stock: stock)
+    (fault,) = axes.following_faults(dataclasses.replace(made, operations=(trimmed, made.operations[0])))
+    assert fault.code == "problem.track" and fault.field == "operations.0"
+    assert "trim is worked at standing" in fault.message
+    path = tmp_path / "problem.yaml"
+    data = yaml.safe_load(path.read_text())
+    other = {**ARM, "name": "right", "base": {"xyz_mm": [3000, 0, 0]}}
+    del other["track"]
+    data["cell"]["arms"].append(other)
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(TandemError) as refused:
+        planner.load(path)
+    (issue,) = refused.value.issues
+    assert issue.code == "problem.track" and "one arm alone" in issue.message
 
 
 # ---- turntables ----

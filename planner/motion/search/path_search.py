@@ -405,7 +405,7 @@ def aimed_values(scene: Scene, targets: Targets, freedom: ScrewFreedom, aim: Aim
         place = scene.chains[aim.arm].base[:3, 3]
     else:
         own = scene.world(targets, {arm: np.eye(4) for arm in targets.arms})[aim.arm]
-        place = own[:3, :3] @ aim.at + own[:3, 3]
+        place = own[..., :3, :3] @ aim.at + own[..., :3, 3]
     way = np.einsum("nji,nj->ni", pose[:, :3, :3], place - pose[:, :3, 3])
     axis = freedom.axis[aim.arm][:3] / np.linalg.norm(freedom.axis[aim.arm][:3])
     across = way - (way @ axis)[:, None] * axis

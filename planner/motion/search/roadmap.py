@@ -483,7 +483,8 @@ class _Graph:
         if len(rows):
             near = np.where(samples.share >= 0.5, samples.move, samples.move - 1)[rows]
             some = {arm: v[rows] for arm, v in samples.q.items()}
-            free = self.scene.free(self.targets, some, np.maximum(near, 0), samples.move[rows])
+            move, share = samples.move[rows], samples.share[rows]
+            free = self.scene.free(self.targets, some, np.maximum(near, 0), move, share=share)
             self.attempt.checks += len(rows)
             if not free.all():
                 first = int(np.argmin(free))

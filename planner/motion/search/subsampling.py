@@ -39,6 +39,7 @@ def subset(targets: Targets, rows: IndexArray) -> Targets:
         stop=targets.stop[rows],
         segment=tuple(targets.segment[i] for i in rows),
         edge=edge,
+        ride={arm: values[rows] for arm, values in targets.ride.items()},
         actions=(),
         claims=(),
         exhibits={},
@@ -84,11 +85,11 @@ class Few:
 
     @functools.cached_property
     def distinct_poses(self) -> dict[str, tuple[IndexArray, IndexArray]]:
-        """{arm: (rows with different poses, which of them each row has)} of arms whose frames stand: a holder
-        has few poses."""
+        """{arm: (rows with different poses, which of them each row has)} of arms whose frames and bases
+        stand: a holder has few poses."""
         out = {}
         for arm, holder in holders(self.targets):
-            if holder is None:
+            if holder is None and arm not in self.targets.ride:
                 flat = self.poses[arm].reshape(len(self.index), 16).round(9)
                 _, first, back = np.unique(flat, axis=0, return_index=True, return_inverse=True)
                 out[arm] = first, back.reshape(-1)

@@ -251,7 +251,8 @@ class Avoid:
             part = {arm: q[index, 6 * k : 6 * k + 6] for k, arm in enumerate(self._arms)}
             rows = self._model.stack(part)
             every = {arm: rows[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self._model.arms)}
-            lower, _ = bounds.least(self._model.poses(every), limit + far, both=False)
+            poses = self._model.at_rows(index).poses(every)
+            lower, _ = bounds.least(poses, limit + far, both=False)
             bound[index] = np.minimum(lower, limit + far) - BOUND_ERROR
             self._bound[index], self._bound_at[index] = bound[index], q[index]
         return np.asarray(bound)
@@ -282,7 +283,7 @@ class Avoid:
             part = index[self._kind[index] == kind]
             full = np.repeat(self._model.home[None], len(part), axis=0)
             full[:, self._columns] = q[part]
-            found += clearance.gradients_at(self._model, full, QUERY_DISTANCE_M, meeting)
+            found += clearance.gradients_at(self._model.at_rows(part), full, QUERY_DISTANCE_M, meeting)
         self._widen(len(q), max(len(one.distance) for one in found))
         self._at[index] = q[index]
         self._own[index] = True

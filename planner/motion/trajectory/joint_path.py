@@ -27,6 +27,11 @@ the joints."""
 
 MOST_MOVE_SAMPLES: Final = 24
 """Samples of one move at most."""
+RIDE_STEP_M: Final = 0.02
+"""A move along which a base rides farther than this [m] gets samples of its own, since links pass bodies
+then, though no joint may turn;"""
+MOST_RIDE_SAMPLES: Final = 400
+"""so many at most."""
 LEAST_ADVANCE_SHARE: Final = 0.3
 """In cuts the path advances at least by this share of the way in joints and space, for tools that slide along
 a wire that hardly moves across itself."""
@@ -78,6 +83,9 @@ def dense(
     """
     turn = np.max([np.abs(np.diff(angles, axis=0)).max(axis=1) for angles in q.values()], axis=0)
     parts = np.clip(np.ceil(turn / stride).astype(np.intp), least, MOST_MOVE_SAMPLES)
+    for values in targets.ride.values():
+        rides = np.ceil(np.abs(np.diff(values)) / RIDE_STEP_M - 1e-9).astype(np.intp)
+        parts = np.maximum(parts, np.minimum(rides, MOST_RIDE_SAMPLES))
     move = np.concatenate([[0], np.repeat(np.arange(1, targets.count), parts)])
     starts = np.concatenate([[0], np.cumsum(parts)])
     share = np.ones(len(move))
@@ -102,18 +110,22 @@ def clear(scene: Scene, targets: Targets, samples: Dense) -> BoolArray:
     """(K,) whether samples of the moves keep clearance; the edge between targets is taken from the nearer
     target."""
     near = np.where(samples.share >= 0.5, samples.move, samples.move - 1)
-    return scene.free(targets, samples.q, np.maximum(near, 0), samples.move)
+    return scene.free(targets, samples.q, np.maximum(near, 0), samples.move, share=samples.share)
 
 
 def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray) -> JointPath:
     """Splines through the samples, by the length of the way in the joints (each by its speed limit (J,)) and
     in space; in cuts by the way of the guarded point, so that an even speed of it is one of the spline too.
+    Tracks that go along are joints behind all others, in m; they go as evenly as the tool, so the way is not
+    theirs.
     """
-    q = np.concatenate([samples.q[arm] for arm in targets.arms], axis=1)
-    poses = {arm: scene.chains[arm].pose(samples.q[arm]) for arm in targets.arms}
+    joints = np.concatenate([samples.q[arm] for arm in targets.arms], axis=1)
+    q = np.concatenate([joints, rides(targets, samples)], axis=1) if targets.ride else joints
+    own = {arm: samples.q[arm] for arm in targets.arms}
+    poses = scene.chain_poses(targets, own, samples.move, samples.share)
     places = [poses[arm][:, :3, 3] for arm in targets.arms]
     straight = [pose[:, :3, 3] for pose in in_work_frames(targets, poses).values()]
-    way = np.linalg.norm(np.diff(q, axis=0) / speed, axis=1)
+    way = np.linalg.norm(np.diff(joints, axis=0) / speed[: joints.shape[1]], axis=1)
     way += sum(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in places)
     cut = guarded(targets, samples)
     way = np.where(cut > 0.0, np.maximum(cut, LEAST_ADVANCE_SHARE * way), way)
@@ -127,6 +139,13 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
         pieces.append(Piece(first, last, spline, way[at_target[first : last + 1]]))
         worst = max(worst, _deviation(scene, targets, spline, way[rows], [p[rows] for p in straight]))
     return JointPath(targets.count, tuple(pieces), worst)
+
+
+def rides(targets: Targets, samples: Dense) -> FloatArray:
+    """Values (K, R) [m] of the R tracks that go along at samples of the moves."""
+    before = np.maximum(samples.move - 1, 0)
+    values = [v[before] + samples.share * (v[samples.move] - v[before]) for v in targets.ride.values()]
+    return np.stack(values, axis=1) if values else np.zeros((len(samples.move), 0))
 
 
 def guarded(targets: Targets, samples: Dense) -> FloatArray:
@@ -143,6 +162,9 @@ def _deviation(
     samples at ``places``, both in the frame in which a TCP moves straight."""
     middle = spline(0.5 * (way[1:] + way[:-1]))
     poses = {arm: scene.chains[arm].pose(middle[:, 6 * k : 6 * k + 6]) for k, arm in enumerate(targets.arms)}
+    for k, arm in enumerate(targets.ride, start=6 * len(targets.arms)):
+        track, station = scene.tracks[arm]
+        poses[arm][:, :3, 3] += (middle[:, k, None] - station) * track.axis
     worst = 0.0
     for found, place in zip(in_work_frames(targets, poses).values(), places, strict=True):
         at = found[:, :3, 3] - place[:-1]
@@ -168,8 +190,9 @@ def tcp_ways(scene: Scene, targets: Targets, samples: Dense) -> dict[str, FloatA
     greatest speed on that way; between targets a TCP in a held frame speeds up and slows down."""
     parts = np.bincount(samples.move, minlength=targets.count)[samples.move]
     out = {}
+    poses = scene.chain_poses(targets, samples.q, samples.move, samples.share)
     for arm in targets.arms:
-        place = scene.chains[arm].pose(samples.q[arm])[:, :3, 3]
+        place = poses[arm][:, :3, 3]
         step = np.append(0.0, np.linalg.norm(np.diff(place, axis=0), axis=1)) * parts
         out[arm] = np.maximum.reduceat(step, np.flatnonzero(np.diff(samples.move, prepend=-1)))
     return out
@@ -189,7 +212,8 @@ def corner_shares(scene: Scene, targets: Targets, samples: Dense, duration: Floa
     """At least which share (N,) of the shorter move beside it the corner at each target is rounded over, for
     moves to the targets whose times are in proportion to ``duration`` (N,)."""
     rows = np.flatnonzero(samples.share == 1.0)
-    poses = {arm: scene.chains[arm].pose(samples.q[arm][rows]) for arm in targets.arms}
+    own_q = {arm: samples.q[arm][rows] for arm in targets.arms}
+    poses = scene.chain_poses(targets, own_q, samples.move[rows])
     deviation = 1e3 * targets.rounding.deviations(targets.segment[1:])
     zone, own = np.full((2, targets.count), MOST_CORNER_SHARE)
     for arm, pose in in_work_frames(targets, poses).items():

@@ -435,6 +435,7 @@ class _Line:
         off = targets.rounding.deviations(targets.segment)
         self.allowed = np.minimum(off, corner_rounding.CORNER_DEVIATION_MM * MM)
         self.apart, self.ahead = targets.apart, targets.ahead
+        self.rides = list(targets.ride.values())
 
     def way(self, first: int, last: int) -> float:
         """Way and turning [mm] from one target to another."""
@@ -448,6 +449,10 @@ class _Line:
             return True
         share = (self.along[first + 1 : last] - self.along[first]) / whole
         allowed = float(self.allowed[first + 1 : last + 1].min())
+        for ride in self.rides:
+            even = ride[first] + share * (ride[last] - ride[first])
+            if (np.abs(even - ride[first + 1 : last]) > allowed).any():
+                return False
         off = []
         for place, turns in zip(self.places, self.turns, strict=True):
             start, end = place[first], place[last]

@@ -142,7 +142,8 @@ MANY_GRID: Final = 24
 class Limits:
     """Joint speeds and accelerations (J,), the least time (N,) [s] that feeds allow for the move to each
     target, and which share (N,) of the shorter move beside it each corner is rounded over. ``tcp_time`` (N,)
-    [s]: what each move takes at the fastest that tools may go, None where nothing limits them."""
+    [s]: what each move takes at the fastest that tools, and tracks that go along, may go, None where nothing
+    limits them."""
 
     speed: FloatArray
     acceleration: FloatArray
@@ -341,7 +342,7 @@ def parameterise(
     ``speed`` and ``acceleration`` (J,) are joint limits, ``corners`` what is to hold besides, which Drake's
     solver does not know. The second value names the solver.
     """
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):  # of joints that hardly move nothing limits the path
         fastest = np.min(speed / np.abs(spline(grid, 1)), axis=1)
     limit = np.minimum(bound, fastest)
     found = path_speeds(spline, grid, limit, acceleration, corners)

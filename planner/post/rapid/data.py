@@ -18,6 +18,7 @@ from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.program import (
     OUTER_DECIMALS,
+    TRACK_COLUMN,
     Carry,
     Job,
     Joints,
@@ -28,7 +29,7 @@ from planner.post.program import (
     short,
 )
 from planner.post.rapid.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
-from planner.post.steps import LEAST_MASS, TRACK_COLUMN, outer_names, outer_speeds
+from planner.post.steps import LEAST_MASS, outer_names, outer_speeds
 from planner.problem import BLIND_SPEED, Problem
 from planner.tooling import Tool
 

@@ -21,7 +21,7 @@ from planner.claims.vocabulary import HEADER, Segment, fold
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError
-from planner.post.program import OUTER_DECIMALS, Outer, Part, Track, number, plain, short
+from planner.post.program import OUTER_DECIMALS, TRACK_COLUMN, Outer, Part, Track, number, plain, short
 from planner.targets import Action
 
 NAME_LENGTH: Final = 32
@@ -284,8 +284,11 @@ def move_lines(
     station: Outer | None = None,
 ) -> list[str]:
     """One MoveL a row, with ``\\T`` and, where the move has a partner, ``\\ID``; external axes stand at
-    ``station``, if there are any."""
-    outer = external_axes(station)
+    ``station``, if there are any, or are where the track goes along."""
+    outer = [external_axes(station)] * len(zone)
+    if track.outer is not None:
+        rest = dict(station or ())
+        outer = [external_axes(tuple({**rest, TRACK_COLUMN: v}.items())) for v in track.outer.tolist()]
     conf = confdata(robot, track.q)
     tail = f",{tool}\\WObj:={wobj};"
     marks = [""] * len(zone) if ids is None else [f"\\ID:={i}" for i in ids.tolist()]
@@ -293,6 +296,7 @@ def move_lines(
         track.position.tolist(),
         track.quaternion.tolist(),
         conf.tolist(),
+        outer,
         marks,
         speeds(track).tolist(),
         track.duration.tolist(),
@@ -301,7 +305,7 @@ def move_lines(
     )
     return [
         f"MoveL [[{x:.4f},{y:.4f},{z:.4f}],[{a:.8f},{b:.8f},{c:.8f},{d:.8f}],"
-        f"[{c1},{c4},{c6},{cx}],{outer}]"
+        f"[{c1},{c4},{c6},{cx}],{axes}]"
         f"{mark},{speed}\\T:={time:.5f},{corner}{tail}"
-        for (x, y, z), (a, b, c, d), (c1, c4, c6, cx), mark, speed, time, corner in rows
+        for (x, y, z), (a, b, c, d), (c1, c4, c6, cx), axes, mark, speed, time, corner in rows
     ]

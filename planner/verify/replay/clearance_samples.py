@@ -64,6 +64,9 @@ def clearance_rows(context: Context, index: int, itself: bool = False) -> IntArr
     wanted, way = context.problem.settings.clearance, np.zeros(len(rows))
     for task in context.job.tasks:
         gone = travel(context, index, task.arm.name, rows)
+        ridden = context.motion.ridden.get(task.arm.name)
+        if ridden is not None and not itself:
+            gone = gone + np.abs(np.diff(ridden[rows]))
         way[1:] = np.maximum(way[1:], gone) if itself else way[1:] + gone
     if itself:
         wanted = context.problem.settings.of_one_arm
@@ -128,7 +131,9 @@ def _witnessed(
     come from another code and are never below the truth: where Drake's are smaller, they count."""
     spread = np.linspace(0, len(look) - 1, WITNESSED).astype(np.int64) if len(look) else look
     some = np.union1d(np.argsort(found.distance, kind="stable")[:WITNESSED], spread)
-    drake = clearance.witness(model, {arm: rows[look[some]] for arm, rows in q.items()}, reach, ignore)
+    drake = clearance.witness(
+        model.at_rows(look[some]), {arm: rows[look[some]] for arm, rows in q.items()}, reach, ignore
+    )
     less = np.flatnonzero(drake.distance < found.distance[some] - DISTANCE_PRECISION)
     distance, pair = found.distance.copy(), list(found.pair)
     for k in less.tolist():
@@ -153,7 +158,10 @@ class _Asked:
         if not len(some):
             return
         found = clearance.least(
-            self.model, {arm: rows[some] for arm, rows in self.q.items()}, self.reach, self.ignore
+            self.model.at_rows(some),
+            {arm: rows[some] for arm, rows in self.q.items()},
+            self.reach,
+            self.ignore,
         )
         self.distance[some], self.done[some] = found.distance, True
         self.pair.update(zip(some.tolist(), found.pair, strict=True))

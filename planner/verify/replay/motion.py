@@ -169,7 +169,8 @@ class Motion:
     has no such target). ``between``: where arms are between samples, where that matters.
 
     Of an arm that bends under its loads ``q`` is what its controller counts and the places of the tool are
-    where it is; ``bends`` {arm: (S, 6)} has the joints of such arms as they stand then.
+    where it is; ``bends`` {arm: (S, 6)} has the joints of such arms as they stand then. ``ridden`` {arm:
+    (S,)} [m]: how far bases of tracks that go along are from their stations.
     """
 
     time: FloatArray
@@ -190,6 +191,7 @@ class Motion:
     faults: tuple[Fault, ...]
     between: Instants
     bends: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+    ridden: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
     @property
     def links(self) -> Mapping[str, FloatArray]:

@@ -172,6 +172,28 @@ def _progress(law: TimeLaw, move: IntArray, elapsed: FloatArray) -> tuple[FloatA
     return x * (a + x * (c2 + x * c3)), (a + x * (2.0 * c2 + 3.0 * c3 * x)) / duration
 
 
+@dataclasses.dataclass(frozen=True)
+class Riding:
+    """How the base of an arm rides while it works: along the unit vector ``axis`` (3,) of the world, by the
+    value in ``column`` of external axes times ``scale`` [m], counted from the ``station`` [m]."""
+
+    axis: FloatArray
+    column: int
+    scale: float
+    station: float
+
+    def gone(self, moves: Sequence[MoveStep], before: float, works: bool) -> tuple[FloatArray, bool]:
+        """How far (N + 1,) [m] the base is from its station before N moves, where it is ``before`` [m], and
+        behind each; a move by joints takes it there before it ``works``, as the arm goes straight. And
+        whether it works behind them."""
+        out = [before]
+        for move in moves:
+            works |= not move.by_joints
+            value = self.scale * float(move.target.external[self.column]) - self.station
+            out.append(value if works else 0.0)
+        return np.array(out), works
+
+
 _ARM_LENGTH = 0.3
 """Weight [m/rad] of turning against moving where speeds at ramps are matched."""
 _MOST_CORNER_SHARE = 0.5
@@ -187,7 +209,8 @@ ACCURACY_TURN = 1e-4
 class Row:
     """N moves of one arm in a stage: which are ``joint`` moves (N,), targets as TCP ``pose`` (N, 4, 4) and as
     ``q`` (N, 6) where they are joints, ``conf`` (N, 4) of those that are ``named`` (N,) by confdata, ``tool``
-    (N, 4, 4), ``base`` (4, 4).
+    (N, 4, 4), ``base`` (4, 4), from which it has ``gone`` (N + 1,) [m] along ``axis`` (3,) before the moves
+    and behind each, where it rides; it goes as evenly as the tool does.
 
     Poses are in the world, unless the flange of arm ``carrier`` carries the work object: then they are in
     the frame that lies at ``ride`` (4, 4) in that flange, and the moves are straight in it.
@@ -205,15 +228,43 @@ class Row:
     named: BoolArray
     carrier: str | None
     ride: FloatArray
+    gone: FloatArray | None = None
+    axis: FloatArray | None = None
 
     def tcp(self, q: FloatArray) -> FloatArray:
-        """TCP poses (..., 4, 4) in the world of joints (..., 6), with the tool of the first move."""
-        return np.asarray(self.base @ self.robot.flange(q) @ self.tool[0])
+        """TCP poses (..., 4, 4) in the world of joints (..., 6) before the first move, with its tool."""
+        return np.asarray(self.base_behind(0) @ self.robot.flange(q) @ self.tool[0])
+
+    def base_gone(self, gone: FloatArray) -> FloatArray:
+        """Base poses (..., 4, 4) where it has gone so far (...,) [m]."""
+        if self.axis is None:
+            return self.base
+        out = np.array(np.broadcast_to(self.base, (*gone.shape, 4, 4)))
+        out[..., :3, 3] += gone[..., None] * self.axis
+        return out
+
+    def base_behind(self, node: int | slice) -> FloatArray:
+        """Base poses (4, 4) or (M, 4, 4) before the first move (0) and behind moves (1 to N)."""
+        return self.base if self.gone is None else self.base_gone(np.asarray(self.gone[node]))
+
+    def base_on_way(self, law: TimeLaw, a: int, b: int, when: FloatArray) -> FloatArray:
+        """Base poses (4, 4), or (S, 4, 4) where it rides, at times ``when`` (S,) of the moves a to b - 1,
+        whose law is given."""
+        return self.base if self.gone is None else self.base_gone(self.gone_on_way(law, a, b, when))
+
+    def gone_on_way(self, law: TimeLaw, a: int, b: int, when: FloatArray) -> FloatArray:
+        """How far (S,) [m] the base has gone then."""
+        if self.gone is None:
+            return np.zeros(len(when))
+        nodes = self.gone[a : b + 1, None]
+        node, xi = offsets(law, np.diff(nodes, axis=0), when)
+        return np.asarray((nodes[node] + xi)[:, 0])
 
     def flanges(self) -> FloatArray:
         """Flange poses (N, 4, 4) in the world at the targets, for a row that is in the world."""
         out = self.pose @ inverse(self.tool)
-        out[self.joint] = self.base @ self.robot.flange(self.q[self.joint])
+        base = np.broadcast_to(self.base_behind(slice(1, None)), out.shape)
+        out[self.joint] = base[self.joint] @ self.robot.flange(self.q[self.joint])
         return np.asarray(out)
 
 
@@ -223,8 +274,10 @@ def make_row(
     machine: Machine,
     base: FloatArray,
     units: Mapping[str, str],
+    rides: tuple[FloatArray, FloatArray] | None = None,
 ) -> Row:
-    """Targets of one arm's moves; ``units`` {unit in lower case: arm} are those of the other arms.
+    """Targets of one arm's moves; ``units`` {unit in lower case: arm} are those of the other arms. ``rides``:
+    how far the base has gone (N + 1,) [m] and along what (3,), where it rides.
 
     Moves in several frames that move, or in one and in the world, are a fault that ``verify.held_frame``
     names; they are taken as if all frames stood still.
@@ -257,9 +310,12 @@ def make_row(
                 q[i] = machine.data.from_controller(values)
     ride = np.eye(4) if carrier is None else frame[int(np.argmin(joint))]
     pose = (np.linalg.inv(ride) if carrier is not None else np.eye(4)) @ frame @ poses(position, quaternion)
+    gone, axis = (None, None) if rides is None else rides
+    row = Row(task, moves, machine, base, tool, joint, pose, q, conf, named, carrier, ride, gone, axis)
     if carrier is None:
-        pose[joint] = base @ machine.flange(q[joint]) @ tool[joint]
-    return Row(task, moves, machine, base, tool, joint, pose, q, conf, named, carrier, ride)
+        stands = np.broadcast_to(row.base_behind(slice(1, None)), pose.shape)
+        pose[joint] = stands[joint] @ machine.flange(q[joint]) @ tool[joint]
+    return row
 
 
 def chosen(move: MoveStep, machine: Machine, base: FloatArray) -> FloatArray:
@@ -311,6 +367,11 @@ def make_law(
         angle = np.array([0.0 if move.zone.fine else move.zone.turn_angle for move in row.moves])
         reach[1:, 0] = np.minimum(reach[1:, 0], _share(zone, angle, step, turn))
         reach[1:-1, 1] = np.minimum(reach[1:-1, 1], _share(zone[:-1], angle[:-1], step[1:], turn[1:]))
+        if row.gone is not None:  # a zone is a length of the track, too
+            way, still = np.abs(np.diff(row.gone)), np.zeros(count)
+            linear = np.array([0.0 if move.zone.fine else move.zone.linear for move in row.moves])
+            reach[1:, 0] = np.minimum(reach[1:, 0], _share(linear, still, way, still))
+            reach[1:-1, 1] = np.minimum(reach[1:-1, 1], _share(linear[:-1], still[1:], way[1:], still[1:]))
     duration = np.maximum(duration, 1e-4)
     room = np.full(count + 1, np.inf)
     rate_in, rate_out = end_rates(duration, length, stop)
@@ -361,12 +422,17 @@ def _behind(row: Row, i: int, start: FloatArray) -> FloatArray:
         rotation = ends[:-1, None, :3, :3] @ exp_rotation(shares[:, None] * turn)
         path = from_parts(rotation, place).reshape(-1, 4, 4)
         tools = np.repeat(inverse(row.tool[first:i]), _LOOKS, axis=0)
-        q = offset_arm.follow(row.robot.chain, inverse(row.base) @ path @ tools, here)[-1]
+        base = row.base
+        if row.gone is not None:
+            step = np.diff(row.gone[first : i + 1])[:, None]
+            base = row.base_gone((row.gone[first:i, None] + shares * step).ravel())
+        q = offset_arm.follow(row.robot.chain, inverse(base) @ path @ tools, here)[-1]
         return np.asarray(q if np.isfinite(q).all() else here)
     some = slice(first, i)
     own = np.full(i - first, branch_of(row.robot, here), dtype=np.int64)
     branch = np.where(row.named[some], row.conf[some, 3], own)
-    flange = inverse(row.base) @ row.pose[some] @ inverse(row.tool[some])
+    base = row.base_behind(slice(first + 1, i + 1))
+    flange = inverse(base) @ row.pose[some] @ inverse(row.tool[some])
     q = continued(row.robot, solve(row.robot, flange, branch), here)[-1]
     return np.asarray(q if np.isfinite(q).all() else here)
 
@@ -462,9 +528,10 @@ def joints_on_way(
     tcp: FloatArray,
 ) -> FloatArray:
     """Joint angles (S, 6) on straight moves from move a on: the ``branch`` of each move's target,
-    unwrapped from the joints ``here`` of the sample before."""
+    unwrapped from the joints ``here`` of the sample before; ``law`` is that of these moves."""
     move = np.clip(np.searchsorted(law.times, when, side="left") - 1, 0, len(branch) - 1)
-    flange = inverse(row.base) @ tcp @ inverse(row.tool[a + move])
+    base = row.base_on_way(law, a, a + len(branch), when)
+    flange = inverse(base) @ tcp @ inverse(row.tool[a + move])
     if row.robot.followed:
         return offset_arm.follow(row.robot.chain, flange, here)
     q = inverse_kinematics.solve(row.robot, flange, branch[move])

@@ -24,10 +24,10 @@ from planner.issues import Issue, TandemError
 from planner.problem import Arm
 from planner.verify.job import JobText, Stage, TaskText
 from planner.verify.programs.program_text import segment_of_name
-from planner.verify.programs.steps import Step
+from planner.verify.programs.steps import MoveStep, Step
 from planner.verify.replay import arm_model, inverse_kinematics, moves
 from planner.verify.replay.motion import Fault, Instants, Motion, Poses
-from planner.verify.replay.moves import Row, between, dwell_time, make_law, make_row, needs_standstill
+from planner.verify.replay.moves import Riding, Row, between, dwell_time, make_law, make_row, needs_standstill
 
 SAMPLE_TIME = 0.004
 """Time between samples [s]."""
@@ -40,12 +40,14 @@ def replay(
     bases: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
     tools: Sequence[Mapping[str, FloatArray]] | None = None,
     travels: Mapping[int, float] | None = None,
+    riding: Sequence[Mapping[str, Riding]] | None = None,
 ) -> Motion:
     """Run the programs. ``bases`` {arm: (4, 4)} in the world, for each stage where that changes; ``tools``:
     for each stage {arm: TCP (4, 4) in the flange} of what is mounted, where that changes; ``travels``
-    {identity of a move: time [s]} that external axes take in it, before the arm moves. Needs stages that
-    match (:func:`planner.verify.job.read`)."""
-    return _Player(job, bases, tools, travels or {}).run()
+    {identity of a move: time [s]} that external axes take in it, before the arm moves; ``riding``: for each
+    stage how bases of tracks go along, from where ``bases`` has them. Needs stages that match
+    (:func:`planner.verify.job.read`)."""
+    return _Player(job, bases, tools, travels or {}, riding).run()
 
 
 class _Player:
@@ -55,8 +57,13 @@ class _Player:
         bases: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
         mounted: Sequence[Mapping[str, FloatArray]] | None,
         travels: Mapping[int, float],
+        riding: Sequence[Mapping[str, Riding]] | None = None,
     ) -> None:
         self.job = job
+        self.riding = riding
+        self.rides: Mapping[str, Riding] = {}
+        self.gone: dict[str, tuple[float, bool]] = {}
+        self.riders = {arm for rides in riding or () for arm in rides}
         self.travels = travels
         self.mounted = mounted
         self.units = {task.unit.lower(): task.arm.name for task in job.tasks}
@@ -83,11 +90,14 @@ class _Player:
                 self.tools = dict(self.mounted[number])
             if self.standing is not None:
                 self.bases = self.standing[number]
+            if self.riding is not None and (not number or self.riding[number] is not self.riding[number - 1]):
+                self.rides, self.gone = self.riding[number], {}
             self._stage(number, stage)
         if not self.segments:
             self.faults.append(Fault("motion", "the programs move no arm", "", 0, 0))
             self._still()
         give_back()  # what a long stage leaves free counts where its arrays are joined
+        ridden = {name: self._joined(f"ride/{name}") for name in sorted(self.riders)}
         p = {key: self._joined(key) for key in list(self.parts)}
         names = [arm.name for arm in self.arms]
         return Motion(
@@ -113,6 +123,7 @@ class _Player:
                 p["between/node"],
                 {name: Poses.joined(self.between.pop(name)) for name in names},
             ),
+            ridden=ridden,
         )
 
     def _add(self, key: str, value: np.ndarray) -> None:
@@ -141,6 +152,8 @@ class _Player:
     def _hold(self, arm: Arm, samples: int, nodes: int, between: int) -> None:
         """Rows of an arm that stands still: samples, nodes, and instants between samples."""
         q = self.q[arm.name]
+        if arm.name in self.riders:
+            self._add(f"ride/{arm.name}", np.full(samples, self.gone.get(arm.name, (0.0, False))[0]))
         self._add(f"q/{arm.name}", np.tile(q, (samples, 1)))
         self.tcp[arm.name].append(Poses.of(np.tile(self._tcp(arm, q), (samples, 1, 1))))
         self.between[arm.name].append(Poses.of(np.tile(self._tcp(arm, q), (between, 1, 1))))
@@ -150,7 +163,11 @@ class _Player:
         self._add(f"node_tcp/{arm.name}", np.full((nodes, 4, 4), np.nan))
 
     def _tcp(self, arm: Arm, q: FloatArray) -> FloatArray:
-        return np.asarray(self.bases[arm.name] @ self.robots[arm.name].flange(q) @ self.tools[arm.name])
+        base = self.bases[arm.name]
+        if (how := self.rides.get(arm.name)) is not None:
+            base = np.array(base)
+            base[:3, 3] += self.gone.get(arm.name, (0.0, False))[0] * how.axis
+        return np.asarray(base @ self.robots[arm.name].flange(q) @ self.tools[arm.name])
 
     # ---- one stage ----
 
@@ -191,6 +208,7 @@ class _Player:
                 self.robots[task.arm.name],
                 self.bases[task.arm.name],
                 {unit: arm for unit, arm in self.units.items() if arm != task.arm.name},
+                self._ridden(task.arm.name, stage.moves(task.name)[:count]),
             )
             for task in movers
         ]
@@ -272,6 +290,16 @@ class _Player:
         self.nodes += count
         self.clock = start + total + float(shift[-1]) + SAMPLE_TIME
 
+    def _ridden(self, arm: str, moves: Sequence[MoveStep]) -> tuple[FloatArray, FloatArray] | None:
+        """How far (N + 1,) [m] an arm's base has gone before N moves and behind each, and along what; None
+        where it stands."""
+        how = self.rides.get(arm)
+        if how is None:
+            return None
+        gone, works = how.gone(moves, *self.gone.get(arm, (0.0, False)))
+        self.gone[arm] = float(gone[-1]), works
+        return gone, how.axis
+
     @staticmethod
     def _rank(row: Row | None) -> bool:
         """Arms in the world come before those whose work is carried."""
@@ -331,7 +359,7 @@ class _Player:
             else inverse(carried.start) @ row.tcp(self.q[name])
         )
         count = len(row.moves)
-        q = np.empty((len(at), 6))
+        q, gone = np.empty((len(at), 6)), np.zeros(len(at))
         edges = [0, *(np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1), count]
         here = self.q[name]
         tcp, seen = Poses.empty(len(at)), Poses.empty(len(looks))
@@ -352,15 +380,15 @@ class _Player:
             if row.joint[a]:
                 nodes = np.concatenate([here[None], row.q[a:b]])
                 at_node, xi = moves.offsets(part, np.diff(nodes, axis=0), looks[looked])
-                seen[looked] = row.base @ row.robot.flange(nodes[at_node] + xi) @ row.tool[a]
+                base = row.base_on_way(part, a, b, looks[looked])
+                seen[looked] = base @ row.robot.flange(nodes[at_node] + xi) @ row.tool[a]
                 at_node, xi = moves.offsets(part, np.diff(nodes, axis=0), when)
                 q[inside] = nodes[at_node] + xi
-                tcp[inside] = row.base @ row.robot.flange(q[inside]) @ row.tool[a]
+                base = row.base_on_way(part, a, b, when)
+                tcp[inside] = base @ row.robot.flange(q[inside]) @ row.tool[a]
                 end = row.q[b - 1]
             else:
-                first = (
-                    begin if a == 0 else self._own(row, carried, here, row.tool[a], int(np.argmax(inside)))
-                )
+                first = begin if a == 0 else self._own(row, a, carried, here, int(np.argmax(inside)))
                 branch = moves.branches_on_way(row, a, b, here)
                 nodes, delta = moves.samples_on_way(row, a, b, first)
                 for some, moments in moves.chunks(looked, looks[looked]):
@@ -378,8 +406,10 @@ class _Player:
                     path = moves.poses_on_way(part, nodes, delta, last)
                     path = path if carried is None else carried.nodes[b - 1 : b] @ path
                     end = moves.joints_on_way(row, part, a, branch, end, last, path)[0]
+            gone[inside] = row.gone_on_way(part, a, b, when)
             if not row.joint[a] and row.named[a:b].all() and not row.robot.followed:
-                flange = inverse(row.base) @ world[a:b] @ inverse(row.tool[a:b])
+                base = row.base_behind(slice(a + 1, b + 1))
+                flange = inverse(base) @ world[a:b] @ inverse(row.tool[a:b])
                 conf_q[a:b] = inverse_kinematics.select_by_confdata(row.robot, flange, row.conf[a:b])
                 sample = _up_to(at, law.times[a + 1 : b + 1])
                 conf_ok[a:b] = inverse_kinematics.fits_confdata(
@@ -402,6 +432,8 @@ class _Player:
             q = np.where(np.isfinite(q), q, here if np.isfinite(here).all() else self.q[name])
             here = q[-1]
         self._add(f"q/{name}", q)
+        if name in self.riders:
+            self._add(f"ride/{name}", gone)
         self.tcp[name].append(tcp)
         self.between[name].append(seen)
         self._add(f"line/{name}", np.array([move.line for move in row.moves], dtype=np.int64))
@@ -411,11 +443,9 @@ class _Player:
         self.tools[name] = row.tool[-1]
         self.q[name] = here if np.isfinite(here).all() else self.q[name]
 
-    def _own(
-        self, row: Row, carried: _Carried | None, q: FloatArray, tool: FloatArray, sample: int
-    ) -> FloatArray:
-        """TCP (4, 4) of joints in the frame of the row's poses, at a sample."""
-        here = row.base @ row.robot.flange(q) @ tool
+    def _own(self, row: Row, a: int, carried: _Carried | None, q: FloatArray, sample: int) -> FloatArray:
+        """TCP (4, 4) of joints in the frame of the row's poses, at a sample, before move a."""
+        here = row.base_behind(a) @ row.robot.flange(q) @ row.tool[a]
         return np.asarray(here if carried is None else inverse(carried.samples[sample]) @ here)
 
     def _fault(self, kind: str, message: str, row: Row, i: int, value: float | None = None) -> None:

@@ -55,13 +55,14 @@ def accepted(wanted: float) -> float:
 class Looks:
     """Samples ``rows`` (K,) of setup ``index`` at which bodies are looked at, but for pairs in ``ignore``,
     with the joints ``q`` {arm: (K, 6)} there. ``itself``: links and tool of each arm against each other, else
-    all other pairs."""
+    all other pairs. ``bases`` {arm: (K, 4, 4)}: of arms whose tracks go along."""
 
     index: int
     rows: IntArray
     ignore: Pairs
     q: Mapping[str, FloatArray]
     itself: bool = False
+    bases: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
 
 Begun = tuple[Sequence[Looks], Iterator[Measured | None]]
@@ -75,7 +76,7 @@ def looks(context: Context) -> tuple[Looks, ...]:
     own = [(k, clearance_rows(context, k, itself=True), frozenset[frozenset[str]](), True) for k in setups]
     joints = context.motion.links.items()
     return tuple(
-        Looks(index, rows, ignore, {arm: q[rows] for arm, q in joints}, itself)
+        Looks(index, rows, ignore, {arm: q[rows] for arm, q in joints}, itself, context.ridden(index, rows))
         for index, rows, ignore, itself in (*others, *own)
         if len(rows)
     )
@@ -107,7 +108,7 @@ def measured(models: Models, some: Sequence[Looks], settings: Settings) -> Itera
     """What is measured at each of the looks; None where the cell's model lacks a body that is to be
     ignored."""
     for look in some:
-        model, wanted = models(look.index), wanted_of(settings, look.itself)
+        model, wanted = models(look.index).with_bases(look.bases), wanted_of(settings, look.itself)
         if _missing(model, look.ignore):
             yield None
         else:

@@ -60,7 +60,8 @@ def external_axes(context: Context) -> Outcome:
     its axes switched off, and looked at right before the first move, which nothing follows unless it is at
     home; each target has a value of each axis, within its range; it moves as the first thing of a setup,
     alone, a positioner's turn axis before its tilt axis, what it carries at most at 250 mm/s, all arms folded
-    at home, and is at home at the end; the block is where the values have it."""
+    at home, and is at home at the end; the block is where the values have it. One that goes along moves with
+    straight moves, too."""
     issues: list[Issue] = []
     told = []
     table = context.problem.cell.turntable
@@ -180,7 +181,9 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
                 yield at_step(_CODE, wrong, task, move)
                 return  # where things stand from here on is not known
             values = {axis: axis.scale * float(move.target.external[axis.column]) for axis in axes}
-            going = [axis for axis in axes if abs(values[axis] - last[axis.column]) > SAME_VALUE]
+            along = [axis for axis in axes if axis.follow is not None and not move.by_joints]
+            changed = [axis for axis in axes if abs(values[axis] - last[axis.column]) > SAME_VALUE]
+            going = [axis for axis in changed if axis not in along]  # verify.track_along has the others
             gone, off, here = (gone, off, here) if index == here else ([], False, index)
             asked = [place.stage for place in context.spans.asked[index] if came < place.stage < number]
             off, since = off or bool(asked), max(asked, default=since)
@@ -210,7 +213,7 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
                 if before is None and goes:
                     what = f"the first move takes {axis.unit} to {axis.shown(value)}, not home "
                     yield at_step(_CODE, f"{what}({axis.shown(axis.home)})", task, move)
-                if before is None or goes:  # else it stays: a little at each move would add up
+                if before is None or goes or axis in along:  # else it stays: a little each would add up
                     last[axis.column] = value
             before, came = move, number
     for axis in axes:

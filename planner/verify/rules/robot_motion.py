@@ -427,7 +427,7 @@ def kinematics(context: Context, models: Models) -> Outcome:
 def _setup(context: Context, model: CellModel, index: int, rows: IntArray) -> tuple[list[Issue], float]:
     """Bodies of a setup that are elsewhere by one way than by another at samples ``rows`` (K,), each at its
     worst sample, and how far the replay is off Drake [m]."""
-    motion = context.motion
+    motion, model = context.motion, model.with_bases(context.ridden(index, rows))
     at_home = {arm.name: np.tile(arm.home, (len(rows), 1)) for arm in model.cell.arms}
     q = at_home | {arm: np.asarray(angles[rows]) for arm, angles in motion.links.items()}
     drake = _drake(model, q)
@@ -462,9 +462,9 @@ def _drake(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArra
     some = [model.body(name) for name in names]
     rows = model.stack(q)
     out = np.empty((len(some), len(rows), 4, 4))
-    checker, plant = model.checker, model.plant
+    plant = model.plant
     for k, row in enumerate(rows):
-        at = checker.UpdatePositions(row)
+        at = model.at_rows(k).checker.UpdatePositions(row)
         for i, body in enumerate(some):
             out[i, k] = plant.EvalBodyPoseInWorld(at, body).GetAsMatrix4()
     return dict(zip(names, out, strict=True))
@@ -479,7 +479,7 @@ def _chains(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArr
     out = {}
     for arm, rows in q.items():
         chain = arm_model.machine_of(model.cell.arm(arm).data).chain
-        frames = model.bases[arm] @ chain.frames(rows)
+        frames = model.bases[arm].reshape(-1, 1, 4, 4) @ chain.frames(rows)
         for i, link in enumerate((*chain.links[:6], "tool")):
             out[f"{arm}/{link}"] = frames[:, i]
     return out

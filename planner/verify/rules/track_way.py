@@ -8,6 +8,7 @@ apart, whatever found it.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -18,7 +19,7 @@ from planner.cell.bodies import Solid
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, Shape, corners, transform
 from planner.issues import Issue
-from planner.problem import PLATE, STOCK, TILT, Cell, Setup, Turntable
+from planner.problem import END, PLATE, STOCK, TILT, Cell, Setup, Turntable
 from planner.verify.context import Context, Outcome, OuterAxis, mm, outer_axes, rule
 from planner.verify.rules.clearance import of_one_arm
 from planner.verify.rules.external_axes import SAME_VALUE, clamped, off_place, spun
@@ -39,7 +40,7 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
     """On the way of a track, turntable or positioner from station to station bodies keep their clearance, all
     arms folded at home; what is tilted keeps it from the floor, too. Where looks had what rides is held
     against the values by turns of the proof's own, and shapes that ride against all that stand but those that
-    bear them, along lines."""
+    bear them, along lines. The base of a track that goes along keeps it there, too."""
     limit = context.problem.settings.clearance
     issues: list[Issue] = []
     worst, where, looks = np.inf, "", 0
@@ -68,6 +69,21 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
             if strayed:
                 issues.append(Issue(_WAY, on + strayed, arm=arm))
             at = {**at, axis.carries: ends[1]}
+        for axis, ends in _along(context, index, setup):
+            model = models(index).with_bases({axis.carries: _base(context, setup, axis, ends[0])})
+            way = _bare(model, setup, axis, ends, limit)
+            looks += len(way.looked)
+            if way.least < worst:
+                worst, where = way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}"
+            on = f"as {axis.unit} goes along from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
+            near = f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
+            strayed = "" if way.least >= limit and way.clear else near
+            strayed = strayed or _strayed(context, setup.cell, index, at, axis, ends, way)
+            strayed = strayed or _base_into(model, context.bases[axis.carries], axis, way, limit)
+            if strayed:
+                issues.append(Issue(_WAY, on + strayed, arm=axis.carries))
+            ended = context.problem.stations.get(setup.operations[0], {}).get(f"{axis.carries}{END}")
+            at = at if ended is None else {**at, axis.carries: ended}
     if not np.isfinite(worst):
         return Outcome(tuple(issues), where="no track or turntable moves")
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", f"{where}, {looks} looks")
@@ -88,6 +104,41 @@ def _goes(
                     (_arrives(context, index, arm.name, axis, value), axis, (at[axis.carries], value))
                 )
     return [(axis, ends) for _, axis, ends in sorted(going, key=lambda one: one[0])]
+
+
+def _along(context: Context, index: int, setup: Setup) -> list[tuple[OuterAxis, tuple[float, float]]]:
+    """Tracks that go along in a setup, each with the least and largest value [m] of its straight moves."""
+    out = []
+    for task in context.job.tasks if setup.operations else ():
+        for axis in outer_axes(task.arm, None):
+            values = [
+                axis.scale * float(move.target.external[axis.column])
+                for number, _, other, moves in context.moves()
+                if other is task and int(context.spans.of_stage[number]) == index
+                for move in moves
+                if not move.by_joints
+            ]
+            if axis.follow is not None and values:
+                out.append((axis, (min(values), max(values))))
+    return out
+
+
+def _base(context: Context, setup: Setup, axis: OuterAxis, value: float) -> FloatArray:
+    """Where the base of an arm stands (4, 4) at a value [m] of its track."""
+    track, base = setup.cell.arm(axis.carries).track, context.bases[axis.carries]
+    return base if track is None else track.moved(base, value)
+
+
+def _bare(
+    model: CellModel, setup: Setup, axis: OuterAxis, ends: tuple[float, float], limit: float
+) -> AxisWay:
+    """The way of a base alone: the rest of the arm is looked at as it works (verify.clearance)."""
+    homes = {other.name: other.home for other in setup.cell.arms}
+    track = setup.cell.arm(axis.carries).track
+    bodies = sorted({solid.body for solid in model.solids})
+    every = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
+    direction = np.zeros(3) if track is None else track.axis
+    return axis_way.along(model, axis.carries, direction, ends, homes, limit, every)
 
 
 def _arrives(context: Context, index: int, arm: str, axis: OuterAxis, value: float) -> int:
