@@ -66,21 +66,24 @@ def shares(
     position: FloatArray,
     quaternion: FloatArray,
     duration: FloatArray,
+    rates: tuple[FloatArray, FloatArray],
     levers: FloatArray,
     deviation: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """At least which share (M - 1,) of the time of the shorter one of the moves beside it each corner between
     M moves of ``duration`` (M,) [s] is rounded over, on both sides: by the zone that :func:`room` allows, and
-    by what the controller takes without one. Other arguments as there.
+    by what the controller takes without one. ``rates`` (M,): how many times as fast as on average each move
+    begins and ends. Other arguments as there.
 
     A zone is a length, so the faster move goes through its side in less time, which counts. No zone is larger
     than those that programs name; one that would be smaller rounds nothing, nor does one of an angle where
     the TCP moves on one side.
     """
     way, turn = np.diff(position, axis=0), _turns(quaternion)
-    span = duration[:, None]
-    own = [(way / span, PATH_ACCURACY_MM), (turn / span, PATH_ACCURACY_RAD)]
-    without = np.minimum(*(_share(_sideways_at_most(speed), duration, within) for speed, within in own))
+    comes, goes = (rate[:, None] / duration[:, None] for rate in rates)
+    own = [(way, PATH_ACCURACY_MM), (turn, PATH_ACCURACY_RAD)]
+    change = [(_sideways_at_most((step * goes)[:-1], (step * comes)[1:]), within) for step, within in own]
+    without = np.minimum(*(_share(sideways, duration, within) for sideways, within in change))
     steps, far, angle = np.concatenate([way, levers * turn], axis=1), lengths(way), np.rad2deg(lengths(turn))
     stands = np.maximum(far[1:], far[:-1]) <= STANDING_MM
     moved = np.where(far > STANDING_MM, far, 0.0)
@@ -134,12 +137,12 @@ def _sideways(rate: FloatArray) -> FloatArray:
     return np.where(stands, lengths(np.diff(rate, axis=0)), bent)
 
 
-def _sideways_at_most(rate: FloatArray) -> FloatArray:
-    """The same (M - 1,) as a controller may take it that holds to the faster one of two moves."""
-    size = lengths(rate)
-    along = rate / np.maximum(size, 1e-12)[:, None]
-    bent = np.maximum(size[1:], size[:-1]) * lengths(np.diff(along, axis=0))
-    return np.asarray(np.minimum(bent, lengths(np.diff(rate, axis=0))))
+def _sideways_at_most(before: FloatArray, after: FloatArray) -> FloatArray:
+    """The same (M - 1,) of the speeds before and after corners (M - 1, D), as a controller may take it that
+    holds to the faster one of two moves."""
+    sizes = lengths(before), lengths(after)
+    one, two = (rate / np.maximum(s, 1e-12)[:, None] for rate, s in zip((before, after), sizes, strict=True))
+    return np.asarray(np.minimum(np.maximum(*sizes) * lengths(two - one), lengths(after - before)))
 
 
 def _shorter(size: FloatArray) -> FloatArray:

@@ -485,7 +485,9 @@ def _clock(
             top = settings.speed_fraction * scene.tracks[arm][0].speed
             fastest = np.maximum(fastest, np.abs(np.diff(values, prepend=values[0])) / top)
         own = settings.acceleration_fraction * strength
-        limits = Limits(speed, own, least, rounded(least), fastest)
+        matched = joint_path.ramp_lengths(scene, targets, samples)
+        stop = targets.stop | (np.arange(targets.count) % (targets.count - 1) == 0)
+        limits = Limits(speed, own, least, rounded(least, stop), fastest, matched)
         targets, path, ticks = move_limits.clocked_with_stops(scene, targets, samples, limits, rounded, known)
     except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"

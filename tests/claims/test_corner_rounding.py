@@ -14,11 +14,12 @@ from planner.forming import job as forming_job
 from planner.geometry import corner_rounding
 from planner.hotwire.straight import job as straight_job
 from planner.milling import job as milling_job
+from planner.motion.trajectory import joint_path
 from planner.post.krl import syntax
 from planner.post.rapid import syntax as rapid_syntax
 from planner.targets import Rounding, lever
 from planner.tooling import bow
-from planner.verify.replay.moves import time_law_of
+from planner.verify.replay.moves import end_rates, time_law_of
 from tests.hotwire import foam_blocks
 from tests.post import synthetic
 from tests.post.reading import moves, numbers, programs
@@ -95,9 +96,11 @@ def test_corners_are_rounded_over_no_less_time_than_the_clock_counts_with():
         ways = rng.normal(size=(2, 3)) * rng.uniform(0.1, 3.0, (2, 1))
         times = rng.uniform(0.05, 1.0, 2)
         position = np.concatenate([np.zeros((1, 3)), np.cumsum(ways, axis=0)])
-        stop = np.array([False, True])
+        stop, even = np.array([False, True]), (np.ones(2), np.ones(2))
         reach = corner_rounding.room(position, still, stop)[0][0]
-        share = corner_rounding.shares(position, still, times, np.full(3, 100.0), np.full(2, 0.02))[0][0]
+        share = corner_rounding.shares(position, still, times, even, np.full(3, 100.0), np.full(2, 0.02))[0][
+            0
+        ]
         if reach < sizes[0]:
             assert share == 0.0
             continue
@@ -108,6 +111,16 @@ def test_corners_are_rounded_over_no_less_time_than_the_clock_counts_with():
         assert share * times.min() <= window * (1.0 + 1e-9)
         counted += share > 0.0
     assert counted > 100
+
+
+def test_planner_and_proof_match_speeds_beside_stops_alike():
+    rng = np.random.default_rng(11)
+    for _ in range(50):
+        duration, length = np.exp(rng.normal(size=(2, 20)))
+        stop = rng.uniform(size=21) < 0.3
+        stop[[0, -1]] = True
+        got = joint_path.end_rates(length, duration, stop)
+        np.testing.assert_allclose(got, end_rates(duration, length, stop), rtol=1e-12)
 
 
 def test_a_tool_that_only_gets_faster_has_all_of_its_moves_for_zones():

@@ -16,7 +16,16 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from planner.geometry import corner_rounding
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, inverse, to_quaternion
+from planner.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IndexArray,
+    dots,
+    inverse,
+    lengths,
+    log_rotation,
+    to_quaternion,
+)
 from planner.geometry.units import MM
 from planner.motion.planning_scene import Scene, holders
 from planner.targets import Targets
@@ -204,16 +213,26 @@ LEAST_CORNER_SHARE: Final = 1e-4
 """Least share of a move that a corner counts with."""
 MOST_RAMP: Final = 2.0
 """A move from or to a stop ends or begins at most so many times as fast as it is on average."""
+RAMP_LEVER_M: Final = 0.3
+"""Turning counts as this way [m/rad] where the speed of such a move is matched to its neighbour's."""
 RAMP_SAMPLES: Final = 65
 """Moments at which a move from or to a stop is looked at."""
 
 
-def corner_shares(scene: Scene, targets: Targets, samples: Dense, duration: FloatArray) -> FloatArray:
-    """At least which share (N,) of the shorter move beside it the corner at each target is rounded over, for
-    moves to the targets whose times are in proportion to ``duration`` (N,)."""
+def _at_targets(scene: Scene, targets: Targets, samples: Dense) -> dict[str, FloatArray]:
+    """Poses (N, 4, 4) of the TCPs at the targets."""
     rows = np.flatnonzero(samples.share == 1.0)
-    own_q = {arm: samples.q[arm][rows] for arm in targets.arms}
-    poses = scene.chain_poses(targets, own_q, samples.move[rows])
+    own = {arm: samples.q[arm][rows] for arm in targets.arms}
+    return scene.chain_poses(targets, own, samples.move[rows])
+
+
+def corner_shares(
+    scene: Scene, targets: Targets, samples: Dense, duration: FloatArray, stop: BoolArray
+) -> FloatArray:
+    """At least which share (N,) of the shorter move beside it the corner at each target is rounded over, for
+    moves to the targets whose times are in proportion to ``duration`` (N,), with stops at targets (N,)."""
+    poses = _at_targets(scene, targets, samples)
+    rates = end_rates(ramp_lengths(scene, targets, samples)[1:], duration[1:], stop)
     deviation = 1e3 * targets.rounding.deviations(targets.segment[1:])
     zone, own = np.full((2, targets.count), MOST_CORNER_SHARE)
     for arm, pose in in_work_frames(targets, poses).items():
@@ -221,12 +240,37 @@ def corner_shares(scene: Scene, targets: Targets, samples: Dense, duration: Floa
         if scene.model is not None:
             levers = 1e3 * targets.rounding.turning(arm, scene.model.cell.arm(arm).tool)
         quaternion = to_quaternion(pose[:, :3, :3])
-        found = corner_rounding.shares(pose[:, :3, 3] / MM, quaternion, duration[1:], levers, deviation)
+        found = corner_rounding.shares(
+            pose[:, :3, 3] / MM, quaternion, duration[1:], rates, levers, deviation
+        )
         zone[1:-1] = np.minimum(zone[1:-1], found[0])
         own[1:-1] = np.minimum(own[1:-1], found[1])
     if scene.model is not None and scene.model.cell.controller.path == "spline":
         zone[1:-1] = 0.0  # blocks have none: the proof rounds their corners as it does where there is no zone
     return np.asarray(np.maximum(np.maximum(zone, own), LEAST_CORNER_SHARE))
+
+
+def end_rates(length: FloatArray, duration: FloatArray, stop: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """How many times as fast as on average M moves of ``length`` and ``duration`` (M,) [s] between stops
+    (M + 1,) begin and end; where that is a stop, it is 0."""
+    speed = length / np.maximum(duration, 1e-12)
+    begin, end = np.ones((2, len(speed)))
+    first, last = stop[:-1], stop[1:]
+    begin[1:] = np.clip(speed[:-1] / np.maximum(speed[1:], 1e-12), 1.0, MOST_RAMP)
+    end[:-1] = np.clip(speed[1:] / np.maximum(speed[:-1], 1e-12), 1.0, MOST_RAMP)
+    begin = np.where(first, 0.0, np.where(last, begin, 1.0))
+    return begin, np.where(last, 0.0, np.where(first, end, 1.0))
+
+
+def ramp_lengths(scene: Scene, targets: Targets, samples: Dense) -> FloatArray:
+    """Lengths (N,) [m] of the moves to the targets by which a move from or to a stop matches its neighbour's
+    speed: ways of the TCPs with their turning, as the proof takes it."""
+    out = np.zeros(targets.count)
+    for pose in in_work_frames(targets, _at_targets(scene, targets, samples)).values():
+        turn = log_rotation(np.swapaxes(pose[:-1, :3, :3], 1, 2) @ pose[1:, :3, :3])
+        way = lengths(np.diff(pose[:, :3, 3], axis=0))
+        out[1:] = np.hypot(out[1:], np.hypot(way, RAMP_LEVER_M * lengths(turn)))
+    return out
 
 
 def from_stop_to_stop(spline: CubicSpline, acceleration: FloatArray) -> float:
@@ -236,23 +280,27 @@ def from_stop_to_stop(spline: CubicSpline, acceleration: FloatArray) -> float:
 
 
 def ramps(
-    spline: CubicSpline, knots: FloatArray, duration: FloatArray, acceleration: FloatArray
+    spline: CubicSpline,
+    knots: FloatArray,
+    length: FloatArray,
+    duration: FloatArray,
+    acceleration: FloatArray,
 ) -> tuple[float, float]:
     """Shares of the joint accelerations (J,) that the first move from a stop and the last one to a stop ask
-    for, if the moves between the positions ``knots`` last ``duration`` (n,) [s]: each is a cubic too, which
-    is as fast at its other end as its neighbour is."""
+    for, if the moves between the positions ``knots``, of ``length`` (n,), last ``duration`` (n,) [s]: each is
+    a cubic too, which is as fast at its other end as its neighbour is."""
     at = np.searchsorted(spline.x, knots)
     values = spline(spline.x)
     first, last = values[: at[1] + 1], values[at[-2] :][::-1]
-    starts, ends = _ends_of_ramps(knots, duration)
+    starts, ends = ends_of_ramps(length, duration)
     begins = _cubic(first, starts, acceleration) / duration[0] ** 2
     return begins, _cubic(last, ends, acceleration) / duration[-1] ** 2
 
 
-def ramp_peaks(knots: FloatArray, duration: FloatArray) -> tuple[float, float]:
+def ramp_peaks(length: FloatArray, duration: FloatArray) -> tuple[float, float]:
     """How many times as fast as on average the first move from a stop and the last one to a stop get, as
     :func:`ramps` has them; the only move of a path 1.5 times."""
-    ends = (0.0, 0.0) if len(duration) == 1 else _ends_of_ramps(knots, duration)
+    ends = (0.0, 0.0) if len(duration) == 1 else ends_of_ramps(length, duration)
     peaks = []
     for end in ends:
         c2, c3 = 3.0 - end, end - 2.0
@@ -261,19 +309,19 @@ def ramp_peaks(knots: FloatArray, duration: FloatArray) -> tuple[float, float]:
     return peaks[0], peaks[1]
 
 
-def _ends_of_ramps(knots: FloatArray, duration: FloatArray) -> tuple[float, float]:
-    """How many times as fast as on average the first and the last move are where they meet others."""
-    mean = np.diff(knots) / duration
+def ends_of_ramps(length: FloatArray, duration: FloatArray) -> tuple[float, float]:
+    """How many times as fast as on average the first and the last one of moves of ``length`` (n,) in
+    ``duration`` (n,) [s] are where they meet others."""
+    mean = length / duration
     starts, ends = (
         float(np.clip(next_to / own, 1.0, MOST_RAMP)) for own, next_to in (mean[:2], mean[:-3:-1])
     )
     return starts, ends
 
 
-def _ramp(half: float, duration: float, step: float, neighbour: float) -> tuple[float, float]:
+def _ramp(half: float, duration: float, step: float, rate: float) -> tuple[float, float]:
     """Path speed at ``half`` [s] from the moving end of a ramp, and the way from there to that end: of a move
-    over ``step`` that lasts ``duration`` [s], whose other neighbour goes at the speed ``neighbour``."""
-    rate = float(np.clip(neighbour * duration / step, 1.0, MOST_RAMP))
+    over ``step`` that lasts ``duration`` [s] and is ``rate`` times as fast there as on average."""
     x, c2, c3 = 1.0 - half / duration, 3.0 - rate, rate - 2.0
     return x * (2.0 * c2 + 3.0 * c3 * x) * step / duration, (1.0 - x * x * (c2 + c3 * x)) * step
 
@@ -310,17 +358,20 @@ class Corners:
         slope = np.diff(spline(spline.x), axis=0) * np.repeat(parts / step, parts)[:, None]
         return Corners(slope[at[1:-1] - 1], slope[at[1:-1]], step, taken)
 
-    def acceleration_shares(self, duration: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Shares (n,) of the limits ``acceleration`` (J,) that the corners ask for if the moves last
-        ``duration`` (n + 1,) [s]: each is rounded by the cubic that goes on from the moves beside it, of
-        which those from and to stops are ramps."""
+    def acceleration_shares(
+        self, length: FloatArray, duration: FloatArray, acceleration: FloatArray
+    ) -> FloatArray:
+        """Shares (n,) of the limits ``acceleration`` (J,) that the corners ask for if the moves, of
+        ``length`` (n + 1,), last ``duration`` (n + 1,) [s]: each is rounded by the cubic that goes on from
+        the moves beside it, of which those from and to stops are ramps."""
         mean = self.step / duration
         half = self.taken * np.minimum(duration[:-1], duration[1:])
         comes, goes = mean[:-1].copy(), mean[1:].copy()
         behind, ahead = comes * half, goes * half
         if len(half):
-            comes[0], behind[0] = _ramp(half[0], duration[0], self.step[0], mean[1])
-            goes[-1], ahead[-1] = _ramp(half[-1], duration[-1], self.step[-1], mean[-2])
+            starts, stops = ends_of_ramps(length, duration)
+            comes[0], behind[0] = _ramp(half[0], duration[0], self.step[0], starts)
+            goes[-1], ahead[-1] = _ramp(half[-1], duration[-1], self.step[-1], stops)
         way = self.before * behind[:, None] + self.after * ahead[:, None]
         first, last = self.before * comes[:, None], self.after * goes[:, None]
         span = 2.0 * half[:, None]

@@ -16,7 +16,6 @@ corners that nobody asked for (ABB: 50024, corner path failure; KUKA: approximat
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -37,7 +36,7 @@ from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import speed_limits
 from planner.motion.search.subsampling import subset
 from planner.motion.trajectory.joint_path import MOST_RAMP, Dense, JointPath, joint_path
-from planner.motion.trajectory.timing import RESERVE, SHORTEST, Clock, Limits, TimedPiece, settled
+from planner.motion.trajectory.timing import RESERVE, SHORTEST, Clock, Limits, Rounded, TimedPiece, settled
 from planner.targets import Targets
 
 LEAST_SPEED_SHARE: Final = 0.82
@@ -238,7 +237,7 @@ def clocked_with_stops(
     targets: Targets,
     samples: Dense,
     limits: Limits,
-    rounded: Callable[[FloatArray], FloatArray],
+    rounded: Rounded,
     known: dict[bytes, TimedPiece] | None = None,
 ) -> tuple[Targets, JointPath, Clock]:
     """The path and its clock, and the targets with the stops that are worth it; ``known`` as for

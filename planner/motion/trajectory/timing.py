@@ -20,7 +20,7 @@ from pydrake.multibody.tree import PrismaticJoint, SpatialInertia
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.interpolate import CubicSpline
 
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import BoolArray, FloatArray
 from planner.motion.trajectory.joint_path import (
     CornerLimits,
     Corners,
@@ -143,13 +143,15 @@ class Limits:
     """Joint speeds and accelerations (J,), the least time (N,) [s] that feeds allow for the move to each
     target, and which share (N,) of the shorter move beside it each corner is rounded over. ``tcp_time`` (N,)
     [s]: what each move takes at the fastest that tools, and tracks that go along, may go, None where nothing
-    limits them."""
+    limits them. ``length`` (N,): of the moves, by which those from and to stops match their neighbours'
+    speeds; None for the path's own."""
 
     speed: FloatArray
     acceleration: FloatArray
     least_time: FloatArray
     rounded: FloatArray
     tcp_time: FloatArray | None = None
+    length: FloatArray | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,17 +175,23 @@ class TimingError(ArithmeticError):
         super().__init__(f"no timing for the piece that ends at target {index}")
 
 
+Rounded = Callable[[FloatArray, BoolArray], FloatArray]
+"""The shares (N,) of :class:`Limits` for the times (N,) [s] of the moves to all targets, with stops (N,)."""
+
+
 def settled(
     path: JointPath,
     limits: Limits,
-    rounded: Callable[[FloatArray], FloatArray],
+    rounded: Rounded,
     known: dict[bytes, TimedPiece] | None = None,
 ) -> Clock:
-    """The clock of :func:`clock`, again where its own times leave the corners less room than the limits have:
-    ``rounded`` gives the shares (N,) for the times (N,) [s] of the moves to all targets."""
+    """The clock of :func:`clock`, again where its own times leave the corners less room than the limits
+    have."""
+    stop = np.zeros(path.count, dtype=bool)
+    stop[[end for piece in path.pieces for end in (piece.first, piece.last)]] = True
     for left in reversed(range(ROOM_ROUNDS)):
         ticks = clock(path, limits, known)
-        room = np.minimum(rounded(np.diff(ticks.time, prepend=0.0)), limits.rounded)
+        room = np.minimum(rounded(np.diff(ticks.time, prepend=0.0), stop), limits.rounded)
         if left == 0 or not np.any(ticks.asked * limits.rounded > ROOM_SHARE * room):
             break
         limits = dataclasses.replace(limits, rounded=room)
@@ -252,6 +260,7 @@ def _key(spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, las
         limits.least_time[first + 1 : last + 1],
         limits.rounded[first + 1 : last],
         _tcp(limits, first, last),
+        _lengths(knots, limits, first, last),
     )
     arrays = (spline.x, spline.c, knots, *own, limits.speed, limits.acceleration)
     out = hashlib.sha256(repr((least, [part.shape for part in arrays])).encode())
@@ -265,12 +274,17 @@ def _tcp(limits: Limits, first: int, last: int) -> FloatArray:
     return np.zeros(2) if limits.tcp_time is None else limits.tcp_time[[first + 1, last]]
 
 
+def _lengths(knots: FloatArray, limits: Limits, first: int, last: int) -> FloatArray:
+    """Lengths of the moves of a piece by which speeds beside stops are matched."""
+    return np.diff(knots) if limits.length is None else limits.length[first + 1 : last + 1]
+
+
 def _piece(
     spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, last: int, least: int = LEAST_GRID
 ) -> TimedPiece:
     """Times of the targets ``first`` to ``last`` of one piece, which lie at the path positions ``knots``, and
     the shares of the accelerations that the corners at its inner ones ask for."""
-    steps = np.diff(knots)
+    steps, gone = np.diff(knots), _lengths(knots, limits, first, last)
     top = FEED_SHARE * steps / np.maximum(limits.least_time[first + 1 : last + 1], 1e-9)
     grid = _grid(spline.x, least)
     at = np.searchsorted(knots, grid, side="right") - 1
@@ -294,12 +308,14 @@ def _piece(
         if len(steps) == 1:
             time[1] = max(time[1], from_stop_to_stop(spline, CORNER_SHARE * limits.acceleration))
         took = np.diff(time)
-        quick = np.array(ramp_peaks(knots, took)) * _tcp(limits, first, last) / took[[0, -1]] / RAMP_SPEED
+        quick = np.array(ramp_peaks(gone, took)) * _tcp(limits, first, last) / took[[0, -1]] / RAMP_SPEED
         if len(steps) == 1:
             time[1] *= max(1.0, quick[0])
             quick[:] = 0.0
-        asked = corners.acceleration_shares(np.diff(time), limits.acceleration)
-        ends = (0.0, 0.0) if len(steps) == 1 else ramps(spline, knots, np.diff(time), limits.acceleration)
+        asked = corners.acceleration_shares(gone, np.diff(time), limits.acceleration)
+        ends = (0.0, 0.0)
+        if len(steps) > 1:
+            ends = ramps(spline, knots, gone, np.diff(time), limits.acceleration)
         rounds += 1
         over = max(max([*ends, *asked]) / CORNER_SHARE, quick.max() ** 2)
         if over <= 1.0:

@@ -184,7 +184,7 @@ def test_a_piece_that_harder_bounds_leave_without_a_clock_keeps_the_one_before(
     ticks = clock(path, limits)
     assert len(calls) == 2
     corner = Corners.of(spline, s[::2], np.array([0.05])).acceleration_shares(
-        np.diff(ticks.time), limits.acceleration
+        np.diff(s[::2]), np.diff(ticks.time), limits.acceleration
     )
     assert corner.max() <= timing.CORNER_SHARE * (1 + 1e-9)
     assert ticks.asked[1] == pytest.approx(corner[0], rel=1e-9)

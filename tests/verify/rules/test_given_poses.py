@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from planner import pipeline, processes
-from planner.issues import TandemError
+from planner.issues import Severity, TandemError
 from planner.motion.trajectory import move_limits as planned
 from planner.targets import Targets
 from planner.verify.prove import Prover
@@ -335,6 +335,23 @@ def test_poses_too_near_for_a_controller_are_named(tmp_path: Path) -> None:
     rows += [f"{0.2 * k:.1f},0,90,0,1,0,0" for k in range(80)]
     told = refused(tmp_path, feed_min_mm_s=38, table=lambda _: "\n".join(rows))
     assert "controllers plan no move in less than 6 ms" in told
+
+
+def test_a_short_turn_before_a_stop_is_proven(tmp_path: Path) -> None:
+    """A long way, then a short one with a turn, at whose end the planner stops: the turn begins twice as fast
+    as it is on average, and the corner between them is as sharp as that."""
+    rows = [
+        "robot.x_mm,robot.y_mm,robot.z_mm,robot.qw,robot.qx,robot.qy,robot.qz,segment",
+        "48.8182,30.3709,98.4705,0,0.999505227,-0.002959374,0.031313615,cut/a",
+        "71.1120,7.7701,99.9200,0,0.999343543,0.000229140,0.036227494,cut/a",
+        "71.2288,7.4383,99.9317,0,0.997183734,0.021110418,0.071964922,cut/a",
+        "71.3909,6.2794,99.9398,0,0.997183734,0.021110418,0.071964922,cut/a",
+    ]
+    path = bead_job.write(tmp_path, "kuka", feed_mm_s=66.27, free=[])
+    (tmp_path / "beads.csv").write_text("\n".join(rows))
+    proof = pipeline.plan(pipeline.load(path)).proof
+    assert [issue.message for issue in proof.issues if issue.severity is Severity.ERROR] == []
+    assert proof.ok
 
 
 def test_a_sharp_corner_is_named_with_its_place(tmp_path: Path) -> None:
