@@ -60,6 +60,7 @@ from planner.verify.rules import (
     text,
     track_way,
     trim,
+    trim_knife,
     trim_mill,
     waiting_time,
     wire,
@@ -213,6 +214,7 @@ TRIM_RULES: tuple[Rule[[Context, Trimming], Outcome], ...] = (
     trim.trim_clear,
     trim_mill.trim_mill,
     trim_mill.trim_spindle,
+    trim_knife.trim_knife,
 )
 """Rules about sheets that are trimmed."""
 
