@@ -559,7 +559,7 @@ def any_base(operation: Operation) -> bool:
 
 
 def lights_torch(operation: Operation) -> bool:
-    """Whether the signal of an operation lights a torch: that of one that trims, but by a mill."""
+    """Whether the signal of an operation lights a torch: that of one that trims by a torch."""
     return operation.process == "trim" and getattr(getattr(operation, "by", None), "kind", "torch") == "torch"
 
 

@@ -506,7 +506,7 @@ CODES: Final[dict[str, Code]] = {
     "verify.trim_cut": Code(
         "an outline of a trimmed sheet is not cut as wanted, or is left uncut elsewhere than at its joints"
     ),
-    "verify.trim_kept": Code("a torch or a mill cuts into what is to stay"),
+    "verify.trim_kept": Code("a torch, a mill or a knife cuts into what is to stay"),
     "verify.trim_torch": Code("a torch that cuts is not as far off the sheet as wanted, or leans too far"),
     "verify.trim_arc": Code(
         "an arc starts in the wrong place, is not waited for, or burns where nothing is cut"
@@ -520,21 +520,24 @@ CODES: Final[dict[str, Code]] = {
         "may, or cuts beside its slot"
     ),
     "verify.trim_spindle": Code(
-        "a mill is in a sheet while its spindle is not on for long enough, or elsewhere"
+        "a mill or a knife is in a sheet while its drive is not on for long enough, or elsewhere"
+    ),
+    "verify.trim_knife": Code(
+        "a knife that trims is not as deep as wanted, stands or leans off its curve, or turns in the sheet"
     ),
     "verify.trim_clear": Code("a tool comes nearer to the sheet that it trims than it may"),
     "trim.tool": Code(
-        "an arm that is to trim carries no torch or mill, or one that does not reach through the sheet",
+        "an arm that is to trim carries no torch, mill or knife, or one that does not go through the sheet",
         given=True,
     ),
-    "trim.die": Code("a mill is to go through a sheet behind which there is a die", given=True),
+    "trim.die": Code("a mill or a knife is to go through a sheet behind which there is a die", given=True),
     "trim.no_sheet": Code("a sheet is to be trimmed where there is none, or none that is formed", given=True),
     "trim.open": Code("a curve that is to be cut is not closed", given=True),
     "trim.crosses": Code("curves that are to be cut cross themselves or each other", given=True),
     "trim.in_waste": Code("a curve lies in what another one lets drop", given=True),
     "trim.off_part": Code("a curve, with its slot and its ways in, leaves the opening of the clamp"),
     "trim.narrow": Code("the waste is narrower than the slot"),
-    "trim.corner": Code("a corner is too sharp for a round slot"),
+    "trim.corner": Code("a corner is too sharp for a round slot, or a bend or a corner for a blade"),
     "trim.joints": Code("more micro-joints than fit on a curve"),
     "trim.lead": Code("no way in with its pierce point fits into the waste"),
     "trim.wall": Code("a tool comes nearer to a wall of the sheet than it may, or stands too flat"),

@@ -1,13 +1,14 @@
-"""What must hold of curves that a torch cuts out of a sheet, as data, in the sheet's frame; see
+"""What must hold of curves that are cut out of a sheet, as data, in the sheet's frame; see
 ``claims.claim``."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Final
 
 from planner.claims.milling import DrawnCurve
-from planner.tooling import Cutter, Torch
+from planner.tooling import Blade, Cutter, Torch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,24 +62,52 @@ class TrimCutter:
 
 
 @dataclasses.dataclass(frozen=True)
+class TrimBlade:
+    """A knife that goes through the sheet, square to it: ``blade``, whose tip is ``below`` [m] lower than a
+    sheet of its whole thickness, in a body of radius ``body`` [m] that goes on to ``back`` [m] behind the
+    tip.
+
+    Wherever it is in the sheet it stands along the curve within ``heading`` [rad], its edge ahead. It comes
+    down, not turned, to ``start`` [m] over the face, and from there on the curve along its axis no faster
+    than ``plunge`` [m/s]; so it comes out again. Corners of the curve sharper than ``turns`` [rad] it does
+    not go round in the sheet. Past one it cuts into the part by ``overcut`` [m] at most. Its drive, if it
+    has one, has been on for ``spin_up`` [s] then.
+    """
+
+    blade: Blade
+    body: float
+    back: float
+    below: float
+    start: float
+    heading: float
+    turns: float
+    overcut: float
+    plunge: float
+    spin_up: float
+
+
+@dataclasses.dataclass(frozen=True)
 class TrimsSheet:
-    """In trimming segments ``torch``, or the mill ``mill``, on ``arm`` cuts all of ``outlines``, laid along z
+    """In trimming segments ``torch``, the mill ``mill`` or the knife ``knife`` on ``arm`` cuts all of
+    ``outlines``, laid along z
     on one face of the formed sheet, each closed but for its joints, inner ones before outer ones.
 
     The face is the upper one (``side`` +1) or the lower one of the part of the problem, or of the mesh
     ``surface``; ``thickness`` [m] is the flat sheet's. The proof reads part and curves itself. ``rough`` [m]
     is how far the vertices of the mesh are said to be off the face, at most as far as the proof finds them.
 
-    The slot, ``kerf`` [m] wide, lies in the waste, its edge on the curve within ``tolerance`` [m]. The TCP of
+    The slot, ``kerf`` [m] wide, lies in the waste, its edge on the curve within ``tolerance`` [m]; a knife's
+    has no width, and lies on the curve. The TCP of
     a torch is on the face within ``height`` [m], and where it leads in no higher than the nozzle's
-    ``pierce_height`` [m] says; of a mill it is as deep as wanted within that. The tool leans no farther than
-    ``cone`` [rad] off the normal, and no part of it, but for what cuts of a mill, is nearer to the sheet than
-    ``clear`` [m]. It goes at ``feed`` [m/s] over the cosine of the wall's angle, at ``feed_most`` at most and
-    at the share ``least_feed`` of that on average.
+    ``pierce_height`` [m] says; of others it is as deep as wanted within that. The tool leans no farther than
+    ``cone`` [rad] off the normal, and no part of it, but for what cuts of a mill or a knife, is nearer to the
+    sheet than ``clear`` [m]. It goes at ``feed`` [m/s] over the cosine of the wall's angle, at ``feed_most``
+    at most and, but for a knife, at the share ``least_feed`` of that on average.
 
     The output ``signal`` of a torch is on in trimming segments alone, and goes on at rest in the waste,
     ``pierce_off`` [m] off all curves, as far as a mill goes into the sheet; then the program waits for the
-    input ``ok_signal``, if there is one, ``timeout`` [s] at most, and ``pierce_seconds`` [s] more.
+    input ``ok_signal``, if there is one, ``timeout`` [s] at most, and ``pierce_seconds`` [s] more. A knife
+    that is dragged has none: it is empty.
     """
 
     arm: str
@@ -90,6 +119,7 @@ class TrimsSheet:
     kerf: float
     torch: Torch | None
     mill: TrimCutter | None
+    knife: TrimBlade | None
     tolerance: float
     height: float
     cone: float
@@ -103,3 +133,20 @@ class TrimsSheet:
     pierce_height: float
     pierce_seconds: float
     pierce_off: float
+
+    @property
+    def through(self) -> TrimCutter | TrimBlade | None:
+        """What goes through the sheet, if that is not a torch."""
+        return self.knife if self.mill is None else self.mill
+
+
+MOST_STRETCHES: Final = 200
+"""A knife is lifted so often on one curve at most."""
+
+
+def slot_names(claim: TrimsSheet, one: TrimOutline) -> tuple[str, ...]:
+    """Names of the slots of an outline: its own, or a number for each between two joints. Those that a knife
+    may have, which is lifted as often as it must: its own alone where it is never lifted."""
+    count = MOST_STRETCHES if claim.knife is not None else one.joints
+    numbers = tuple(f"{one.name}_p{k + 1}" for k in range(count))
+    return (one.name, *numbers) if claim.knife is not None else numbers or (one.name,)

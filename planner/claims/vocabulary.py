@@ -342,6 +342,15 @@ TRIM_MILL_READY: Final = Sentence(
 TRIM_MILL_STANDS: Final = Sentence(
     "Spindle stands? Take loose pieces out, and burrs off before it is formed on."
 )
+TRIM_KNIFE: Final = Sentence(
+    "Sheet of {t_mm:g} mm, {metal}; knife with a blade of {wide_mm:g} x {thick_mm:g} mm, {below_mm:g} mm "
+    "through the sheet"
+)
+TRIM_KNIFE_READY: Final = Sentence(
+    "Sheet and blade clamped, its edge ahead, none of these cuts in it yet, nothing below the sheet where "
+    "they are, nobody in the cell?"
+)
+TRIM_KNIFE_DONE: Final = Sentence("Knife still? Take loose pieces out; blade and edges are sharp.")
 
 
 Figure = float | str | None

@@ -16,7 +16,7 @@ from planner.issues import Issue, TandemError
 from planner.motion import offset_wrist, own_clearance
 from planner.motion.placement import reach_gap
 from planner.motion.planning_scene import Scene, holders
-from planner.motion.search.ladder_search import Blocked, Dead
+from planner.motion.search.ladder_search import Blocked, Dead, Wound
 from planner.motion.search.reach import Grid, Reach, full_turn, slides_only
 from planner.motion.trajectory.joint_path import Dense, clear
 from planner.targets import Targets
@@ -40,7 +40,12 @@ def no_path(scene: Scene, targets: Targets, grid: Grid, blocked: Blocked) -> lis
         return [_in_job(issue, targets, rows) for issue in some]
     out = [issue for arm, r in blocked.reach.items() if (issue := _unreached(scene, targets, grid, arm, r))]
     if not out and blocked.common < targets.count:
-        out = [_broken(targets, blocked.common)]
+        wound = blocked.wound
+        out = [
+            _broken(targets, blocked.common)
+            if wound is None
+            else _wound_up(scene, targets, wound, blocked.common)
+        ]
     return out or [_collision(scene, targets, blocked)]
 
 
@@ -149,6 +154,31 @@ def _broken(targets: Targets, index: int) -> Issue:
         index=index,
         target=name,
         hint=_elsewhere(targets),
+    )
+
+
+def _wound_up(scene: Scene, targets: Targets, wound: Wound, index: int) -> Issue:
+    """A joint that would have to turn on where its limits end."""
+    robot, margin = scene.chains[wound.arm].robot, scene.settings.joint_margin
+    low, high = (float(end[wound.joint]) / DEG for end in (robot.lower + margin, robot.upper - margin))
+    name, span = targets.name(index), f"from {wound.low / DEG:.0f} to {wound.high / DEG:.0f} deg"
+    what = (
+        f"axis {wound.joint + 1} of arm {wound.arm} would have to turn {span} over the job, as its tool and "
+    )
+    what += f"its wrist turn; allowed: {low:.0f} to {high:.0f} deg, which ends at target {name}"
+    if wound.jumps:
+        what = f"axis {wound.joint + 1} of arm {wound.arm} would have to turn on past its limits, and jumps "
+        what += f"{span} instead, at target {name}; allowed: {low:.0f} to {high:.0f} deg"
+    return Issue(
+        "motion.no_path",
+        what,
+        value=abs(wound.high - wound.low) / DEG,
+        limit=high - low,
+        unit="deg",
+        arm=wound.arm,
+        index=index,
+        target=name,
+        hint=_elsewhere(targets) + ", turn the tool about its axis on the flange, or split the job there",
     )
 
 

@@ -26,11 +26,14 @@ from planner.tooling import (
     BOW_WIRE_DIAMETER,
     DISK_RIM,
     GRIPPER_REACH,
+    KNIFE_BODY,
     MILL_HOLDER,
     MILL_SPINDLE,
     TORCH_SIZE,
+    Blade,
     FormingTool,
     Gripper,
+    Knife,
     Mill,
     Tool,
     Torch,
@@ -39,6 +42,7 @@ from planner.tooling import (
     disk_tool,
     gripper_plate,
     heat_tool,
+    knife,
     mill,
     plain,
     torch,
@@ -247,6 +251,35 @@ class TorchFile(Strict):
     ] = None
 
 
+class KnifeFile(Strict):
+    """The built-in knife: a blade with a straight end, from whose front its edge goes up and forward, in a
+    round body. Its TCP is the front of that end, x the way it cuts, z out of the tool; of a blade that
+    oscillates at its lowest."""
+
+    kind: Literal["knife"]
+    thickness_mm: Annotated[float, Field(ge=0.05, le=10, description="of the blade")] = 0.6
+    width_mm: Annotated[float, Field(ge=0.2, le=100, description="of the blade, from its back to its edge")]
+    end_mm: Annotated[
+        float, Field(ge=0, le=100, description="of its straight end; none, 0: a point at its back")
+    ] = 0.0
+    ground_mm: Annotated[
+        float,
+        Field(ge=0, le=200, description="height over which its edge goes from the end to its whole width"),
+    ]
+    blade_mm: Annotated[float, Field(ge=1, le=300, description="of the blade out of its body")]
+    body_diameter_mm: Annotated[float, Field(ge=5, le=400)] = 2.0 * KNIFE_BODY[0] / MM
+    length_mm: Annotated[float, Field(ge=75, le=1500, description="from the flange to the tip")] = (
+        KNIFE_BODY[1] / MM
+    )
+    turn_deg: Annotated[
+        float, Field(ge=-180, le=180, description="of its edge about the tool's axis, from the flange's x")
+    ] = 0.0
+    tilt_deg: Annotated[float, Field(ge=-135, le=135, description="against the flange's axis")] = 0.0
+    mass_kg: Annotated[
+        float | None, Field(ge=0.001, le=1000, description="with cable and hoses; none: by its volume")
+    ] = None
+
+
 class PlainToolFile(Strict):
     """Any tool: TCP and shapes in the flange frame, mass, centre of gravity."""
 
@@ -267,6 +300,7 @@ ToolFile = Annotated[
     | HeatToolFile
     | MillFile
     | TorchFile
+    | KnifeFile
     | PlainToolFile,
     Field(discriminator="kind"),
 ]
@@ -484,6 +518,8 @@ def tool(spec: ToolFile, folder: Path) -> Tool:
         return _mill(spec)
     if isinstance(spec, TorchFile):
         return _torch(spec)
+    if isinstance(spec, KnifeFile):
+        return _knife(spec)
     shapes = tuple(shape(s, folder) for s in spec.shapes)
     return plain("plain", spec.tcp.matrix(), shapes, spec.mass_kg, np.array(spec.cog_mm) * MM)
 
@@ -534,6 +570,20 @@ def _torch(spec: TorchFile) -> Torch:
                 0.5 * spec.body_diameter_mm * MM,
                 spec.length_mm * MM,
             ),
+            spec.tilt_deg * DEG,
+            spec.mass_kg,
+        )
+    except ValueError as error:
+        raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
+
+
+def _knife(spec: KnifeFile) -> Knife:
+    sizes = (spec.thickness_mm, spec.width_mm, spec.end_mm, spec.ground_mm, spec.blade_mm)
+    try:
+        return knife(
+            Blade(*(size * MM for size in sizes)),
+            (0.5 * spec.body_diameter_mm * MM, spec.length_mm * MM),
+            spec.turn_deg * DEG,
             spec.tilt_deg * DEG,
             spec.mass_kg,
         )

@@ -395,6 +395,8 @@ def _powered(operation: Operation) -> str:
     """What the signal of an operation powers."""
     if lights_torch(operation):
         return "torch"
+    if getattr(getattr(operation, "by", None), "kind", "") == "knife":
+        return "knife"
     return "spindle" if operation.process in _BY_SPINDLE else "wire"
 
 

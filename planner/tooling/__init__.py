@@ -21,6 +21,7 @@ from planner.tooling.holding_tools import (
     vacuum_cup,
     wire_holder,
 )
+from planner.tooling.knife import KNIFE_BODY, Blade, Knife, knife
 from planner.tooling.torch import TORCH_SIZE, Torch, TorchKind, torch
 from planner.tooling.working_tools import (
     DISK_RIM,
@@ -38,18 +39,18 @@ from planner.tooling.working_tools import (
     profile,
 )
 
-Tool = WireHolder | Bow | Gripper | FormingTool | Mill | Torch | PlainTool
+Tool = WireHolder | Bow | Gripper | FormingTool | Mill | Torch | Knife | PlainTool
 """A tool on a flange: one of these kinds, each with what it really has."""
 
 
 def working_solid(tool: Tool) -> Shape | None:
     """The solid, in the flange frame, with which a tool works the stock: the wire of a bow, the head of a
-    forming tool, a mill's cutter, a torch with its nozzle; it alone may touch the stock, in segments that
-    work it. None for tools that work with nothing rigid of their own."""
+    forming tool, a mill's cutter, a torch with its nozzle, a knife's blade; it alone may touch the stock, in
+    segments that work it. None for tools that work with nothing rigid of their own."""
     match tool:
         case Bow():
             return tool.wire
-        case FormingTool() | Mill() | Torch():
+        case FormingTool() | Mill() | Torch() | Knife():
             return tool.solid
         case WireHolder() | Gripper() | PlainTool():
             return None
@@ -63,16 +64,19 @@ __all__ = [
     "BOW_WIRE_DIAMETER",
     "DISK_RIM",
     "GRIPPER_REACH",
+    "KNIFE_BODY",
     "MILL_HOLDER",
     "MILL_SPINDLE",
     "REACH",
     "TORCH_SIZE",
+    "Blade",
     "Bow",
     "Cutter",
     "CutterKind",
     "FormingHead",
     "FormingTool",
     "Gripper",
+    "Knife",
     "Mill",
     "PlainTool",
     "Tool",
@@ -84,6 +88,7 @@ __all__ = [
     "disk_tool",
     "gripper_plate",
     "heat_tool",
+    "knife",
     "mill",
     "plain",
     "profile",

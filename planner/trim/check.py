@@ -180,13 +180,17 @@ def wall_issue(slot: Slot, tips: FloatArray, off: FloatArray, op: Trim, tool: Cu
     )
     what += f"{op.clear_mm:g} mm"
     hint = "move the curve away from the wall, take a longer flute or a slimmer holder"
-    if tool.cutter is None:
+    if tool.blade is not None:
+        hint = "move the curve away from the wall, take a longer blade_mm or a slimmer body"
+    elif tool.cutter is None:
         hint = "move the curve away from the wall, take a slimmer nozzle, or a larger standoff_mm"
     yield Issue("trim.wall", what, value=float(off[k]) / MM, limit=op.clear_mm, unit="mm", hint=hint)
 
 
 def _named(tool: Cutting) -> str:
     """What keeps clear of the sheet, in words."""
+    if tool.blade is not None:
+        return f"{tool.word}'s body"
     return tool.word if tool.cutter is None else f"{tool.word}'s shank or holder"
 
 

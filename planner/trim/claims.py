@@ -8,8 +8,9 @@ from pathlib import Path
 from planner.claims import vocabulary
 from planner.claims.claim import Claim, ContactOnlyIn
 from planner.claims.milling import DrawnCurve
-from planner.claims.trim import SurfaceFile, TrimCutter, TrimOutline, TrimsSheet
+from planner.claims.trim import SurfaceFile, TrimBlade, TrimCutter, TrimOutline, TrimsSheet
 from planner.claims.vocabulary import (
+    DialogueStep,
     OperatorDialogue,
     message_step,
     power_off_steps,
@@ -18,12 +19,12 @@ from planner.claims.vocabulary import (
 )
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
-from planner.tooling import Mill, Torch
-from planner.trim.cutting import kerf_of
-from planner.trim.operation import MillCut, OutlineFile, Trim
+from planner.tooling import Knife, Mill, Torch
+from planner.trim.cutting import Trimmer, kerf_of
+from planner.trim.operation import KnifeCut, MillCut, OutlineFile, Trim
 
 
-def claims(op: Trim, setup: Setup, tool: Torch | Mill, rough: float) -> tuple[Claim, ...]:
+def claims(op: Trim, setup: Setup, tool: Trimmer, rough: float) -> tuple[Claim, ...]:
     """The curves that are cut on a face that may be off by ``rough`` [m], and what the operator is told; what
     is switched at each curve, the proof works out from these."""
     surface = None
@@ -43,6 +44,7 @@ def claims(op: Trim, setup: Setup, tool: Torch | Mill, rough: float) -> tuple[Cl
         kerf=kerf_of(tool),
         torch=torch,
         mill=_cutter(op.by, tool) if isinstance(op.by, MillCut) and isinstance(tool, Mill) else None,
+        knife=_blade(op, op.by, tool) if isinstance(op.by, KnifeCut) and isinstance(tool, Knife) else None,
         tolerance=op.shape_tol_mm * MM,
         height=op.height_tol_mm * MM,
         cone=op.cone_deg * DEG,
@@ -50,15 +52,16 @@ def claims(op: Trim, setup: Setup, tool: Torch | Mill, rough: float) -> tuple[Cl
         feed=op.feed_mm_s * MM,
         feed_most=most,
         least_feed=op.least_feed,
-        signal=op.signal,
+        signal=op.signal or "",
         ok_signal=op.ok_signal,
         timeout=op.ok_timeout_s,
         pierce_height=standoff if op.pierce.height_mm is None else op.pierce.height_mm * MM,
         pierce_seconds=op.pierce.seconds,
         pierce_off=op.pierce.off_mm * MM,
     )
-    if isinstance(op.by, MillCut):
-        powered = ContactOnlyIn(("trim",), op.signal, op.by.spin_up_s)
+    if op.signal is not None and isinstance(op.by, MillCut | KnifeCut):
+        seconds = op.by.spin_up_s if isinstance(op.by, MillCut) else op.by.start_up_s
+        powered = ContactOnlyIn(("trim",), op.signal, seconds)
         return powered, cuts, _dialogue(op, setup, tool)
     return cuts, _dialogue(op, setup, tool)
 
@@ -74,7 +77,22 @@ def _cutter(by: MillCut, tool: Mill) -> TrimCutter:
     )
 
 
-def told(op: Trim, setup: Setup, torch: Torch | Mill) -> dict[str, float | str]:
+def _blade(op: Trim, by: KnifeCut, tool: Knife) -> TrimBlade:
+    return TrimBlade(
+        tool.blade,
+        tool.body,
+        tool.back,
+        by.below_mm * MM,
+        by.start_mm * MM,
+        by.heading_deg * DEG,
+        by.turns_deg * DEG,
+        by.overcut_mm * MM,
+        by.plunge_mm_s * MM,
+        0.0 if op.signal is None else by.start_up_s,
+    )
+
+
+def told(op: Trim, setup: Setup, torch: Trimmer) -> dict[str, float | str]:
     """Figures of what the operator is told of sheet and tool."""
     sheet = setup.stock.sheet
     own: dict[str, float | str] = {
@@ -88,6 +106,12 @@ def told(op: Trim, setup: Setup, torch: Torch | Mill) -> dict[str, float | str]:
             "rpm": op.by.spindle_rpm,
             "below_mm": op.by.below_mm,
         }
+    if isinstance(op.by, KnifeCut) and isinstance(torch, Knife):
+        return own | {
+            "wide_mm": torch.blade.width / MM,
+            "thick_mm": torch.blade.thickness / MM,
+            "below_mm": op.by.below_mm,
+        }
     if not isinstance(torch, Torch):
         return own
     return own | {
@@ -97,26 +121,32 @@ def told(op: Trim, setup: Setup, torch: Torch | Mill) -> dict[str, float | str]:
     }
 
 
-def _dialogue(op: Trim, setup: Setup, torch: Torch | Mill) -> OperatorDialogue:
+def _dialogue(op: Trim, setup: Setup, torch: Trimmer) -> OperatorDialogue:
+    figures = told(op, setup, torch)
     if isinstance(op.by, MillCut):
-        return OperatorDialogue(
-            op.arms,
-            (
-                message_step(vocabulary.TRIM_MILL, **told(op, setup, torch)),
-                question_step(vocabulary.TRIM_MILL_READY),
-                *power_on_steps(op.signal, op.by.spin_up_s),
-            ),
-            (
-                *power_off_steps(op.signal, op.by.spin_down_s),
-                question_step(vocabulary.TRIM_MILL_STANDS),
-            ),
-        )
+        begin = message_step(vocabulary.TRIM_MILL, **figures), question_step(vocabulary.TRIM_MILL_READY)
+        end = question_step(vocabulary.TRIM_MILL_STANDS)
+        return _powered(op, begin, end, op.by.spin_up_s, op.by.spin_down_s)
+    if isinstance(op.by, KnifeCut):
+        begin = message_step(vocabulary.TRIM_KNIFE, **figures), question_step(vocabulary.TRIM_KNIFE_READY)
+        end = question_step(vocabulary.TRIM_KNIFE_DONE)
+        return _powered(op, begin, end, op.by.start_up_s, op.by.run_down_s)
     first = (
-        message_step(vocabulary.TORCH, **told(op, setup, torch)),
+        message_step(vocabulary.TORCH, **figures),
         message_step(vocabulary.TORCH_STOPPED),
         question_step(vocabulary.TORCH_READY),
     )
     return OperatorDialogue(op.arms, first, (question_step(vocabulary.TORCH_COLD),))
+
+
+def _powered(
+    op: Trim, begin: tuple[DialogueStep, ...], end: DialogueStep, up: float, down: float
+) -> OperatorDialogue:
+    """What is told and asked about a tool whose signal, if it has one, is on all the while."""
+    if op.signal is None:
+        return OperatorDialogue(op.arms, begin, (end,))
+    on, off = power_on_steps(op.signal, up), power_off_steps(op.signal, down)
+    return OperatorDialogue(op.arms, (*begin, *on), (*off, end))
 
 
 def _outline(one: OutlineFile) -> TrimOutline:

@@ -1,4 +1,5 @@
-"""What cuts a sheet, as the job sees it: a torch whose TCP is on the face, or a mill that goes through it."""
+"""What cuts a sheet, as the job sees it: a torch whose TCP is on the face, a mill or a knife that goes
+through it."""
 
 from __future__ import annotations
 
@@ -12,19 +13,22 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.swept_body import RoundBody
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
-from planner.tooling import Cutter, Mill, Tool, Torch
-from planner.trim.operation import MillCut, Trim
+from planner.tooling import Blade, Cutter, Knife, Mill, Tool, Torch
+from planner.trim.operation import KnifeCut, MillCut, Trim
+
+Trimmer = Torch | Mill | Knife
+"""Tools that trim."""
 
 OFF_SHANK: Final = 0.1 * MM
-"""How much of the flute [m] stays out of the sheet besides the wanted clearance."""
+"""How much of flute or blade [m] stays out of the sheet besides the wanted clearance."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Cutting:
     """``word`` names the tool, ``kerf`` [m] is the width of its slot. In a slot its TCP is ``deep`` [m]
     behind the face, along its axis, and where it begins ``lift`` [m] higher than that. ``body`` keeps clear
-    of the sheet. A mill's ``cutter`` cuts what it meets; it goes down at ``plunge`` [m/s], straight where not
-    ``ramp``."""
+    of the sheet. A mill's ``cutter`` cuts what it meets, a knife's ``blade`` what is in its plane; both go
+    down at ``plunge`` [m/s], straight where not ``ramp``."""
 
     word: str
     kerf: float
@@ -34,44 +38,58 @@ class Cutting:
     cutter: Cutter | None = None
     plunge: float = float("inf")
     ramp: bool = True
+    blade: Blade | None = None
+
+    @property
+    def through(self) -> bool:
+        """Whether it goes through the sheet."""
+        return self.cutter is not None or self.blade is not None
 
 
-def kerf_of(tool: Torch | Mill) -> float:
-    """Width [m] of the slot that a tool cuts."""
-    return tool.kerf if isinstance(tool, Torch) else 2.0 * tool.cutter.radius
+def kerf_of(tool: Trimmer) -> float:
+    """Width [m] of the slot that a tool cuts; a knife takes nothing away."""
+    match tool:
+        case Torch():
+            return tool.kerf
+        case Mill():
+            return 2.0 * tool.cutter.radius
+        case Knife():
+            return 0.0
 
 
-def mounted(op: Trim, tool: Tool) -> Torch | Mill:
+def mounted(op: Trim, tool: Tool) -> Trimmer:
     """The tool with which an arm cuts. Raises ``TandemError`` (trim.tool) for one that does not."""
-    if isinstance(op.by, MillCut) and isinstance(tool, Mill):
-        return tool
-    if not isinstance(op.by, MillCut) and isinstance(tool, Torch):
+    if isinstance(tool, Mill | Torch | Knife) and op.by.kind == _KIND[type(tool)]:
         return tool
     wanted = op.by.kind
     what = f"{op.name}: arm {op.arms[0]} carries {tool.name}, no {wanted}"
     hint = f"give it tool: {{kind: {wanted}, ...}}, by a setup if need be"
-    if isinstance(tool, Mill):
-        hint += ", or state by: {kind: mill}"
+    if isinstance(tool, Mill | Torch | Knife):
+        hint += f", or state by: {{kind: {_KIND[type(tool)]}}}"
     raise TandemError(Issue("trim.tool", what, hint=hint))
 
 
-def cutting(op: Trim, tool: Torch | Mill, thickness: float) -> Cutting:
-    """How a tool cuts a sheet ``thickness`` [m] thick. Raises ``TandemError`` (trim.tool) for cutters that do
-    not go through it."""
+_KIND: Final = {Mill: "mill", Torch: "torch", Knife: "knife"}
+"""What ``by`` calls each tool."""
+
+
+def cutting(op: Trim, tool: Trimmer, thickness: float) -> Cutting:
+    """How a tool cuts a sheet ``thickness`` [m] thick. Raises ``TandemError`` (trim.tool) for cutters and
+    blades that do not go through it."""
     if isinstance(tool, Torch):
         height = tool.standoff if op.pierce.height_mm is None else op.pierce.height_mm * MM
         return Cutting("torch", tool.kerf, 0.0, height - tool.standoff, torch_body(tool))
-    if not isinstance(op.by, MillCut):
-        raise ValueError("a mill cuts by: {kind: mill}")
+    if isinstance(tool, Knife) and isinstance(op.by, KnifeCut):
+        deep = thickness + op.by.below_mm * MM
+        _require_reach(op, ("blade", "blade_mm"), tool.blade.length, deep)
+        body = _cylinders([(tool.blade.length, tool.back, tool.body)])
+        lift, plunge = deep + op.by.start_mm * MM, op.by.plunge_mm_s * MM
+        return Cutting("knife", 0.0, deep, lift, body, plunge=plunge, ramp=False, blade=tool.blade)
+    if not isinstance(tool, Mill) or not isinstance(op.by, MillCut):
+        raise ValueError("a mill cuts by: {kind: mill}, a knife by: {kind: knife}")
     cutter, by = tool.cutter, op.by
     deep = thickness + by.below_mm * MM
-    least = deep + op.clear_mm * MM + OFF_SHANK
-    if cutter.flute < least:
-        what = f"{op.name}: the flute of {cutter.flute / MM:g} mm does not reach through the sheet; wanted: "
-        what += f"{least / MM:.2f} mm, the sheet, below_mm and clear_mm"
-        hint = "take a longer flute_mm, or less below_mm"
-        value, limit = cutter.flute / MM, least / MM
-        raise TandemError(Issue("trim.tool", what, value=value, limit=limit, unit="mm", hint=hint))
+    _require_reach(op, ("flute", "flute_mm"), cutter.flute, deep)
     if cutter.corner > by.below_mm * MM:
         what = f"{op.name}: the end of the {cutter.kind} cutter, round over {cutter.corner / MM:g} mm, stays "
         what += f"in the sheet; below_mm: {by.below_mm:g}"
@@ -87,6 +105,18 @@ def cutting(op: Trim, tool: Torch | Mill, thickness: float) -> Cutting:
         by.plunge_mm_s * MM,
         by.entry == "ramp",
     )
+
+
+def _require_reach(op: Trim, names: tuple[str, str], length: float, deep: float) -> None:
+    """Whether what cuts reaches ``deep`` [m] behind the face with room for what does not; ``names``: of it,
+    and of the field of its ``length`` [m]."""
+    least = deep + op.clear_mm * MM + OFF_SHANK
+    if length < least:
+        what = f"{op.name}: the {names[0]} of {length / MM:g} mm does not reach through the sheet; wanted: "
+        what += f"{least / MM:.2f} mm, the sheet, below_mm and clear_mm"
+        hint = f"take a longer {names[1]}, or less below_mm"
+        value, limit = length / MM, least / MM
+        raise TandemError(Issue("trim.tool", what, value=value, limit=limit, unit="mm", hint=hint))
 
 
 def torch_body(torch: Torch) -> RoundBody:

@@ -1,11 +1,13 @@
-"""The process `trim`: from closed curves on a formed sheet to targets of one arm's torch or mill, and claims.
+"""The process `trim`: from closed curves on a formed sheet to targets of one arm's torch, mill or knife, and
+claims.
 
 See `face` (curves laid on the face, slots beside them), `slots` (ways in and out, micro-joints),
-`cutting` (what cuts), `check` (what would go wrong), `claims`.
+`stretches` (a knife's cuts), `cutting` (what cuts), `check` (what would go wrong), `claims`, `shown`.
 
-**Poses**: a torch's TCP is the place that is cut, a mill's its tip, as far behind that as it goes through
-the sheet; z is the tool's axis, which points into the sheet. Motion may spin the tool, and lean it about
-the place that is cut within its cone where that keeps it clear of the sheet.
+**Poses**: a torch's TCP is the place that is cut, a mill's and a knife's its tip, as far behind that as it
+goes through the sheet; z is the tool's axis, which points into the sheet, x of a knife the way it cuts.
+Motion may spin the tool, and lean it about the place that is cut within its cone where that keeps it clear
+of the sheet; a knife it may spin a little, as it stands along its curve and square to the sheet.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from planner.claims.vocabulary import Segment
 from planner.forming.features.tree import LEAST_BUMP, build
 from planner.forming.job import poses
 from planner.forming.stages import formed_sheet, shown
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, corners, transform
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, corners, from_parts, transform
 from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
@@ -32,13 +34,14 @@ from planner.milling.tool_path import sharp, thinned
 from planner.problem import Formed, Hole, Setup
 from planner.reading import sheet as sheet_file
 from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
-from planner.tooling import Mill, Torch
 from planner.trim import check
 from planner.trim.claims import claims, told
-from planner.trim.cutting import Cutting, cutting, mounted
+from planner.trim.cutting import Cutting, Trimmer, cutting, mounted
 from planner.trim.face import Face, Laid, apart, lay
-from planner.trim.operation import MillCut, Trim, every_outline
+from planner.trim.operation import KnifeCut, MillCut, Trim, every_outline
+from planner.trim.shown import Way, exhibits
 from planner.trim.slots import Slot, Wanted, slots
+from planner.trim.stretches import ahead, stretches, turning
 
 TRIM: Final = "trim"
 """The kind of segments in which a torch cuts, and comes and goes."""
@@ -54,6 +57,8 @@ ROUNDED_SHARE: Final = 0.25
 """Share of the tolerance that rounded corners may take."""
 MEAN_FEED_FROM_REST: Final = 0.66
 """Part of the feed that moves from or to a stop have on average, as they are faster in between."""
+KNIFE_FEED: Final = (0.56, 0.8)
+"""The same of a knife's moves from or to a stop, and of those beside them."""
 LINGER: Final = 2.5
 """On a short stretch a torch may take so many times as long as at its least average feed; the proof allows
 more."""
@@ -65,6 +70,14 @@ LEAST_STRETCH: Final = 3.0 * MM
 """and so long [m] at least."""
 AIR_LEVER: Final = 0.05
 """A point so far [m] behind the TCP counts for the speed in the air, where the torch turns."""
+HEADING_SHARE: Final = 0.4
+"""Share of what a blade may stand off its curve that motion may use at targets,"""
+CHORD_TURN_SHARE: Final = 0.2
+"""Share of it that straight moves between targets may cost,"""
+ROUNDED_TURN_SHARE: Final = 0.1
+"""Share of it that rounded corners may take;"""
+SIDE_SHARE: Final = 0.2
+"""at targets its front and back are off by no more than this share of the tolerance then."""
 SPIN_WAY: Final = 5e-4
 """How far [m] what spins with the torch may be off, at the lever of its turning."""
 
@@ -72,8 +85,9 @@ SPIN_WAY: Final = 5e-4
 @dataclasses.dataclass(frozen=True)
 class Route:
     """N targets: ``tip`` and ``axis`` (N, 3), from the TCP into the torch; ``feed`` (N,) [m/s]; ``lean``:
-    how far [rad] the torch may lean; ``segment`` and ``stop`` (N,). ``height`` (N,) [m] of the nozzle off the
-    face in slots, NaN elsewhere. ``pierce`` and ``end`` are the rows at which each slot begins and ends."""
+    how far [rad] the torch may lean, or a knife spin; ``segment`` and ``stop`` (N,). ``height`` (N,) [m] of
+    the nozzle off the face in slots, NaN elsewhere. ``pierce`` and ``end`` are the rows at which each slot
+    begins and ends. ``heading`` (N,) [rad] is that of a knife's edge; of other tools NaN."""
 
     tip: FloatArray
     axis: FloatArray
@@ -84,13 +98,14 @@ class Route:
     height: FloatArray
     pierce: tuple[int, ...]
     end: tuple[int, ...]
+    heading: FloatArray
 
 
 class TrimJob(Job[Trim]):
     """An operation that trims, with the torch and the sheet that it finds."""
 
     @functools.cached_property
-    def tool(self) -> Torch | Mill:
+    def tool(self) -> Trimmer:
         """The tool of the arm. Raises ``TandemError`` (trim.tool)."""
         return mounted(self.operation, self.setup.cell.arm(self.operation.arms[0]).tool)
 
@@ -150,17 +165,20 @@ class TrimJob(Job[Trim]):
         sheet = self.setup.stock.sheet
         if sheet is None:
             raise TandemError(Issue("trim.no_sheet", f"{op.name}: there is no sheet to trim", field="sheet"))
-        if tool.cutter is not None and sheet.die:
-            what = f"{op.name}: there is a die behind the sheet, into which the cutter would go"
+        if tool.through and sheet.die:
+            what = f"{op.name}: there is a die behind the sheet, into which the {tool.word} would go"
             hint = "take the die out, and trim by a problem of its own (surface:), or by a torch or laser"
             raise TandemError(Issue("trim.die", what, field="operations.die", hint=hint))
-        reach = tool.kerf + op.lead.length_mm * MM
+        reach = tool.kerf + op.lead.length_mm * MM if tool.blade is None else tool.blade.width
         issues = list(check.curve_issues(wanted, sheet.opening, reach))
         if issues:
             raise TandemError(aggregate(issues))
         made: list[Slot] = []
         for one in wanted:
             try:
+                if tool.blade is not None:
+                    made += stretches(op, one, self.face, tool)
+                    continue
                 made += slots(op, one, [o for o in wanted if o is not one], self.face, tool.kerf)
             except TandemError as error:
                 issues += error.issues
@@ -179,6 +197,8 @@ class TrimJob(Job[Trim]):
         more than its kerf."""
         out = []
         op = self.operation
+        if self.cutting.blade is not None:
+            return ()  # it may be as slow as it likes
         for segment in dict.fromkeys(s for s in targets.segment if s.kind == TRIM and not s.phase):
             rows = np.array([s == segment for s in targets.segment])
             spent = float(np.diff(time, prepend=time[0])[rows].sum())
@@ -253,10 +273,11 @@ def _route(
     feeds: list[FloatArray] = []
     leans: list[FloatArray] = []
     heights: list[FloatArray] = []
+    headings: list[FloatArray] = []
     segments: list[Segment] = []
     pierce: list[int] = []
     end: list[int] = []
-    cone = LEAN_SHARE * op.cone_deg * DEG
+    most = _most_lean(op, tool)
     for number, slot in enumerate(made):
         own_outline = next(one for one in wanted if one.spec.name == slot.outline)
         try:
@@ -267,6 +288,7 @@ def _route(
             issues += error.issues
             continue
         point, axis = slot.point[rows], face.side * slot.normal[rows]
+        heading = slot.heading[rows] if tool.blade is not None else np.full(len(rows), np.nan)
         pivot = point + raised[:, None] * axis
         tip = pivot - tool.deep * axis
         off = check.clear_of(tool.body, places, tip, axis)
@@ -276,12 +298,12 @@ def _route(
         if has_errors(issues):
             continue
         ok = np.ones(len(tip), dtype=bool)
-        for leant in check.leans(axis, op.cone_deg * DEG):
+        for leant in check.leans(axis, op.cone_deg * DEG) if tool.blade is None else ():
             low = pivot - tool.deep * leant
             ok &= check.clear_of(tool.body, places, low, leant) >= op.clear_mm * MM
             ok &= check.gouged(*cut, (low, leant))[0] <= op.shape_tol_mm * MM
-        lean = np.where(ok & np.append(ok[1:], True) & np.append(True, ok[:-1]), cone, 0.0)
-        if tool.cutter is not None:  # not turned on the way down, and straight out again
+        lean = np.where(ok & np.append(ok[1:], True) & np.append(True, ok[:-1]), most, 0.0)
+        if tool.through:  # not turned on the way down, and straight out again
             lean[(raised > 0.0) | np.append(True, raised[:-1] > 0.0)] = 0.0
             lean[-1] = 0.0
         above = [tip[k] + max((level - tip[k, 2]) / axis[k, 2], 2.0 * MM) * axis[k] for k in (0, -1)]
@@ -292,10 +314,23 @@ def _route(
         feed[1:] = np.minimum(feed[1:], feed[:-1])
         feed = _of_tip(feed, tool, point, tip, raised)
         own = Segment(TRIM, slot.name)
+        if tool.blade is not None and number:  # turned back, or to the next stretch, in the air
+            air = turning(
+                (tips[-1][-1], axes[-1][-1], float(headings[-1][-1])), (above[0], axis[0], float(heading[0]))
+            )
+            count = len(air.heading)
+            tips.append(air.tip)
+            axes.append(air.axis)
+            headings.append(air.heading)
+            feeds.append(np.full(count, op.rapid_mm_s * MM))
+            leans.append(np.zeros(count))
+            heights.append(np.full(count, np.nan))
+            segments += [Segment("link")] * count
         pierce.append(sum(map(len, tips)) + 1)
         end.append(pierce[-1] + len(tip) - 1)
         tips += [above[0][None], tip, above[1][None]]
         axes += [axis[:1], axis, axis[-1:]]
+        headings += [heading[:1], heading, heading[-1:]]
         feeds += [
             np.array([op.rapid_mm_s * MM, op.plunge_mm_s * MM]),
             feed[1:],
@@ -313,6 +348,7 @@ def _route(
         stop[[first - 1, last + 1]] = True
         stop[first : last + 1] = sharp(tip[first : last + 1])
     rise = tip[-1] + op.safe_mm * MM * axis[-1]
+    heading = np.concatenate(headings)
     return Route(
         np.concatenate([tip, rise[None]]),
         np.concatenate([axis, axis[-1:]]),
@@ -323,7 +359,18 @@ def _route(
         np.append(np.concatenate(heights), np.nan),
         tuple(pierce),
         tuple(end),
+        np.append(heading, heading[-1]),
     ), issues
+
+
+def _most_lean(op: Trim, tool: Cutting) -> float:
+    """How far [rad] motion may lean the tool; a knife stands square to the face, and is so far turned about
+    its axis at most."""
+    if tool.blade is None or not isinstance(op.by, KnifeCut):
+        return LEAN_SHARE * op.cone_deg * DEG
+    long = max(tool.blade.end, float(tool.blade.front(tool.deep)))
+    beside = float(np.arctan2(SIDE_SHARE * op.shape_tol_mm * MM, long))
+    return min(HEADING_SHARE * op.by.heading_deg * DEG, beside)
 
 
 def _whole(
@@ -346,7 +393,7 @@ def _of_tip(
 ) -> FloatArray:
     """The feed (N,) [m/s] of a tip that is not on the face: so that it is ``feed`` there, and down no faster
     than a plunge."""
-    if tool.cutter is None:
+    if not tool.through:
         return feed
     out, along = feed.copy(), np.linalg.norm(np.diff(point, axis=0), axis=1)
     way, down = np.linalg.norm(np.diff(tip, axis=0), axis=1), -np.diff(raised)
@@ -360,7 +407,8 @@ def _of_tip(
 
 def _nowhere() -> Route:
     none = np.zeros((0, 3))
-    return Route(none, none, none[:, 0], none[:, 0], (), none[:, 0] > 0.0, none[:, 0], (), ())
+    flat = none[:, 0]
+    return Route(none, none, flat, flat, (), flat > 0.0, flat, (), (), flat)
 
 
 LOW_TOLERANCES: Final = 2.0
@@ -392,20 +440,49 @@ def _above(slot: Slot, op: Trim, tool: Cutting, near: tuple[Laid, float]) -> Flo
 def _rows(slot: Slot, op: Trim, tool: Cutting, near: tuple[Laid, float]) -> tuple[IntArray, FloatArray]:
     """Rows of a slot's places that become targets, and how much higher (N,) [m] than in the slot the TCP is
     there; ``near`` as :func:`_above` has it. A cutter that plunges has its first place twice."""
-    lever = np.array([0.0, AXIS_LEVER, -tool.deep])[: 2 if tool.cutter is None else 3]
-    points = slot.point[:, None] + lever[:, None] * slot.normal[:, None]
     chord = CHORD_SHARE * min(op.shape_tol_mm, op.height_tol_mm) * MM
-    chord = chord if tool.cutter is None else min(chord, CHORD_SHARE * tool.deep)
+    chord = min(chord, CHORD_SHARE * tool.deep) if tool.through else chord
+    lever = np.array([0.0, AXIS_LEVER, -tool.deep])[: 3 if tool.through else 2]
+    points = slot.point[:, None] + lever[:, None] * slot.normal[:, None]
+    if tool.blade is not None and isinstance(op.by, KnifeCut):  # its front and its back, too, and its heading
+        far = chord / (CHORD_TURN_SHARE * op.by.heading_deg * DEG)
+        ends = np.array([-max(tool.blade.end, far), max(float(tool.blade.front(tool.deep)), far)])
+        ways = ahead(slot.normal, slot.heading)
+        points = np.concatenate([points, slot.point[:, None] + ends[:, None] * ways[:, None]], axis=1)
     above = _above(slot, op, tool, near)
     low = int(np.argmax(above == 0.0))
-    breaks = np.unique([0, low, slot.first, slot.last, len(slot.point) - 1])
+    marks = [0, slot.first, slot.last, len(slot.point) - 1]
+    breaks = np.unique(marks if tool.blade is not None else [*marks, low])
     found = [np.zeros(1, dtype=np.int64)]
     for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
         found.append(first + thinned(points[first : last + 1], chord, op.step_mm * MM)[1:])
     rows = np.concatenate(found)
+    if tool.blade is not None:
+        rows = _evened(rows, slot.point)
     if tool.ramp:
         return rows, tool.lift * above[rows]
     return np.append(0, rows), tool.lift * np.append(1.0, np.zeros(len(rows)))
+
+
+LAST_MOVES: Final = 5
+"""So many moves at the end of a knife's stretch share what thinning leaves to the last one,"""
+ALIKE: Final = 1.3
+"""where the others of them differ by no more than this factor; else the last two do."""
+
+
+def _evened(rows: IntArray, point: FloatArray) -> IntArray:
+    """Rows (K,) of places (N, 3) with the last moves evenly long, so that no short one is left."""
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1)))
+    count = min(LAST_MOVES, len(rows) - 1)
+    step = np.diff(way[rows[-count - 1 :]])
+    if count > 2 and step[:-1].max() > ALIKE * step[:-1].min():
+        count = 2
+    if count < 2 or step[-1] >= step[-2]:
+        return rows
+    first = rows[-count - 1]
+    wanted = np.linspace(way[first], way[rows[-1]], count + 1)[1:-1]
+    inner = np.unique(np.clip(np.searchsorted(way, wanted), first + 1, rows[-1] - 1))
+    return np.concatenate([rows[:-count], inner, rows[-1:]])
 
 
 def _level(op: Trim, setup: Setup, face: Face) -> float:
@@ -418,7 +495,7 @@ def _level(op: Trim, setup: Setup, face: Face) -> float:
 def _targets(
     op: Trim,
     setup: Setup,
-    mounted_tool: Torch | Mill,
+    mounted_tool: Trimmer,
     tool: Cutting,
     made: list[Slot],
     wanted: tuple[Wanted, ...],
@@ -430,180 +507,124 @@ def _targets(
     actions = _actions(op, setup, mounted_tool, route)
     stop = route.stop.copy()
     stop[[action.at for action in actions]] = True
-    rest = np.append(False, stop[:-1]) | stop
     return Targets(
         arms=op.arms,
-        pose={arm: poses(route.tip, -route.axis)},
+        pose={arm: _poses(route, tool)},
         frame={arm: "stock"},
-        freedoms=_freedoms(arm, route.lean, tool.deep),
-        feed=np.where(rest, MEAN_FEED_FROM_REST, 1.0) * route.feed,
+        freedoms=_freedoms(arm, route.lean, tool),
+        feed=_shares(stop, tool) * route.feed,
         feed_min=np.zeros(count),
-        travel=_travel(route),
+        travel=_travel(route, tool),
         stop=stop,
         segment=route.segment,
         actions=actions,
         claims=stated,
-        exhibits=exhibits(op, mounted_tool, tool, made, wanted, route) | sheet,
-        rounding=_rounding(op, arm),
-        may_stop=True,
+        exhibits=exhibits(op, mounted_tool, tool, made, wanted, _ways(route)) | sheet,
+        rounding=_rounding(op, arm, tool),
+        may_stop=tool.blade is None,  # the moves beside other stops would be too fast in between
         may_join=True,
     )
 
 
-def _freedoms(arm: str, lean: FloatArray, deep: float) -> tuple[ScrewFreedom, ...]:
+def _shares(stop: BoolArray, tool: Cutting) -> FloatArray:
+    """Shares (N,) of their feeds that moves have on average: less where they come from rest or to it, as they
+    are faster in between; of a knife, whose stretches may be short, also those next to them."""
+    rest = np.append(False, stop[:-1]) | stop
+    if tool.blade is None:
+        return np.where(rest, MEAN_FEED_FROM_REST, 1.0)
+    near = rest | np.append(False, rest[:-1]) | np.append(rest[1:], False)
+    return np.where(rest, KNIFE_FEED[0], np.where(near, KNIFE_FEED[1], 1.0))
+
+
+def _ways(route: Route) -> list[Way]:
+    """What each slot's way is to the report."""
+    rows = [slice(a, b + 1) for a, b in zip(route.pierce, route.end, strict=True)]
+    return [Way(route.tip[own], route.axis[own], route.height[own]) for own in rows]
+
+
+def _poses(route: Route, tool: Cutting) -> FloatArray:
+    """Poses (N, 4, 4) of the TCP; x of a knife is the way it cuts."""
+    if tool.blade is None:
+        return poses(route.tip, -route.axis)
+    x, z = ahead(route.axis, route.heading), -route.axis
+    return from_parts(np.stack([x, np.cross(z, x), z], axis=-1), route.tip)
+
+
+def _freedoms(arm: str, lean: FloatArray, tool: Cutting) -> tuple[ScrewFreedom, ...]:
     """Spin of the tool, and leans about x and y within the circle of ``lean`` (N,) [rad]; all turn about the
-    place of the face that is cut, ``deep`` [m] behind the TCP."""
-    out = []
+    place of the face that is cut, as deep behind the TCP. A knife spins as far as that, and does not lean."""
+    out, deep, spin = [], tool.deep, {arm: np.eye(6)[2]}
+    if tool.blade is not None:
+        return (ScrewFreedom(f"spin_{arm}", spin, -lean, lean),)
     # a turn w about a place p of the TCP's frame moves its origin by -w x p
     for name, k, moved in (("tilt_x", 0, [0.0, -deep, 0.0]), ("tilt_y", 1, [deep, 0.0, 0.0])):
         bound = lean / np.sqrt(2.0)
         twist = np.concatenate([np.eye(3)[k], moved])
         out.append(ScrewFreedom(f"{name}_{arm}", {arm: twist}, -bound, bound))
     turn = np.full(len(lean), np.pi)
-    return (*out, ScrewFreedom(f"spin_{arm}", {arm: np.eye(6)[2]}, -turn, turn, None, True))
+    return (*out, ScrewFreedom(f"spin_{arm}", spin, -turn, turn, None, True))
 
 
-def _rounding(op: Trim, arm: str) -> Rounding:
-    """Corners take a share of what the cut edge may be off."""
+def _rounding(op: Trim, arm: str, tool: Cutting) -> Rounding:
+    """Corners take a share of what the cut edge may be off. A torch or a cutter may spin as it likes, a knife
+    by a share of what it may stand off its curve."""
     work = min(Rounding.work, ROUNDED_SHARE * min(op.shape_tol_mm, op.height_tol_mm) * MM)
     spin = TURNING_LEVER_MM * MM * work / SPIN_WAY
+    if tool.blade is not None and isinstance(op.by, KnifeCut):
+        spin = max(tool.blade.width, work / (ROUNDED_TURN_SHARE * op.by.heading_deg * DEG))
     levers = {arm: np.array([TURNING_LEVER_MM * MM, TURNING_LEVER_MM * MM, spin])}
     return Rounding(work, work, min(Rounding.air, work), levers)
 
 
-def _travel(route: Route) -> FloatArray:
+def _travel(route: Route, tool: Cutting) -> FloatArray:
     """Way (N,) [m] of the TCP on the move to each target; in the air that of a point behind it, where
-    longer."""
+    longer, and of a knife of one before it."""
     out = np.zeros(len(route.tip))
     out[1:] = np.linalg.norm(np.diff(route.tip, axis=0), axis=1)
-    far = np.linalg.norm(np.diff(route.tip + AIR_LEVER * route.axis, axis=0), axis=1)
+    ends = [route.tip + AIR_LEVER * route.axis]
+    if tool.blade is not None:
+        ends.append(route.tip + AIR_LEVER * ahead(route.axis, route.heading))
+    far = np.max([np.linalg.norm(np.diff(end, axis=0), axis=1) for end in ends], axis=0)
     air = np.array([s.kind != TRIM or s.phase != "" for s in route.segment[1:]])
     out[1:] = np.where(air, np.maximum(out[1:], far), out[1:])
     return out
 
 
-def _actions(op: Trim, setup: Setup, torch: Torch | Mill, route: Route) -> tuple[Action, ...]:
+def _actions(op: Trim, setup: Setup, torch: Trimmer, route: Route) -> tuple[Action, ...]:
     """What the operator is told and asked, and the arc, or the spindle."""
-    last = len(route.segment) - 1
+    last, figures = len(route.segment) - 1, told(op, setup, torch)
     if isinstance(op.by, MillCut):
-        return (
-            Action(0, "message", vocabulary.TRIM_MILL.filled(**told(op, setup, torch))),
-            Action(0, "confirm", vocabulary.TRIM_MILL_READY.filled()),
-            Action(0, "on", signal=op.signal),
-            Action(0, "wait", seconds=op.by.spin_up_s),
-            Action(last, "off", signal=op.signal),
-            Action(last, "wait", seconds=op.by.spin_down_s),
-            Action(last, "confirm", vocabulary.TRIM_MILL_STANDS.filled()),
-        )
+        tell = Action(0, "message", vocabulary.TRIM_MILL.filled(**figures))
+        ask = Action(0, "confirm", vocabulary.TRIM_MILL_READY.filled())
+        asked = Action(last, "confirm", vocabulary.TRIM_MILL_STANDS.filled())
+        return tell, ask, *_switched(op, last, op.by.spin_up_s, op.by.spin_down_s), asked
+    if isinstance(op.by, KnifeCut):
+        tell = Action(0, "message", vocabulary.TRIM_KNIFE.filled(**figures))
+        ask = Action(0, "confirm", vocabulary.TRIM_KNIFE_READY.filled())
+        asked = Action(last, "confirm", vocabulary.TRIM_KNIFE_DONE.filled())
+        return tell, ask, *_switched(op, last, op.by.start_up_s, op.by.run_down_s), asked
     out = [
-        Action(0, "message", vocabulary.TORCH.filled(**told(op, setup, torch))),
+        Action(0, "message", vocabulary.TORCH.filled(**figures)),
         Action(0, "message", vocabulary.TORCH_STOPPED.filled()),
         Action(0, "confirm", vocabulary.TORCH_READY.filled()),
     ]
     for first, end in zip(route.pierce, route.end, strict=True):
-        out.append(Action(first, "on", signal=op.signal))
+        out.append(Action(first, "on", signal=op.signal or ""))
         if op.ok_signal is not None:
             out.append(Action(first, "input", signal=op.ok_signal, seconds=op.ok_timeout_s))
         if op.pierce.seconds > 0.0:
             out.append(Action(first, "wait", seconds=op.pierce.seconds))
-        out.append(Action(end, "off", signal=op.signal))
+        out.append(Action(end, "off", signal=op.signal or ""))
     return (*out, Action(last, "confirm", vocabulary.TORCH_COLD.filled()))
 
 
-def exhibits(
-    op: Trim,
-    torch: Torch | Mill,
-    tool: Cutting,
-    made: list[Slot],
-    wanted: tuple[Wanted, ...],
-    route: Route,
-) -> dict[str, Any]:
-    """Exhibits by name, in the forms that the report knows."""
-    items = _torch_items(op, torch) if isinstance(torch, Torch) else _mill_items(op, torch)
-    ahead = torch.standoff if isinstance(torch, Torch) else 0.0  # from the TCP to the tool's end
-    rows = []
-    for slot in made:
-        way = float(np.linalg.norm(np.diff(slot.point[slot.first : slot.last + 1], axis=0), axis=1).sum())
-        wall = np.rad2deg(np.arccos(np.clip(np.abs(slot.normal[:, 2]), 0.0, 1.0)))
-        own = next(w.spec for w in wanted if w.spec.name == slot.outline)
-        joints = f"{own.joints} of {own.joint_mm:g}" if own.joints else "none"
-        rows.append(
-            (slot.name, own.drops, f"{way / MM:.1f}", f"{wall.min():.0f} to {wall.max():.0f}", joints)
-        )
-    columns = ("slot", "drops", "way [mm]", "wall [deg]", "micro-joints [mm]")
-    series = []
-    for slot, first, last in zip(made, route.pierce, route.end, strict=True):
-        steps = np.linalg.norm(np.diff(route.tip[first : last + 1], axis=0), axis=1)
-        along = np.append(0.0, np.cumsum(steps))
-        series.append(
-            {"name": slot.name, "x": along / MM, "y": (route.height[first : last + 1] + ahead) / MM}
-        )
-    off, end = (ahead - tool.deep) / MM, "Nozzle" if isinstance(torch, Torch) else "Cutter's tip"
-    return {
-        "setup": {"kind": "setup", "title": "Trimming", "items": items},
-        "slots": {"kind": "table", "title": "Slots in order", "columns": columns, "rows": rows},
-        "curves": {
-            "kind": "paths",
-            "title": f"Cut curves, with the way of the {end.lower()} and pierce points",
-            "near": True,
-            "curves": [
-                *(np.concatenate([w.laid.point, w.laid.point[:1]]) for w in wanted),
-                *(
-                    route.tip[a : b + 1] + ahead * route.axis[a : b + 1]
-                    for a, b in zip(route.pierce, route.end, strict=True)
-                ),
-            ],
-            "points": route.tip[list(route.pierce)],
-        },
-        "standoff": {
-            "kind": "curve",
-            "title": f"{end} over the sheet's face, from where it pierces",
-            "x_label": "way of the TCP [mm]",
-            "y_label": f"{end.lower()} over the face [mm]",
-            "series": tuple(series[:6]),
-            "limits": (
-                {"name": "highest", "value": off + op.height_tol_mm},
-                {"name": "lowest", "value": off - op.height_tol_mm},
-            ),
-        },
-    }
-
-
-def _torch_items(op: Trim, torch: Torch) -> list[tuple[str, ...]]:
-    ok = (
-        "none: the program does not wait"
-        if op.ok_signal is None
-        else f"{op.ok_signal}, {op.ok_timeout_s:g} s at most"
+def _switched(op: Trim, last: int, up: float, down: float) -> tuple[Action, ...]:
+    """What is switched all the while, if anything is: on at the first target, off at the ``last`` one."""
+    if op.signal is None:
+        return ()
+    return (
+        Action(0, "on", signal=op.signal),
+        Action(0, "wait", seconds=up),
+        Action(last, "off", signal=op.signal),
+        Action(last, "wait", seconds=down),
     )
-    return [
-        ("torch", f"{torch.cuts_by}, nozzle {2.0 * torch.nozzle / MM:g} mm, kerf {torch.kerf / MM:g} mm"),
-        ("TCP", f"{torch.standoff / MM:g} mm before the nozzle, on its axis; z out of the torch"),
-        ("output that starts the arc", op.signal),
-        ("input that says it burns", ok),
-        ("configure at the controller", "both signals; the programs do not load without them"),
-        ("pierce", f"{op.pierce.seconds:g}", "s behind that, at rest in the waste"),
-        ("feed in the flat sheet", f"{op.feed_mm_s:g}", "mm/s; over the cosine of the wall's angle"),
-        ("safe plane", f"{op.safe_mm:g} mm off clamp and sheet, {op.side}"),
-        ("before", "return lead on the sheet, grease off it, fumes drawn off, nothing that burns near by"),
-        ("below the sheet", "a way for sparks and for what drops, and a tray for it; it is hot"),
-        ("afterwards", "dross off, micro-joints broken, edges broken before the sheet is formed on"),
-    ]
-
-
-def _mill_items(op: Trim, tool: Mill) -> list[tuple[str, ...]]:
-    by, cutter = op.by, tool.cutter
-    if not isinstance(by, MillCut):
-        return []
-    entry = "a ramp along each way in" if by.entry == "ramp" else "straight down at each pierce point"
-    return [
-        ("cutter", f"{cutter.kind}, {2.0 * cutter.radius / MM:g} mm, flute {cutter.flute / MM:g} mm"),
-        ("TCP", "the cutter's tip, on its axis; z out of the spindle"),
-        ("spindle's speed, set by hand", f"{by.spindle_rpm:g}", "1/min"),
-        ("output that switches the spindle", op.signal),
-        ("tip through the sheet", f"{by.below_mm:g} mm"),
-        ("into the sheet", f"{entry}, from {by.start_mm:g} mm over it, at {by.plunge_mm_s:g} mm/s"),
-        ("feed in the flat sheet", f"{op.feed_mm_s:g}", "mm/s; over the cosine of the wall's angle"),
-        ("safe plane", f"{op.safe_mm:g} mm off clamp and sheet, {op.side}"),
-        ("below the sheet", f"free for {by.below_mm:g} mm and more; chips and what is cut out drop there"),
-        ("afterwards", "burrs and micro-joints off, edges broken before the sheet is formed on"),
-    ]

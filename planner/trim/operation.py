@@ -1,4 +1,4 @@
-"""The `trim` operation of a problem file: what a torch cuts out of a sheet, and how.
+"""The `trim` operation of a problem file: what a torch, a mill or a knife cuts out of a sheet, and how.
 
 Lengths are in mm, angles in degrees, speeds in mm/s.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
 
@@ -144,13 +145,48 @@ class MillCut(Strict):
     spin_down_s: Annotated[float, Field(ge=0, le=600)] = 10.0
 
 
+class KnifeCut(Strict):
+    """A knife cuts: its blade stands in the plane of the curve, its edge ahead, and takes nothing away. It is
+    lifted and turned at corners sharper than ``turns_deg``, and where its heading has turned by more than
+    ``most_turn_deg`` since it went in.
+
+    Where its edge slants it cuts farther at the near face than at the far one: past a corner into the part by
+    ``overcut_mm`` at most.
+    """
+
+    kind: Literal["knife"]
+    below_mm: Annotated[float, Field(ge=0.2, le=100, description="of the tip through the sheet")] = 1.0
+    heading_deg: Annotated[
+        float, Field(ge=0.5, le=15, description="how far the blade may stand off the curve's direction")
+    ] = 3.0
+    turns_deg: Annotated[
+        float, Field(ge=2, le=60, description="corner that it turns through without being lifted, at most")
+    ] = 10.0
+    most_turn_deg: Annotated[
+        float, Field(ge=30, le=720, description="of its heading between going in and coming out")
+    ] = 400.0
+    overcut_mm: Annotated[
+        float, Field(ge=0, le=50, description="into the part past a corner, at the near face")
+    ] = 0.5
+    start_mm: Annotated[
+        float, Field(ge=0.5, le=100, description="over the sheet, from where it goes down at its plunge feed")
+    ] = 2.0
+    plunge_mm_s: Annotated[float, Field(ge=0.1, le=200, description="along the blade, into the sheet")] = 5.0
+    start_up_s: Annotated[float, Field(ge=0, le=600, description="of a drive that signal switches")] = 2.0
+    run_down_s: Annotated[float, Field(ge=0, le=600, description="the same when it is switched off")] = 2.0
+
+
 SPINDLE_SIGNAL: Final = "doSpindle"
 """The output that switches a mill's spindle, where no other is stated."""
+NOT_OF_MILLS: Final = ("pierce.height_mm", "pierce.seconds", "ok_signal", "ok_timeout_s")
+"""Fields of a torch that a mill does not have,"""
+NOT_OF_KNIVES: Final = (*NOT_OF_MILLS, "pierce.off_mm", "lead", "least_feed")
+"""and a knife."""
 
 
 class Trim(Strict):
-    """One arm cuts closed curves out of the formed sheet ``by`` a torch or a mill, inner ones before outer
-    ones.
+    """One arm cuts closed curves out of the formed sheet ``by`` a torch, a mill or a knife, inner ones before
+    outer ones.
 
     ``surface``: the face that the tool follows: the ``wanted`` part, or a mesh of the sheet as it really is,
     scanned or released, in the sheet's frame. ``feed_mm_s`` is for the sheet's own thickness t0; on walls of
@@ -160,8 +196,8 @@ class Trim(Strict):
     name: Name
     process: Literal["trim"]
     arms: Annotated[tuple[Name, ...], Field(min_length=1, max_length=1)]
-    by: Annotated[TorchCut | MillCut, Field(discriminator="kind", description="what cuts")] = TorchCut(
-        kind="torch"
+    by: Annotated[TorchCut | MillCut | KnifeCut, Field(discriminator="kind", description="what cuts")] = (
+        TorchCut(kind="torch")
     )
     side: Annotated[Literal["top", "bottom"], Field(description="of the sheet, on which the tool is")] = "top"
     surface: Annotated[Literal["wanted"] | SheetMeshFile, AfterValidator(_resolved)] = "wanted"
@@ -180,7 +216,11 @@ class Trim(Strict):
         float, Field(ge=1, le=45, description="how far the tool may lean off the sheet's normal")
     ] = 5.0
     signal: Annotated[
-        Signal, Field(description="output that starts the arc, or the beam; of a mill the spindle: doSpindle")
+        Signal | None,
+        Field(
+            description="output that starts the arc, or the beam; of a mill the spindle: doSpindle; of a "
+            "knife its drive, none unless it is stated: it is dragged"
+        ),
     ] = "doArc"
     ok_signal: Annotated[
         Signal | None, Field(description="input that says that it burns; none: no such wait")
@@ -190,7 +230,7 @@ class Trim(Strict):
     ] = 5.0
     shape_tol_mm: Annotated[float, Field(ge=0.02, le=10, description="of the cut edge to the curve")] = 0.3
     height_tol_mm: Annotated[
-        float, Field(ge=0.02, le=10, description="of the stand-off, or of how deep a mill is")
+        float, Field(ge=0.02, le=10, description="of the stand-off, or of how deep a mill or a knife is")
     ] = 0.5
     clear_mm: Annotated[
         float,
@@ -205,15 +245,23 @@ class Trim(Strict):
 
     @model_validator(mode="after")
     def _no_arc(self) -> Self:
-        """A mill has no arc, and another output unless one is stated."""
-        if not isinstance(self.by, MillCut):
+        """A mill and a knife have no arc, and another output, or none, unless one is stated."""
+        knife = isinstance(self.by, KnifeCut)
+        if not knife and self.signal is None:
+            raise ValueError("signal: only a knife that is dragged has none; name the output")
+        if not knife and not isinstance(self.by, MillCut):
             return self
-        for name, value in (("signal", SPINDLE_SIGNAL), ("ok_signal", None)):
+        for name, value in (("signal", None if knife else SPINDLE_SIGNAL), ("ok_signal", None)):
             if name not in self.model_fields_set:
                 object.__setattr__(self, name, value)  # the model is frozen, and not yet anybody's
-        own = [f"pierce.{name}" for name in ("height_mm", "seconds") if name in self.pierce.model_fields_set]
-        own += ["ok_signal"] * (self.ok_signal is not None)
-        own += ["ok_timeout_s"] * ("ok_timeout_s" in self.model_fields_set)
+        given = set(self.model_fields_set) | {f"pierce.{name}" for name in self.pierce.model_fields_set}
+        given -= {"ok_signal"} if self.ok_signal is None else set()
+        own = [name for name in (NOT_OF_KNIVES if knife else NOT_OF_MILLS) if name in given]
+        if own and knife:
+            raise ValueError(
+                f"{', '.join(own)}: not of a knife, which goes in on the curve, however slow; it has "
+                "by.start_mm, by.plunge_mm_s and by.start_up_s"
+            )
         if own:
             raise ValueError(f"{', '.join(own)}: of a torch; a mill has by.start_mm and by.spin_up_s")
         return self
@@ -230,13 +278,13 @@ class Trim(Strict):
             )
         if self.feed_most_mm_s is not None and self.feed_most_mm_s < self.feed_mm_s:
             raise ValueError("feed_most_mm_s is below feed_mm_s; the flat sheet could not be cut")
-        if self.lead.length_mm < 3.0 * self.shape_tol_mm:
+        if self.lead.length_mm < 3.0 * self.shape_tol_mm and not isinstance(self.by, KnifeCut):
             raise ValueError(
                 f"lead: length_mm {self.lead.length_mm:g} is less than three times shape_tol_mm, so that "
                 f"it cannot "
                 "be told from the curve; lengthen it"
             )
-        if self.signal.lower() == (self.ok_signal or "").lower():
+        if self.signal is not None and self.signal.lower() == (self.ok_signal or "").lower():
             raise ValueError(
                 "signal and ok_signal: one is an output, the other an input; give them two names"
             )
@@ -292,6 +340,12 @@ def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
             hint = "give the outline, or the drawing, another name"
             raise TandemError(Issue("problem.field", what, field="operations.outlines", hint=hint))
         known[fold(own.name)] = own.name
+    for name in known if isinstance(op.by, KnifeCut) else ():
+        base = known.get(re.sub(r"_p\d+$", "", name))
+        if base is not None and base != known[name]:
+            what = f"outlines: {known[name]} is what a stretch of {base} is called where a knife is lifted"
+            hint = "give the outline another name"
+            raise TandemError(Issue("problem.field", what, field="operations.outlines", hint=hint))
     if len(out) > MOST_OUTLINES:
         what = f"outlines: {len(out)} curves with those of drawings; allowed: {MOST_OUTLINES}"
         hint = "name layers, or divide them among operations"

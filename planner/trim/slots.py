@@ -29,7 +29,8 @@ LEAD_ROOM: Final = 0.05 * MM
 @dataclasses.dataclass(frozen=True)
 class Slot:
     """One slot without a break: ``point``, ``normal`` (N, 3) on the face, normals up; rows before ``first``
-    lead in, rows behind ``last`` lead out."""
+    lead in, rows behind ``last`` lead out. ``heading`` (N,) [rad] of a knife's edge, seen from above, counted
+    on from place to place, and how far ``over`` [m] corners it cuts into the part; nothing of other tools."""
 
     name: str
     outline: str
@@ -37,6 +38,8 @@ class Slot:
     normal: FloatArray
     first: int
     last: int
+    heading: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    over: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)

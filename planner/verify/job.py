@@ -22,7 +22,7 @@ import numpy as np
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, HoldsStock, StraightWire, WireJoins
 from planner.claims.forming import SheetState
 from planner.claims.milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
-from planner.claims.trim import TrimsSheet
+from planner.claims.trim import TrimsSheet, slot_names
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import IntArray
 from planner.issues import TandemError
@@ -595,15 +595,10 @@ class SetupClaims:
         return bool(self.forms(arm) or self.mills(arm) or self.trims(arm))
 
     def trims(self, arm: str) -> frozenset[str]:
-        """Segments in which the torch on ``arm`` may be near to the sheet: its slots, with their ways in and
+        """Segments in which what trims on ``arm`` may be near to the sheet: its slots, with their ways in and
         out."""
         claims = [c for group in self.groups for c in group if isinstance(c, TrimsSheet) and c.arm == arm]
-        names = [
-            name
-            for claim in claims
-            for one in claim.outlines
-            for name in ([f"{one.name}_p{k + 1}" for k in range(one.joints)] or [one.name])
-        ]
+        names = [name for claim in claims for one in claim.outlines for name in slot_names(claim, one)]
         return frozenset(way.key for name in names for way in Segment("trim", name).ways)
 
     def cuts(self, arms: tuple[str, ...]) -> frozenset[str]:

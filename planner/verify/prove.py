@@ -61,6 +61,7 @@ from planner.verify.rules import (
     track_along,
     track_way,
     trim,
+    trim_knife,
     trim_mill,
     waiting_time,
     wire,
@@ -215,6 +216,7 @@ TRIM_RULES: tuple[Rule[[Context, Trimming], Outcome], ...] = (
     trim.trim_clear,
     trim_mill.trim_mill,
     trim_mill.trim_spindle,
+    trim_knife.trim_knife,
 )
 """Rules about sheets that are trimmed."""
 

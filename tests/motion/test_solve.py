@@ -259,6 +259,9 @@ def test_a_turn_beyond_the_limits_has_no_path() -> None:
     assert issue.code == "motion.no_path"
     assert issue.index is not None
     assert 0 < issue.index < 80
+    assert issue.message.startswith("axis ")
+    assert "would have to turn from" in issue.message
+    assert issue.value is not None and issue.limit is not None and issue.value > issue.limit
 
 
 def test_a_straight_move_that_leaves_the_branch_is_named() -> None:

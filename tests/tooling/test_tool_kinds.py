@@ -29,6 +29,7 @@ from planner.tooling import (
     Bow,
     FormingTool,
     Gripper,
+    Knife,
     Mill,
     PlainTool,
     Tool,
@@ -67,9 +68,10 @@ FILES: dict[str, tuple[dict[str, Any], type[OnFlange]]] = {
     "heat_tool": ({"kind": "heat_tool"}, FormingTool),
     "mill": (MILL, Mill),
     "torch": ({"kind": "torch", "cuts_by": "plasma", "kerf_mm": 1.2}, Torch),
+    "knife": ({"kind": "knife", "width_mm": 4, "ground_mm": 4, "blade_mm": 20}, Knife),
     "plain": (PLAIN, PlainTool),
 }
-WORKS = (Bow, FormingTool, Mill, Torch)
+WORKS = (Bow, FormingTool, Mill, Torch, Knife)
 
 
 def read(kind: str) -> Tool:

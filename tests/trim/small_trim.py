@@ -10,6 +10,7 @@ import yaml
 
 from planner import pipeline, processes
 from planner.geometry.arrays import Mesh
+from planner.issues import Issue
 from planner.motion import solve
 from planner.post import write as post
 from planner.problem import Problem
@@ -124,7 +125,11 @@ class Job:
         return {issue.code for issue in self.prove(programs).issues}
 
     def told_by(self, code: str, programs: dict[str, str]) -> bool:
-        """Whether the rule of that code refuses the programs; of those on trimming it alone looks."""
+        """Whether the rule of that code refuses the programs."""
+        return code in {issue.code for issue in self.issues_of(code, programs)}
+
+    def issues_of(self, code: str, programs: dict[str, str]) -> list[Issue]:
+        """What the rule of that code refuses the programs for; of those on trimming it alone looks."""
         claims, unread = outlines.worked_out(self.prover.claims)
         context = Context(self.problem, claims, programs, unread)
         own = [rule for rule in TRIM_RULES if rule.code == code]
@@ -132,4 +137,4 @@ class Job:
             issues = own[0](context, Trimming(context, Forming(context))).issues
         else:
             issues = self.prove(programs, code).issues
-        return code in {issue.code for issue in issues}
+        return [issue for issue in issues if issue.code == code]

@@ -92,13 +92,27 @@ class Dead:
 
 
 @dataclasses.dataclass(frozen=True)
+class Wound:
+    """A ``joint`` (0 to 5) of ``arm`` that would have to turn on and on: along a path that forgets its limits
+    it goes from ``low`` to ``high`` [rad], which no whole turns bring within them; with ``jumps`` it would
+    have to jump from the one to the other, as it can take both but nothing beyond."""
+
+    arm: str
+    joint: int
+    low: float
+    high: float
+    jumps: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
 class Blocked:
     """Why there is no path, and what is known of it.
 
     ``reach`` is the table of all arms; ``common`` the first target that no choice of branches passes, N if it
     is collisions that are in the way; then ``dead`` says where, or ``hit`` is a target with joints
     {arm: (6,)} on the move to it that collide. ``few``: the targets that all this is about, with their
-    indices (K,) in the job, where only some of it was looked at.
+    indices (K,) in the job, where only some of it was looked at. ``wound``: the joint whose turns end the
+    paths, if it is turns.
     """
 
     reach: Mapping[str, Reach]
@@ -106,6 +120,7 @@ class Blocked:
     dead: Dead | None = None
     hit: tuple[int, dict[str, FloatArray]] | None = None
     few: tuple[Targets, IndexArray] | None = None
+    wound: Wound | None = None
 
 
 def search(
@@ -172,8 +187,13 @@ def search(
     dead = _dead(grid, [(end, choices[k], checks[k]) for end, k in ends])
     if dead is not None:
         return Blocked(table, targets.count, dead)
-    common = max([common, *(c.modulo.furthest() for c in choices)])
-    return Blocked(table, min(common, targets.count - 1))
+    common = max((c.modulo.furthest() for c in choices), default=common)
+    wound = None
+    if common == targets.count:  # turns alone are in the way
+        common, wound = max((c.wound(scene) for c in choices), key=lambda one: one[0])
+    elif choices:
+        wound = max(choices, key=lambda c: c.modulo.furthest()).jump()
+    return Blocked(table, min(common, targets.count - 1), wound=wound)
 
 
 class Choice:
@@ -231,6 +251,44 @@ class Choice:
         if not isinstance(found, Found):
             return None, end
         return dataclasses.replace(found, checks=check.checks, rounds=check.rounds), end
+
+    def wound(self, scene: Scene) -> tuple[int, Wound | None]:
+        """The first target that no path reaches whose joints keep to their turns, and the joint that has too
+        few of them; None where that is not one joint alone."""
+        path, found = self.modulo.farthest(), self.farthest()
+        end = 0 if found is None else len(found.values)
+        if path is None or len(path.sample) < len(self._grid.values):
+            return end, None
+        rows, worst, out = np.arange(len(path.sample)), 0.0, None
+        turns = FULL_TURN * np.arange(-2, 3)[:, None]
+        for arm, own in self.rungs.items():
+            q, robot = np.unwrap(own.q[rows, path.sample], axis=0), scene.chains[arm].robot
+            low, high = q.min(axis=0) + turns, q.max(axis=0) + turns
+            margin = scene.settings.joint_margin
+            beyond = np.maximum(robot.lower + margin - low, high - robot.upper + margin)
+            turn = beyond.argmin(axis=0)
+            joint = int(beyond.min(axis=0).argmax())
+            if beyond[turn[joint], joint] > worst:
+                worst = float(beyond[turn[joint], joint])
+                out = Wound(arm, joint, float(low[turn[joint], joint]), float(high[turn[joint], joint]))
+        return end, out
+
+    def jump(self) -> Wound | None:
+        """The joint that would have to jump by more than half a turn from the last target that a path reaches
+        to the next one; None if there is none, or none alone."""
+        path = self.modulo.farthest()
+        if path is None or not 0 < len(path.sample) < len(self._grid.values):
+            return None
+        row, found = len(path.sample), list[Wound]()
+        for arm, own in self.rungs.items():
+            before, after = own.q[row - 1, path.sample[-1]], own.q[row][own.ok[row].any(axis=-1)]
+            if not len(after):
+                continue
+            change = after[int(np.abs(after - before).max(axis=1).argmin())] - before
+            for joint in np.flatnonzero(np.abs(change) > 0.5 * FULL_TURN).tolist():
+                at = float(before[joint])
+                found.append(Wound(arm, joint, at, at + float(change[joint]), True))
+        return found[0] if len(found) == 1 else None
 
     def ladder(self) -> Ladder:
         """The one with turns where these were searched, else the one that forgets them."""

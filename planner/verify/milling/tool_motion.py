@@ -44,8 +44,8 @@ _MOST_BENDS = 64
 class Track:
     """T places of one arm in some segments, as near to one another as samples are, and on corners:
     ``rows`` (T,) of the motion's samples, the last ones before; ``tip``, ``axis`` (T, 3) [m] of the TCP and
-    against its z axis, from tip to spindle, in the block's frame; ``joined`` (T - 1,): the tool goes on to
-    the next place; ``label`` (T,) of the move under way; ``time`` (T,) [s]."""
+    against its z axis, from tip to spindle, in the block's frame, and ``ahead`` (T, 3) its x axis; ``joined``
+    (T - 1,): the tool goes on to the next place; ``label`` (T,) of the move under way; ``time`` (T,) [s]."""
 
     rows: IntArray
     tip: FloatArray
@@ -53,14 +53,26 @@ class Track:
     joined: BoolArray
     label: NDArray[np.str_]
     time: FloatArray
+    ahead: FloatArray
 
     def spaced(self, step: float, bend: float = np.inf) -> Spaced:
         """Tips and axes (M, 3), and rows (M,) of the motion, at places at most ``step`` [m] apart along the
         way of tip and shank, which goes straight between the track's own. Of these there are so many more
         that straight lines between places leave none out by more than ``bend`` [m]: a corner is one."""
+        tip, axis, _, rows = self.turned(step, bend)
+        return tip, axis, rows
+
+    def turned(
+        self, step: float, bend: float = np.inf, lever: float = 0.0
+    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+        """As :meth:`spaced`, with the x axes (M, 3) of the tool before the rows; with a ``lever`` [m] a point
+        so far along them counts for the way, too."""
         if not len(self.rows):
-            return self.tip, self.axis, self.rows
-        ends = np.stack([self.tip, self.tip + TRACK_LEVER * self.axis], axis=1)
+            return self.tip, self.axis, self.ahead, self.rows
+        points = [self.tip, self.tip + TRACK_LEVER * self.axis]
+        if lever > 0.0:
+            points.append(self.tip + lever * self.ahead)
+        ends = np.stack(points, axis=1)
         way = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=1)
         along = np.concatenate([[0.0], np.cumsum(np.where(self.joined, way, 0.0))])
         marks = np.arange(0.0, along[-1], step)
@@ -74,10 +86,13 @@ class Track:
         share = np.where(span > 0.0, (at - along[back]) / np.maximum(span, 1e-12), 1.0)[:, None]
         tip = self.tip[back] + share * (self.tip[to] - self.tip[back])
         axis = self.axis[back] + share * (self.axis[to] - self.axis[back])
+        ahead = self.ahead[back] + share * (self.ahead[to] - self.ahead[back])
         first = np.flatnonzero(np.append(True, ~self.joined))  # the first of each stretch, as it stands
         tip, axis = np.concatenate([tip, self.tip[first]]), np.concatenate([axis, self.axis[first]])
+        ahead = np.concatenate([ahead, self.ahead[first]])
         rows = np.concatenate([self.rows[to], self.rows[first]])
-        return tip, axis / np.linalg.norm(axis, axis=1, keepdims=True), rows
+        axis, ahead = (one / np.linalg.norm(one, axis=1, keepdims=True) for one in (axis, ahead))
+        return tip, axis, ahead, rows
 
 
 def _with_bends(ends: FloatArray, along: FloatArray, at: FloatArray, bend: float) -> FloatArray:
@@ -237,11 +252,12 @@ class Milling:
         sample = looks.sample[rows]
         if arm not in motion.tcp or not len(rows):
             none = np.zeros((0, 3))
-            return Track(sample, none, none, np.zeros(0, bool), np.zeros(0, "<U1"), np.zeros(0))
+            return Track(sample, none, none, np.zeros(0, bool), np.zeros(0, "<U1"), np.zeros(0), none)
         seen = inverse(context.stock_poses(index, looks.row[rows])) @ motion.poses(arm, looks.row[rows])
         joined = (np.diff(rows) == 1) & chosen[rows[1:]]
         label = names[looks.node[rows]]
-        return Track(sample, seen[:, :3, 3], -seen[:, :3, 2], joined, label, looks.time[rows])
+        time, tip, axis, ahead = looks.time[rows], seen[:, :3, 3], -seen[:, :3, 2], seen[:, :3, 0]
+        return Track(sample, tip, axis, joined, label, time, ahead)
 
 
 SIGHT_DISTANCE = 3e-3

@@ -1,26 +1,29 @@
 """Rules on trimmed sheets: what is cut and what stays, a torch and its arc, order, feed and room.
 
-verify.trim_cut: each outline is cut, closed but for its joints. verify.trim_kept: nothing is cut off
-the part. verify.trim_torch: stand-off and lean. verify.trim_arc: when it burns. verify.trim_order,
-trim_feed, trim_clear.
+verify.trim_cut: each outline is cut, closed but for its joints, by a knife through both faces.
+verify.trim_kept: nothing is cut off the part. verify.trim_torch: stand-off and lean. verify.trim_arc:
+when it burns. verify.trim_order, trim_feed, trim_clear.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.trim import TrimsSheet
+from planner.claims.trim import TrimBlade, TrimsSheet, slot_names
+from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
-from planner.tooling import Mill, Torch
+from planner.tooling import Knife, Mill, Torch
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.files import UnreadError
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import MoveStep, SignalStep, Step, WaitStep
+from planner.verify.trim.blade_motion import CORNER_ERROR, blade_way, sharp
 from planner.verify.trim.outlines import TRIM, Curve, winding
 from planner.verify.trim.torch_motion import PLACE_ERROR, PLACE_STEP, Trimming, TrimWork, Way, off_sheet
 
@@ -34,6 +37,8 @@ AVERAGE_SLACK = 0.95
 """Share of the least average feed that is accepted, as ramps of the replay are those of no controller."""
 SAME_PLACE = 1e-9
 """Places along a curve that are nearer [m] are one."""
+FILLED_SHARE = 0.5
+"""Places of a knife's cut are no farther apart than this part of what it may be off."""
 LEAST_JOINT = 0.5
 """Share of its width that a micro-joint has at least."""
 LINGER = 3.0
@@ -65,13 +70,16 @@ def trim_cut(context: Context, trimming: Trimming) -> Outcome:
     for work in trimming.works:
         for curve in work.curves:
             ways = [way for way in work.ways(curve).values() if way is not None]
-            if len(ways) < len(work.ways(curve)):
+            if len(ways) < len(work.ways(curve)) or not ways:
                 what = (
                     f"{curve.one.name} is not cut" if not ways else f"a slot of {curve.one.name} is not cut"
                 )
                 issues.append(Issue("verify.trim_cut", what, field=curve.one.name))
                 continue
-            left, found = _closed(work, curve, ways)
+            if work.claim.knife is not None:
+                left, found = _sliced(work, curve, work.claim.knife)
+            else:
+                left, found = _closed(work, curve, ways)
             issues += found
             if left > worst:
                 worst, limit, where = left, mm(work.claim.tolerance + work.sheet.tolerance), curve.one.name
@@ -80,14 +88,35 @@ def trim_cut(context: Context, trimming: Trimming) -> Outcome:
     return Outcome(tuple(issues), mm(worst), limit, "mm", where)
 
 
-def _closed(work: TrimWork, curve: Curve, ways: list[Way]) -> tuple[float, list[Issue]]:
-    """How far [m] the slot's edge is off the outline where it is cut, and what is wrong with its joints."""
+def _sliced(work: TrimWork, curve: Curve, own: TrimBlade) -> tuple[float, list[Issue]]:
+    """The same of a knife, at both faces of the sheet. Past the end of a cut it goes on at the near face by
+    what its edge slants within the sheet, and may by as much at the joints."""
+    slant = float(own.blade.front(work.claim.thickness + own.below) - own.blade.front(own.below))
+    worst, issues = 0.0, list[Issue]()
+    for far in (True, False):
+        cuts = [getattr(blade_way(work, own, key), "far" if far else "near") for key in work.ways(curve)]
+        ways = [way for cut in cuts for way in cut.ways]
+        if not ways:
+            what = f"the knife is nowhere through the sheet along {curve.one.name}"
+            return worst, [Issue("verify.trim_cut", what, field=curve.one.name)]
+        left, found = _closed(work, curve, ways, slant if far else 0.0)
+        worst, issues = max(worst, left), found
+        if found:
+            side = "at the far face of the sheet" if far else "at its near face"
+            issues = [dataclasses.replace(one, message=f"{one.message} ({side})") for one in found]
+            break
+    return worst, issues
+
+
+def _closed(work: TrimWork, curve: Curve, ways: list[Way], wider: float = 0.0) -> tuple[float, list[Issue]]:
+    """How far [m] the slot's edge is off the outline where it is cut, and what is wrong with its joints,
+    which may be ``wider`` [m] than wanted."""
     claim, one, half = work.claim, curve.one, 0.5 * work.claim.kerf
     near = work.near
     foot = np.concatenate([way.feet.foot for way in ways])
     off, at = (np.concatenate([getattr(way, name) for way in ways]) for name in ("off", "at"))
     on = np.abs(off - half) <= near
-    apart = np.asarray(cKDTree(foot).query(curve.ring)[0]) - half
+    apart = np.asarray(cKDTree(_filled(ways, half, near)).query(curve.ring)[0]) - half
     if not on.any():
         what = f"the slot is nowhere within {mm(claim.tolerance):g} mm of {one.name}, on the side that "
         what += "drops; the "
@@ -117,7 +146,7 @@ def _closed(work: TrimWork, curve: Curve, ways: list[Way]) -> tuple[float, list[
     for first, last, width in gaps if one.joints else ():
         x, y, _ = curve.place(first) / 1e-3
         said = f"the micro-joint of {one.name} at ({x:.1f}, {y:.1f}) mm"
-        if abs(width - one.width) > near or width < LEAST_JOINT * one.width:
+        if not one.width - near <= width <= one.width + near + wider or width < LEAST_JOINT * one.width:
             what = f"{said} is {mm(width):.2f} mm wide; wanted: {mm(one.width):g} mm within "
             what += f"{mm(claim.tolerance):g}"
             issues.append(
@@ -127,6 +156,22 @@ def _closed(work: TrimWork, curve: Curve, ways: list[Way]) -> tuple[float, list[
             what = f"{said} is cut off behind, in what drops, so that it holds nothing"
             issues.append(Issue("verify.trim_cut", what, field=one.name))
     return left, issues
+
+
+def _filled(ways: list[Way], half: float, near: float) -> FloatArray:
+    """The feet (M, 3) of ways; of a knife's, which have no width, with places between them, so that these do
+    not seem to be off the curve that lie between two."""
+    if half > 0.0:
+        return np.concatenate([way.feet.foot for way in ways])
+    out = []
+    for way in ways:
+        foot = way.feet.foot
+        size = np.linalg.norm(np.diff(foot, axis=0), axis=1)
+        count = np.where(size < 3.0 * PLACE_STEP, np.ceil(size / (FILLED_SHARE * near)), 1).astype(np.int64)
+        row = np.repeat(np.arange(len(size)), np.maximum(count, 1))
+        share = (np.arange(len(row)) - np.searchsorted(row, row)) / np.maximum(count, 1)[row]
+        out += [foot[row] + share[:, None] * np.diff(foot, axis=0)[row], foot[-1:]]
+    return np.concatenate(out)
 
 
 def uncut(curve: Curve, ways: list[Way], half: float, near: float) -> list[tuple[float, float]]:
@@ -173,7 +218,12 @@ def _runs(flags: BoolArray) -> list[tuple[int, int]]:
 
 def _unclaimed(context: Context, trimming: Trimming) -> Iterator[Issue]:
     """Segments that trim, of which nothing is claimed."""
-    known = {key for work in trimming.works for key in work.slots}
+    known = {
+        Segment(TRIM, name).key
+        for work in trimming.works
+        for curve in work.curves
+        for name in slot_names(work.claim, curve.one)
+    }
     motion = context.motion
     for segment in dict.fromkeys(motion.node_segment):
         if segment.kind == TRIM and segment.at("").key not in known:
@@ -184,11 +234,18 @@ def _unclaimed(context: Context, trimming: Trimming) -> Iterator[Issue]:
 @rule("verify.trim_kept", TrimsSheet)
 def trim_kept(context: Context, trimming: Trimming) -> Outcome:
     """What must stay stays: the slot of a tool, with its pierce point and its ways in and out, lies in what
-    its outline lets drop, and reaches no farther over the outline than the tolerance."""
+    its outline lets drop, and reaches no farther over the outline than the tolerance, of a knife also past
+    sharp corners by what is stated."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for work, curve, key, way in every(trimming):
         near = work.near
+        if work.claim.knife is not None:
+            over, some = _sliced_off(context, work, curve, work.claim.knife, key)
+            issues += some
+            if over > worst:
+                worst, limit, where = over, mm(near), key
+            continue
         deep = 0.5 * work.claim.kerf - way.off
         if float(deep.max()) > worst:
             worst, limit, where = float(deep.max()), mm(near), key
@@ -203,6 +260,33 @@ def trim_kept(context: Context, trimming: Trimming) -> Outcome:
     if limit is None:
         return Outcome(tuple(issues), where=NOTHING_TRIMMED)
     return Outcome(tuple(issues), mm(worst), limit, "mm", where)
+
+
+def _sliced_off(
+    context: Context, work: TrimWork, curve: Curve, own: TrimBlade, key: str
+) -> tuple[float, list[Issue]]:
+    """How far [m] a blade is in the part beside its curve, and where by more than the tolerance; past sharp
+    corners it may by what is stated of them."""
+    near, blade = work.near, blade_way(work, own, key)
+    ends = sharp(work, curve, own.turns - CORNER_ERROR - work.sheet.turn)
+    worst, out = 0.0, list[Issue]()
+    for cut, face in ((blade.near, "near"), (blade.far, "far")):
+        deep = np.maximum(-cut.off, 0.0)
+        past = ends.past(cut.foot, near)
+        deep[past <= own.overcut + near] = 0.0
+        worst = max(worst, float(deep.max(initial=0.0)))
+        bad = np.flatnonzero(deep > near)
+        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+            x, y, z = cut.foot[i] / 1e-3
+            what = f"in {key} the blade is {mm(float(deep[i])):.2f} mm in the part, over {curve.one.name}, "
+            what += f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm of the {face} face; allowed: {mm(near):.2f} mm"
+            if np.isfinite(past[i]):
+                what += f", and straight on past a corner {mm(own.overcut):g} mm; it is "
+                what += f"{mm(float(past[i])):.2f} mm past one"
+            measure = (mm(float(deep[i])), mm(near), "mm")
+            row = int(cut.rows[i])
+            out.append(at_sample("verify.trim_kept", what, context.motion, work.claim.arm, row, measure))
+    return worst, out
 
 
 @rule("verify.trim_torch", TrimsSheet)
@@ -373,8 +457,8 @@ def trim_order(context: Context, trimming: Trimming) -> Outcome:
 @rule("verify.trim_feed", TrimsSheet)
 def trim_feed(context: Context, trimming: Trimming) -> Outcome:
     """While it cuts the tool goes no faster than its feed over the cosine of the wall's angle, by the
-    thickness that the sine law leaves there, and on average no slower than the wanted share of that; a torch
-    is nowhere much slower, where it would burn away more than its slot."""
+    thickness that the sine law leaves there, and on average, but for a knife, no slower than the wanted share
+    of that; a torch is nowhere much slower, where it would burn away more than its slot."""
     issues: list[Issue] = []
     worst, where = 0.0, ""
     for work, _, key, _way in every(trimming):
@@ -400,6 +484,8 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
             )
         if claim.torch is not None:
             issues += _lingers(context, work, key)
+        if claim.knife is not None:  # which may be as slow as it likes
+            continue
         if claim.mill is not None:  # on its way down another feed counts
             least = claim.thickness + claim.mill.below - GOING_DOWN * claim.height
             down = (deep[1:] >= least)[track.joined]
@@ -439,7 +525,7 @@ def _lingers(context: Context, work: TrimWork, key: str) -> Iterator[Issue]:
 @rule("verify.trim_clear", TrimsSheet)
 def trim_clear(context: Context, trimming: Trimming) -> Outcome:
     """The tool that is mounted is the claimed one, and in slots and on the ways to them and from them no part
-    of it, of a mill none that does not cut, is nearer to the formed sheet than it may be."""
+    of it, of a mill or a knife none that does not cut, is nearer to the formed sheet than it may be."""
     issues: list[Issue] = []
     worst, limit, where = np.inf, None, ""
     for work in trimming.works:
@@ -472,7 +558,9 @@ def trim_clear(context: Context, trimming: Trimming) -> Outcome:
 TORCH_SIZES = ("standoff", "kerf", "nozzle", "cone", "body", "back")
 """What of a torch counts,"""
 CUTTER_SIZES = ("radius", "corner", "flute", "overhang", "shank", "behind")
-"""and what of a mill's cutter."""
+"""what of a mill's cutter,"""
+BLADE_SIZES = ("thickness", "width", "end", "ground", "length")
+"""and what of a knife's blade."""
 
 
 def _same_tool(context: Context, work: TrimWork) -> Iterator[Issue]:
@@ -482,6 +570,9 @@ def _same_tool(context: Context, work: TrimWork) -> Iterator[Issue]:
     if claim.mill is not None and isinstance(tool, Mill):
         said = claim.mill.cutter
         same = _alike(tool.cutter, said, CUTTER_SIZES) and abs(claim.kerf - 2.0 * said.radius) < SAME_SIZE
+    elif claim.knife is not None and isinstance(tool, Knife):
+        same = _alike(tool.blade, claim.knife.blade, BLADE_SIZES) and claim.kerf == 0.0
+        same = same and _alike(tool, claim.knife, ("body", "back"))
     elif claim.torch is not None and isinstance(tool, Torch):
         same = _alike(tool, claim.torch, TORCH_SIZES) and abs(claim.kerf - claim.torch.kerf) < SAME_SIZE
     if not same:

@@ -288,12 +288,13 @@ def wire_issue(
 
 @rule("verify.signals")
 def signals(context: Context) -> Outcome:
-    """Only the signals of wires, spindles, torches and clamps that sink are switched, to 0 or 1, at once, by
-    one task of a controller between two synchronisation points, and are off before anybody is asked or an arm
-    moves."""
+    """Only the signals of wires, spindles, knives, torches and clamps that sink are switched, to 0 or 1, at
+    once, by one task of a controller between two synchronisation points, and are off before anybody is asked
+    or an arm moves."""
     issues: list[Issue] = []
     known = {claim.signal.lower() for claim in context.contacts}
     known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder | TrimsSheet)}
+    known.discard("")  # of a knife that is dragged
     known.add(context.problem.cell.controller.wire_signal.lower())
     issues += _left_on(context, known)
     runs = {task.name: tasks for tasks in controllers(context.problem, context.job.tasks) for task in tasks}
@@ -305,7 +306,9 @@ def signals(context: Context) -> Outcome:
                     continue
                 faults = []
                 if step.signal.lower() not in known:
-                    faults.append(f"{step.signal} is no signal of a wire, a spindle, a clamp or a torch")
+                    faults.append(
+                        f"{step.signal} is no signal of a wire, a spindle, a knife, a clamp or a torch"
+                    )
                 if step.value not in (0.0, 1.0):
                     faults.append(f"{step.signal} is set to {step.value:g}, neither 0 nor 1")
                 if step.delay:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import Claim
-from planner.claims.trim import TrimOutline, TrimsSheet
+from planner.claims.trim import TrimOutline, TrimsSheet, slot_names
 from planner.claims.vocabulary import DialogueStep, DialogueStop, OperatorDialogue, Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
@@ -111,11 +111,6 @@ def order(claim: TrimsSheet) -> list[int]:
     return sorted(range(len(rings)), key=lambda k: -deep[k])
 
 
-def slot_names(one: TrimOutline) -> list[str]:
-    """Names of the slots of an outline: its own, or a number for each between two joints."""
-    return [f"{one.name}_p{k + 1}" for k in range(one.joints)] if one.joints else [one.name]
-
-
 def dialogue(claim: OperatorDialogue, trims: TrimsSheet) -> OperatorDialogue:
     """The dialogue with what is switched and waited for at each slot of a torch. Raises `UnreadError`."""
     if trims.torch is None:
@@ -127,7 +122,7 @@ def dialogue(claim: OperatorDialogue, trims: TrimsSheet) -> OperatorDialogue:
         begin.append(DialogueStep("wait", seconds=trims.pierce_seconds))
     stops: list[DialogueStop] = []
     for k in order(trims):
-        for name in slot_names(trims.outlines[k]):
+        for name in slot_names(trims, trims.outlines[k]):
             own = Segment(TRIM, name)
             stops.append(DialogueStop(own, "before", tuple(begin)))
             stops.append(DialogueStop(own, "behind", (DialogueStep("off", signal=trims.signal),)))
@@ -262,6 +257,12 @@ class Curve:
         """The place (3,) of its ring next behind some way along it [m]."""
         k = int(np.searchsorted(self.along, along % self.length)) % len(self.ring)
         return np.asarray(self.ring[k])
+
+    def on(self, along: FloatArray) -> FloatArray:
+        """Places (N, 3) ``along`` (N,) [m] its ring."""
+        ring = np.concatenate([self.ring, self.ring[:1]])
+        way = np.append(self.along, self.length)
+        return np.stack([np.interp(along % self.length, way, ring[:, k]) for k in range(3)], axis=1)
 
     def in_waste(self, places: FloatArray) -> BoolArray:
         """(N,) whether places (N, 3) are, seen along z, in what this outline lets drop."""

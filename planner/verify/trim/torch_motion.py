@@ -1,5 +1,5 @@
-"""Where a torch or a mill is while it trims, whether its arc burns then, and how far its body is off the
-sheet."""
+"""Where a torch, a mill or a knife is while it trims, whether an arc burns then, and how far its body is off
+the sheet."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import dataclasses
 import itertools
 from collections.abc import Callable
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
-from planner.claims.trim import TrimsSheet
+from planner.claims.trim import TrimsSheet, slot_names
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
@@ -20,7 +21,7 @@ from planner.verify.context import Context
 from planner.verify.files import UnreadError
 from planner.verify.forming.state import Forming
 from planner.verify.milling.tool_motion import Milling, Track
-from planner.verify.trim.outlines import TRIM, Curve, Feet, SheetSide, slot_names
+from planner.verify.trim.outlines import TRIM, Curve, Feet, SheetSide
 
 SIGHT = 20e-3
 """What is farther off a torch than this [m] is not told apart."""
@@ -74,8 +75,8 @@ CROSS_ROUNDS = 8
 class Way:
     """Places of the tool in one slot, ``PLACE_STEP`` apart at most: ``tip`` and ``axis`` (N, 3), from the TCP
     into the tool, ``feet`` on the face, and ``rows`` (N,) of the motion; ``off`` (N,) [m] from the curve that
-    it cuts, below zero on the part, and where along that, ``at`` (N,) [m]. ``deep`` (N,) [m]: of a mill, how
-    far along its axis the tip is behind the face, below zero over it; zero of a torch."""
+    it cuts, below zero on the part, and where along that, ``at`` (N,) [m]. ``deep`` (N,) [m]: of a mill or a
+    knife, how far along its axis the tip is behind the face, below zero over it; zero of a torch."""
 
     tip: FloatArray
     axis: FloatArray
@@ -114,6 +115,7 @@ class TrimWork:
         labels = tuple(sorted(set(context.motion.node_label.tolist())))
         self.track: Track = self._milling.track(index, claim.arm, labels)
         self._ways: dict[str, Way | None] = {}
+        self.kept: dict[str, Any] = {}  # what is worked out of it elsewhere
         self.burning = Burning.of(context, claim)
 
     @property
@@ -133,17 +135,21 @@ class TrimWork:
         return self._other()
 
     def feet(self, tip: FloatArray, axis: FloatArray) -> tuple[Feet, FloatArray]:
-        """Where tools are on the face: a torch at its foot, a mill where its axis goes through that; and how
-        deep (N,) [m] the tip is behind."""
-        if self.claim.mill is None:
+        """Where tools are on the face: a torch at its foot, others where their axis goes through that; and
+        how deep (N,) [m] the tip is behind."""
+        if self.claim.through is None:
             return self.sheet.feet(tip), np.zeros(len(tip))
         deep = behind(self.sheet, tip, axis)
         return self.sheet.feet(tip + deep[:, None] * axis), deep
 
     @cached_property
     def slots(self) -> dict[str, Curve]:
-        """The curve that each slot cuts, by the key of its segment."""
-        return {Segment(TRIM, name).key: c for c in self.curves for name in slot_names(c.one)}
+        """The curve that each slot cuts, by the key of its segment; of a knife's those that there are."""
+        names = {Segment(TRIM, name).key: c for c in self.curves for name in slot_names(self.claim, c.one)}
+        if self.claim.knife is None:
+            return names
+        there = set(self.context.motion.node_label.tolist())
+        return {key: curve for key, curve in names.items() if key in there}
 
     def of_slot(self, key: str) -> Track:
         """The track in one slot."""
@@ -166,7 +172,7 @@ class TrimWork:
 
     def ways(self, curve: Curve) -> dict[str, Way | None]:
         """:meth:`way` of each slot of a curve, by its key."""
-        return {k: self.way(k) for k in (Segment(TRIM, name).key for name in slot_names(curve.one))}
+        return {key: self.way(key) for key, own in self.slots.items() if own is curve}
 
 
 class Trimming:
@@ -227,9 +233,12 @@ def cylinder(low: float, high: float, radius: float) -> RoundBody:
 
 
 def bodies(claim: TrimsSheet) -> list[RoundBody]:
-    """What of the tool keeps clear of the sheet: a torch; shank, holder and spindle of a mill."""
+    """What of the tool keeps clear of the sheet: a torch; shank, holder and spindle of a mill; a knife's
+    body."""
     if claim.torch is not None:
         return [body(claim.torch)]
+    if claim.knife is not None:
+        return [cylinder(claim.knife.blade.length, claim.knife.back, claim.knife.body)]
     if claim.mill is None:
         return []
     cutter = claim.mill.cutter

@@ -150,7 +150,8 @@ def test_places_of_a_track_leave_out_no_corner() -> None:
     rows = np.arange(len(tip))
     axis = np.tile([0.0, 0.0, 1.0], (len(tip), 1))
     joined = rows[1:] != 250  # there the tool is elsewhere for a while
-    track = Track(rows, tip, axis, joined, np.full(len(tip), "mill/a"), 0.004 * rows)
+    ahead = np.tile([1.0, 0.0, 0.0], (len(tip), 1))
+    track = Track(rows, tip, axis, joined, np.full(len(tip), "mill/a"), 0.004 * rows, ahead)
     for bend in (np.inf, 1e-5):
         places, _, _ = track.spaced(1e-3, bend)
         apart = np.linalg.norm(places[None] - corner[:, None], axis=2).min(axis=1)
