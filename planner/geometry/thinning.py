@@ -10,6 +10,9 @@ from planner.geometry.arrays import FloatArray, IntArray, Mesh, distinct_rows
 
 CELLS: Final = (400, 200, 100, 50)
 """Vertices within the same cell become one; so many cells along the longest side, until it is few enough."""
+SAID: Final = 0.03
+"""Of the planes about a vertex, directions count whose share is at least this of that of the first one:
+edges of about 20 degrees."""
 
 
 def thinned(mesh: Mesh, most: int) -> Mesh:
@@ -24,16 +27,41 @@ def thinned(mesh: Mesh, most: int) -> Mesh:
     return thin
 
 
-def joined(mesh: Mesh, cell: float) -> Mesh:
-    """Vertices of the same cell of a grid, of that edge [m], become their mean; triangles that collapse are
-    left out. No vertex is farther than the cell's diagonal from the one that stands for it."""
-    grid = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
-    _, first, which = distinct_rows(grid)
+def joined(mesh: Mesh, cell: float, edges: bool = False) -> Mesh:
+    """Vertices of the same cell of a grid, of that edge [m], become one; triangles that collapse are left
+    out. It is their mean or, with ``edges``, nearest to the planes of the faces there. No vertex is farther
+    than the cell's diagonal from the one that stands for it."""
+    low = mesh.vertices.min(axis=0)
+    grid, first, which = distinct_rows(np.floor((mesh.vertices - low) / cell).astype(np.int64))
     count = np.bincount(which, minlength=len(first))
-    means = [np.bincount(which, axis, minlength=len(first)) / count for axis in mesh.vertices.T]
+    points = np.stack(
+        [np.bincount(which, axis, minlength=len(first)) / count for axis in mesh.vertices.T], axis=1
+    )
     faces = which[mesh.faces]
+    if edges:
+        points = points + _to_planes(mesh.vertices[mesh.faces], faces, points)
+        points = np.clip(points, low + grid * cell, low + (grid + 1) * cell)
     a, b, c = faces.T
-    return Mesh(np.stack(means, axis=1), faces[(a != b) & (b != c) & (c != a)])
+    return Mesh(points, faces[(a != b) & (b != c) & (c != a)])
+
+
+def _to_planes(corners: FloatArray, faces: IntArray, points: FloatArray) -> FloatArray:
+    """The steps (K, 3) [m] from points to the least sum of squared distances, by squared area, to the planes
+    of the triangles ``corners`` (F, 3, 3) with a corner at them (Lindstrom, Out-of-core simplification of
+    large polygonal models, 2000); none along directions in which the planes say little."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    matrix, side = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+    for k in range(3):
+        at = faces[:, k]
+        off = np.einsum("fi,fi->f", normal, corners[:, k] - points[at])
+        for i in range(3):
+            side[:, i] += np.bincount(at, normal[:, i] * off, minlength=len(points))
+            for j in range(i, 3):
+                matrix[:, i, j] += np.bincount(at, normal[:, i] * normal[:, j], minlength=len(points))
+    values, axes = np.linalg.eigh(matrix, UPLO="U")
+    said = values > SAID * values[:, -1:]
+    along = np.einsum("kji,kj->ki", axes, side) / np.where(said, values, np.inf)
+    return np.asarray(np.einsum("kij,kj->ki", axes, along))
 
 
 def creased(mesh: Mesh, crease: float) -> Mesh:

@@ -153,12 +153,13 @@ def _read(path: Path, scale: tuple[float, ...]) -> Mesh | str:
 
 def _few(meshes: list[Mesh]) -> list[Mesh] | None:
     """The meshes with at most :data:`MOST_TRIANGLES` together, None where the coarsest grid leaves more."""
-    count, cell, few = sum(len(mesh.faces) for mesh in meshes), FIRST_CELL, meshes
-    while count > MOST_TRIANGLES:
-        if cell > LAST_CELL:
-            return None
-        few = [joined(mesh, cell) for mesh in meshes]
-        count = sum(len(mesh.faces) for mesh in few)
+    count, cell = sum(len(mesh.faces) for mesh in meshes), FIRST_CELL
+    if count <= MOST_TRIANGLES:
+        return meshes
+    while cell <= LAST_CELL:
+        count = sum(len(joined(mesh, cell).faces) for mesh in meshes)
+        if count <= MOST_TRIANGLES:
+            return [joined(mesh, cell, edges=True) for mesh in meshes]
         # what is left goes with the square of the edge
-        cell *= max(1.1, float(np.sqrt(count / MOST_TRIANGLES)))
-    return few
+        cell *= 1.05 * float(np.sqrt(count / MOST_TRIANGLES))
+    return None

@@ -303,10 +303,10 @@ def mesh_file(name: str, stated: Sequence[LinkMeshFile], urdf: Path, folder: Pat
     them, from which they may have been made absolute."""
     for one in stated:
         if one.name == name:
-            file = Path(one.file)
-            places = [urdf.parent / file, folder / file]
-            if file.is_relative_to(folder):
-                places[1:] = [urdf.parent / file.relative_to(folder), *places[1:], file]
+            named = Path(one.file)
+            places = [urdf.parent / named, folder / named]
+            if named.is_relative_to(folder):
+                places[1:] = [urdf.parent / named.relative_to(folder), folder / named, named]
             return next((path for path in places if is_file(path)), None)
     rest = Path(name.partition("://")[2] or name)
     if rest.is_absolute() or ".." in rest.parts or not rest.parts:

@@ -131,6 +131,16 @@ def test_the_page_draws_the_same(own: Any) -> None:
     assert same_points(np.reshape(points, (-1, 3)), 1e3 * transform(AT, made.vertices), atol=0.02)
 
 
+def test_a_crowded_cell_is_drawn_with_hulls_as_before(own: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where all there is to be drawn has room only without the visuals."""
+    _, _, problem, _ = own
+    count = sum(len(body["faces"]) // 3 for body in cell_view.view(problem)[0]["bodies"])
+    monkeypatch.setattr(cell_view, "MOST_TRIANGLES", count - 1)
+    (hand,) = [body for body in cell_view.view(problem)[0]["bodies"] if body["body"] == "left/link_6"]
+    assert hand["color"] == pytest.approx(ROBOT_COLOUR.tolist())
+    assert np.ptp(np.reshape(hand["vertices"], (-1, 3)), axis=0) == pytest.approx([60.0, 60.0, 20.0])
+
+
 def test_distances_know_nothing_of_it(own: Any, tmp_path: Path) -> None:
     """The ring stands out of the plate by 30 mm; with and without it all bodies are as far apart."""
     _, _, problem, outcome = own
