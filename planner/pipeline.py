@@ -19,7 +19,7 @@ from planner.batch import worker
 from planner.files import RELEASE, RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
 from planner.geometry.memory import give_back
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
-from planner.problem import Problem
+from planner.problem import Cell, Problem
 from planner.reading import problem as problem_file
 from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document
@@ -367,7 +367,24 @@ def _unused(problem: Problem, found: Sequence[Issue]) -> list[Issue]:
 
 def _notes(problem: Problem) -> tuple[Issue, ...]:
     """What was put right, or is to be known, on the way from the file to the part."""
-    return (*(problem.part.notes if problem.part is not None else ()), *problem.notes)
+    part = problem.part.notes if problem.part is not None else ()
+    return (*part, *problem.notes, *_unseen(problem.cell))
+
+
+def _unseen(cell: Cell) -> Iterator[Issue]:
+    """A note for each robot of the user's own of which not all is seen as its maker drew it."""
+    told: set[tuple[str, ...]] = set()
+    for number, arm in enumerate(cell.arms):
+        unseen = arm.data.file.unseen if arm.data.file is not None else ()
+        if not unseen or unseen in told:
+            continue
+        told.add(unseen)
+        more = f" and {len(unseen) - 7} more" if len(unseen) > 7 else ""
+        what = f"of {len(unseen)} links of {arm.robot} the bodies for collision are shown, for what the URDF "
+        what += f"has to be seen cannot be read: {', '.join(unseen[:7])}{more}"
+        field = f"cell.arms.{number}.robot.urdf"
+        hint = "lay them beside the URDF or state them under visuals; DAE has to be converted. Nothing but "
+        yield Issue("robot.unseen", what, Severity.NOTE, field=field, hint=f"{hint}pictures depends on it")
 
 
 @_contained()

@@ -26,9 +26,12 @@ def origin(pose):
     return f'<origin xyz="{words[0]}" rpy="{words[1]}"/>'
 
 
-def drawn(kind, size, pose, file=""):
-    text = f'<mesh filename="{file}"/>' if kind == "mesh" else f"<{kind} {DRAWN[kind].format(*size)}/>"
-    return f"<collision>{origin(pose)}<geometry>{text}</geometry></collision>"
+def drawn(kind, size, pose, file="", tag="collision", inside=""):
+    """A <collision> or, by ``tag``, a <visual>, with what is ``inside`` it too; ``size`` of a mesh: its
+    scale."""
+    scale = f' scale="{" ".join(repr(float(v)) for v in size)}"' if size else ""
+    text = f'<mesh filename="{file}"{scale}/>' if kind == "mesh" else f"<{kind} {DRAWN[kind].format(*size)}/>"
+    return f"<{tag}>{origin(pose)}<geometry>{text}</geometry>{inside}</{tag}>"
 
 
 def arm(

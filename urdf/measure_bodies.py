@@ -216,7 +216,7 @@ def _triangles(
     file: str, scale: tuple[float, ...], spec: OwnRobotFile, path: Path, pose: FloatArray
 ) -> FloatArray:
     """Triangles (F, 3, 3) [mm] of a mesh that a URDF names, at ``pose`` (4, 4)."""
-    there = mesh_file(file, spec, path)
+    there = mesh_file(file, spec.meshes, path, path.parent)
     if there is None:
         sys.exit(f"{path}: the mesh {file} is not there")
     mesh = read_mesh(there, 1.0)

@@ -50,6 +50,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "robot.limits": Code("a joint of a URDF has no range or no speed", given=True),
     "robot.bodies": Code("bodies of a robot for collision are not there or bound nothing", given=True),
+    "robot.unseen": Code("links of a robot are shown by their bodies for collision", given=True),
     "robot.not_opw": Code("an arm of another class than those that are planned for", given=True),
     "robot.deviation": Code("the closed form of an arm leads beside the URDF's own kinematics", given=True),
     "problem.unknown_arm": Code("an operation names an arm that the cell does not have", given=True),

@@ -267,13 +267,23 @@ class JointStiffness:
 
 
 @dataclasses.dataclass(frozen=True)
+class Look:
+    """What is seen of a link: a shape in the link's frame, in a colour (red, green, blue in 0..1) where it is
+    not that of shapes for collision."""
+
+    shape: Shape
+    color: tuple[float, ...] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class RobotFile:
     """What a robot of the user's own has of its URDF: its ``text``, and the links ``base`` and ``tip`` in it.
 
     ``zero`` (8, 4, 4): frames of the base, of the links that the joints turn and of the tip, in the base with
     all joints at zero; ``axis`` (6, 3): unit vectors of the axes in the base, through the origins of the
     links. ``shapes``: what is held apart, of the base and of links 1 to 6, in their frames. ``joints``: names
-    of the joints.
+    of the joints. ``looks``: what is seen of the same links in place of ``shapes``, which are seen where
+    there are none; no distance knows of them. ``unseen``: what of the URDF's is not seen, and why.
     """
 
     text: str
@@ -283,6 +293,8 @@ class RobotFile:
     axis: FloatArray
     shapes: tuple[tuple[Shape, ...], ...]
     joints: tuple[str, ...]
+    looks: tuple[tuple[Look, ...], ...] = ()
+    unseen: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,8 +18,10 @@ from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from planner.catalogue.robots import RobotData
-    from planner.reading.urdf import UrdfChain
+    from planner.reading.urdf import UrdfChain, UrdfShape
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -154,20 +156,23 @@ def _stated(request: Add, name: str, chain: UrdfChain, folder: Path) -> dict[str
         if value not in (None, ()):
             lines[key] = list(value) if isinstance(value, tuple) else value
     if request.meshes is not None:
-        lines["meshes"] = _meshes(chain, request.meshes, request.urdf)
+        lines["meshes"] = _meshes(chain.shapes, request.meshes, request.urdf)
+        there = {one["name"] for one in lines["meshes"]}
+        seen = _meshes(chain.visuals, request.meshes, request.urdf)
+        lines |= {"visuals": own} if (own := [one for one in seen if one["name"] not in there]) else {}
     if request.source is not None:
         lines["sources"] = {"urdf": request.source}
     return lines
 
 
-def _meshes(chain: UrdfChain, folder: Path, urdf: Path) -> list[dict[str, str]]:
+def _meshes(shapes: Sequence[UrdfShape], folder: Path, urdf: Path) -> list[dict[str, str]]:
     """Where meshes of the URDF lie in a folder, each by as much of its path as is there, else by its name;
     for one that is not read (DAE) what was converted, of the same name but for its ending."""
     from planner.geometry.mesh_files import PLAIN_SUFFIXES
 
     there = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in PLAIN_SUFFIXES]
     out = []
-    for name in dict.fromkeys(one.file for one in chain.shapes if one.kind == "mesh"):
+    for name in dict.fromkeys(one.file for one in shapes if one.kind == "mesh"):
         wanted = Path(name.partition("://")[2] or name)
         exact = wanted.suffix.lower() in PLAIN_SUFFIXES
         steps = wanted.parts if exact else wanted.with_suffix("").parts
@@ -212,4 +217,9 @@ def _print(robot: RobotData, chain: UrdfChain, off: tuple[float, float]) -> None
     out.print(f"at most {off[0] / MM:.2g} mm and {off[1]:.2g} rad beside the URDF on 1000 postures")
     out.print("without a source, or assumed:")
     for line in robot.assumed:
+        out.print(f"- {line}", markup=False)
+    unseen = robot.file.unseen if robot.file is not None else ()
+    if unseen:
+        out.print("shown by bodies for collision, for what the URDF has to be seen cannot be read:")
+    for line in unseen:
         out.print(f"- {line}", markup=False)

@@ -27,7 +27,9 @@ class TriangleMesh:
 
 def merge(mesh: TriangleMesh) -> TriangleMesh:
     """The same surface with equal vertices merged (to 1e-9 of its extent), without faces of no area."""
-    used = np.unique(mesh.faces)
+    named = np.zeros(len(mesh.vertices), dtype=np.bool_)
+    named[mesh.faces] = True
+    used = np.flatnonzero(named)
     vertices = mesh.vertices[used]
     step = max(float(np.ptp(vertices, axis=0).max()) * 1e-9, 1e-15)
     key = np.round((vertices - vertices.min(axis=0)) / step).astype(np.int64)

@@ -73,27 +73,45 @@ def packed(source: Mapping[str, Any]) -> dict[str, bytes]:
 def resolved(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The file's data with its cell inside and every file name made absolute."""
     out: dict[str, Any] = each_file(data, lambda path: str(folder / path))
+    beside = folder
     if isinstance(data.get("cell"), str):
         path = folder / data["cell"]
+        beside = path.parent
         out["cell"] = each_file(strict_yaml.read(path).data, lambda name: str(path.parent / name))
     cell = out.get("cell")
     arms = cell.get("arms") if isinstance(cell, dict) else None
     for arm in arms if isinstance(arms, list) else ():
         if isinstance(arm, dict) and isinstance(arm.get("robot"), dict):
-            arm["robot"] = with_meshes(arm["robot"])
+            arm["robot"] = with_meshes(arm["robot"], beside)
     return out
 
 
 def digest(source: Mapping[str, Any]) -> str:
     """SHA-256 over the problem's values and the contents of its files: where they lie and comments do not
-    matter.
+    matter, nor what is only seen of a robot.
     """
 
     def content(path: Path) -> str:
         return hashlib.sha256(path.read_bytes()).hexdigest() if is_file(path) else "missing"
 
-    text = json.dumps(each_file(source, content), sort_keys=True, default=str)
+    text = json.dumps(each_file(_unseen(source), content), sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _unseen(source: Mapping[str, Any]) -> dict[str, Any]:
+    """A problem's values without visual meshes: a result stays what it is where they are found, or not."""
+    out = dict(source)
+    cell = out.get("cell")
+    if isinstance(cell, Mapping) and isinstance(cell.get("arms"), list):
+        out["cell"] = {**cell, "arms": [_unseen_arm(arm) for arm in cell["arms"]]}
+    return out
+
+
+def _unseen_arm(arm: Any) -> Any:
+    robot = arm.get("robot") if isinstance(arm, Mapping) else None
+    if not isinstance(robot, Mapping):
+        return arm
+    return {**arm, "robot": {key: value for key, value in robot.items() if key != "visuals"}}
 
 
 OperationModels = Mapping[str, type[BaseModel] | Issue]

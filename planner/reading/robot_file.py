@@ -2,12 +2,13 @@
 
 The geometry is that of the URDF's axes (:mod:`planner.reading.opw`); what a URDF does not say is
 stated with its source, or assumed and shown as that. Bodies for collision are the URDF's, meshes by
-their convex hulls; none is left out silently.
+their convex hulls; none is left out silently. What is seen are its visuals
+(:mod:`planner.reading.link_visuals`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -29,6 +30,7 @@ from planner.geometry.arrays import FloatArray, Shape, read_only
 from planner.geometry.mesh_files import PLAIN_SUFFIXES, read_mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
+from planner.reading.link_visuals import carried, looks
 from planner.reading.strict_yaml import Angle, FileName, Name, Strict
 from planner.reading.urdf import MAX_URDF_BYTES, UrdfChain, UrdfShape, read_chain
 
@@ -89,6 +91,10 @@ class OwnRobotFile(Strict):
     meshes: Annotated[
         tuple[LinkMeshFile, ...], Field(description="where meshes lie that are not found from the URDF")
     ] = ()
+    visuals: Annotated[
+        tuple[LinkMeshFile, ...],
+        Field(description="the same of meshes of <visual>, which are seen and do not count for anything"),
+    ] = ()
     sources: Annotated[
         dict[str, str], Field(description="where figures come from, by key: urdf, payload_kg ...")
     ] = Field(default_factory=dict)
@@ -109,9 +115,10 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     chain = read_chain(text, spec.base, spec.tip)
     found = fit(chain)
     issues = [*_key_faults(spec, chain, found.form)]
-    shapes = _shapes(spec, chain, path, issues)
+    shapes = _shapes(spec, chain, path, folder, issues)
     if issues:
         raise TandemError(issues)
+    shown, unseen = looks(chain, shapes, _visual_files(spec, chain, path, folder))
     coupling = None if spec.coupled_deg is None else RodCoupling(*(v * DEG for v in spec.coupled_deg))
     rise = spec.full_speed_after_s or FULL_SPEED_AFTER
     family, controller = FAMILIES[spec.family]
@@ -133,7 +140,9 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
         home=home,
         sources=tuple(f"{key}: {source}" for key, source in sorted(spec.sources.items())),
         assumed=tuple(_assumed(spec, chain, found)),
-        file=RobotFile(text, spec.base, chain.tip_link, chain.zero, chain.axis, shapes, chain.joints),
+        file=RobotFile(
+            text, spec.base, chain.tip_link, chain.zero, chain.axis, shapes, chain.joints, shown, unseen
+        ),
     )
     read_only(data)
     if not float(data.limit_margin(home)) >= 0.0:
@@ -224,7 +233,7 @@ def _home(form: ArmForm, chain: UrdfChain) -> FloatArray:
 
 
 def _shapes(
-    spec: OwnRobotFile, chain: UrdfChain, path: Path, issues: list[Issue]
+    spec: OwnRobotFile, chain: UrdfChain, path: Path, folder: Path, issues: list[Issue]
 ) -> tuple[tuple[Shape, ...], ...]:
     """What is held apart, of the base and of each link."""
     out: dict[str, list[Shape]] = {link: [] for link in chain.links}
@@ -233,7 +242,7 @@ def _shapes(
         if one.kind != "mesh":
             out[one.link].append(Shape(one.kind, one.size, one.pose))  # type: ignore[arg-type]
             continue
-        file = mesh_file(one.file, spec, path)
+        file = mesh_file(one.file, spec.meshes, path, folder)
         if file is None:
             lost.append(one.file)
         elif file.suffix.lower() not in PLAIN_SUFFIXES:
@@ -264,7 +273,8 @@ def _shapes(
 
 def _hull(one: UrdfShape, file: Path) -> Shape:
     """The convex hull of a mesh, whose file is in metres times the URDF's scale."""
-    vertices = read_mesh(file, 1.0).vertices * np.array(one.size)
+    most = max(abs(v) for v in one.size)
+    vertices = read_mesh(file, 1.0, most).vertices * (np.array(one.size) / most)
     try:
         hull = ConvexHull(vertices)
     except QhullError:
@@ -281,12 +291,23 @@ def _hull(one: UrdfShape, file: Path) -> Shape:
     return Shape("mesh", (), one.pose, points, faces.astype(np.int64))
 
 
-def mesh_file(name: str, spec: OwnRobotFile, urdf: Path) -> Path | None:
-    """The file of a mesh, as ``meshes`` state it, else beside the URDF or in its package; None if it is not
-    there."""
-    for one in spec.meshes:
+def _visual_files(spec: OwnRobotFile, chain: UrdfChain, urdf: Path, folder: Path) -> dict[str, Path | None]:
+    """Files of the meshes of <visual> by their names, None of those that are not there."""
+    named = dict.fromkeys(one.file for one in chain.visuals if one.kind == "mesh" and len(one.file) <= 1000)
+    return {name: mesh_file(name, (*spec.visuals, *spec.meshes), urdf, folder) for name in named}
+
+
+def mesh_file(name: str, stated: Sequence[LinkMeshFile], urdf: Path, folder: Path) -> Path | None:
+    """The file of a mesh, as it is stated, else beside the URDF or in its package; None if it is not there.
+    Names that are stated start at the folder of the URDF, or at ``folder``, that of the file that states
+    them, from which they may have been made absolute."""
+    for one in stated:
         if one.name == name:
-            return urdf.parent / one.file if is_file(urdf.parent / one.file) else None
+            named = Path(one.file)
+            places = [urdf.parent / named, folder / named]
+            if named.is_relative_to(folder):
+                places[1:] = [urdf.parent / named.relative_to(folder), folder / named, named]
+            return next((path for path in places if is_file(path)), None)
     rest = Path(name.partition("://")[2] or name)
     if rest.is_absolute() or ".." in rest.parts or not rest.parts:
         return None
@@ -299,9 +320,10 @@ def mesh_file(name: str, spec: OwnRobotFile, urdf: Path) -> Path | None:
     return None
 
 
-def with_meshes(robot: Mapping[str, Any]) -> dict[str, Any]:
-    """What a problem states of a robot, every file name absolute, with all meshes of the URDF named; as it is
-    where it is not well stated, which whoever reads it says."""
+def with_meshes(robot: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """What a problem states of a robot in ``folder``, every file name absolute, with all meshes of the URDF
+    named, of those that are only seen the ones that can be carried; as it is where it is not well stated,
+    which whoever reads it says."""
     try:
         spec = OwnRobotFile.model_validate(dict(robot))
     except ValidationError:
@@ -309,6 +331,11 @@ def with_meshes(robot: Mapping[str, Any]) -> dict[str, Any]:
     path = Path(spec.urdf)
     chain = read_chain(read_urdf(path), spec.base, spec.tip)
     named = dict.fromkeys(one.file for one in chain.shapes if one.kind == "mesh")
-    files = [(name, mesh_file(name, spec, path)) for name in named]
+    files = [(name, mesh_file(name, spec.meshes, path, folder)) for name in named]
     meshes = [{"name": name, "file": str(file)} for name, file in files if file is not None]
-    return {**robot, **({"meshes": meshes} if meshes else {})}
+    visuals = [
+        {"name": name, "file": str(file)}
+        for name, file in carried(_visual_files(spec, chain, path, folder)).items()
+    ]
+    stated = {key: value for key, value in robot.items() if key != "visuals"}
+    return {**stated, **({"meshes": meshes} if meshes else {}), **({"visuals": visuals} if visuals else {})}

@@ -32,15 +32,18 @@ _MOVING: Final = ("revolute", "continuous", "prismatic", "planar", "floating")
 
 @dataclasses.dataclass(frozen=True)
 class UrdfShape:
-    """A collision geometry at ``pose`` (4, 4) in the frame of the link of the chain that carries it: a box
+    """A geometry at ``pose`` (4, 4) in the frame of the ``link`` of the chain that carries it: a box
     (x, y, z), a cylinder or Drake's capsule (radius, length), a sphere (radius,) [m], or a mesh of a
-    ``file``, as the URDF names it, stretched by ``size`` (3,) along its axes."""
+    ``file``, as the URDF names it, stretched by ``size`` (3,) along its axes. ``owner``: the link that states
+    it, which is fixed to ``link`` or is that; ``color``: red, green, blue in 0..1 where a material says."""
 
     link: str
     kind: str
     size: tuple[float, ...]
     pose: FloatArray
     file: str = ""
+    owner: str = ""
+    color: tuple[float, ...] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +56,7 @@ class UrdfChain:
     they are written, not snapped. ``axis`` (N, 3): unit vectors in the base at zero; axis i goes through the
     origin of frame i + 1. ``lower``, ``upper`` [rad], ``velocity`` [rad/s] (N,), NaN where none is stated.
     ``kinds``: the joints' types. ``shapes``: what is fixed to the base and to the links, for collision.
+    ``visuals``: the same to be seen; ``unseen``: links with one that is not well stated, and why.
     ``beside``: joints that move something else on the base or on these links, which is not followed.
     ``notes``: what the file states that is not used.
     """
@@ -71,6 +75,8 @@ class UrdfChain:
     shapes: tuple[UrdfShape, ...]
     beside: tuple[str, ...]
     notes: tuple[str, ...]
+    visuals: tuple[UrdfShape, ...] = ()
+    unseen: tuple[tuple[str, str], ...] = ()
 
     def tip(self, q: FloatArray, written: bool = False) -> FloatArray:
         """Poses (..., 4, 4) of the tip in the base at joint angles ``q`` (..., N) [rad], by a product of
@@ -286,6 +292,7 @@ def _chain(
         links.append(_link(joint, "child"))
     lower, upper, velocity = np.array(limits).reshape(-1, 3).T
     shapes, notes = _bodies(root, above, links)
+    visuals, unseen = _visuals(root, above, links)
     return UrdfChain(
         joints=tuple(names),
         kinds=tuple(kinds),
@@ -305,6 +312,8 @@ def _chain(
             if joint not in way and joint.get("type") in _MOVING and _hangs(above, link, base)
         ),
         notes=tuple(notes),
+        visuals=tuple(visuals),
+        unseen=tuple(unseen),
     )
 
 
@@ -313,26 +322,67 @@ def _bodies(
 ) -> tuple[list[UrdfShape], list[str]]:
     """Collision geometries of the chain's links and of all that is fixed to them, and notes."""
     shapes, notes = [], []
-    for link in root.findall("link"):
-        name, pose = link.get("name") or "", np.eye(4)
-        carrier = name
-        while carrier not in links and carrier in above and above[carrier].get("type") == "fixed":
-            pose = _origin(above[carrier], above[carrier].get("name")) @ pose
-            carrier = _link(above[carrier], "parent")
-        if carrier not in links:
-            continue
+    for link, name, carrier, pose in _carried(root, above, links):
         if _bad_inertia(link):
             notes.append(f"inertia: that of the link {name} is not of a body; it is not used")
         shapes += [_shape(collision, name, carrier, pose) for collision in link.findall("collision")]
     return shapes, notes
 
 
-def _shape(collision: ET.Element, name: str, carrier: str, pose: FloatArray) -> UrdfShape:
-    placed = pose @ _origin(collision, name)
-    geometry = collision.find("geometry")
+def _carried(
+    root: ET.Element, above: dict[str, ET.Element], links: list[str]
+) -> Iterator[tuple[ET.Element, str, str, FloatArray]]:
+    """Links that are the chain's or fixed to it: each with its name, the link of the chain that carries it,
+    and its pose (4, 4) there."""
+    for link in root.findall("link"):
+        name, pose = link.get("name") or "", np.eye(4)
+        carrier = name
+        while carrier not in links and carrier in above and above[carrier].get("type") == "fixed":
+            pose = _origin(above[carrier], above[carrier].get("name")) @ pose
+            carrier = _link(above[carrier], "parent")
+        if carrier in links:
+            yield link, name, carrier, pose
+
+
+def _visuals(
+    root: ET.Element, above: dict[str, ET.Element], links: list[str]
+) -> tuple[list[UrdfShape], list[tuple[str, str]]]:
+    """What is to be seen of the chain's links and of all that is fixed to them, and links with what cannot
+    be: nothing here refuses a URDF."""
+    visuals, unseen = [], []
+    colors = {one.get("name"): _color(one) for one in root.findall("material")}
+    for link, name, carrier, pose in _carried(root, above, links):
+        for visual in link.findall("visual"):
+            material = visual.find("material")
+            color = None
+            if material is not None:
+                color = _color(material) or colors.get(material.get("name"))
+            try:
+                shape = _shape(visual, name, carrier, pose)
+            except TandemError as error:
+                unseen.append((name, error.issues[0].message))
+            else:
+                visuals.append(dataclasses.replace(shape, color=color))
+    return visuals, unseen
+
+
+def _color(material: ET.Element) -> tuple[float, ...] | None:
+    """Red, green, blue in 0..1 of a material, None where it states none."""
+    element = material.find("color")
+    try:
+        values = [] if element is None else _numbers(element, "rgba", 4, material.get("name"))
+    except TandemError:
+        return None
+    return tuple(min(max(v, 0.0), 1.0) for v in values[:3]) or None
+
+
+def _shape(element: ET.Element, name: str, carrier: str, pose: FloatArray) -> UrdfShape:
+    """The geometry of a <collision> or a <visual>. Raises :class:`TandemError` (``robot.urdf``)."""
+    placed = pose @ _origin(element, name)
+    geometry = element.find("geometry")
     one = None if geometry is None else next(iter(geometry), None)
     if one is None:
-        raise _no_urdf(f"has a <collision> without a geometry in the link {name!r}", "give it one")
+        raise _no_urdf(f"has a <{element.tag}> without a geometry in the link {name!r}", "give it one")
     kind = str(one.tag).partition("}")[2] or str(one.tag)
     if kind == "box":
         size = tuple(_numbers(one, "size", 3, name))
@@ -343,12 +393,12 @@ def _shape(collision: ET.Element, name: str, carrier: str, pose: FloatArray) -> 
     elif kind == "mesh":
         size = tuple(_numbers(one, "scale", 3, name, [1.0, 1.0, 1.0]))
     else:
-        what = f"has a collision <{kind}> in the link {name!r}"
+        what = f"has a {element.tag} <{kind}> in the link {name!r}"
         raise _no_urdf(f"{what}; allowed are box, cylinder, capsule, sphere and mesh", "take one of these")
     if (kind != "mesh" and not min(size) > 0.0) or not all(size):
         what = f"has a {kind} of the size {size} in the link {name!r}; all have to be above 0"
         raise _no_urdf(what, "correct it")
-    return UrdfShape(carrier, kind, size, placed, one.get("filename") or "")
+    return UrdfShape(carrier, kind, size, placed, one.get("filename") or "", name)
 
 
 def _bad_inertia(link: ET.Element) -> bool:

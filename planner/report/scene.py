@@ -8,18 +8,19 @@ clock of the replay (`track`) goes from home through all setups and operations a
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 import trimesh
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, Rgba, Role, Sphere
 
+from planner.catalogue.robots import Look, RobotData
 from planner.cell import axis_way
 from planner.cell.axis_way import Travel
-from planner.cell.bodies import drake_shape
+from planner.cell.bodies import LINK_CHAIN, drake_shape
 from planner.cell.kinematics import forward
-from planner.cell.plant import STOCK_COLOUR, SUPPORT_COLOUR, TOOL_COLOUR, CellModel
+from planner.cell.plant import ROBOT_COLOUR, STOCK_COLOUR, SUPPORT_COLOUR, TOOL_COLOUR, CellModel
 from planner.cell.support import with_support
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Shape, axis_ends, inverse, transform
@@ -117,6 +118,8 @@ def setup_index(problem: Problem, operation: int) -> int:
     return problem.setup_of(operation).number - 1
 
 
+_LINKS: Final = LINK_CHAIN[:7]
+"""Names of base and links as robots have them."""
 _PLAIN_COLOUR = (0.7, 0.72, 0.75, 1.0)
 """Red, green, blue, alpha in 0..1 of a body that states no colour."""
 HOT_COLOUR: Final = (1.0, 0.30, 0.05, 1.0)
@@ -127,7 +130,8 @@ LEAST_WIRE_RADIUS_M: Final = 2.2e-3
 
 @dataclasses.dataclass(frozen=True)
 class Piece:
-    """One visible shape: Drake's ``shape`` at ``pose`` (4, 4) in its body's frame, also as triangles."""
+    """One visible shape: Drake's, or our mesh, ``shape`` at ``pose`` (4, 4) in its body's frame, also as
+    triangles."""
 
     body: str
     shape: Any
@@ -138,7 +142,7 @@ class Piece:
     @property
     def closed(self) -> bool:
         """Whether only its outside can be seen, which holds of all shapes but meshes."""
-        return not isinstance(self.shape, Mesh)
+        return not (isinstance(self.shape, Mesh) or getattr(self.shape, "kind", "") == "mesh")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,11 +172,15 @@ class Scene:
         return out
 
 
-def extract(model: CellModel) -> Scene:
-    """The visible shapes of a cell's model but for those that setups change: tools, block, support."""
+def extract(model: CellModel, hulls: bool = False) -> Scene:
+    """The visible shapes of a cell's model but for those that setups change: tools, block, support. Robots of
+    the user's own are seen as their makers drew them where their files say how, or, with ``hulls``, by their
+    bodies for collision."""
     inspector = model.diagram.scene_graph().model_inspector()
     names = {model.body(n).index(): n for n in _all_names(model)}
-    pieces = []
+    own = () if hulls else [arm for arm in model.arms if _own(model.robots[arm])]
+    pieces = [piece for arm in own for piece in _looks(arm, model.robots[arm])]
+    hidden = {"stock", "support", *(f"{arm}/{link}" for arm in own for link in _LINKS)}
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
         body = model.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
         shape = inspector.GetShape(geometry)
@@ -181,9 +189,26 @@ def extract(model: CellModel) -> Scene:
         color = (rgba.r(), rgba.g(), rgba.b(), rgba.a())
         pose = inspector.GetPoseInFrame(geometry).GetAsMatrix4()
         name = names[body.index()]
-        if name not in ("stock", "support") and not name.endswith(("/tool", "/edge")):
+        if name not in hidden and not name.endswith(("/tool", "/edge")):
             pieces.append(Piece(name, shape, pose, color, _solid(shape)))
     return Scene(model, tuple(sorted(pieces, key=lambda p: p.body)))
+
+
+def _own(robot: RobotData) -> tuple[tuple[Look, ...], ...]:
+    return () if robot.file is None else robot.file.looks
+
+
+def _looks(arm: str, robot: RobotData) -> Iterator[Piece]:
+    """What is seen of a robot whose file says how it looks."""
+    for link, own in zip(_LINKS, _own(robot), strict=False):
+        for look in own:
+            shape, body = look.shape, f"{arm}/{link}"
+            if look.color is None or shape.vertices is None or shape.faces is None:
+                yield _piece(body, shape, ROBOT_COLOUR if look.color is None else (*look.color, 1.0))
+                continue
+            r, g, b = look.color
+            solid = raster.mesh(shape.vertices, shape.faces, smooth=True)
+            yield Piece(body, shape, shape.pose, (r, g, b, 1.0), solid)
 
 
 def mounted(setup: Setup, place: FloatArray) -> tuple[Piece, ...]:

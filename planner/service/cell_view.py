@@ -16,6 +16,7 @@ from planner import pipeline, processes
 from planner.cell import plant
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, Mesh, from_parts, spread_rows, to_rpy
+from planner.geometry.thinning import thinned
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.motion import axis_map, reach_field, solve, stations
@@ -179,18 +180,15 @@ def _field(name: str, pose: FloatArray) -> dict[str, Any]:
 
 
 def _bodies(problem: Problem, setup: Setup, model: CellModel, place: FloatArray) -> list[dict[str, Any]]:
-    """Triangles in the frame of their body, pieces of one colour together. Raises ``TandemError`` for more
-    than are drawn."""
-    from planner.service.upload_reader import thinned
-
-    pieces = (*scenes.extract(model).pieces, *scenes.mounted(setup, place))
-    parts: dict[tuple[str, tuple[float, ...]], list[Mesh]] = {}
-    for piece in pieces:
-        moved = piece.solid.moved(piece.pose)
-        mesh = thinned(Mesh(moved.vertices, moved.faces), FINEST)
-        parts.setdefault((piece.body, piece.color), []).append(mesh)
+    """Triangles in the frame of their body, pieces of one colour together; robots by their bodies for
+    collision where there would be too many as their makers drew them. Raises ``TandemError`` for more than
+    are drawn."""
     wanted = [thinned(mesh, FINEST) for _, mesh in part_meshes(problem.part) if len(mesh.faces)]
-    count = sum(len(mesh.faces) for own in (*parts.values(), wanted) for mesh in own)
+    for hulls in (False, True):
+        parts = _pieces((*scenes.extract(model, hulls).pieces, *scenes.mounted(setup, place)))
+        count = sum(len(mesh.faces) for own in (*parts.values(), wanted) for mesh in own)
+        if count <= MOST_TRIANGLES:
+            break
     if count > MOST_TRIANGLES:
         what = (
             f"cell: its bodies have {count:,} triangles, also where fine meshes are thinned out, and at most "
@@ -200,6 +198,18 @@ def _bodies(problem: Problem, setup: Setup, model: CellModel, place: FloatArray)
     obstacles = {body.name for body in setup.cell.obstacles}
     out = [_body(name, _kind(name, obstacles), color, own) for (name, color), own in parts.items()]
     return [*out, _body("stock", "part", None, wanted)] if wanted else out
+
+
+def _pieces(
+    pieces: Iterable[scenes.Piece],
+) -> dict[tuple[str, tuple[float, ...]], list[Mesh]]:
+    """Meshes in the frame of their body, by body and colour, fine ones thinned out."""
+    parts: dict[tuple[str, tuple[float, ...]], list[Mesh]] = {}
+    for piece in pieces:
+        moved = piece.solid.moved(piece.pose)
+        mesh = thinned(Mesh(moved.vertices, moved.faces), FINEST)
+        parts.setdefault((piece.body, piece.color), []).append(mesh)
+    return parts
 
 
 def _kind(name: str, obstacles: Iterable[str]) -> str:

@@ -37,6 +37,7 @@ from planner.element import element_file
 from planner.element.element_file import ElementFile
 from planner.files import FILE_KEYS, base_name, carried_name
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
+from planner.geometry.thinning import thinned
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
@@ -240,8 +241,6 @@ def path_bars(places: FloatArray, width: float) -> Mesh:
 
 FINEST: Final = 60_000
 """Meshes of more triangles are thinned out for the picture."""
-CELLS: Final = (400, 200, 100, 50)
-"""Vertices within the same cell become one; so many cells along the longest side, until it is few enough."""
 
 
 def shapes(problem: Problem) -> tuple[list[dict[str, Any]], list[Issue]]:
@@ -257,30 +256,6 @@ def shapes(problem: Problem) -> tuple[list[dict[str, Any]], list[Issue]]:
     return bodies, faults
 
 
-def thinned(mesh: Mesh, most: int = FINEST) -> Mesh:
-    """The mesh with neighbouring vertices joined until at most ``most`` triangles are left, if that is
-    possible with a grid of 50 cells."""
-    size = float(np.ptp(mesh.vertices, axis=0).max()) if len(mesh.vertices) else 0.0
-    thin = mesh
-    for cells in CELLS:
-        if len(thin.faces) <= most or size <= 0.0:
-            break
-        thin = _joined(mesh, size / cells)
-    return thin
-
-
-def _joined(mesh: Mesh, cell: float) -> Mesh:
-    """Vertices of the same cell (V, 3) of a grid become their mean; triangles that collapse are left out."""
-    grid = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
-    _, inverse, count = np.unique(grid, axis=0, return_inverse=True, return_counts=True)
-    inverse = inverse.reshape(-1)
-    total = np.zeros((len(count), 3))
-    np.add.at(total, inverse, mesh.vertices)
-    faces = inverse[mesh.faces]
-    a, b, c = faces.T
-    return Mesh(total / count[:, None], faces[(a != b) & (b != c) & (c != a)])
-
-
 def _box_mesh(problem: Problem) -> Mesh:
     low, high = problem.stock.lower, problem.stock.upper
     corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=np.float64)
@@ -290,7 +265,7 @@ def _box_mesh(problem: Problem) -> Mesh:
 
 
 def _body(name: str, kind: str, mesh: Mesh) -> dict[str, Any]:
-    thin = thinned(mesh) if kind == "part" else mesh
+    thin = thinned(mesh, FINEST) if kind == "part" else mesh
     vertices: FloatArray = np.round(thin.vertices / MM, 3)
     return {
         "name": name,

@@ -253,6 +253,7 @@ NONE: Final = {
     **dict.fromkeys(("part.ruled_deviation", "part.strips_found", "sign.good"), FACT),
     **dict.fromkeys(("wire.chosen", "straight.slit", "motion.path_kept", "motion.solver"), FACT),
     **dict.fromkeys(("mesh.file_unit", "part.rhino_unit", "part.rhino_facets", "gcode.skipped"), FACT),
+    "robot.unseen": FACT,
     **dict.fromkeys(("part.step_unit", "part.step_facets", "scan.stray"), FACT),
     "motion.like": FACT,
     "forming.compensated": FACT,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import itertools
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from planner import pipeline
@@ -19,7 +21,7 @@ from planner.cell import plant
 from planner.issues import has_errors
 from planner.report import scene as scenes
 from planner.service import answers, cell_view, routes
-from tests import small_problem
+from tests import small_problem, urdf_text
 from tests.service.support import ROOT, InProcess, codes, named
 
 TURNED = small_problem.PROBLEM.replace("robot: irb140", "robot: irb140\n      base: {xyz_mm: [0, 40, 0]}")
@@ -324,6 +326,31 @@ def test_a_robot_of_a_users_file_is_drawn_where_it_says(here: InProcess) -> None
     for link in links:
         one, other = matrices(found["poses"][link]), matrices(usual["poses"][link])
         assert one == pytest.approx(other, abs=0.02)
+
+
+def test_meshes_of_a_robot_come_with_the_problem(here: InProcess) -> None:
+    """One for collision and one to be seen, each by the name that the problem has for it; the second one is
+    drawn."""
+    lines = "urdf: mine.urdf, name: mine, family: abb, payload_kg: 6, full_speed_after_s: 0.25"
+    lines += ", meshes: [{name: plate.stl, file: plate.stl}], visuals: [{name: seen.stl, file: seen.stl}]"
+    text = (ROOT / "urdf" / "irb140.urdf").read_text("utf-8")
+    text = re.sub(r"<visual>.*?</visual>", "", text, flags=re.DOTALL)
+    both = [urdf_text.drawn("mesh", (), np.eye(4), "plate.stl")]
+    both += [urdf_text.drawn("mesh", (), np.eye(4), "seen.stl", "visual")]
+    hand = r'(<link name="link_6">.*?)(?:<collision>.*?</collision>\s*)+'
+    text = re.sub(hand, rf"\1{both[0]}{both[1]}", text, flags=re.DOTALL)
+    files = [
+        ("problem", ("p.yaml", named("meshed").replace("robot: irb140", f"robot: {{{lines}}}"))),
+        ("files", ("targets.csv", _table())),
+        ("files", ("mine.urdf", text.encode())),
+    ]
+    for name, size in (("plate.stl", (0.06, 0.06, 0.02)), ("seen.stl", (0.05, 0.04, 0.03))):
+        mesh = trimesh.creation.box(size).export(file_type="stl")
+        files.append(("files", (name, mesh)))
+    found = here.http.post("/v1/cell", files=files)
+    assert found.status_code == 200, found.text[:500]
+    (hand,) = [body for body in found.json()["bodies"] if body["body"] == "left/link_6"]
+    assert np.ptp(np.reshape(hand["vertices"], (-1, 3)), axis=0) == pytest.approx([50.0, 40.0, 30.0])
 
 
 def test_reach_over_the_block_is_that_of_the_wrist(here: InProcess, tmp_path: Path) -> None:
