@@ -26,7 +26,12 @@ SIDE_MM = 1800.0
 
 
 def problem(
-    folder: Path, track: dict[str, Any] | None = None, obstacles: Any = (), count: int = 61, **arm: Any
+    folder: Path,
+    track: dict[str, Any] | None = None,
+    obstacles: Any = (),
+    count: int = 61,
+    sway: float = 1.0,
+    **arm: Any,
 ) -> planner.Problem:
     """Poses at 200 mm/s along y, which sway a little."""
     one = {**ARM, "track": FOLLOWING if track is None else track, **arm}
@@ -34,7 +39,7 @@ def problem(
     for name, ends, number in (("row", (-SIDE_MM, SIDE_MM), count), ("back", (1000.0, 400.0), 11)):
         rows = [COLUMNS]
         for y in np.linspace(*ends, number):
-            place = (500.0 + 15.0 * np.sin(y / 300.0), y, 450.0 + 20.0 * np.cos(y / 200.0))
+            place = (500.0 + sway * 15.0 * np.sin(y / 300.0), y, 450.0 + sway * 20.0 * np.cos(y / 200.0))
             rows.append(",".join(str(round(float(v), 9)) for v in (*place, *turn, 200.0)) + ",move")
         (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
     operations = [

@@ -14,7 +14,7 @@ import shapely
 from planner.geometry.arrays import FloatArray, IndexArray, Shape, corners, transform
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity
-from planner.problem import Cell, Pedestal, Problem, Setup, Stock
+from planner.problem import Arm, Cell, Pedestal, Problem, Setup, Stock
 
 FOOT_HEIGHT: Final = 0.025
 """[m] what feet, shims and clamps may be between two bodies of which one stands on the other."""
@@ -35,8 +35,9 @@ class Ground:
 
     @staticmethod
     def of(cell: Cell) -> Ground:
-        """The ground of a cell: its floor is level with the lowest base that stands upright, at most at 0."""
-        upright = [float(arm.base[2, 3]) for arm in cell.arms if arm.base[2, 2] > 0.5]
+        """The ground of a cell: its floor is level with the lowest base that stands upright, at most at 0; a
+        track has its base at value 0 there, wherever it climbs or falls to."""
+        upright = [float(_at_zero(arm)[2, 3]) for arm in cell.arms if arm.base[2, 2] > 0.5]
         boxes = [np.zeros((0, 2, 3))]
         names = []
         for obstacle in cell.obstacles:
@@ -329,3 +330,8 @@ def _hangs(why: str, field: str, gap: float | None) -> Issue:
 def _world(points: FloatArray, places: FloatArray) -> FloatArray:
     """Points (N, 3) at places (K, 4, 4), as (K, N, 3)."""
     return np.asarray(np.einsum("kij,nj->kni", places[:, :3, :3], points) + places[:, None, :3, 3])
+
+
+def _at_zero(arm: Arm) -> FloatArray:
+    """The base (4, 4) of an arm with its track at value 0."""
+    return arm.base if arm.track is None else arm.track.moved(arm.base, -(arm.station or 0.0))

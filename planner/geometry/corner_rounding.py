@@ -34,6 +34,10 @@ ZONE_STEP: Final = 1.7
 LARGEST_ZONE_MM: Final = 15.0
 LARGEST_ZONE_DEG: Final = 1.0
 """Sizes of the largest zones [mm] and [deg] that programs name."""
+RIDING_ZONE_MM: Final = 10.0
+"""Path radius [mm] of the largest zone, over which a track is rounded, too: its size above is for turning,"""
+RIDING_ZONE_STEP: Final = 2.0
+"""and by this factor zones may be smaller in it than there is room for."""
 STANDING_MM: Final = 0.01
 """A TCP stands in a move that goes no farther than this [mm]: corners beside it are sized by angle."""
 _CORNER_SHARE: Final = 0.5
@@ -69,6 +73,7 @@ def shares(
     rates: tuple[FloatArray, FloatArray],
     levers: FloatArray,
     deviation: FloatArray,
+    ride: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """At least which share (M - 1,) of the time of the shorter one of the moves beside it each corner between
     M moves of ``duration`` (M,) [s] is rounded over, on both sides: by the zone that :func:`room` allows, and
@@ -77,18 +82,22 @@ def shares(
 
     A zone is a length, so the faster move goes through its side in less time, which counts. No zone is larger
     than those that programs name; one that would be smaller rounds nothing, nor does one of an angle where
-    the TCP moves on one side.
+    the TCP moves on one side. ``ride`` (M + 1,) [mm] has the values of a track that goes along: where its
+    share of the tool's way changes there is a corner, however straight the tool goes.
     """
     way, turn = np.diff(position, axis=0), _turns(quaternion)
     comes, goes = (rate[:, None] / duration[:, None] for rate in rates)
     own = [(way, PATH_ACCURACY_MM), (turn, PATH_ACCURACY_RAD)]
+    if ride is not None:
+        own.append((np.column_stack([way, np.diff(ride)]), PATH_ACCURACY_MM))
     change = [(_sideways_at_most((step * goes)[:-1], (step * comes)[1:]), within) for step, within in own]
-    without = np.minimum(*(_share(sideways, duration, within) for sideways, within in change))
+    without = np.minimum.reduce([_share(sideways, duration, within) for sideways, within in change])
     steps, far, angle = np.concatenate([way, levers * turn], axis=1), lengths(way), np.rad2deg(lengths(turn))
     stands = np.maximum(far[1:], far[:-1]) <= STANDING_MM
     moved = np.where(far > STANDING_MM, far, 0.0)
     zone = np.where(stands, _zone(steps, angle, deviation[:-1]), _zone(steps, moved, deviation[:-1]))
-    size = np.minimum(zone / ZONE_STEP, np.where(stands, LARGEST_ZONE_DEG, LARGEST_ZONE_MM))
+    step, largest = (ZONE_STEP, LARGEST_ZONE_MM) if ride is None else (RIDING_ZONE_STEP, RIDING_ZONE_MM)
+    size = np.minimum(zone / step, np.where(stands, LARGEST_ZONE_DEG, largest))
     by_way, by_turn = (duration / np.maximum(gone, 1e-9) for gone in (far, angle))  # [s/mm] and [s/deg]
     pace = np.where(stands, np.minimum(by_turn[1:], by_turn[:-1]), np.minimum(by_way[1:], by_way[:-1]))
     taken = size * pace / np.minimum(duration[1:], duration[:-1])

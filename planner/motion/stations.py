@@ -66,6 +66,10 @@ APART_M: Final = 0.2
 APART_RAD: Final = 10.0 * DEG
 """or so far [rad]."""
 NO_PATH: Final = "bodies or joints leave no path there"
+BASE_GOES: Final = "as the base goes along"
+"""Begins what is said of a base that comes too near to bodies where it rides."""
+MORE_POSES: Final = "state more poses between those that are far apart"
+"""A remedy for joints that turn far from one target to the next."""
 WAY_ROOM_M: Final = 1e-3
 """Bodies keep so much more [m] than their clearance on the way from one to the next."""
 
@@ -349,6 +353,11 @@ def _followed(
         what += f"at the best, from {from_to}: {found.fault}"
     hint = "make the track longer or put it nearer to the work, split the operation, or let the track stand "
     hint += "(take follow out)"
+    if found.tried:
+        first = (
+            "narrow range_mm to where the base is clear" if found.fault.startswith(BASE_GOES) else MORE_POSES
+        )
+        hint = f"clear away what is in the way, or {first}; or {hint}"
     raise TandemError(Issue("motion.station", what, arm=axis.name, hint=hint, field=f"operations.{index}"))
 
 
@@ -364,7 +373,8 @@ def _base_fault(
     aside = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
     enough = problem.settings.clearance + WAY_ROOM_M
     way = axis_way.along(model, axis.name, axis.track.axis, (low, high), _homes(setup), enough, aside)
-    return "" if way.clear else f"as the base goes along {_near(way)}"
+    near = f"{BASE_GOES} {_near(way)}, allowed are {enough / MM:g} mm at least"
+    return "" if way.clear else near
 
 
 def _named(axis: _Axis, row: FloatArray) -> dict[str, float]:

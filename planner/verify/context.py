@@ -33,7 +33,7 @@ from planner.problem import END, STOCK, TILT, Arm, Problem, Setup, Stock, Turnta
 from planner.verify import job as job_text
 from planner.verify import job as setup_text
 from planner.verify.job import JobText, SetupClaims, Spans, Stage, TaskText
-from planner.verify.programs.steps import BASE_FRAME, MessageStep, MoveStep, Step, WorkObject
+from planner.verify.programs.steps import BASE_FRAME, MOST_OUTER, MessageStep, MoveStep, Step, WorkObject
 from planner.verify.rapid.syntax_tree import Data, Literal, build
 from planner.verify.replay import arm_model, bending
 from planner.verify.replay.bending import Bent
@@ -43,10 +43,6 @@ from planner.verify.replay.playback import replay
 
 FEED_SLACK = 1.05
 """The replay's ramps and corners may pass feeds by this factor."""
-
-
-MOST_OUTER = 1e6
-"""Values of external axes [mm, deg] beyond are none: 9E9 is an axis that is not there."""
 
 
 @dataclasses.dataclass(frozen=True)

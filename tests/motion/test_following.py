@@ -102,7 +102,28 @@ def test_a_stop_on_the_rail_is_found_before_planning(tmp_path: Path) -> None:
     bodies = [{"name": "stop", "shapes": [stop]}]
     found = planner.check(following_job.problem(tmp_path, obstacles=bodies))
     (issue,) = [i for i in found if i.code == "motion.station"]
-    assert "base_link and stop" in issue.message
+    assert "base_link and stop come as near as" in issue.message and "allowed are 11 mm" in issue.message
+    assert issue.hint is not None and issue.hint.startswith(
+        "clear away what is in the way, or narrow range_mm"
+    )
+
+
+def test_far_poses_are_told_to_want_more_between(tmp_path: Path) -> None:
+    found = planner.check(following_job.problem(tmp_path, count=2, sway=0.0))
+    (issue,) = [i for i in found if i.code == "motion.station"]
+    assert issue.hint is not None and "state more poses between" in issue.hint
+
+
+def test_the_floor_is_not_lower_for_a_track_that_falls(tmp_path: Path) -> None:
+    """The block stands where it stood before, so a plan that check has nothing against is proven."""
+    falls = {**following_job.FOLLOWING, "axis": [0, 1, 0.05]}
+    problem = following_job.problem(tmp_path, falls, count=5, sway=0.0)
+    assert not planner.check(problem)
+    out = planner.plan(problem)
+    low = min(
+        float(problem.stationed(out.problem.stations).setup_of(k).cell.arms[0].base[2, 3]) for k in (0, 1)
+    )
+    assert low < -0.05 and out.verified, [str(issue) for issue in out.issues]
 
 
 def test_tools_that_may_slide_along_the_track_are_refused(tmp_path: Path) -> None:

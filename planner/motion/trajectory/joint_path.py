@@ -240,8 +240,9 @@ def corner_shares(
         if scene.model is not None:
             levers = 1e3 * targets.rounding.turning(arm, scene.model.cell.arm(arm).tool)
         quaternion = to_quaternion(pose[:, :3, :3])
+        ride = targets.ride[arm] / MM if arm in targets.ride else None
         found = corner_rounding.shares(
-            pose[:, :3, 3] / MM, quaternion, duration[1:], rates, levers, deviation
+            pose[:, :3, 3] / MM, quaternion, duration[1:], rates, levers, deviation, ride
         )
         zone[1:-1] = np.minimum(zone[1:-1], found[0])
         own[1:-1] = np.minimum(own[1:-1], found[1])

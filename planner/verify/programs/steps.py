@@ -25,6 +25,8 @@ DIGEST = "problem_digest"
 """and the one that says from which problem it was made, in any language."""
 UNUSED_AXIS = 9e9
 """Value of an external axis that is not there, or of which a target says nothing."""
+MOST_OUTER = 1e6
+"""Values of external axes [mm, deg] beyond are none: 9E9 is an axis that is not there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,6 +16,7 @@ line, as the manual says.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
@@ -33,6 +34,7 @@ from planner.geometry.arrays import (
 )
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import (
+    MOST_OUTER,
     JointTarget,
     MessageStep,
     MoveStep,
@@ -189,8 +191,11 @@ class Riding:
         out = [before]
         for move in moves:
             works |= not move.by_joints
-            value = self.scale * float(move.target.external[self.column]) - self.station
-            out.append(value if works else 0.0)
+            value = float(move.target.external[self.column])
+            if abs(value) >= MOST_OUTER:  # none, which verify.external_axes tells
+                out.append(out[-1])
+                continue
+            out.append(self.scale * value - self.station if works else 0.0)
         return np.array(out), works
 
 
@@ -354,7 +359,8 @@ def make_law(
     count = len(rows[0].moves)
     duration, length = np.zeros(count), np.zeros(count)
     reach = np.full((count + 1, 2), _MOST_CORNER_SHARE)
-    deltas = []
+    deltas: list[tuple[FloatArray, float]] = []
+    paired: list[tuple[FloatArray, float]] = []
     for row, start, q in zip(rows, starts, joints, strict=True):
         before = np.concatenate([start[None], row.pose[:-1]])
         shift = row.pose[:, :3, 3] - before[:, :3, 3]
@@ -368,6 +374,8 @@ def make_law(
         reach[1:, 0] = np.minimum(reach[1:, 0], _share(zone, angle, step, turn))
         reach[1:-1, 1] = np.minimum(reach[1:-1, 1], _share(zone[:-1], angle[:-1], step[1:], turn[1:]))
         if row.gone is not None:  # a zone is a length of the track, too
+            # a straight tool has a corner where the track's share of its way changes
+            paired.append((np.column_stack([shift, np.diff(row.gone)]), ACCURACY))
             way, still = np.abs(np.diff(row.gone)), np.zeros(count)
             linear = np.array([0.0 if move.zone.fine else move.zone.linear for move in row.moves])
             reach[1:, 0] = np.minimum(reach[1:, 0], _share(linear, still, way, still))
@@ -375,7 +383,7 @@ def make_law(
     duration = np.maximum(duration, 1e-4)
     room = np.full(count + 1, np.inf)
     rate_in, rate_out = end_rates(duration, length, stop)
-    for delta, accuracy in deltas:
+    for delta, accuracy in deltas + paired:
         # a rounding of half width h strays from the corner by h |change of speed| / 4
         speed = delta / duration[:, None]
         change = _sideways(rate_out[:-1, None] * speed[:-1], rate_in[1:, None] * speed[1:])
@@ -442,12 +450,14 @@ _LOOKS: Final = 20
 
 
 def _sideways(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Change (M,) of speeds across the path, from ``before`` to ``after`` (M, 3); a change along it does not
+    """Change (M,) of speeds across the path, from ``before`` to ``after`` (M, D); a change along it does not
     leave the path, unless it turns back."""
     size = np.maximum(np.stack([np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)]), 1e-12)
     along = dots(before, after)
     whole = np.linalg.norm(after - before, axis=1)
-    cross = np.linalg.norm(np.cross(before, after), axis=1)
+    pairs = list(itertools.combinations(range(before.shape[1]), 2))[::-1]
+    wedge = [before[:, i] * after[:, j] - before[:, j] * after[:, i] for i, j in pairs]
+    cross = np.linalg.norm(np.stack(wedge, axis=1), axis=1)  # of three numbers the cross product
     across = cross / size.min(axis=0)
     still = size.min(axis=0) < 1e-9
     return np.asarray(np.where((along < 0.0) | still, whole, np.minimum(across, whole)))

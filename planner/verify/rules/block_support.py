@@ -94,7 +94,9 @@ def _stands(cell: Cell, stock: Stock, place: FloatArray, taken: bool) -> Iterato
     stands as it is stated to."""
     block = transform(place, _box_corners(stock))
     under = float(block[:, 2].min())
-    floor = float(min([0.0, *(arm.base[2, 3] for arm in cell.arms if arm.base[2, 2] > 0.5)]))
+    climbed = {a.name: (a.station or 0.0) * a.track.axis[2] for a in cell.arms if a.track is not None}
+    upright = [arm for arm in cell.arms if arm.base[2, 2] > 0.5]
+    floor = float(min([0.0, *(arm.base[2, 3] - climbed.get(arm.name, 0.0) for arm in upright)]))
     bodies = [transform(s.pose, corners(s)) for obstacle in cell.obstacles for s in obstacle.shapes]
     if stock.pedestal is not None:
         yield from _made(stock, stock.pedestal, place, under - floor, taken)

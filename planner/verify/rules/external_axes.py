@@ -17,7 +17,6 @@ from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
 from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
 from planner.verify.context import (
-    MOST_OUTER,
     Context,
     Outcome,
     OuterAxis,
@@ -28,7 +27,7 @@ from planner.verify.context import (
 )
 from planner.verify.job import TaskText
 from planner.verify.krl.flow import AXIS_LOOK
-from planner.verify.programs.steps import UNUSED_AXIS, MoveStep, RobTarget, SettingStep
+from planner.verify.programs.steps import MOST_OUTER, UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.verify.rapid.flow import AXES_CHECK
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 

@@ -180,6 +180,9 @@ def _faults(steps: tuple[Step, ...] | None, signals: list[str], blocks: bool) ->
 
 
 _ZERO_WAY, _ZERO_TURN = 1e-8, 1e-9
+TRACK_AHEAD = 5e-3
+"""A track that goes along may begin to round a corner so far [m] before its tool does, as in z10: the replay
+has both begin at once, and the base is off by a quarter of that at most."""
 _ZONE_SLACK = 1e-6
 """[m] moves are as long as their rounded coordinates say; controllers shorten a corner that is larger."""
 _REFUSED_OPTIONS = {
@@ -255,7 +258,8 @@ def move_kinds(context: Context) -> Outcome:
 
 @rule("verify.zone_size")
 def zone_size(context: Context) -> Outcome:
-    """A zone takes at most half of the shorter one of the moves that meet in it."""
+    """A zone takes at most half of the shorter one of the moves that meet in it, and that of a track that
+    goes along begins where that of the tool does, to 5 mm."""
     issues, worst = [], 0.0
     for _, _, task, moves in context.moves():
         if task.krl is not None:
@@ -264,9 +268,20 @@ def zone_size(context: Context) -> Outcome:
             worst = max(worst, over)
             continue
         ways = [straight_way(a, b) for a, b in itertools.pairwise(moves)]
+        rides = any(axis.follow is not None for axis in outer_axes(task.arm, None))
         for i, move in enumerate(moves):
             if move.zone.fine:
                 continue
+            apart = move.zone.external - max(move.zone.tcp, 0.0)
+            if rides and (apart > TRACK_AHEAD + _ZONE_SLACK or move.zone.linear < 0.0):
+                what = (
+                    f"zone {move.zone_name} has the track leave its way {mm(move.zone.external):g} mm from "
+                )
+                what += (
+                    f"the target, and the tool {mm(move.zone.tcp):g} mm; allowed are {mm(TRACK_AHEAD):g} mm "
+                )
+                what += "more, and no length below 0"
+                issues.append(at_step("verify.zone_size", what, task, move))
             sizes = (move.zone.tcp, move.zone.turn, move.zone.turn_angle)
             if min(sizes) < 0.0 or max(sizes) <= 0.0:
                 what = f"zone {move.zone_name} has a size of nothing or less, and is no stop"

@@ -15,9 +15,10 @@ import numpy as np
 
 from planner.geometry.units import MM
 from planner.issues import Issue
-from planner.verify.context import MOST_OUTER, Context, Outcome, at_step, mm, rule
+from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import Stage, TaskText, sync_points
 from planner.verify.programs.steps import (
+    MOST_OUTER,
     CallStep,
     CarryStep,
     JointTarget,

@@ -21,6 +21,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, Shape, corners, trans
 from planner.issues import Issue
 from planner.problem import END, PLATE, STOCK, TILT, Cell, Setup, Turntable
 from planner.verify.context import Context, Outcome, OuterAxis, mm, outer_axes, rule
+from planner.verify.programs.steps import MOST_OUTER
 from planner.verify.rules.clearance import of_one_arm
 from planner.verify.rules.external_axes import SAME_VALUE, clamped, off_place, spun
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION
@@ -116,10 +117,11 @@ def _along(context: Context, index: int, setup: Setup) -> list[tuple[OuterAxis, 
                 for number, _, other, moves in context.moves()
                 if other is task and int(context.spans.of_stage[number]) == index
                 for move in moves
-                if not move.by_joints
+                if not move.by_joints and abs(move.target.external[axis.column]) < MOST_OUTER
             ]
-            if axis.follow is not None and values:
-                out.append((axis, (min(values), max(values))))
+            if axis.follow is not None and values:  # what is beyond the range verify.external_axes tells
+                low, high = np.clip([min(values), max(values)], axis.low, axis.high).tolist()
+                out.append((axis, (low, high)))
     return out
 
 

@@ -75,6 +75,25 @@ def test_bases_at_targets_and_between_them_follow_from_the_text(context: Context
     assert np.abs(motion.tcp["left"].place[:, 1]).max() > 1.7
 
 
+def test_a_straight_tool_has_its_track_turn_within_the_zones(tmp_path: Path) -> None:
+    """Few targets, far apart: outside of zones the track goes as the lines from value to value have it, and
+    what that asks of it at corners the plan has slowed down for."""
+    out = planner.plan(following_job.problem(tmp_path, count=5, sway=0.0))
+    assert out.verified, [str(issue) for issue in out.issues]
+    context = external_axes.standing(Context(out.problem, processes.claims(out.problem), out.programs))
+    made, motion = out.plan.operations[0], context.motion
+    rows = np.flatnonzero(context.sample_setup == 0)
+    straight = np.array([str(segment) == "move" for segment in motion.node_segment])[motion.node[rows]]
+    rows = rows[straight]
+    place, value = motion.tcp["left"][rows][:, 1, 3], motion.ridden["left"][rows]
+    nodes = made.targets.pose["left"][:, 1, 3]
+    outside = np.abs(place[:, None] - nodes).min(axis=1) > 0.011
+    wanted = np.interp(place, nodes, made.targets.ride["left"]) - context.stations[0]["left"]
+    assert outside.sum() > 1000 and np.abs(np.diff(made.targets.ride["left"], 2)).max() > 0.2
+    assert np.abs(value - wanted)[outside].max() < 1e-5
+    assert np.abs(value - wanted).max() < 3e-3
+
+
 def moved(text: str, change: Callable[[int, float], float | str]) -> str:
     """The text with other values of the track in straight moves: by their number and the value that is there
     [mm]."""
@@ -153,6 +172,16 @@ MUTANTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
         "external_axes",
         "the target has no value of TRACK_1 (eax_a)",
         lambda t: moved(t, lambda k, v: "9E9" if k == 20 else v),
+    ),
+    "no value behind the work": (
+        "external_axes",
+        "the target has no value of TRACK_1 (eax_a)",
+        lambda t: re.sub(r"(j_1_exit_1:=\[\[[^\]]*\],\[)[^,]*,", r"\g<1>9E9,", t),
+    ),
+    "the track turns long before the tool": (
+        "zone_size",
+        "has the track leave its way 30 mm from the target, and the tool 3 mm",
+        lambda t: t.replace("z3mm:=[FALSE,3,3,3,", "z3mm:=[FALSE,3,3,30,"),
     ),
     "another value on the way out": (
         "external_axes",
