@@ -201,12 +201,15 @@ class TrimJob(Job[Trim]):
             return ()  # it may be as slow as it likes
         for segment in dict.fromkeys(s for s in targets.segment if s.kind == TRIM and not s.phase):
             rows = np.array([s == segment for s in targets.segment])
-            spent = float(np.diff(time, prepend=time[0])[rows].sum())
             full = targets.feed / np.where(
                 np.append(False, targets.stop[:-1]) | targets.stop, MEAN_FEED_FROM_REST, 1.0
             )
-            ideal = float((targets.travel[rows] / full[rows]).sum())
-            share = ideal / max(spent, 1e-9)
+            took, ideal = np.diff(time, prepend=time[0])[rows], targets.travel[rows] / full[rows]
+            share = float(ideal.sum()) / max(float(took.sum()), 1e-9)
+            way = targets.travel[rows]
+            level = np.cumsum(way) - way > op.lead.length_mm * MM
+            if self.cutting.cutter is not None and level.any():  # the way down, however quick, is no excuse
+                share = min(share, float(ideal[level].sum()) / max(float(took[level].sum()), 1e-9))
             if share < op.least_feed:
                 what = f"{segment}: the arm reaches {100 * share:.0f} % of the feed on average; wanted: "
                 what += f"{100 * op.least_feed:.0f} %"

@@ -171,6 +171,32 @@ def test_a_kuka_plunges(tmp_path: Path) -> None:
     assert ways == pytest.approx([0.0, 0.0, -4.0e-3], abs=1e-6)  # from 2 mm over it to 1 mm through 1 mm
 
 
+def test_short_slots_are_as_fast_as_asked_where_nothing_goes_down(tmp_path: Path) -> None:
+    """The last bit of a slow way down is not counted as slow cutting; a slot that is cut slowly is, and the
+    planner says so, however quick the way down is for its feed."""
+    rim = {"name": "rim", "circle": {"at_mm": [0, 0], "diameter_mm": 24}, "drops": "inside", "joints": 4}
+    own = Job(tmp_path, outlines=[rim], feed_mm_s=25, **milled())
+    assert own.prove(own.programs).issues == ()
+
+    def slower(text: str) -> str:
+        rows = text.split("\n")
+        moves = [k for k, row in enumerate(rows) if "MoveL" in row]
+        for k in moves[1:]:  # the first one goes down
+            rows[k] = re.sub(r"\\T:=([\d.]+)", lambda f: f"\\T:={3.0 * float(f[1]):.5f}", rows[k])
+        return "\n".join(rows)
+
+    changed = in_procedure(own.programs, "trim_rim_p1", slower)
+    assert changed != own.programs
+    assert own.told_by("verify.trim_feed", changed)
+    made, job = own.plan.operations[0], processes.job(own.problem, 0)
+    own_rows = np.array([str(s) == "trim/rim_p1" for s in made.targets.segment])
+    spent = np.diff(made.time, prepend=made.time[0])
+    behind = np.cumsum(own_rows) > 2  # of its rows: down, and the first at the bottom
+    late = np.cumsum(np.where(own_rows & behind, 3.0 * spent, spent))
+    assert job.driven(made.targets, made.time) == ()
+    assert [i.code for i in job.driven(made.targets, late)] == ["trim.slow"]
+
+
 def refused(folder: Path, **fields: Any) -> list[Any]:
     with pytest.raises(TandemError) as error:
         processes.job(problem(folder, **fields), 0).targets()

@@ -51,6 +51,8 @@ LEAST_STRETCH = 3e-3
 """and so long [m] at least."""
 GOING_DOWN = 2.0
 """A mill that is higher by more than so many tolerances is still on its way down."""
+SLOPE_DOWN = 0.1
+"""and so is one that gets deeper by more than this share of its way."""
 CLEAR_SHARE = 0.1
 """How much less than the wanted room is accepted between targets, as a share of it."""
 WAIT_ROUNDING = 0.001
@@ -488,8 +490,8 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
             continue
         if claim.mill is not None:  # on its way down another feed counts
             least = claim.thickness + claim.mill.below - GOING_DOWN * claim.height
-            down = (deep[1:] >= least)[track.joined]
-            time, length, there = time[down], length[down], there[down]
+            low = (deep[1:] >= least)[track.joined] & (np.diff(deep)[track.joined] <= SLOPE_DOWN * length)
+            time, length, there = time[low], length[low], there[low]
         mean = float((length / there).sum() / max(float(time.sum()), 1e-9))
         if mean < AVERAGE_SLACK * claim.least_feed:
             what = f"the tool cuts at {100 * mean:.0f} % of its feed in {key} on average; wanted: "
