@@ -35,9 +35,11 @@ class Process(NamedTuple):
     module: str
     name: str
 
-    def job(self, operation: Any, setup: Setup, part: Part | None, advise: bool) -> Job[Any]:
+    def job(self, operation: Any, setup: Setup, part: Part | None, advise: bool = True) -> Job[Any]:
         """The job of an operation of this process."""
-        made: Job[Any] = getattr(import_module(self.module), self.name)(operation, setup, part, advise)
+        made: Job[Any] = getattr(import_module(self.module), self.name)(operation, setup, part)
+        if not advise:  # jobs of installed packages are made of the three alone
+            object.__setattr__(made, "advise", False)
         return made
 
 

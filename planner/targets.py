@@ -323,7 +323,7 @@ class Job(abc.ABC, Generic[_Operation]):
     operation: _Operation
     setup: Setup
     part: Part | None
-    advise: bool = True
+    advise: bool = dataclasses.field(default=True, init=False)
     """Whether what would help is looked for where the process cannot make the part."""
 
     @abc.abstractmethod

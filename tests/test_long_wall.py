@@ -180,7 +180,7 @@ def test_report_and_files_show_the_arm_where_its_track_takes_it(tmp_path: Path) 
     outcome = following_job.planned()
     problem, made = outcome.problem, outcome.plan.operations[0]
     wanted, values = made.targets.pose["left"][:, :3, 3], made.targets.ride["left"]
-    run = scene.track(problem, outcome.plan, 200)
+    run = scene.track(problem, outcome.plan, 400)
     model = cell_model(problem, outcome.plan)
     shown = scene.extract(model)
     poses = scene.ridden(shown, problem.setups, run.setup, shown.poses(run.q), run.stands)
