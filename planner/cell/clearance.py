@@ -260,8 +260,8 @@ def free(
     rows = model.stack(q)
     good = np.asarray(np.isfinite(rows).all(axis=1))
     bounds, asked = model.bounds.among(ignore), np.flatnonzero(good)
-    for start in range(0, len(asked), CONFIGURATIONS_AT_ONCE):
-        some = asked[start : start + CONFIGURATIONS_AT_ONCE]
+    for part in _parts(len(asked)):
+        some = asked[part]
         good[some] = bounds.apart(model.at_rows(some).poses(_by_arm(model, rows[some])), padding)
     return good
 
@@ -285,8 +285,8 @@ def stay_free(
         far[:, first : first + 6] = angle
     out = np.asarray(np.isfinite(rows).all(axis=1))
     bounds, asked = model.bounds.among(ignore), np.flatnonzero(out)
-    for start in range(0, len(asked), CONFIGURATIONS_AT_ONCE):
-        some = asked[start : start + CONFIGURATIONS_AT_ONCE]
+    for part in _parts(len(asked)):
+        some = asked[part]
         poses = model.at_rows(some).poses(_by_arm(model, rows[some]))
         out[some] = bounds.stay_apart(poses, padding, far[some], levers)
     return out

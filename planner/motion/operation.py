@@ -479,15 +479,16 @@ def _clock(
     least = least_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
     least = least if slowed is None else slowed(targets, least)
     try:
-        rounded = functools.partial(joint_path.corner_shares, scene, targets, samples)
+        matched = joint_path.ramp_lengths(scene, targets, samples)
+        rounded = functools.partial(joint_path.corner_shares, scene, targets, samples, matched)
         fastest = np.maximum.reduce(list(lengths.values())) / settings.tcp_speed
         for arm, values in targets.ride.items():  # ramps are faster in between for a track as for a tool
             top = settings.speed_fraction * scene.tracks[arm][0].speed
             fastest = np.maximum(fastest, np.abs(np.diff(values, prepend=values[0])) / top)
         own = settings.acceleration_fraction * strength
-        matched = joint_path.ramp_lengths(scene, targets, samples)
-        stop = targets.stop | (np.arange(targets.count) % (targets.count - 1) == 0)
-        limits = Limits(speed, own, least, rounded(least, stop), fastest, matched)
+        limits = Limits(
+            speed, own, least, rounded(least, joint_path.with_ends(targets.stop)), fastest, matched
+        )
         targets, path, ticks = move_limits.clocked_with_stops(scene, targets, samples, limits, rounded, known)
     except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"

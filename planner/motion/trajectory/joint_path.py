@@ -140,14 +140,20 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
     way = np.where(cut > 0.0, np.maximum(cut, LEAST_ADVANCE_SHARE * way), way)
     way = np.concatenate([[0.0], np.cumsum(np.maximum(way, 1e-6))])
     at_target = np.flatnonzero(samples.share == 1.0)
-    stops = sorted({0, targets.count - 1, *np.flatnonzero(targets.stop).tolist()})
     pieces, worst = [], 0.0
-    for first, last in itertools.pairwise(stops):
+    for first, last in itertools.pairwise(np.flatnonzero(with_ends(targets.stop)).tolist()):
         rows = np.arange(at_target[first], at_target[last] + 1)
         spline = CubicSpline(way[rows], q[rows], bc_type="natural" if len(rows) < 4 else "not-a-knot")
         pieces.append(Piece(first, last, spline, way[at_target[first : last + 1]]))
         worst = max(worst, _deviation(scene, targets, spline, way[rows], [p[rows] for p in straight]))
     return JointPath(targets.count, tuple(pieces), worst)
+
+
+def with_ends(stop: BoolArray) -> BoolArray:
+    """Stops (N,) with the first and the last target, at which everything stands."""
+    out = stop.copy()
+    out[[0, -1]] = True
+    return out
 
 
 def rides(targets: Targets, samples: Dense) -> FloatArray:
@@ -227,12 +233,18 @@ def _at_targets(scene: Scene, targets: Targets, samples: Dense) -> dict[str, Flo
 
 
 def corner_shares(
-    scene: Scene, targets: Targets, samples: Dense, duration: FloatArray, stop: BoolArray
+    scene: Scene,
+    targets: Targets,
+    samples: Dense,
+    length: FloatArray,
+    duration: FloatArray,
+    stop: BoolArray,
 ) -> FloatArray:
     """At least which share (N,) of the shorter move beside it the corner at each target is rounded over, for
-    moves to the targets whose times are in proportion to ``duration`` (N,), with stops at targets (N,)."""
+    moves to the targets whose times are in proportion to ``duration`` (N,), with stops at targets (N,);
+    ``length`` (N,) as :func:`ramp_lengths` has it."""
     poses = _at_targets(scene, targets, samples)
-    rates = end_rates(ramp_lengths(scene, targets, samples)[1:], duration[1:], stop)
+    rates = end_rates(length[1:], duration[1:], stop)
     deviation = 1e3 * targets.rounding.deviations(targets.segment[1:])
     zone, own = np.full((2, targets.count), MOST_CORNER_SHARE)
     for arm, pose in in_work_frames(targets, poses).items():
@@ -313,11 +325,8 @@ def ramp_peaks(length: FloatArray, duration: FloatArray) -> tuple[float, float]:
 def ends_of_ramps(length: FloatArray, duration: FloatArray) -> tuple[float, float]:
     """How many times as fast as on average the first and the last one of moves of ``length`` (n,) in
     ``duration`` (n,) [s] are where they meet others."""
-    mean = length / duration
-    starts, ends = (
-        float(np.clip(next_to / own, 1.0, MOST_RAMP)) for own, next_to in (mean[:2], mean[:-3:-1])
-    )
-    return starts, ends
+    begin, end = end_rates(length, duration, with_ends(np.zeros(len(length) + 1, dtype=bool)))
+    return float(end[0]), float(begin[-1])
 
 
 def _ramp(half: float, duration: float, step: float, rate: float) -> tuple[float, float]:

@@ -35,7 +35,7 @@ from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import speed_limits
 from planner.motion.search.subsampling import subset
-from planner.motion.trajectory.joint_path import MOST_RAMP, Dense, JointPath, joint_path
+from planner.motion.trajectory.joint_path import MOST_RAMP, Dense, JointPath, ends_of_ramps, joint_path
 from planner.motion.trajectory.timing import RESERVE, SHORTEST, Clock, Limits, Rounded, TimedPiece, settled
 from planner.targets import Targets
 
@@ -165,10 +165,8 @@ def _corners(targets: Targets, took: FloatArray, slow: BoolArray) -> list[Issue]
         run_up = np.minimum(way, targets.travel[moves].sum() - way) / (targets.run_up or np.inf)
         least = np.minimum(targets.feed_min[moves[:-1]], targets.feed_min[moves[1:]])
         limit = LEAST_SPEED_SHARE * least * np.sqrt(np.minimum(run_up, 1.0))
-        speed = targets.travel[moves] / took[moves]
         scale = np.ones(len(moves))  # moves from and to stops end and begin faster than they are on average
-        scale[0] = np.clip(speed[1] / speed[0], 1.0, MOST_RAMP)
-        scale[-1] = np.clip(speed[-2] / speed[-1], 1.0, MOST_RAMP)
+        scale[[0, -1]] = ends_of_ramps(targets.travel[moves], took[moves])
         fastest = np.zeros((CORNER_SAMPLES, len(moves) - 1))
         beside = slow[moves[:-1]] | slow[moves[1:]]
         share = (np.arange(CORNER_SAMPLES) / (CORNER_SAMPLES - 1))[:, None, None]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 import pytest
-from playwright.sync_api import Page, Route, expect
+from playwright.sync_api import Locator, Page, Route, expect
 
 import planner
 from tests import small_problem
@@ -134,15 +134,21 @@ def test_what_a_page_needs_is_asked_for_until_it_comes(
         expect(page.locator("#example option")).not_to_have_count(1)
 
 
-def test_a_job_is_made_once_although_the_connection_broke_off(
-    page: Page, server: str, small: list[Path]
-) -> None:
-    """It is sent again with the same key, by which the service knows it."""
-    small[0].write_text(small[0].read_text().replace("name: small", "name: broken_off"))
+def ready(page: Page, server: str, small: list[Path], name: str) -> Locator:
+    """The button that starts planning, of the small problem by another name."""
+    small[0].write_text(small[0].read_text().replace("name: small", f"name: {name}"))
     page.goto(f"{server}/ui/new")
     page.locator("#problem-file").set_input_files(small)
     go = page.get_by_role("button", name="Start planning")
     expect(go).to_be_enabled()
+    return go
+
+
+def test_a_job_is_made_once_although_the_connection_broke_off(
+    page: Page, server: str, small: list[Path]
+) -> None:
+    """It is sent again with the same key, by which the service knows it."""
+    go = ready(page, server, small, "broken_off")
     keys: list[str] = []
 
     def lose(route: Route) -> None:
@@ -160,11 +166,7 @@ def test_a_job_is_made_once_although_the_connection_broke_off(
 def test_what_is_changed_while_the_service_is_away_is_not_sent_as_it_was(
     page: Page, server: str, small: list[Path]
 ) -> None:
-    small[0].write_text(small[0].read_text().replace("name: small", "name: before"))
-    page.goto(f"{server}/ui/new")
-    page.locator("#problem-file").set_input_files(small)
-    go = page.get_by_role("button", name="Start planning")
-    expect(go).to_be_enabled()
+    go = ready(page, server, small, "before")
     address = re.compile("/v1/jobs$")
     page.route(address, lambda route: route.abort())
     go.click()
