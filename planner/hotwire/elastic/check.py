@@ -210,7 +210,6 @@ def shares(op: ElasticWire, route: Route, cut: Cut, figures: Figures) -> tuple[f
     """What the wanted share of a face is within [m]: by the wire's shape, with its weight across the planes,
     and with errors of its ends too."""
     segment = Segment("cut", cut.face.name)
-    has = cut.sections.length > 0.0
     residual = np.abs(cut.fit.residual)
     rows = np.nonzero(np.array(route.segment) == segment)[0]
     order = rows[np.argsort(route.p[rows])]
@@ -218,13 +217,10 @@ def shares(op: ElasticWire, route: Route, cut: Cut, figures: Figures) -> tuple[f
     def at_sections(values: FloatArray) -> FloatArray:
         return np.interp(cut.sections.p, route.p[order], values[order])[:, None]
 
-    shape = residual[has]
     lean = leaning(cut.mesh, cut.face.spine)
-    sag = (residual + lean * at_sections(figures.sag))[has]
-    feel = (
-        residual + lean * at_sections(figures.sag) + op.end_error_mm * MM * at_sections(figures.sensitivity)
-    )[has]
-    first, second, third = (float(np.quantile(v, op.share)) for v in (shape, sag, feel))
+    sag = residual + lean * at_sections(figures.sag)
+    feel = sag + op.end_error_mm * MM * at_sections(figures.sensitivity)
+    first, second, third = (cut.sections.within(off, op.share) for off in (residual, sag, feel))
     return first, second, third
 
 
@@ -275,20 +271,19 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
 def check_shape(op: ElasticWire, cut: Cut) -> list[Issue]:
     """Whether the fitted wires meet the face: to know before anything is laid out."""
     has = np.nonzero(cut.sections.length > 0.0)[0]
-    return misfit(op, cut.face.name, cut.sections, has, cut.fit.residual[has])
+    return misfit(op, cut.face.name, cut.sections.take(has), cut.fit.residual[has])
 
 
 def misfit(
     op: ElasticWire,
     name: str,
     sections: SectionSet,
-    rows: IndexArray,
     residual: FloatArray,
     factor: float = 1.0,
 ) -> list[Issue]:
-    """``wire.shape`` if residuals (R, m) [m] of the sections ``rows`` are beyond ``factor`` times the
+    """``wire.shape`` if residuals (K, m) [m] of the sections are beyond ``factor`` times the
     tolerance."""
-    got = float(np.quantile(np.abs(residual), op.share))
+    got = sections.within(np.abs(residual), op.share)
     if got <= factor * op.shape_tol_mm * MM:
         return []
     worst = int(np.argmax(np.abs(residual).max(axis=1)))
@@ -298,7 +293,7 @@ def misfit(
             "wire.shape",
             f"{op.name}: {op.chosen} swept along {op.way} meets {op.share * 100:g} % of the "
             f"{name} face within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is "
-            f"at {sections.p[rows[worst]] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
+            f"at {sections.p[worst] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
             value=got * 1e3,
             limit=op.shape_tol_mm,
             unit="mm",

@@ -6,9 +6,14 @@ which is against the sweep. Everything is in the stock frame.
 
 **Family**: one parameter, one smooth spline over the sweep. The state of the wire's middle (x, y,
 theta, k, Fx, Fy) is a cubic B-spline of the place p, so the shapes, the wire's free ends included,
-change smoothly, and sections that cover the face only in part, or not at all, follow from their
-neighbours. The coefficients minimise squared normal distances (as in ``fit``) by Gauss-Newton, with
-small prices on bent free ends and on unsteady coefficients. Lengths are in wire lengths inside.
+change smoothly, and what sections that cover the face only in part leave open follows from their
+neighbours. The coefficients minimise squared normal distances (as in ``fit``) by Gauss-Newton, each
+section weighed by the part of the face that it stands for, with small prices on bent free ends and on
+unsteady coefficients. Lengths are in wire lengths inside.
+
+**Ends.** A face that is slanted at an end, as a panel's is whose block leans to it, ends in sections that
+grow shorter to its corner, over a way that may be less than the step between sections: towards both ends
+they stand closer and closer, so corners are met as the rest is.
 """
 
 from __future__ import annotations
@@ -26,6 +31,10 @@ from planner.hotwire.elastica.fit import TAIL_WEIGHT, CurveFit, fit_curves
 
 SECTION_POINTS = 41
 """Points per section that the fit sees."""
+_END_HALVINGS = 4
+"""At both ends of a face a section stands half a step from the end, a quarter, ... as often as this."""
+_PLACE_ROUNDS = 12
+"""Steps to the plane through a point where planes lean: each leaves a small part of the error."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,6 +74,15 @@ class Spine:
         slope = self.height(inside, nu=1)
         return self.height(inside) + slope * (p - inside), slope
 
+    def places(self, points: FloatArray) -> FloatArray:
+        """Places (V,) [m] of the planes through points (V, 3)."""
+        along = np.asarray(points @ self.direction)
+        p = along
+        for _ in range(0 if self.height is None else _PLACE_ROUNDS):
+            level, slope = self._height(p)
+            p = along + slope * (points[:, 2] - level)
+        return p
+
 
 @dataclasses.dataclass(frozen=True)
 class SectionSet:
@@ -78,6 +96,24 @@ class SectionSet:
     points: FloatArray
     length: FloatArray
     pieces: IntArray
+
+    def take(self, rows: IndexArray) -> SectionSet:
+        """Some of the sections, in the same order."""
+        return SectionSet(self.p[rows], self.points[rows], self.length[rows], self.pieces[rows])
+
+    @property
+    def area(self) -> FloatArray:
+        """How much (K,) [m2] of the face each section stands for: its length by the part of the sweep that is
+        nearest to it."""
+        bounds = np.concatenate([self.p[:1], 0.5 * (self.p[1:] + self.p[:-1]), self.p[-1:]])
+        return self.length * np.diff(bounds)
+
+    def within(self, distance: FloatArray, share: float) -> float:
+        """What ``share`` of the face is within [m], where its sections are ``distance`` (K, m) off."""
+        order = np.argsort(distance, axis=None)
+        weight = np.repeat(self.area, distance.shape[1])[order]
+        middle = np.cumsum(weight) - 0.5 * weight
+        return float(np.interp(share * weight.sum(), middle, distance.reshape(-1)[order]))
 
 
 def direction_of(degrees: float) -> FloatArray:
@@ -105,6 +141,15 @@ def make_spine(face: TriangleMesh, direction: FloatArray, normal: bool) -> Spine
     )
     height = make_lsq_spline(p[full], level[full], knots, k=3)
     return dataclasses.replace(upright, height=height, lower=float(p[full][0]), upper=float(p[full][-1]))
+
+
+def section_places(lower: float, upper: float, step: float, least: int, most: int) -> FloatArray:
+    """Places (K,) [m] for sections of a face that ends at ``lower`` and ``upper``: about ``step`` [m] apart,
+    ``least`` to ``most`` of them, and towards both ends at halves, quarters ... of that."""
+    count = int(np.clip(np.ceil((upper - lower) / step), least, most))
+    near = 0.5 ** np.arange(_END_HALVINGS, -1, -1)
+    at = np.concatenate([near, np.arange(2.0, count - 1.0), count - near[::-1]])
+    return lower + (upper - lower) / count * at
 
 
 def cut_sections(face: TriangleMesh, spine: Spine, p: FloatArray) -> SectionSet:
@@ -137,9 +182,8 @@ def _resample(lines: list[FloatArray]) -> tuple[float, FloatArray]:
 
 _FIT_ROUNDS = 25
 """Steps of the fit of a family at most."""
-_LEADS = 0.1
-"""Sections that are longer than this share of the median lead the wire; beyond the last of them it goes on as
-it came, so the corners of a face that stand beyond are met as the surface goes on straight."""
+_END_WEIGHT = 3.0
+"""Weight of the ends of a section, where neighbours meet, in that of its other points."""
 _SECOND_DIFFERENCE_WEIGHT = np.array([1e-4, 1e-4, 1e-4, 3e-5, 1e-5, 1e-5])
 """Weight of second differences along the sweep, for each of the six parameters of a wire."""
 _FIRST_DIFFERENCE_WEIGHT = np.array([0.0, 0.0, 3e-3, 1e-3, 3e-4, 3e-4])
@@ -233,31 +277,22 @@ def fit_family(
     table = BSpline.design_matrix(sections.p, knots, 3).toarray()
     has = sections.length > 0.0
     long = float(np.median(sections.length[has]))
-    share = np.where(has, np.minimum(sections.length / long, 1.0) ** 2, 0.0)
+    share = sections.area / sections.area.sum()
     coefficient = _smooth(table[first.rows], first.fit.middle / unit)
     covered = np.nonzero(has)[0]
     job = _Job(
         table,
         sections.points / length,
-        share / share.sum(),
+        share,
         load * length**3,
-        _TAIL**2 * (np.maximum(sections.length, 0.3 * long) / length) ** 3 * (share / share.sum()),
+        _TAIL**2 * (np.maximum(sections.length, 0.3 * long) / length) ** 3 * share,
         np.zeros((len(sections.p), 2)),
         centre / length,
         _steadiness(knots, float(sections.p[covered[0]]), float(sections.p[covered[-1]])),
     )
     coefficient, residual, foot = _gauss_newton(job, coefficient)
-    full = sections.p[sections.length > _LEADS * long]
     spline = BSpline(knots, coefficient, 3, extrapolate=True)
-    family = Family(spline, length, float(full[0]), float(full[-1]))
-    held = sections.p != np.clip(sections.p, family.lower, family.upper)
-    if held.any():  # there the wires are not those of the spline
-        rest = dataclasses.replace(job, points=job.points[held], load=job.load[held])
-        state = family.state(sections.p[held]) / unit
-        near = _nearest(rest, state)
-        count = int(np.max(node_counts(state, np.ones(len(state)), rest.load)))
-        wire = flow(state, np.ones(len(state)), rest.load, anchor=0.5, count=count)
-        foot[held], residual[held], _, _ = _feet(rest.points, wire, near)
+    family = Family(spline, length, float(sections.p[covered[0]]), float(sections.p[covered[-1]]))
     return FamilyFit(family, residual * length * has[:, None], (foot + 0.5) * length)
 
 
@@ -339,7 +374,9 @@ def _evaluate(
     slope = np.empty((*across.shape, 6))
     slope[..., 0], slope[..., 1] = sin, -cos
     slope[..., 2:] = sin[..., None] * d[..., :4] - cos[..., None] * d[..., 4:]
-    part = job.share[:, None] / across.shape[1]
+    weight = np.ones(across.shape[1])
+    weight[[0, -1]] = _END_WEIGHT
+    part = job.share[:, None] * (weight / weight.sum())
 
     place = grid.sigma - 0.5
     outer = (place < job.reach[:, :1]) | (place > job.reach[:, 1:])

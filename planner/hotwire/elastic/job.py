@@ -35,6 +35,7 @@ from planner.hotwire.elastic.family import (
     fit_family,
     fit_first,
     make_spine,
+    section_places,
 )
 from planner.hotwire.elastic.path import (
     Face,
@@ -208,7 +209,8 @@ def mount_figures(route: Route) -> tuple[float, tuple[float, float]]:
     return float(np.hypot(*chord)), (float(np.rad2deg(start[2] - level)), float(np.rad2deg(end[2] - level)))
 
 
-_SECTION_STEP = 0.006  # m between the sections that the fit sees
+_SECTION_STEP = 0.006  # m between the sections that the fit sees, but for those near ends of a face
+_SECTION_COUNT = (40, 140)  # steps between the ends of a face, at least and at most
 _CELLS = (16, 32)  # cells of the family's spline, coarse first
 _HOPELESS = 3.0  # times the tolerance: single sections this far off are not fitted any further
 _KERF_ROUNDS = 2  # local speeds follow from the wires, which follow from the kerf: twice settles it
@@ -387,24 +389,23 @@ def _cut(
 ) -> Cut:
     """Sections of one face and the family of wires that meets them."""
     spine = make_spine(mesh, direction_of(degrees), op.is_normal)
-    along = mesh.vertices @ spine.direction
-    lower, upper = float(along.min()) - 0.002, float(along.max()) + 0.002
-    p = np.linspace(lower, upper, int(np.clip(np.ceil((upper - lower) / _SECTION_STEP), 40, 140)))
+    along = spine.places(mesh.vertices)
+    p = section_places(float(along.min()), float(along.max()), _SECTION_STEP, *_SECTION_COUNT)
     sections = cut_sections(mesh, spine, p)
     _long_enough(op, name, sections.length)
     load = (np.swapaxes(spine.frames(p)[:, :3, :3], 1, 2) @ gravity)[:, :2]
     reach = float(np.abs(spine.direction[:2]) @ np.abs(box[:, :2]).max(axis=0)) + 2.0 * op.margin_mm * MM
     first = fit_first(sections, load, op.chosen.length_mm * MM)
-    hopeless = misfit(op, name, sections, first.rows, first.fit.residual, _HOPELESS)
+    hopeless = misfit(op, name, sections.take(first.rows), first.fit.residual, _HOPELESS)
     if hopeless:
         raise TandemError(hopeless)
     best: FamilyFit | None = None
+    least = np.inf
     for cells in _CELLS:
         fit = fit_family(sections, first, load, op.chosen.length_mm * MM, -reach, reach, -spine.across, cells)
-        if best is None or np.quantile(np.abs(fit.residual), op.share) < 0.8 * np.quantile(
-            np.abs(best.residual), op.share
-        ):
-            best = fit
+        within = sections.within(np.abs(fit.residual), op.share)
+        if best is None or within < 0.8 * least:
+            best, least = fit, within
         if np.abs(best.residual).max() < 0.3 * op.shape_tol_mm * MM:
             break
     if best is None:
