@@ -148,6 +148,8 @@ def _name(text: str) -> str:
 
 def _stated(request: Add, name: str, chain: UrdfChain, folder: Path) -> dict[str, Any]:
     """The lines of the arm, as a problem has them; names of files start at ``folder``."""
+    from planner.reading.dae import DAE_SUFFIX
+
     urdf = Path(os.path.relpath(request.urdf.resolve(), folder.resolve())).as_posix()
     lines: dict[str, Any] = {"urdf": urdf, "name": name, "base": request.base, "tip": chain.tip_link}
     lines |= {"family": request.family, "payload_kg": request.payload_kg}
@@ -158,32 +160,44 @@ def _stated(request: Add, name: str, chain: UrdfChain, folder: Path) -> dict[str
     if request.meshes is not None:
         lines["meshes"] = _meshes(chain.shapes, request.meshes, request.urdf)
         there = {one["name"] for one in lines["meshes"]}
-        seen = _meshes(chain.visuals, request.meshes, request.urdf)
+        seen = _meshes(chain.visuals, request.meshes, request.urdf, (DAE_SUFFIX,))
         lines |= {"visuals": own} if (own := [one for one in seen if one["name"] not in there]) else {}
     if request.source is not None:
         lines["sources"] = {"urdf": request.source}
     return lines
 
 
-def _meshes(shapes: Sequence[UrdfShape], folder: Path, urdf: Path) -> list[dict[str, str]]:
+def _meshes(
+    shapes: Sequence[UrdfShape], folder: Path, urdf: Path, more: tuple[str, ...] = ()
+) -> list[dict[str, str]]:
     """Where meshes of the URDF lie in a folder, each by as much of its path as is there, else by its name;
-    for one that is not read (DAE) what was converted, of the same name but for its ending."""
+    for one that is not read (DAE of a collision), or is not there, what was converted, of the same name but
+    for its ending. ``more``: endings that are read besides."""
     from planner.geometry.mesh_files import PLAIN_SUFFIXES
 
-    there = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in PLAIN_SUFFIXES]
+    there = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in (*PLAIN_SUFFIXES, *more)]
+    plain = [path for path in there if path.suffix.lower() in PLAIN_SUFFIXES]
     out = []
     for name in dict.fromkeys(one.file for one in shapes if one.kind == "mesh"):
         wanted = Path(name.partition("://")[2] or name)
-        exact = wanted.suffix.lower() in PLAIN_SUFFIXES
-        steps = wanted.parts if exact else wanted.with_suffix("").parts
-        for count in range(len(steps), 0, -1):
-            found = [p for p in there if (p if exact else p.with_suffix("")).parts[-count:] == steps[-count:]]
-            if len(found) == 1:
-                beside = os.path.relpath(found[0].resolve(), urdf.resolve().parent)
-                out.append({"name": name, "file": Path(beside).as_posix()})
-            if found:
-                break
+        suffix = wanted.suffix.lower()
+        found = _ends(wanted, there) if suffix in (*PLAIN_SUFFIXES, *more) else []
+        if not found and suffix not in PLAIN_SUFFIXES:
+            stems = _ends(wanted.with_suffix(""), [path.with_suffix("") for path in plain])
+            found = [path for path in plain if path.with_suffix("") in stems]
+        if len(found) == 1:
+            beside = os.path.relpath(found[0].resolve(), urdf.resolve().parent)
+            out.append({"name": name, "file": Path(beside).as_posix()})
     return out
+
+
+def _ends(wanted: Path, there: Sequence[Path]) -> list[Path]:
+    """Those of some paths that end as much as any as the one that is wanted."""
+    for count in range(len(wanted.parts), 0, -1):
+        found = [path for path in there if path.parts[-count:] == wanted.parts[-count:]]
+        if found:
+            return found
+    return []
 
 
 def _written(lines: dict[str, Any], robot: RobotData, request: Add) -> str:

@@ -452,15 +452,19 @@ def _refuse_alike(arms: list[Arm]) -> None:
         if arm.given is None or arm.given.file is None:
             continue
         other = first.setdefault(arm.robot, arm.given)
-        if other.file is not None and (other.file.text, other.assumed, other.payload) != (
-            arm.given.file.text,
-            arm.given.assumed,
-            arm.given.payload,
-        ):
+        if _said(other) != _said(arm.given):
             what = f"name: {arm.robot!r} is another robot in another arm of the cell; name them apart"
             raise TandemError(
                 Issue("problem.duplicate_name", what, field=f"arms.{number}.robot.name", arm=arm.name)
             )
+
+
+def _said(robot: RobotData) -> tuple[object, ...]:
+    """What the words on a robot of the user's own make of it."""
+    file, coupling = robot.file, robot.coupling
+    links = () if file is None else (file.text, file.base, file.tip)
+    speeds_up, home = robot.acceleration.tolist(), robot.home.tolist()
+    return *links, robot.family, robot.payload, robot.assumed, coupling, speeds_up, home
 
 
 def _grippers(spec: CellFile) -> tuple[Gripper, ...]:
