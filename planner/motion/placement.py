@@ -15,12 +15,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.robots import OffsetParameters, ParallelParameters
+from planner.catalogue.robots import OffsetParameters, ParallelParameters, SevenParameters
 from planner.cell import clearance, support
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, exp_rotation, from_parts, log_rotation
 from planner.geometry.units import DEG
-from planner.motion import offset_wrist, three_parallel
+from planner.motion import offset_wrist, seven_axes, three_parallel
 from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.subsampling import Few, few_of, shifts
 from planner.problem import Cell, Settings, Stock
@@ -488,7 +488,7 @@ def margins_at(
     out, joints = {}, {}
     for arm, pose, back in _poses_at(scene, few, stock):
         value, near, q = _margins(scene.chains[arm], pose, settings)
-        every = np.full((*value.shape, 6), np.nan)
+        every = np.full((*value.shape, q.shape[-1]), np.nan)
         every[near] = q
         out[arm], joints[arm] = value[:, back], every[:, back]
     return out, joints
@@ -533,6 +533,9 @@ def _gap(chain: Chain, pose: FloatArray) -> tuple[FloatArray, BoolArray]:
     if isinstance(form, ParallelParameters):
         gap = three_parallel.reach_gap(form, flange)
         return gap, np.zeros(gap.shape, dtype=np.bool_)
+    if isinstance(form, SevenParameters):
+        gap = seven_axes.reach_gap(form, flange)
+        return gap, np.asarray(gap > SURELY_OUT_M)
     if isinstance(form, OffsetParameters):
         gap = offset_wrist.reach_gap(form, flange)
         return gap, np.asarray(gap > SURELY_OUT_M)
