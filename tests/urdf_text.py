@@ -179,16 +179,11 @@ def _up(length, z):
     return ("capsule", (0.055, length), from_parts(np.eye(3), np.array([0.0, 0.0, z])))
 
 
-SEVEN_BODIES = {
-    0: [("cylinder", (0.09, 0.12), from_parts(np.eye(3), np.array([0.0, 0.0, 0.06])))],
-    1: [_up(0.08, -0.08)],
-    2: [("sphere", (0.065,), np.eye(4))],
-    3: [_up(0.12, -0.13)],
-    4: [("sphere", (0.065,), np.eye(4))],
-    5: [_up(0.14, -0.16)],
-    6: [("sphere", (0.05,), np.eye(4))],
-}
-"""Plain bodies by eye, in links whose frames are parallel to the base at zero."""
+FOOT = ("cylinder", (0.09, 0.12), from_parts(np.eye(3), np.array([0.0, 0.0, 0.06])))
+BALL, WRIST = ("sphere", (0.065,), np.eye(4)), ("sphere", (0.05,), np.eye(4))
+PANDA_BODIES = (FOOT, _up(0.08, -0.08), BALL, _up(0.12, -0.13), BALL, _up(0.14, -0.16), WRIST)
+IIWA_BODIES = (FOOT, _up(0.04, 0.1), BALL, _up(0.1, 0.1), BALL, _up(0.06, 0.08), WRIST)
+"""Plain bodies by eye, in links whose frames are parallel to the base at zero; one more is the hand."""
 
 
 def panda(base=None, tip=None, limits=PANDA_LIMITS):
@@ -198,7 +193,7 @@ def panda(base=None, tip=None, limits=PANDA_LIMITS):
     points += [(0, 0, 1.033), (0, 0, 1.033), (0.088, 0, 1.033)]
     flange = from_parts(np.diag([1.0, -1.0, -1.0]), np.array([0.088, 0.0, 0.926]))
     hand = ("cylinder", (0.045, 0.04), from_parts(np.eye(3), np.array([0.0, 0.0, -0.085])))
-    return _seven(axes, points, flange, limits, PANDA_SPEED, hand, base, tip)
+    return _seven(axes, points, flange, limits, PANDA_SPEED, (*PANDA_BODIES, hand), base, tip)
 
 
 def iiwa(base=None, tip=None, limits=IIWA_LIMITS):
@@ -207,15 +202,13 @@ def iiwa(base=None, tip=None, limits=IIWA_LIMITS):
     points = [(0, 0, z) for z in (0.15, 0.36, 0.5, 0.78, 0.98, 1.18, 1.25)]
     flange = from_parts(np.eye(3), np.array([0.0, 0.0, 1.306]))
     hand = ("cylinder", (0.045, 0.04), from_parts(np.eye(3), np.array([0.0, 0.0, 0.034])))
-    return _seven(axes, points, flange, limits, IIWA_SPEED, hand, base, tip)
+    return _seven(axes, points, flange, limits, IIWA_SPEED, (*IIWA_BODIES, hand), base, tip)
 
 
-def _seven(axes, points, flange, limits, speed, hand, base, tip):
+def _seven(axes, points, flange, limits, speed, bodies, base, tip):
     base, tip = (np.eye(4) if pose is None else pose for pose in (base, tip))
     back = inverse(base)
-    points = np.array(points) @ back[:3, :3].T + back[:3, 3]
     turn = from_parts(back[:3, :3], np.zeros(3))
-    bodies = {0: [(kind, size, back @ pose) for kind, size, pose in SEVEN_BODIES[0]]}
-    links = SEVEN_BODIES | {7: [hand]}
-    bodies |= {i: [(kind, size, turn @ pose) for kind, size, pose in links[i]] for i in range(1, 8)}
-    return arm(np.array(axes) @ back[:3, :3].T, points, back @ flange @ tip, limits, speed, bodies)
+    points = np.array(points) @ back[:3, :3].T + back[:3, 3]
+    links = {i: [(k, size, (turn if i else back) @ pose)] for i, (k, size, pose) in enumerate(bodies)}
+    return arm(np.array(axes) @ back[:3, :3].T, points, back @ flange @ tip, limits, speed, links)
