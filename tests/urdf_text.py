@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.catalogue.robots import ParallelParameters, RobotData, robot
+from planner.catalogue.robots import ParallelParameters, RobotData, SevenParameters, robot
 from planner.cell.kinematics import joint_axes, link_frames
 from planner.geometry.arrays import exp_rotation, from_parts, from_rpy, inverse, to_rpy
 from planner.reading.robot_file import OwnRobotFile, robot_of
@@ -169,6 +169,11 @@ PANDA_LIMITS = [
 PANDA_SPEED = [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61]
 """Limits [rad], speeds [rad/s] and, below, lengths [m] of a Panda: Franka Emika, "Franka Control Interface
 documentation", robot and interface specifications."""
+PANDA_FORM = SevenParameters(
+    0.0825, -0.0825, -0.088, 0.333, 0.316, 0.384, 0.107,
+    offsets=np.deg2rad([0.0, 0.0, 0.0, 0.0, 0.0, -180.0, -180.0]),
+    signs=np.array([1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0]),
+)  # fmt: skip
 IIWA_LIMITS = [[-a, a] for a in np.deg2rad([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0]).tolist()]
 IIWA_SPEED = np.deg2rad([85.0, 85.0, 100.0, 75.0, 130.0, 135.0, 135.0]).tolist()
 """The same of an LBR iiwa 14 R820: KUKA, its data sheet."""

@@ -30,6 +30,13 @@ def read(name, *ends):
     return chain, found.form
 
 
+def test_a_panda_is_found_by_its_makers_lengths():
+    _, form = read("panda")
+    for key, value in vars(urdf_text.PANDA_FORM).items():
+        if value is not None:
+            np.testing.assert_allclose(getattr(form, key), value, atol=1e-12, err_msg=key)
+
+
 @pytest.fixture(scope="module", params=ARMS)
 def solved(request):
     chain, form = read(request.param)
@@ -50,18 +57,39 @@ def test_every_branch_reaches_the_pose_with_the_last_joint_as_it_is_and_one_is_t
     assert there.sum(axis=1).max() == 8
 
 
+def locked(solved, count):
+    """Axes and steps of the six joints with the last one held, poses (B, 4, 4) of what it carries, turned as
+    the base, and how many solutions each has."""
+    chain, _, q, _, found = solved
+    still = np.where(np.arange(7) < 6, q[:count], 0.0)  # the same postures with joint 7 at zero
+    target = chain.tip(still)
+    target[:, :3, :3] = target[:, :3, :3] @ chain.zero[8, :3, :3].T
+    steps = np.diff(chain.zero[[0, 1, 2, 3, 4, 5, 6, 8], :3, 3], axis=0)
+    return chain.axis[:6], steps, target, found[:count, :, :6]
+
+
 def test_there_are_as_many_branches_as_eaik_finds(solved):
     """EAIK (BSD-3) with the last joint locked: six axes, of which the first three meet."""
     peer = pytest.importorskip("eaik.IK_HP", reason="EAIK is not installed (pip install --no-deps EAIK)")
-    chain, _, q, _, found = solved
-    points = chain.zero[:, :3, 3]
-    arm = peer.HPRobot(chain.axis[:6], np.diff(points[[0, 1, 2, 3, 4, 5, 6, 8]], axis=0)[:7])
+    axes, steps, target, found = locked(solved, POSES)
+    arm = peer.HPRobot(axes, steps)
     assert arm.hasKnownDecomposition()
-    still = np.where(np.arange(7) < 6, q, 0.0)
-    target = chain.tip(still)  # the same postures with joint 7 at zero, and the tip as EAIK has it
-    target[:, :3, :3] = target[:, :3, :3] @ chain.zero[8, :3, :3].T
     theirs = [int(np.sum(~np.asarray(one.is_LS, dtype=bool))) for one in arm.IK_batched(list(target), 1)]
     assert np.array_equal((~np.isnan(found[..., 0])).sum(axis=1), theirs)
+
+
+def test_solutions_are_those_of_ssik(solved):
+    """ssik (BSD-3) knows arms whose last three axes meet, so it has this one from its tip on."""
+    ssik = pytest.importorskip("ssik", reason="ssik is not installed (pip install ssik)")
+    axes, steps, target, found = locked(solved, 100)
+    peer = ssik.Manipulator.from_axes(-axes[::-1], -steps[::-1])
+    for own, pose in zip(found, np.linalg.inv(target), strict=True):
+        own = own[~np.isnan(own[:, 0])]
+        theirs = peer.solve(pose, respect_limits=False, enumerate_windings=False)
+        assert len(own) == len(theirs)
+        for one in theirs:
+            off = np.abs(np.angle(np.exp(1j * (own - np.asarray(one.q)[::-1])))).max(axis=-1)
+            assert off.min() < 1e-4
 
 
 def nearest(found, q):
