@@ -20,6 +20,7 @@ from planner.motion.search.subsampling import subset
 from planner.motion.trajectory import trajopt
 from planner.reading.urdf import read_chain
 from planner.report import motion_file
+from planner.service import cell_view
 from planner.targets import JointFreedom
 from planner.verify.replay import arm_model
 from tests import small_problem, test_ur_jobs, urdf_text
@@ -137,6 +138,30 @@ def test_the_map_of_the_last_joint_is_free_where_the_plan_is(row):
         assert found.places.free[k, near]
 
 
+def test_the_page_has_poses_of_all_links_and_a_map_of_the_last_joint(row):
+    _, _, problem, plan = row
+    name = plan.operations[0].targets.freedoms[0].name
+    found, issues = cell_view.view(problem, most=3, freedom=name)
+    assert issues == []
+    assert [one["posture"] for one in found["targets"]] == [1, 2, 3]
+    assert len(found["joints_deg"]["left"][1]) == 7
+    assert len(found["poses"]["left/link_7"]) == 4
+    assert {"name": name, "unit": "deg"} in found["freedoms"]
+    assert len(found["map"]["values"]) == 3
+
+
+def test_a_place_of_the_block_is_found_at_which_the_arm_gets_through(tmp_path):
+    source, table = row_of_poses()
+    source["stock"]["place"] = "auto"
+    source["operations"][0]["frame"] = "stock"
+    lines = table.replace("450,", "0,").replace(",300,", ",250,")
+    problem = laid(tmp_path, "iiwa", source, lines)
+    (tmp_path / "targets.csv").write_text(lines)
+    plan = planned(problem)
+    assert plan.metrics["placement_score_deg"] > 0.0
+    holds(problem, plan, TEXTS["iiwa"])
+
+
 def test_what_is_out_of_reach_is_told(tmp_path):
     found = pipeline.check(laid(tmp_path, "panda", *row_of_poses(x=900.0)))
     assert "motion.no_reach" in {issue.code for issue in found}
@@ -160,6 +185,15 @@ def test_a_posture_has_as_many_joints_as_the_arm_has_axes(tmp_path):
         pipeline.load(tmp_path / "problem.yaml")
     (issue,) = caught.value.issues
     assert issue.field == "cell.arms.0.home_deg" and "6 angles, the robot has 7 axes" in issue.message
+
+
+def test_stiffness_of_six_axes_is_refused(tmp_path):
+    source, table = row_of_poses()
+    laid(tmp_path, "panda", source, table)
+    source["cell"]["arms"][0]["stiffness"] = {"joints_nm_rad": [1e5] * 6, "source": "by hand"}
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(source), "utf-8")
+    with pytest.raises(TandemError, match="leave it out"):
+        pipeline.load(tmp_path / "problem.yaml")
 
 
 @pytest.mark.parametrize(("family", "words"), [("abb", "write generic"), ("ur", "this one has seven")])
