@@ -186,12 +186,12 @@ def _meshes(shapes: Sequence[UrdfShape], folder: Path, urdf: Path) -> list[dict[
 
 def _written(lines: dict[str, Any], robot: RobotData, request: Add) -> str:
     """The lines as YAML, and as comments what was assumed."""
-    from planner.reading.robot_file import FULL_SPEED_AFTER
+    from planner.reading.robot_file import FULL_SPEED_AFTER, home_words
 
     home = ", ".join(f"{v:g}" for v in (robot.home / DEG).round(6) + 0.0)
     usual = {
         "full_speed_after_s": f"{FULL_SPEED_AFTER:g}  # of every axis from rest, as the largest built in",
-        "home_deg": f"[{home}]  # serial joints: the upper arm upright, the forearm level",
+        "home_deg": f"[{home}]  # serial joints: {home_words(robot.form)}",
         "coupled_deg": "null  # of a parallel rod: the range of axis 2 + axis 3",
     }
     body = [f"  {key}: {json.dumps(value, ensure_ascii=False)}" for key, value in lines.items()]

@@ -232,13 +232,20 @@ def _assumed(spec: OwnRobotFile, chain: UrdfChain, found: ArmFit) -> Iterator[st
     if spec.coupled_deg is None:
         yield "coupling: assumed, none"
     if spec.home_deg is None:
-        yield "home: assumed, the upper arm upright and the forearm level"
+        yield f"home: assumed, {home_words(found.form)}"
     if max(found.snapped) > 1e-9:
         off = f"{found.snapped[0] / MM:.2g} mm, {found.snapped[1]:.2g} rad at the tip"
         yield f"angles of the URDF: taken as multiples of 15 deg where they are nearly that, at most {off}"
     for name in chain.beside:
         yield f"bodies: what the joint {name} moves is left out"
     yield from chain.notes
+
+
+def home_words(form: ArmForm) -> str:
+    """What the posture at home is like where none is stated."""
+    if isinstance(form, SevenParameters):
+        return f"the upper arm leant by {LEAN / DEG:g} deg, the elbow square and the flange downwards"
+    return "the upper arm upright and the forearm level"
 
 
 def _home(form: ArmForm, chain: UrdfChain) -> FloatArray:
