@@ -81,13 +81,13 @@ def inverse_kinematics(
             np.arctan2(yz, xz) - np.pi * flip,
             -theta2 if flip else theta2,
             np.arctan2(zy, -zx) + np.pi * flip,
-            theta4,
+            theta4 + 0.0 * theta6,  # a branch exists as a whole or not at all
             theta5,
             theta6,
         )
         for j, column in enumerate(columns):
             np.multiply(column + form.offsets[j], form.signs[j], out=out[slot, j, ...])
-        out[slot, 6, ...] = last + 0.0 * theta6  # a branch exists as a whole or not at all
+        out[slot, 6, ...] = last + 0.0 * theta6
     return np.moveaxis(out, (0, 1), (-2, -1))
 
 

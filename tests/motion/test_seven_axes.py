@@ -48,7 +48,8 @@ def solved(request):
 def test_every_branch_reaches_the_pose_with_the_last_joint_as_it_is_and_one_is_the_posture(solved):
     chain, form, q, flange, found = solved
     there = ~np.isnan(found[..., 0])
-    assert np.array_equal(there, ~np.isnan(found).any(axis=-1))
+    assert np.array_equal(~there, np.isnan(found).all(axis=-1))
+    assert np.array_equal(~there, np.isnan(found).any(axis=-1))
     asked = np.repeat(flange, there.sum(axis=1), axis=0)
     assert np.abs(chain.tip(found[there]) - asked).max() < 1e-9
     assert np.abs(flange_poses(form, found[there]) - asked).max() < 1e-9
