@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from planner.catalogue.robots import SevenParameters, robot
 from planner.cell.kinematics import flange_poses, form_jacobian
 from planner.geometry.arrays import from_rpy
-from planner.motion import placement, seven_axes
+from planner.motion import place_margin, seven_axes
 from planner.motion.planning_scene import FULL_TURN, Chain, inverse_kinematics, wrap
 from planner.reading import opw
 from planner.reading.urdf import read_chain
@@ -190,7 +190,7 @@ def test_what_is_out_of_reach_is_told_by_how_far(solved):
     far = np.eye(4)
     far[:3, 3] = (3.0, 0.0, form.c1 + form.c4)
     assert np.isnan(inverse_kinematics(form, far, last=np.array(0.3))).all()
-    gap = placement.reach_gap(dataclasses.replace(chain_of("iiwa"), robot=_with(form)), far)
+    gap = place_margin.reach_gap(dataclasses.replace(chain_of("iiwa"), robot=_with(form)), far)
     assert gap == pytest.approx(3.0 - form.upper - form.fore - abs(form.a4))
 
 
