@@ -99,6 +99,19 @@ def test_a_row_of_poses_is_planned_and_the_last_joint_goes_where_it_suits(row):
     assert held is None or path.smoothness(held) > path.smoothness(q)
 
 
+def test_the_optimiser_has_the_true_slopes_of_the_last_joint(row):
+    _, _, problem, plan = row
+    (own,) = plan.operations
+    (model,) = solve.setup_groups(problem, [own.targets])[0].models()
+    scene = Scene.of(problem.cell, ("left",), plan.places[0], problem.settings, model)
+    path = trajopt.PathProblem(scene, own.targets, own.metrics["branch"], None)
+    values, q, step = own.values, own.q["left"], 1e-6
+    ahead, behind = (path.joints(values + way, q) for way in (step, -step))
+    slopes = (ahead - behind)[..., None] / (2.0 * step)
+    np.testing.assert_allclose(path.rates(values, q), slopes, atol=1e-5)
+    np.testing.assert_allclose(path.plant_rates(scene.model, values, q), slopes, atol=1e-5)
+
+
 def test_check_finds_nothing_but_that_no_language_has_seven_joints(row):
     _, name, problem, _ = row
     (issue,) = pipeline.check(problem)
