@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 out = Console(highlight=False, soft_wrap=True)
 
-Six = tuple[float, float, float, float, float, float]
-
 
 @dataclasses.dataclass(frozen=True)
 class Add:
@@ -58,7 +56,7 @@ class Add:
     """time of every axis from rest to full speed; else assumed"""
     coupled_deg: tuple[float, float] | None = None
     """of a parallel rod: range of axis 2 + axis 3"""
-    home_deg: Six | None = None
+    home_deg: tuple[float, ...] | None = None
     """serial joints at home; else the upper arm upright, the forearm level"""
     left_out: tuple[str, ...] = ()
     """joints beside the chain whose bodies do not count: rods"""
@@ -202,12 +200,12 @@ def _ends(wanted: Path, there: Sequence[Path]) -> list[Path]:
 
 def _written(lines: dict[str, Any], robot: RobotData, request: Add) -> str:
     """The lines as YAML, and as comments what was assumed."""
-    from planner.reading.robot_file import FULL_SPEED_AFTER
+    from planner.reading.robot_file import FULL_SPEED_AFTER, home_words
 
     home = ", ".join(f"{v:g}" for v in (robot.home / DEG).round(6) + 0.0)
     usual = {
         "full_speed_after_s": f"{FULL_SPEED_AFTER:g}  # of every axis from rest, as the largest built in",
-        "home_deg": f"[{home}]  # serial joints: the upper arm upright, the forearm level",
+        "home_deg": f"[{home}]  # serial joints: {home_words(robot.form)}",
         "coupled_deg": "null  # of a parallel rod: the range of axis 2 + axis 3",
     }
     body = [f"  {key}: {json.dumps(value, ensure_ascii=False)}" for key, value in lines.items()]
@@ -227,7 +225,8 @@ def _print(robot: RobotData, chain: UrdfChain, off: tuple[float, float]) -> None
     out.print(table)
     figures = vars(robot.form).items()
     lengths = ", ".join(f"{key} {v / MM:.7g}" for key, v in figures if isinstance(v, float))
-    out.print(f"six axes in closed form: {lengths} mm; it reaches {robot.reach / MM:.0f} mm")
+    count = "seven axes, the last one free," if robot.axes == 7 else "six axes"
+    out.print(f"{count} in closed form: {lengths} mm; it reaches {robot.reach / MM:.0f} mm")
     out.print(f"at most {off[0] / MM:.2g} mm and {off[1]:.2g} rad beside the URDF on 1000 postures")
     out.print("without a source, or assumed:")
     for line in robot.assumed:

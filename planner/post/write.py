@@ -118,17 +118,17 @@ _BY_NUMBER: Final = ("KUKA", "UR")
 def _unspoken(arms: Sequence[Arm]) -> list[Issue]:
     """Arms for whose controllers no programs are written (``post.language``)."""
     hint = f"plan with an arm of {' or '.join(LANGUAGES)}; check tells of its reach all the same"
-    return [
-        Issue(
-            "post.language",
-            f"arm {arm.name} ({arm.robot}) is of the family {arm.data.family}, whose language is not written "
-            f"yet; allowed are {', '.join(f'{family} ({word})' for family, word in LANGUAGES.items())}",
-            arm=arm.name,
-            hint=hint,
-        )
-        for arm in arms
-        if arm.data.family not in LANGUAGES
-    ]
+    allowed = ", ".join(f"{family} ({word})" for family, word in LANGUAGES.items())
+    out = []
+    for arm in arms:
+        if arm.data.family in LANGUAGES:
+            continue
+        what = f"is of the family {arm.data.family}, whose language is not written yet"
+        if arm.data.axes > 6:
+            what = "has seven axes, and no language that is written here states seven joints"
+        what = f"arm {arm.name} ({arm.robot}) {what}; allowed are {allowed}"
+        out.append(Issue("post.language", what, arm=arm.name, hint=hint))
+    return out
 
 
 def speaks_krl(arm: Arm) -> bool:
