@@ -113,7 +113,7 @@ class TrimJob(Job[Trim]):
             hint = "take the die out, and trim by a problem of its own (surface:), or by a torch or laser"
             raise TandemError(Issue("trim.die", what, field="operations.die", hint=hint))
         reach = tool.kerf + op.lead.length_mm * MM if tool.blade is None else tool.blade.width
-        issues = list(check.curve_issues(wanted, sheet.opening, reach))
+        issues = list(check.curve_issues(wanted, sheet.opening, reach, op.shape_tol_mm * MM))
         if issues:
             raise TandemError(aggregate(issues))
         made: list[Slot] = []
