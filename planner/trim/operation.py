@@ -297,8 +297,11 @@ CIRCLE_POINTS: Final = 720
 """Points of a circle."""
 MOST_OUTLINES: Final = 500
 """Curves of an operation at most, those of drawings among them."""
-_READ: dict[str, tuple[FloatArray, ...]] = {}
-"""Curves by all that is stated of them."""
+_READ: dict[tuple[str, int, int], tuple[FloatArray, ...]] = {}
+"""Curves by all that is stated of them, and by when their file was written and how long it is: a drawing may
+be changed while a process goes on."""
+MOST_READ: Final = 1000
+"""Curves that are kept at most."""
 
 
 def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
@@ -310,8 +313,10 @@ def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
     """
     out: list[tuple[OutlineFile, FloatArray]] = []
     for one in op.outlines:
-        key = one.model_dump_json()
+        key = one.model_dump_json(), *_written(one)
         if key not in _READ:
+            while len(_READ) >= MOST_READ:
+                _READ.pop(next(iter(_READ)))
             _READ[key] = (outline_points(one),) if one.drawing is None else _drawn(one, one.drawing)
         if one.drawing is None:
             out.append((one, _READ[key][0]))
@@ -336,6 +341,16 @@ def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
         hint = "name layers, or divide them among operations"
         raise TandemError(Issue("problem.field", what, field="operations.outlines", hint=hint))
     return out
+
+
+def _written(one: OutlineFile) -> tuple[int, int]:
+    """When the file of an outline was written, and its length; of one without a file nothing."""
+    own = one.drawing or (None if one.curve is None else one.curve.dxf)
+    try:
+        found = None if own is None else Path(own.file).stat()
+    except OSError:  # told by who reads it
+        found = None
+    return (0, 0) if found is None else (found.st_mtime_ns, found.st_size)
 
 
 def _drawn(one: OutlineFile, drawing: DrawingFile) -> tuple[FloatArray, ...]:

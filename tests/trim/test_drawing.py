@@ -90,6 +90,15 @@ def test_planner_and_proof_read_the_same_curves(tmp_path: Path, unit: str, mm: f
         assert spans[0] == pytest.approx(spans[1], abs=5e-6)
 
 
+def test_a_drawing_that_was_changed_is_read_anew(tmp_path: Path) -> None:
+    """In a notebook, or a service, a process goes on while CAD writes the file again."""
+    drawing(tmp_path)
+    before = every_outline(job(tmp_path, outline()).operation)
+    drawing(tmp_path, extra=lambda space: space.add_circle((0, -20), 3, dxfattribs={"layer": "CUT"}))
+    made = job(tmp_path, outline())
+    assert len(every_outline(made.operation)) == len(before) + 1 == len(expanded(claim_of(made)).outlines)
+
+
 def test_inner_curves_come_first_and_layers_choose(tmp_path: Path) -> None:
     def rim(space: Any) -> None:
         space.add_circle((0, 0), 36, dxfattribs={"layer": "RIM"})

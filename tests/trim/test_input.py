@@ -77,10 +77,35 @@ def test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps(tmp_pat
     assert made.count > 10
 
 
+@pytest.mark.parametrize(
+    ("circles", "code", "words"),
+    [
+        ([(0, 10), (10, 10)], "trim.crosses", "within 0.00 mm of each other, at (5.0, 0.0) mm"),
+        ([(0, 10), (10.3, 10)], "trim.crosses", "allowed are 0.6 mm or more"),  # each edge may be off by 0.3
+        ([(0, 1.2)], "trim.narrow", "narrower than the kerf of 1.2 mm"),  # its slot would be one place
+    ],
+)
+def test_where_nothing_is_sure_to_stay_or_to_drop(
+    tmp_path: Path, circles: list[tuple[float, float]], code: str, words: str
+) -> None:
+    lead: dict[str, Any] = {"lead": {"length_mm": 1.5}, "pierce": {"off_mm": 1.0}}
+    drawn = [
+        {"name": f"c{k}", "circle": {"at_mm": [x, 0], "diameter_mm": d}} for k, (x, d) in enumerate(circles)
+    ]
+    (issue,) = refused(tmp_path, outlines=drawn, **lead)
+    assert (issue.code, words in issue.message) == (code, True), issue.message
+    wider = [
+        {**one, "circle": {"at_mm": [1.08 * one["circle"]["at_mm"][0], 0], "diameter_mm": 9.9}}
+        for one in drawn
+    ]
+    assert processes.job(problem(tmp_path, outlines=wider, **lead), 0).targets().count > 10
+
+
 def test_a_curve_that_crosses_itself_is_refused(tmp_path: Path) -> None:
     bow = {"polyline_mm": [[-8, -6, 0], [8, 6, 0], [8, -6, 0], [-8, 6, 0]]}
     found = refused(tmp_path, outlines=[{"name": "bow", "curve": bow}])
     assert {issue.code for issue in found} == {"trim.crosses"}
+    assert "crosses itself, at (0.0, 0.0) mm" in found[0].message
 
 
 def test_a_sharp_corner_that_the_tolerance_takes_is_cut(tmp_path: Path) -> None:
