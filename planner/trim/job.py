@@ -34,6 +34,7 @@ from planner.milling.tool_path import sharp, thinned
 from planner.problem import Formed, Hole, Setup
 from planner.reading import sheet as sheet_file
 from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
+from planner.tooling import Torch
 from planner.trim import check
 from planner.trim.claims import claims, told
 from planner.trim.cutting import Cutting, Trimmer, cutting, mounted
@@ -611,8 +612,10 @@ def _actions(op: Trim, setup: Setup, torch: Trimmer, route: Route) -> tuple[Acti
         Action(0, "message", vocabulary.TORCH_STOPPED.filled()),
         Action(0, "confirm", vocabulary.TORCH_READY.filled()),
     ]
+    stretch = max(LINGER_KERFS * torch.kerf, LEAST_STRETCH) if isinstance(torch, Torch) else LEAST_STRETCH
+    stands = LINGER * stretch / (op.least_feed * op.feed_mm_s * MM) + LINGER_TIME
     for first, end in zip(route.pierce, route.end, strict=True):
-        out.append(Action(first, "on", signal=op.signal or ""))
+        out.append(Action(first, "on", signal=op.signal or "", stands=stands))
         if op.ok_signal is not None:
             out.append(Action(first, "input", signal=op.ok_signal, seconds=op.ok_timeout_s))
         if op.pierce.seconds > 0.0:
