@@ -6,12 +6,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
+from planner import pipeline, processes
+from planner.motion import solve
+from planner.post import write as post
+from planner.verify.prove import Prover
 from planner.verify.urscript import reader
 from planner.verify.urscript.syntax_tree import AwaitArc, GuardArc
-from tests.trim.small_trim import OUTLINES, Job, of_ur
+from tests.small_forming import dish
+from tests.small_forming import write as write_forming
+from tests.trim.small_trim import OUTLINES, Job, data, of_ur
 
 Change = Callable[[str], str]
 FILE = "robot/trimmed.script"
@@ -313,6 +320,22 @@ def test_a_fault_is_told_by_the_rule_for_it(job: Job, name: str) -> None:
 def test_a_long_pierce_is_no_slow_cut(job: Job) -> None:
     long = job.programs[FILE].replace(PIERCE, "sleep(30.0)\r\n")
     assert job.issues_of("verify.trim_feed", {FILE: long}) == []
+
+
+def test_two_operations_cut_with_one_torch(tmp_path: Path) -> None:
+    """Each has its own feed, so its own thread; each rule holds each of them against what it is to do."""
+    whole = data(outlines=[{"name": "a", "circle": {"at_mm": [-8, 0], "diameter_mm": 12}}], **of_ur(tmp_path))
+    slow = {"name": "slow", "feed_mm_s": 4, "ok_timeout_s": 8}
+    b = {"name": "b", "circle": {"at_mm": [8, 0], "diameter_mm": 12}}
+    whole["operations"].append({**whole["operations"][0], **slow, "outlines": [b]})
+    read = pipeline.load(write_forming(tmp_path, whole, dish()))
+    plan = solve.solve(read, [processes.job(read, k).targets() for k in range(2)])
+    programs, prover = dict(post.programs(plan, read)), Prover(read, processes.claims(read))
+    assert prover.prove(programs, last="verify.trim_feed").issues == ()
+    patient = re.sub(r"(?<=kill watching_arc)(?!_)|(?<=watch_arc)(?=\(\)\r)", "_2", programs[FILE])
+    patient = patient.replace("watching_arc = run", "watching_arc_2 = run")
+    (issue,) = prover.prove({FILE: patient}, last="verify.trim_arc").issues
+    assert issue.code == "verify.trim_arc" and "wanted: 0.2 mm or more" in issue.message
 
 
 def test_each_slot_is_lit_waited_for_and_watched(job: Job) -> None:

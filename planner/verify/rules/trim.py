@@ -358,13 +358,14 @@ def trim_arc(context: Context, trimming: Trimming) -> Outcome:
         others = {key for other in torches if other is not work for key in other.slots} - set(work.slots)
         issues += [*_waits(context, work, others), *_guarded(context, work, others)]
         track, burning = work.track, work.burning
-        inner = np.zeros(len(track.time), dtype=bool)
         for begin, end in zip(burning.begin, burning.end, strict=True):
-            inside = (track.time > begin + 1e-6) & (track.time < end - 1e-6)
-            inner |= inside
-            start = min(int(np.searchsorted(track.time, begin, side="right")), len(track.time)) - 1
-            moved = np.linalg.norm(track.tip - track.tip[start], axis=1) > STANDING
-            stray = np.flatnonzero(inside & moved & ~np.isin(track.label, list(work.slots)))
+            moved, start = _under_way(work, begin, end)
+            if not (moved & np.isin(track.label, list(work.slots))).any() and any(
+                np.isin(other.track.label[_under_way(other, begin, end)[0]], list(other.slots)).any()
+                for other in torches
+            ):
+                continue  # another operation cuts with it
+            stray = np.flatnonzero(moved & ~np.isin(track.label, list(work.slots)))
             for i in stray[:1]:
                 what = f"{claim.signal} is on in {track.label[i]}, where nothing is cut"
                 issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(track.rows[i])))
@@ -381,6 +382,15 @@ def trim_arc(context: Context, trimming: Trimming) -> Outcome:
                 what = f"{claim.signal} is off in {key}: nothing is cut there"
                 issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(own.rows[i])))
     return Outcome(tuple(issues), where=f"{count} slots" if torches else NOTHING_TRIMMED)
+
+
+def _under_way(work: TrimWork, begin: float, end: float) -> tuple[BoolArray, int]:
+    """Rows (T,) of a torch's track in a time [s], but for those where it still stands, and the one from which
+    that is."""
+    track = work.track
+    inside = (track.time > begin + 1e-6) & (track.time < end - 1e-6)
+    start = min(int(np.searchsorted(track.time, begin, side="right")), len(track.time)) - 1
+    return inside & (np.linalg.norm(track.tip - track.tip[start], axis=1) > STANDING), start
 
 
 def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin: float) -> Iterator[Issue]:
