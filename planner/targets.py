@@ -135,6 +135,8 @@ class Action:
     signal ``signal``, ``wait`` waits ``seconds``, ``input`` waits until the input ``signal`` is 1, for
     ``seconds`` at most, behind which the program breaks off. ``powers``: the signal powers something, which
     the controller switches off where a program breaks off; a pulse that asks for one step does not.
+    ``stands``: of what is switched on and must not stay in one place, how long [s] the tool may be there; 0
+    for what may.
     """
 
     at: int
@@ -143,6 +145,7 @@ class Action:
     signal: str = ""
     seconds: float = 0.0
     powers: bool = True
+    stands: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)

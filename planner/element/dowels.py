@@ -182,8 +182,7 @@ def _in_joint(
         free = free & (_distance(at, rest).min(axis=1) >= keep)
         free &= (_distance(at, here) >= np.minimum(keep, STEEPEST * depth * DEEP)).all(axis=1)
         for other in holes[body]:
-            apart = np.linalg.norm(at[:, :, None] - other, axis=-1).min(axis=(1, 2))
-            free &= apart >= 2.0 * radius + cover
+            free &= lengths(at[:, :, None] - other).min(axis=(1, 2)) >= 2.0 * radius + cover
     at = _spread(np.flatnonzero(free), along, file.count, 2.0 * radius + cover)
     if not len(at):
         return float(lean.min()), "no room"
@@ -245,4 +244,5 @@ def _spread(free: IntArray, along: FloatArray, count: int, apart: float) -> IntA
         ways = [b - a for a, b in itertools.pairwise(own[chosen].tolist())]
         if len(chosen) == wanted and min(ways) >= apart:
             return free[chosen]
-    return free[[np.abs(own - 0.5 * (own[0] + own[-1])).argmin()]]
+    middle = int(np.abs(own - 0.5 * (own[0] + own[-1])).argmin())
+    return free[middle : middle + 1]

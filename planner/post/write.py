@@ -176,10 +176,13 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
     for arm in arms:
         if arm.data.family not in _BY_NUMBER:
             continue
-        if speaks_urscript(arm) and any(lights_torch(o) and arm.name in o.arms for o in problem.operations):
+        torches = [o for o in problem.operations if lights_torch(o) and arm.name in o.arms]
+        if speaks_urscript(arm) and torches and together:
             issues.append(_no_torch(arm))
         elif speaks_urscript(arm):
+            known = {getattr(operation, "ok_signal", None) for operation in torches}
             inputs = (a for t in made for a in t.actions if a.kind == "input" and t.arms[0] == arm.name)
+            inputs = (action for action in inputs if action.signal not in known)
             issues += [
                 issue for action in itertools.islice(inputs, 1) for issue in no_input(action, arm.name).issues
             ]
@@ -204,10 +207,10 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
 
 
 def _no_torch(arm: Arm) -> Issue:
-    """Why an arm of UR cuts with no torch."""
-    what = f"arm {arm.name} ({arm.robot}) is to cut with a torch: a program of UR that was paused goes on "
-    what += "where it stood, in the slot, and nothing in it would see that the arc is out"
-    hint = "take an ABB or KUKA robot for it, or cut by a mill (by: {kind: mill})"
+    """Why an arm of UR cuts with no torch beside another one."""
+    what = f"arm {arm.name} ({arm.robot}) is to cut with a torch beside another arm of UR: while one of both "
+    what += "programs waits, nothing is known of how long the torch would burn at one place"
+    hint = "cut in a job of its own, with one arm, or by a mill (by: {kind: mill})"
     return Issue("post.controller", what, arm=arm.name, hint=hint)
 
 

@@ -321,6 +321,8 @@ def _ur(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str,
             out.append((f"the power of {signal} falls with {wire}", "a relay in series, beside the program"))
     if joined:
         out += _ur_joined(controller, arm)
+    lit = torch_signals(problem.operations) & set(_powered(problem, plan, arm))
+    out += [row for signal in sorted(lit) for row in _ur_torch(signal)]
     out += [
         ("pose of the flange at home in Base, at the panel", "as the program's get_forward_kin has it"),
         ("mounting in Installation", "as the arm stands"),
@@ -331,6 +333,32 @@ def _ur(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str,
         ("behind an error or a stop that is given up", "start the program from its beginning"),
     ]
     return out
+
+
+def _ur_torch(signal: str) -> list[tuple[str, str]]:
+    """What a UR controller needs so that a torch goes out at each stop, and is not lit again."""
+    return [
+        (
+            f"Stop, Pause, emergency stop, safeguard stop, protective stop, each while {signal} is on, "
+            f"supply off and input bridged: {signal}",
+            "falls; else a safety output in series with it",
+        ),
+        (
+            "once, as before: Pause in a slot, then Play",
+            "the program ends, nothing is lit; else this controller gives outputs back: light no torch with "
+            "it",
+        ),
+        (
+            "once, as before: the speed slider at its least in a slot; the input pulled in a slot",
+            "the program ends within some seconds; at once",
+        ),
+        ("the speed slider", "100 %, and nobody moves it"),
+        (
+            f"{signal} on at a stop: never set again by hand",
+            "the program ends: torch out by hand, sheet looked at, start from the beginning; it cuts all "
+            "slots, so on a sheet without them, else plan anew what is left",
+        ),
+    ]
 
 
 def _ur_joined(controller: Controller, arm: str) -> list[tuple[str, str]]:

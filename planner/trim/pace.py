@@ -67,6 +67,16 @@ def too_slow(op: Trim, tool: Cutting, targets: Targets, time: FloatArray) -> tup
     return tuple(out)
 
 
+def _stretch(kerf: float) -> float:
+    """How long [m] a stretch is on which a torch of that kerf [m] may not stay."""
+    return max(LINGER_KERFS * kerf, LEAST_STRETCH)
+
+
+def stands(op: Trim, kerf: float) -> float:
+    """How long [s] a torch may take for such a stretch, and so stand in one place."""
+    return LINGER * _stretch(kerf) / (op.least_feed * op.feed_mm_s * MM) + LINGER_TIME
+
+
 def _lingers(
     op: Trim, kerf: float, segment: Segment, travel: FloatArray, time: FloatArray, rows: BoolArray
 ) -> list[Issue]:
@@ -74,7 +84,7 @@ def _lingers(
     ``travel`` (R,) [m] on the moves to its targets, which are ``rows`` (N,) of those with ``time`` (N,)."""
     at = np.flatnonzero(rows)
     along, clock = np.append(0.0, np.cumsum(travel)), time[np.append(at[0] - 1, at)]
-    stretch = max(LINGER_KERFS * kerf, LEAST_STRETCH)
+    stretch = _stretch(kerf)
     # stretches from each target on, and those up to each
     begin = np.concatenate([along, np.maximum(along - stretch, 0.0)])
     end = np.minimum(begin + stretch, along[-1])

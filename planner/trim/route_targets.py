@@ -15,10 +15,11 @@ from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
 from planner.targets import Action, Rounding, ScrewFreedom, Targets
+from planner.tooling import Torch
 from planner.trim.claims import told
 from planner.trim.cutting import Cutting, Trimmer
 from planner.trim.operation import KnifeCut, MillCut, Trim
-from planner.trim.pace import shares
+from planner.trim.pace import shares, stands
 from planner.trim.route import TRIM, Route
 from planner.trim.shown import Way, exhibits
 from planner.trim.slots import Slot, Wanted
@@ -140,8 +141,9 @@ def _actions(op: Trim, setup: Setup, torch: Trimmer, route: Route) -> tuple[Acti
         Action(0, "message", vocabulary.TORCH_STOPPED.filled()),
         Action(0, "confirm", vocabulary.TORCH_READY.filled()),
     ]
+    stay = stands(op, torch.kerf if isinstance(torch, Torch) else 0.0)
     for first, end in zip(route.pierce, route.end, strict=True):
-        out.append(Action(first, "on", signal=op.signal or ""))
+        out.append(Action(first, "on", signal=op.signal or "", stands=stay))
         if op.ok_signal is not None:
             out.append(Action(first, "input", signal=op.ok_signal, seconds=op.ok_timeout_s))
         if op.pierce.seconds > 0.0:

@@ -19,8 +19,7 @@ from planner.trim.face import Face, apart, lay, offset
 from planner.verify.trim.outlines import winding
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming
-from tests.trim.small_trim import data, problem
-from tests.verify import ur_job
+from tests.trim.small_trim import data, of_ur, problem
 
 ROUND = {"name": "round", "circle": {"at_mm": [0, 0], "diameter_mm": 16}}
 
@@ -163,15 +162,30 @@ def test_a_torch_that_lingers_in_a_long_slot_is_told(tmp_path: Path) -> None:
     assert "burns away more than its kerf" in issue.message
 
 
-@pytest.mark.parametrize("ok_signal", ["diArcOk", None])
-def test_controllers_of_ur_light_no_torch(tmp_path: Path, ok_signal: str | None) -> None:
-    read = problem(tmp_path, outlines=[ROUND], ok_signal=ok_signal)
+def test_controllers_of_ur_know_both_signals_by_number(tmp_path: Path) -> None:
+    read = problem(tmp_path, outlines=[ROUND], **of_ur(tmp_path))
     made = processes.job(read, 0).targets()
-    (arm,) = ur_job.problem().cell.arms[:1]
-    arm = dataclasses.replace(arm, name="robot")
-    other = dataclasses.replace(read, cell=dataclasses.replace(read.cell, arms=(arm,)))
-    found = [i for i in post.controller_refusals(other, [made]) if i.code == "post.controller"]
-    assert ["nothing in it would see that the arc is out" in issue.message for issue in found] == [True]
+    assert post.controller_refusals(read, [made]) == ()
+    fewer = problem(tmp_path, outlines=[ROUND], **of_ur(tmp_path, {"doArc": 3}))
+    (issue,) = post.controller_refusals(fewer, [made])
+    assert issue.code == "post.signal" and "diArcOk" in issue.message
+
+
+def test_two_arms_of_ur_light_no_torch(tmp_path: Path) -> None:
+    whole = data(outlines=[ROUND], **of_ur(tmp_path))
+    (arm,), (one,) = whole["cell"]["arms"], whole["operations"]
+    arms = ("robot", "second")
+    numbers = {"doPartner": 0, "diPartner": 1, "doRunning": 1, "diPartnerRunning": 2, "diArcOk": 3}
+    io = {name: numbers | {signal: 7} for name, signal in zip(arms, ("doArc", "doArc2"), strict=True)}
+    whole["cell"]["controller"] = {"sync": "handshake", "io": io}
+    whole["cell"]["arms"].append({**arm, "name": "second", "base": {"xyz_mm": [1400, 0, 0]}})
+    other = {**one, "name": "other", "arms": ["second"], "signal": "doArc2"}
+    whole["operations"].append({**other, "outlines": [{**ROUND, "name": "b"}]})
+    read = pipeline.load(write_forming(tmp_path, whole, dish()))
+    made = [processes.job(read, k).targets() for k in range(2)]
+    found = [i for i in post.controller_refusals(read, made) if i.code == "post.controller"]
+    assert [i.arm for i in found] == ["robot", "second"]
+    assert all("beside another arm of UR" in i.message for i in found)
 
 
 def test_inner_curves_come_before_outer_ones(tmp_path: Path) -> None:
