@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
@@ -238,3 +239,59 @@ def test_a_reading_that_is_broken_off_while_its_process_begins_costs_nobody_a_re
     except RefusedError as error:
         assert error.status == 499
     assert pool.submit(readers.examine, paths["second"], uploads).result(60).name == "second"
+
+
+def who_reads(reader: Reader) -> int:
+    """The process that reads: the child of the one that forks it; 0 while there is none."""
+    found = Path(f"/proc/{reader._process.pid}/task/{reader._process.pid}/children").read_text().split()
+    return int(found[0]) if found else 0
+
+
+def test_who_reads_may_be_ended_between_two_readings(
+    three: tuple[Examiners, dict[str, Path], dict[str, Path]],
+) -> None:
+    """The kernel ends who reads and has nothing to do: the reading that follows is told, or done, and no
+    later one has the answer of another."""
+    readers, paths, uploads = three
+    assert readers.examine(paths["first"], uploads).name == "first"
+    (reader,) = readers._all
+    ended = who_reads(reader)
+    os.kill(ended, signal.SIGKILL)
+    until(lambda: who_reads(reader) not in (0, ended))
+    time.sleep(0.5)
+    assert readers.examine(paths["first"], uploads).name in ("first", "")
+    for name in ("second", "third", "first"):
+        assert readers.examine(paths[name], uploads).name == name
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_reader_that_crashes_in_the_moment_it_is_broken_off(
+    three: tuple[Examiners, dict[str, Path], dict[str, Path]], monkeypatch: pytest.MonkeyPatch, begun: bool
+) -> None:
+    """The one that takes its place is ended for it, before or after it said that it begins: what follows has
+    its own answer, at once."""
+    readers, paths, uploads = three
+    large = paths["first"].with_name("large.yaml")
+    large.write_text("tandem: 1\na: [" + "x, " * 400_000 + "x]")
+    assert readers.examine(paths["first"], uploads).name == "first"
+    (reader,) = readers._all
+    reading = Reading()
+    line = Reader._line
+
+    def crash(self: Reader) -> str:
+        monkeypatch.setattr(Reader, "_line", line)
+        ended = who_reads(self)
+        os.kill(ended, signal.SIGKILL)
+        if begun:
+            until(lambda: who_reads(self) not in (0, ended))
+            time.sleep(0.5)
+        reading.break_off()
+        return line(self)
+
+    monkeypatch.setattr(Reader, "_line", crash)
+    with pytest.raises(RefusedError) as caught:
+        readers.examine(large, {}, reading=reading)
+    assert caught.value.status == 499
+    for name in ("third", "first", "second"):
+        assert readers.examine(paths[name], uploads).name == name
+    assert readers._all == {reader} and reader.alive
