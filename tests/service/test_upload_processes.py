@@ -79,6 +79,53 @@ def test_one_token_never_keeps_all_readers(shared: tuple[InProcess, Held, str, s
     assert here.post(named("later"), path, headers={"Authorization": f"Bearer {ann}"}).status_code < 400
 
 
+def test_long_readings_take_turns_with_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One reader, two who send batches, one who sweeps a field, one who checks: each waits for one problem of
+    the others, and not for their batches; a second batch of one waits for the first."""
+    data, first, order = tmp_path / "data", threading.Event(), list[str]()
+    data.mkdir()
+    auth = Auth(Database(default_url(data)))
+    tokens = {name: auth.make(name) for name in ("ann", "bob", "cyd", "dan")}
+
+    def read(self: Examiners, problem: Path, *asked: Any) -> Examined:
+        text = problem.read_text()
+        (name,) = re.findall("^name: (.*)", text, re.M)
+        order.append(name if asked[-1] is None else f"{name}-{asked[-1]['operations.0.feed_mm_s']}")
+        first.wait(60)
+        return Examined((), name=name, digest=order[-1], text=text)
+
+    monkeypatch.setattr(Examiners, "examine", read)
+
+    def send(who: str, path: str, *names: str, **asked: Any) -> Any:
+        files = [("problem", (f"{name}.yaml", named(name))) for name in names]
+        headers = {"Authorization": f"Bearer {tokens[who]}"}
+        answer = here.http.post(path, files=files, params=asked, headers=headers)
+        return answer.status_code, [one["name"] for one in answer.json().get("jobs", ())]
+
+    with InProcess(data, examiners=1, require_token=True) as here, ThreadPoolExecutor(5) as pool:
+        asked = [pool.submit(send, "ann", "/v1/batches", "a0", "a1", "a2")]
+        until(lambda: order, 20)
+        swept = {"field": "operations.0.feed_mm_s", "value": ["1", "2"]}
+        for who, path, names, more in (
+            ("bob", "/v1/batches", ("b0", "b1"), {}),
+            ("cyd", "/v1/sweeps", ("c",), swept),
+            ("dan", "/v1/check", ("d",), {}),
+        ):
+            waiting = len(asked)
+            asked.append(pool.submit(send, who, path, *names, **more))
+            until(lambda now=waiting: here.service._readers.statistics().tasks_waiting == now)  # type: ignore[misc]
+        asked.append(pool.submit(send, "ann", "/v1/batches", "z0", "z1"))
+        until(lambda: sum(here.service._waiting.values()) == 5)
+        time.sleep(0.2)
+        first.set()
+        answers = [one.result() for one in asked]
+    assert answers[0] == (201, ["a0", "a1", "a2"]) and answers[1] == (201, ["b0", "b1"])
+    assert answers[2] == (201, ["c", "c"]) and answers[3][0] == 200 and answers[4] == (201, ["z0", "z1"])
+    assert order[:4] == ["a0", "b0", "c-1", "d"]
+    assert order.index("b1") < order.index("a2") and order.index("c-2") < order.index("a2")
+    assert order.index("z1") > order.index("a2")
+
+
 def test_a_closed_connection_ends_its_reading_and_its_waiting(tmp_path: Path) -> None:
     """Two requests of the machine's own user at one reader: one reads, one waits; both hang up."""
     begun: list[Reading] = []
