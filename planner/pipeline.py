@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from planner import processes, spec
 from planner.batch import worker
 from planner.files import RELEASE, RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
-from planner.geometry.memory import give_back
+from planner.geometry.memory import give_back, lasting
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.problem import Cell, Problem
 from planner.reading import problem as problem_file
@@ -42,7 +42,7 @@ MAX_PROGRAM_BYTES = 20_000_000
 def ready() -> None:
     """Import what planning, proof and report need, Drake among it: a second of work, which a process that is
     to plan later may do early. Ctrl-C waits for its end: an import that is interrupted may swallow it."""
-    with unhurried():
+    with unhurried(), lasting():
         from planner import plans  # noqa: F401
         from planner.motion import solve  # noqa: F401
         from planner.post import write  # noqa: F401

@@ -23,7 +23,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, TextIO, TypeVar
 
-from planner.geometry.memory import give_back
+from planner.geometry.memory import give_back, lasting, own_process
 
 if TYPE_CHECKING:
     from planner.batch.job import Done, Reports
@@ -49,6 +49,7 @@ SMALL_BYTES: Final = 1 << 16
 def main(arguments: Sequence[str], get: Callable[[], Solve] | None = None) -> int:
     """Serve until standard input ends; ``get`` gives what solves a job, by default the real thing."""
     end_with(int(arguments[0]))
+    own_process()
     if CALLS in arguments:
         _work_out()
         return 0
@@ -82,11 +83,12 @@ def _answer(answers: TextIO, kind: str, content: object) -> None:
 
 def _planning() -> Solve:
     """All that planning needs; importing it takes longer than many a job."""
-    from planner import pipeline
-    from planner.batch.run import solve
-    from planner.cell import plant
+    with lasting():
+        from planner import pipeline
+        from planner.batch.run import solve
+        from planner.cell import plant
 
-    pipeline.ready()
+        pipeline.ready()
 
     models = plant.keep_models()
 
@@ -121,11 +123,12 @@ def end_with(parent: int) -> None:
 
 def _work_out() -> None:
     """Work out calls until standard input ends: a generator and its arguments, for all that it yields."""
-    from planner import pipeline
-
     with os.fdopen(os.dup(1), "wb") as answers:
         os.dup2(2, 1)
-        pipeline.ready()
+        with lasting():
+            from planner import pipeline
+
+            pipeline.ready()
         logging.getLogger("drake").setLevel(logging.WARNING)
         while (order := _received(sys.stdin.buffer)) is not None:
             work, arguments = order

@@ -40,6 +40,7 @@ from planner.cli import service as service_commands
 from planner.cli import statement
 from planner.cli.batch import Difference, differences
 from planner.files import unhurried
+from planner.geometry.memory import lasting
 from planner.issues import Issue, Severity, TandemError, accepted, given_wrong, has_errors
 
 if TYPE_CHECKING:
@@ -646,7 +647,7 @@ def _pipeline() -> ModuleType:
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    with unhurried():  # an import that is interrupted may swallow it
+    with unhurried(), lasting():  # an import that is interrupted may swallow it
         from planner import pipeline
 
     logging.getLogger("drake").setLevel(logging.WARNING)

@@ -1,0 +1,54 @@
+"""The collector passes over what lasts; in a user's process it looks at all that it did before."""
+
+from __future__ import annotations
+
+import gc
+import subprocess
+import sys
+import weakref
+
+import pytest
+
+from planner.geometry import memory
+
+
+class _Ring:
+    """Refers to itself: only the collector frees it."""
+
+    def __init__(self) -> None:
+        self.own = self
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_collector_waits_and_then_goes_on(fails: bool) -> None:
+    with pytest.raises(ZeroDivisionError) if fails else memory.lasting(), memory.lasting():
+        assert not gc.isenabled()
+        if fails:
+            raise ZeroDivisionError
+    assert gc.isenabled()
+
+
+def test_a_collector_that_is_off_stays_off() -> None:
+    gc.disable()
+    try:
+        with memory.lasting():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+def test_a_user_s_process_keeps_nothing_of_it() -> None:
+    with memory.lasting():
+        ring = weakref.ref(_Ring())
+    gc.collect()
+    assert ring() is None
+
+
+def test_the_command_s_own_process_passes_modules_over() -> None:
+    code = "import gc, sys; sys.argv[1:] = ['robots']\ntry:\n    from planner.__main__ import main; main()\n"
+    code += "except SystemExit as end:\n    print(end.code, gc.isenabled(), gc.get_freeze_count())"
+    command = [sys.executable, "-P", "-c", code]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()[-3:]
+    assert said[:2] == ["0", "True"]
+    assert int(said[2]) > 10_000
