@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# Packages are compiled where they are used: all of theirs, most of which nobody loads, take twenty seconds.
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile
 # Tests start some hundred processes, each of which would compile the planner anew: more than a second each.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -11,8 +13,9 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: $(STAMP)
 	$(BIN)/tandem plan problems/column_capital/problem.yaml -o out/column_capital
 
+# Three workers on two cores: tests of pages and services wait for others a seventh of the time.
 test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long"
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not long"
 
 test-long: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
@@ -28,7 +31,7 @@ lint: $(STAMP)
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable ".[test,lint]"
+	$(INSTALL) --editable ".[test,lint]"
 	touch $(STAMP)
 
 clean:

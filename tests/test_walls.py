@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import functools
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -32,15 +33,22 @@ FILES = {module(path): path for path in PLANNER.rglob("*.py")}
 
 
 @functools.cache
-def tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+def imports(path: Path) -> tuple[set[str], set[str]]:
+    """Modules of the house that a file imports: when it is loaded, and anywhere. The trees of all files are
+    two million objects, which every collection of garbage would go through in all tests behind these: none
+    is kept."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return of_house(tree.body), of_house(ast.walk(tree))
 
 
-@functools.cache
 def imported(path: Path, inside: bool = True) -> set[str]:
     """Modules of the house that a file imports, ``inside`` of functions too."""
+    return imports(path)[inside]
+
+
+def of_house(nodes: Iterable[ast.AST]) -> set[str]:
     found = set()
-    for node in ast.walk(tree(path)) if inside else tree(path).body:
+    for node in nodes:
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "planner":
             package = str(node.module).removeprefix("planner").removeprefix(".")
             for alias in node.names:
@@ -140,7 +148,7 @@ def test_the_top_of_the_house_is_small_and_every_folder_says_what_it_holds() -> 
     assert len(list(PLANNER.glob("*.py"))) <= TOP
     folders = {path.parent for path in PLANNER.rglob("*.py")}
     for folder in folders:
-        assert ast.get_docstring(tree(folder / "__init__.py")), folder
+        assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))), folder
     listed = set(re.findall(r"`(\w+)/`", PAGE.split("## Folders")[1].split("\n## ")[0]))
     assert {path.name for path in folders if path.parent == PLANNER} <= listed
 

@@ -88,6 +88,9 @@ CODES: Final[dict[str, Code]] = {
     "element.count": Code("a shell of quads has more or fewer panels than asked, as its rows come out"),
     "element.concave": Code("planar panels of an element have inner corners"),
     "element.assembly": Code("panels of an element have no straight way in that is free, in any order tried"),
+    "element.dowels": Code(
+        "panels of an element come in without a dowel: their ways in lean too much, or there is no room"
+    ),
     "element.block": Code("no block holds a panel at some place of an element"),
     "element.held": Code("panels of an element that no wire cuts safely, named where nothing avoids them"),
     "element.run": Code(

@@ -497,30 +497,56 @@ def _new(
     return model
 
 
-_known_near: dict[str, tuple[Sequence[SolidPair], Sequence[SolidPair]]] = {}
-"""What :func:`_always_near` found, by the content of what a model was built from: planner, proof and report
-build a model each of one cell."""
+_OwnPair = tuple[tuple[str, int], tuple[str, int]]
+"""Two solids, each by its body and its place among those of that body."""
+_known_near: dict[str, tuple[Sequence[_OwnPair], Sequence[_OwnPair]]] = {}
+"""What :func:`_always_near` found, by the content of the arms: all cells, setups and placements with the same
+arms and tools have it."""
 MOST_KNOWN: Final = 64
-"""Cells of which that is known at most."""
+"""Sets of arms of which that is known at most."""
 
 
 def _always_near(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidPair]]:
     """Pairs of what is mounted flat on a flange and the link before the wrist, and of solids of one arm that
-    are near each other in nearly all of RANDOM_POSTURES."""
-    key = content_digest((model.cell, model.stock, model.stock_pose, model.bases))
-    if key in _known_near:
-        return _known_near[key]
+    are near each other in nearly all of RANDOM_POSTURES. Wherever the arms stand it is the same: they are
+    looked at with their bases at the origin, so that rounding is the same, too."""
+    arms = [(a.name, a.robot, a.given, a.tool, a.home, a.follows) for a in model.cell.arms]
+    key = content_digest((arms, model.stock.held_by))
+    names = _own_names(model.bounds.given)
+    if key not in _known_near:
+        while len(_known_near) >= MOST_KNOWN:
+            del _known_near[next(iter(_known_near))]
+        flat, near = _found_near(dataclasses.replace(model, bases={arm: np.eye(4) for arm in model.arms}))
+        _known_near[key] = (
+            [(names[a], names[b]) for a, b in flat],
+            [(names[a], names[b]) for a, b in near],
+        )
+    place = {name: k for k, name in enumerate(names)}
+    flat, near = (
+        tuple(sorted((min(place[a], place[b]), max(place[a], place[b])) for a, b in pairs))
+        for pairs in _known_near[key]
+    )
+    return flat, near
+
+
+def _own_names(given: Sequence[Solid]) -> list[tuple[str, int]]:
+    """The body of each solid and its place among those of that body."""
+    count: dict[str, int] = {}
+    out = []
+    for solid in given:
+        out.append((solid.body, count.get(solid.body, 0)))
+        count[solid.body] = out[-1][1] + 1
+    return out
+
+
+def _found_near(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidPair]]:
     whole = model._shared.bounds
     flat = whole.flange_parts(model.poses({}))
     lower = np.concatenate([model.robots[arm].lower for arm in model.arms])
     upper = np.concatenate([model.robots[arm].upper for arm in model.arms])
     q = np.random.default_rng(20).uniform(lower, upper, size=(RANDOM_POSTURES, len(lower)))
     rows = {arm: q[:, 6 * k : 6 * k + 6] for k, arm in enumerate(model.arms)}
-    near = whole.without(flat).always_near(model.poses(rows))
-    while len(_known_near) >= MOST_KNOWN:
-        del _known_near[next(iter(_known_near))]
-    _known_near[key] = flat, near
-    return flat, near
+    return flat, whole.without(flat).always_near(model.poses(rows))
 
 
 def _leave_out_always_near(model: CellModel) -> None:

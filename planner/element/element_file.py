@@ -269,6 +269,20 @@ class RawBlocksFile(Strict):
     stock: Annotated[FileName | None, Field(description="list of what is left over")] = None
 
 
+class DowelsFile(Strict):
+    """Dowels between neighbouring panels, along the way in of the one that comes later."""
+
+    diameter_mm: Annotated[float, Field(ge=2, le=100)]
+    depth_mm: Annotated[float, Field(ge=5, le=1000, description="of the hole in either panel")]
+    count: Annotated[int, Field(ge=1, le=6, description="in a joint, fewer where it is short")] = 2
+    cover_mm: Annotated[
+        float, Field(ge=1, le=500, description="foam between a hole and faces, other sides and other holes")
+    ] = 20.0
+    lean_deg: Annotated[
+        float, Field(ge=0, le=60, description="of a dowel off square to its joint, at most")
+    ] = 30.0
+
+
 class CutBlocksFile(Strict):
     """How raw blocks are cut apart: a template, the rest of a problem file with a straight wire whose block,
     stand and cuts come with each piece."""
@@ -310,6 +324,7 @@ class ElementFile(Strict):
     ] = None
     raw_blocks: RawBlocksFile | None = None
     groups: Annotated[GroupsFile | None, Field(description="of hexagons")] = None
+    dowels: DowelsFile | None = None
     cut_blocks: Annotated[CutBlocksFile | None, Field(description="problems of raw blocks")] = None
     jobs: Annotated[tuple[JobFile, ...], Field(min_length=1, max_length=50)]
 
@@ -320,6 +335,8 @@ class ElementFile(Strict):
             raise ValueError("wires: elastic panels are cut by bent wires; give one")
         if kind != "hexagons" and self.groups is not None:
             raise ValueError(f"groups: {kind} are numbered by where they are; take that out")
+        if kind == "puzzle" and self.dowels is not None:
+            raise ValueError("dowels: lobes hold the pieces of a puzzle; take that out")
         if self.cut_blocks is not None and self.raw_blocks is None:
             raise ValueError("cut_blocks: cuts of blocks follow from raw_blocks; give both")
         wall = kind in ("boxes", "puzzle")

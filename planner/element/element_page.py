@@ -337,6 +337,11 @@ def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
         yield "weight", f"{sum(weights):.1f} kg, the heaviest {max(weights):.2f} kg"
     if found.joints:
         yield "joints", f"{len(found.joints)}, {1e-3 * sum(j.length for j in found.joints) / MM:.1f} m"
+    if held := data.get("dowels"):
+        size = f"{held['diameter_mm']:g} x {2.0 * held['depth_mm']:g} mm"
+        words = f"{len(held['dowels'])} of {size}; places and directions in dowels.csv"
+        without = len(held["without"])
+        yield "dowels", words + (f"; {without} joints have none" if without else "")
     if nest := data.get("blocks"):
         sizes: dict[str, int] = {}
         for block in nest["blocks"]:

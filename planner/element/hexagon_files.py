@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.element.assembly import Assembly, Body, rests_on, ring_slab
+from planner.element.dowels import square
 from planner.element.element_file import HexagonElement, Template
 from planner.element.hexagons import HexagonPanel
 from planner.element.jobs import (
@@ -24,8 +25,7 @@ from planner.element.jobs import (
     ruled,
 )
 from planner.element.nest import PanelBlock
-from planner.element.nested_output import finished
-from planner.element.output import table, weight_kg
+from planner.element.output import finished, table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
 from planner.geometry.arrays import FloatArray, transform, unit
 from planner.geometry.assembly import CLEAR, NONE, put_up
@@ -52,7 +52,7 @@ def folder(
     names = [panel.name for panel in panels]
     templates = chosen_templates(element, panels, names)
     own = [_panel_block(element, panel) for panel in panels]
-    up = assembly(panels)
+    up = assembly(panels, square(element))
     rows = [
         {**row(element, panel, block, one.file), "backs_apart_mm": round(apart / MM, 3) + 0.0, **columns}
         for panel, block, one, apart, columns in zip(
@@ -67,9 +67,8 @@ def folder(
     files["panels.svg"] = drawing(element, panels)
     files["element.obj"] = up.obj()
     data = _data(element, panels, rows, templates, up)
-    return finished(
-        element, files, data, own, (*_count(element, panels), *_concave(element, panels), *up.issues(CLEAR))
-    )
+    issues = (*_count(element, panels), *_concave(element, panels), *up.issues(CLEAR))
+    return finished(element, files, data, own, up, issues)
 
 
 def backs_apart(panels: Sequence[HexagonPanel]) -> FloatArray:
@@ -91,9 +90,9 @@ def backs_apart(panels: Sequence[HexagonPanel]) -> FloatArray:
     return out
 
 
-def assembly(panels: tuple[HexagonPanel, ...]) -> Assembly:
+def assembly(panels: tuple[HexagonPanel, ...], square: float | None = None) -> Assembly:
     """How a shell is put up: by rows, whatever its groups are. Sides are planes, so nothing may be in the
-    way."""
+    way. ``square`` as in :func:`put_up`."""
     number = {panel.name: k for k, panel in enumerate(panels)}
     bodies = []
     for panel in panels:
@@ -105,7 +104,7 @@ def assembly(panels: tuple[HexagonPanel, ...]) -> Assembly:
     slabs = [body.whole for body in bodies]
     rests = rests_on([slab.beyond for slab in slabs], row)
     up = np.array([0.0, 0.0, 1.0])
-    return Assembly(tuple(bodies), put_up(slabs, row, rests, up, CLEAR), up)
+    return Assembly(tuple(bodies), put_up(slabs, row, rests, up, CLEAR, square), up)
 
 
 def _panel_block(element: HexagonElement, panel: HexagonPanel) -> PanelBlock:

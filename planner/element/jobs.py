@@ -152,6 +152,13 @@ def pose_mm(pose: FloatArray) -> list[list[float]]:
     return [[v + 0.0 for v in line] for line in out.tolist()]
 
 
+def block_pose(panel: Mapping[str, Any]) -> FloatArray:
+    """The pose (4, 4) [m] of the block of a panel of ``element.json``."""
+    pose = np.array(panel["block_pose"], dtype=np.float64)
+    pose[:3, 3] *= MM
+    return pose
+
+
 def panel_files(
     element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
 ) -> dict[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -60,21 +59,6 @@ def nested_folder(
         if block["id"] in jobs:
             block["jobs"] = jobs[block["id"]]
     return files, said, {"blocks": data}
-
-
-def finished(
-    element: Element,
-    files: dict[str, str],
-    data: dict[str, Any],
-    panels: Sequence[PanelBlock],
-    issues: Sequence[Issue] = (),
-) -> tuple[dict[str, str], tuple[Issue, ...]]:
-    """An element's ``files``, those of its nest, and ``element.json`` with its ``data``, nest and issues; and
-    all that is to be said. Raises ``TandemError``: ``element.raw_block``."""
-    of_blocks, said, blocks = nested_folder(element, panels)
-    told = (*element.notes, *issues, *said)
-    whole = {**data, **blocks, "issues": [issue.to_dict() for issue in told]}
-    return {**files, "element.json": json.dumps(whole, indent=1) + "\n", **of_blocks}, told
 
 
 def _data(made: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> dict[str, Any]:

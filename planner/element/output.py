@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import io
 import itertools
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -15,13 +16,13 @@ import numpy as np
 import shapely
 
 from planner.catalogue.materials import foam
-from planner.element import kept
+from planner.element import dowels, kept
 from planner.element.assembly import BESIDE, GIVE, Assembly, Body, rests_on
 from planner.element.elastic import ElasticPanel, Joint, joints
-from planner.element.element_file import ElasticElement
-from planner.element.jobs import block_mm, chosen_templates, cut_minutes, ids, panel_files
+from planner.element.element_file import ElasticElement, Element
+from planner.element.jobs import block_mm, block_pose, chosen_templates, cut_minutes, ids, panel_files
 from planner.element.nest import PanelBlock
-from planner.element.nested_output import finished
+from planner.element.nested_output import nested_folder
 from planner.element.surface import RIM
 from planner.geometry.arrays import FloatArray, IntArray, transform
 from planner.geometry.assembly import NONE, Slab, bodies_beyond, put_up
@@ -43,6 +44,7 @@ OWNED: Final = (
     "blocks",
     "blocks.csv",
     "blocks.svg",
+    dowels.FILE,
     "stock.csv",
     kept.FILE,
 )
@@ -80,7 +82,30 @@ def folder(
     files["element.obj"] = up.obj()
     data = _data(element, panels, names, met, rows, up)
     issues = (*_unsteady(element, panels, names), *_told(element, names, met), *up.issues(GIVE))
-    return finished(element, files, data, own, issues)
+    return finished(element, files, data, own, up, issues)
+
+
+def finished(
+    element: Element,
+    files: dict[str, str],
+    data: dict[str, Any],
+    panels: Sequence[PanelBlock],
+    up: Assembly,
+    issues: Sequence[Issue] = (),
+) -> tuple[dict[str, str], tuple[Issue, ...]]:
+    """An element's ``files``, those of its nest and of its dowels, and ``element.json`` with its ``data``,
+    nest, dowels and issues; and all that is to be said. Raises ``TandemError``: ``element.raw_block``."""
+    of_blocks, said, blocks = nested_folder(element, panels)
+    files, more = {**files}, {}
+    if element.file.dowels is not None:
+        held = dowels.placed(element.file.dowels, up)
+        poses = {panel["id"]: block_pose(panel) for panel in data["panels"]}
+        files[dowels.FILE] = table(held.rows(poses))
+        more = {"dowels": held.data()}
+        issues = (*issues, *held.issues())
+    told = (*element.notes, *issues, *said)
+    whole = {**data, **blocks, **more, "issues": [issue.to_dict() for issue in told]}
+    return {**files, "element.json": json.dumps(whole, indent=1) + "\n", **of_blocks}, told
 
 
 def assembly(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: Sequence[str]) -> Assembly:
@@ -94,7 +119,7 @@ def assembly(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: S
     begins = np.unique(bounds[:, 2], return_inverse=True)[1]
     rests = [one[bounds[one, 3] < bounds[k, 2] + BESIDE] for k, one in enumerate(rests_on(beyond, begins))]
     up = np.array([0.0, 1.0, 0.0])
-    steps = put_up(slabs, np.arange(len(panels)), rests, up, GIVE)
+    steps = put_up(slabs, np.arange(len(panels)), rests, up, GIVE, dowels.square(element))
     bodies = (Body(n, _whole(p), s) for n, p, s in zip(names, panels, slabs, strict=True))
     return Assembly(tuple(bodies), steps, up)
 

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from planner.element.jobs import block_pose
 from planner.geometry.arrays import FloatArray, IntArray, dots, transform
 from planner.geometry.mesh import vertex_normals
 from planner.geometry.mesh_files import read_mesh
@@ -65,8 +66,7 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, 
     Raises ``TandemError``: ``element.run`` where the plan is of another panel, issues of mesh files.
     """
     name = str(panel["id"])
-    pose = np.array(panel["block_pose"], dtype=np.float64)
-    pose[:3, 3] *= MM
+    pose = block_pose(panel)
     path = run / name / "simulated_part.obj"
     cut = part_objects(path)
     faces = []

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
+from planner.element.jobs import block_pose
 from planner.element.run_joints import CutFace, CutJoint, other_panel, part_objects
 from planner.geometry.arrays import FloatArray, dots, transform, unit
 from planner.geometry.units import MM
@@ -63,8 +64,7 @@ def cut_sides(out: Path, run: Path, panel: Mapping[str, Any], thickness: float) 
     if not found:
         return ()
     cut = np.concatenate(found)
-    pose = np.array(panel["block_pose"], dtype=np.float64)
-    pose[:3, 3] *= MM
+    pose = block_pose(panel)
     back, front = rings(panel, thickness)
     corners = np.concatenate([back, front])
     far = float(np.linalg.norm(corners[:, None] - cut, axis=2).min(axis=1).max())

@@ -41,10 +41,14 @@ class Stand:
 
 
 def assembly(
-    panels: Sequence[WallPanel], names: Sequence[str], stands: Sequence[Stand], thickness: float
+    panels: Sequence[WallPanel],
+    names: Sequence[str],
+    stands: Sequence[Stand],
+    thickness: float,
+    square: float | None = None,
 ) -> Assembly:
     """How a wall is put up. Puzzle pieces follow their places, as their sides are made for; others go up in
-    rows from what of the rim is low."""
+    rows from what of the rim is low, ``square`` as in :func:`put_up`."""
     ends = [
         stand.plan(np.stack([panel.piece.along, (0.0, 0.0)], axis=1))[:, 0]
         for panel, stand in zip(panels, stands, strict=True)
@@ -81,4 +85,4 @@ def assembly(
     row = rows_up(beyond, rim & (low < low.min() + LOW * size), low)
     rank = np.empty(len(panels), dtype=np.int64)
     rank[sorted(range(len(panels)), key=lambda k: (int(row[k]), pieces[k].place))] = range(len(panels))
-    return Assembly(tuple(bodies), put_up(slabs, rank, rests_on(beyond, row), up, GIVE), up)
+    return Assembly(tuple(bodies), put_up(slabs, rank, rests_on(beyond, row), up, GIVE, square), up)

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.element.assembly import GIVE
+from planner.element.dowels import square
 from planner.element.element_file import Element, StripsElement, WallElement
 from planner.element.jobs import (
     block_mm,
@@ -21,8 +22,7 @@ from planner.element.jobs import (
     ruled,
 )
 from planner.element.nest import PanelBlock
-from planner.element.nested_output import finished
-from planner.element.output import outline, table, weight_kg
+from planner.element.output import finished, outline, table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
 from planner.element.strips import Divided
 from planner.element.wall_assembly import Stand, assembly
@@ -133,7 +133,7 @@ def _folder(
     names = numbers(panels)
     templates = chosen_templates(element, panels, names)
     files, rows, data, blocks = {}, [], [], []
-    up = assembly(panels, names, stands, element.file.thickness_mm * MM)
+    up = assembly(panels, names, stands, element.file.thickness_mm * MM, square(element))
     columns, bodies = up.columns(), up.data()
     for k, (panel, own, name, place, template) in enumerate(
         zip(panels, laid, names, _places(panels), templates, strict=True)
@@ -159,9 +159,9 @@ def _folder(
         "panels": data,
     }
     if any(panel.piece.way_in is not None for panel in panels):  # lobes are no joints of two lines
-        return finished(element, files, whole, blocks, ())
+        return finished(element, files, whole, blocks, up)
     whole["joints"] = list(_joints(panels, laid, stands, names, element.file.thickness_mm * MM))
-    return finished(element, files, whole, blocks, up.issues(GIVE))
+    return finished(element, files, whole, blocks, up, up.issues(GIVE))
 
 
 def _joints(

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import cKDTree
 
+from planner.element.jobs import block_pose
 from planner.element.run_joints import LARGEST_DEVIATION, CutFace, CutJoint, other_panel, part_objects
 from planner.geometry.arrays import FloatArray, dots, lengths, transform, unit
 from planner.geometry.units import MM
@@ -49,8 +50,7 @@ def cut_surfaces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[WallFa
     parts = part_objects(path)
     if "cut_front" not in parts or "cut_back" not in parts:
         return ()
-    pose = np.array(panel["block_pose"], dtype=np.float64)
-    pose[:3, 3] *= MM
+    pose = block_pose(panel)
     found = []
     for one in strict_yaml.read(out / "panels" / f"{name}.yaml").data["part"]["ruled"]:
         cut = parts.get(f"cut_{one['name']}")

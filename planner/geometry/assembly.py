@@ -35,6 +35,8 @@ TOLD: Final = 1e-4 * 2.0 ** np.arange(12)
 """How much [m] that is, in steps."""
 ROUNDS: Final = 4
 """Orders that are tried while bodies are left without a way in."""
+TOWARDS: Final = (0.0, 0.1, 0.2, 0.4, 0.8)
+"""Shares of the middle way that are added to one that is square to a side, until other sides let it pass."""
 _SKEW: Final = np.array([1.0, 0.6180339887, 0.3249197])  # along no edge of a regular shell
 _TIGHT: Final = 1e-12  # of a margin: no constraint is farther beyond
 _FLAT: Final = 1e-14  # m^2: triangles with less area cover nothing
@@ -283,16 +285,22 @@ class Step:
 
 
 def put_up(
-    slabs: Sequence[Slab], rank: IntArray, rests: Sequence[IntArray], up: FloatArray, give: float
+    slabs: Sequence[Slab],
+    rank: IntArray,
+    rests: Sequence[IntArray],
+    up: FloatArray,
+    give: float,
+    square: float | None = None,
 ) -> tuple[Step, ...]:
     """All bodies in the order in which they are put up.
 
     ``rank`` (N,): the order that is wanted; ``rests``: the bodies that each one rests on, none of them on the
     ground; ``up`` (3,): what nothing comes from below against; ``give`` [m]: what may be in the way. Of up to
     `ROUNDS` orders the first with the fewest bodies that more is in the way of: those then come as early as
-    they can.
+    they can. ``square`` [rad]: of the ways in that are free, one is wanted that is no more than this off
+    square to sides of as many neighbours as possible, as dowels ask; none: one that is far from all sides.
     """
-    site = _Site(slabs, rests, up, give)
+    site = _Site(slabs, rests, up, give, square)
     wanted = np.argsort(np.argsort(rank, kind="stable")).astype(np.float64)
     best: tuple[Step, ...] = ()
     least = len(slabs) + 1
@@ -312,8 +320,15 @@ def put_up(
 class _Site:
     """What all orders of the same bodies have in common."""
 
-    def __init__(self, slabs: Sequence[Slab], rests: Sequence[IntArray], up: FloatArray, give: float) -> None:
-        self.slabs, self.up, self.give = slabs, up, give
+    def __init__(
+        self,
+        slabs: Sequence[Slab],
+        rests: Sequence[IntArray],
+        up: FloatArray,
+        give: float,
+        square: float | None,
+    ) -> None:
+        self.slabs, self.up, self.give, self.square = slabs, up, give, square
         self.rests = [set(one.tolist()) for one in rests]
         self.near = [sorted({b for b in slab.beyond.tolist() if b != NONE}) for slab in slabs]
         self.middles = np.array([slab.ball[0] for slab in slabs])
@@ -379,11 +394,14 @@ class _Site:
         return np.concatenate([self.slabs[b].triangles for b in near] or [np.zeros((0, 3, 3))])
 
     def _ways(self, k: int, standing: set[int]) -> Sequence[FloatArray]:
-        """Ways out of a body that are tried: away from all sides and from below, away from all sides, to the
-        front, to the back, up; then whatever the sides leave, the farthest from them first."""
+        """Ways out of a body that are tried: square to sides where that is wanted; away from all sides and
+        from below, away from all sides, to the front, to the back, up; then whatever the sides leave, the
+        farthest from them first."""
         sides, normal = self.sides(k, standing), self.slabs[k].normal
         below = -self.up[None]
         ways = [middle_way(np.concatenate([sides, below]))[0]] if len(sides) else [normal]
+        if len(sides) and self.square is not None:
+            ways = [*self._square_ways(k, standing, ways[0], self.square), *ways]
         ways += [middle_way(sides)[0]] if len(sides) else []
         ways += [normal, -normal, self.up]
         if self.opens(k, standing):
@@ -392,6 +410,27 @@ class _Site:
             order = np.argsort(-np.round(margin, 9), kind="stable")
             ways += list(many[order[margin[order] > 0.0]])
         return ways
+
+    def _square_ways(
+        self, k: int, standing: set[int], middle: FloatArray, square: float
+    ) -> Sequence[FloatArray]:
+        """Ways out of a body, clear of its sides, that are at most ``square`` [rad] off square to those of
+        one neighbour or more, of most neighbours first, then the farthest from all sides."""
+        slab, sides = self.slabs[k], self.sides(k, standing)
+        near = [b for b in self.near[k] if b in standing]
+        outs = np.array([-unit(slab.normals[slab.beyond == b].mean(axis=(0, 1))) for b in near]).reshape(
+            -1, 3
+        )
+        some = [
+            outs[list(c)].sum(axis=0) for n in (1, 2, 3) for c in itertools.combinations(range(len(outs)), n)
+        ]
+        aims = np.array([aim for aim in some if lengths(aim[None])[0] > _TIGHT]).reshape(-1, 3)
+        ways = np.concatenate([unit(unit(aims) + share * middle) for share in TOWARDS])
+        margin = -(ways @ sides.T).max(axis=1)
+        count = (ways @ outs.T >= np.cos(square)).sum(axis=1)
+        keep = np.flatnonzero((margin >= -self.slack[k]) & (count > 0))
+        order = np.lexsort((-np.round(margin[keep], 9), -count[keep]))
+        return list(ways[keep[order]][:FEW])
 
 
 @functools.cache

@@ -14,7 +14,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.motion import offset_wrist, own_clearance
-from planner.motion.placement import reach_gap
+from planner.motion.place_margin import reach_gap
 from planner.motion.planning_scene import Scene, holders
 from planner.motion.search.ladder_search import Blocked, Dead, Wound
 from planner.motion.search.reach import Grid, Reach, full_turn, slides_only

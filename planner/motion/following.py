@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, lengths, spread_rows
 from planner.geometry.units import MM
-from planner.motion.placement import margin
+from planner.motion.place_margin import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.path_search import with_aims
 from planner.motion.search.subsampling import few_of

@@ -10,19 +10,19 @@ is sorted out afterwards on the best ones.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.robots import OffsetParameters, ParallelParameters
 from planner.cell import clearance, support
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, exp_rotation, from_parts, log_rotation
+from planner.geometry.arrays import FloatArray, IndexArray, exp_rotation, from_parts, log_rotation
 from planner.geometry.units import DEG
-from planner.motion import offset_wrist, three_parallel
+from planner.motion.place_margin import choice_scores, count_free, margin, margins_at
 from planner.motion.planning_scene import Chain, Scene
-from planner.motion.search.subsampling import Few, few_of, shifts
+from planner.motion.search.subsampling import Few, few_of, many_of, shifts
 from planner.problem import Cell, Settings, Stock
 from planner.targets import Targets
 
@@ -45,6 +45,17 @@ PLACES_SOON: Final = 2
 """until so many of them are free."""
 FREEST_PLACES: Final = 3
 """Places that are kept where none is free for all of a few targets."""
+ROOM_SHARE: Final = 0.5
+"""Where no place is free, those free for so many of a few targets at least are looked at again, with more
+samples and on all branches,"""
+ROOM_PARENTS: Final = 4
+"""the freest so many of them,"""
+ROOM_CHILDREN: Final = 5
+"""and places drawn about each of the freest then,"""
+ROOM_GENERATIONS: Final = 2
+"""in so many rounds, ever nearer to them,"""
+ROOM_PLACES: Final = 3
+"""until so many are free."""
 COARSE_TARGETS: Final = 10
 """Targets of an operation by which places are compared first."""
 FINE_TARGETS: Final = 20
@@ -63,9 +74,6 @@ SIDE_UP_TURNS: Final = np.array(
     dtype=np.float64,
 )
 """Turns [rad] that bring each of a held block's six sides up."""
-
-ENOUGH_MARGIN_RAD: Final = np.deg2rad(40.0)
-"""Margins wider than this [rad] count no more."""
 
 ROUND_POSITION_M: Final = 0.005
 """[m] round figures of a place: positions are multiples of this,"""
@@ -86,10 +94,6 @@ SAME_POSE: Final = 1e-6
 
 LEAST_APART_M: Final = 0.08
 """Places that are tried one after the other differ by at least this much [m, or rad of yaw times 0.3 m]."""
-
-
-SURELY_OUT_M: Final = 1e-6
-"""Poses farther out of reach than this [m] have no joints, whatever rounding does."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,11 +172,16 @@ class Search:
         self._drops = bare and self._ground.bears
         self._each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
         self._barred: set[int] = set()
+        self._looked: list[tuple[float, FloatArray]] = []
         self._look(shifted=False)
 
     def _look(self, shifted: bool) -> None:
         self._coarse = [few_of(c, t, COARSE_TARGETS, shifted) for c, t in self._each]
         self._fine = [few_of(c, t, FINE_TARGETS, shifted) for c, t in self._each]
+
+    @functools.cached_property
+    def _many(self) -> list[Few]:
+        return [many_of(c, t, FINE_TARGETS) for c, t in self._each]
 
     def run(self, models: Sequence[CellModel] = ()) -> tuple[list[Place], Trace]:
         """Places in the order in which to try them, and the trace; the list is empty if none is reachable.
@@ -191,7 +200,47 @@ class Search:
             places, more, faced = self._places(models)
             places = [dataclasses.replace(p, number=p.number + len(trace.score)) for p in places]
             trace = trace.with_more(more)
+        if not places and models:
+            self._barred = set()
+            places, trace = self._with_room(models, trace)
         return places, trace
+
+    def _with_room(self, models: Sequence[CellModel], trace: Trace) -> tuple[list[Place], Trace]:
+        """Places about the freest at which a few targets have free postures on any branch, among more
+        samples, the best first, and the trace with all that were looked at so. Places that leave a job most
+        margin often leave bodies little room."""
+        near = sorted((item for item in self._looked if item[0] >= ROOM_SHARE), key=lambda item: -item[0])
+        if not near:
+            return [], trace
+        points = self._clamped(np.stack([point for _, point in near]))
+        points = points[self._apart(points, ROOM_PARENTS)]
+        spread = self._spread()
+        every, scores, shares = points[:0], np.zeros(0), np.zeros(0)
+        for generation in range(ROOM_GENERATIONS + 1):
+            if generation:
+                parents = every[np.argsort(-shares, kind="stable")[:ROOM_PARENTS]]
+                steps = self._rng.normal(size=(len(parents), ROOM_CHILDREN, every.shape[1])) * spread
+                points = self._clamped(
+                    (parents[:, None] + steps * 0.7**generation).reshape(-1, steps.shape[2])
+                )
+            for point, least in zip(points, self._score(points, self._fine), strict=True):
+                if least > 0.0 and (shares == 1.0).sum() < ROOM_PLACES:
+                    share = self._share_free(models, self._place(point, least, 0), self._many)
+                    every, scores = np.concatenate([every, point[None]]), np.append(scores, least)
+                    shares = np.append(shares, share)
+            if not len(every) or (shares == 1.0).any():
+                break
+        first = len(trace.score)
+        if not len(every):
+            return [], trace
+        looked = [
+            (share, self._place(every[k], float(scores[k]), first + k))
+            for k, share in enumerate(shares.tolist())
+        ]
+        positions = np.stack([place.stock[:3, 3] for _, place in looked])
+        places = sorted((p for share, p in looked if share == 1.0), key=lambda p: -p.score)
+        more = trace.with_more(Trace(positions, scores))
+        return places, dataclasses.replace(more, freest=_freest(looked) or trace.freest)
 
     def soon(self, models: Sequence[CellModel]) -> Iterator[Place]:
         """The first places of those drawn first at which a few targets have free postures, the best before
@@ -200,7 +249,7 @@ class Search:
         fine = self._score(points, self._coarse)
         looked = 0
         for k in self._distinct(points, fine)[:MOST_SOON]:
-            place = Place(self._stock_pose(points[k]), self._bases(points[k]), float(fine[k]), k)
+            place = self._place(points[k], float(fine[k]), k)
             if self._share_free(models, place) == 1.0:
                 yield place
                 looked += 1
@@ -221,8 +270,9 @@ class Search:
             score = float(self._score(point[None], self._fine)[0])
         if score <= 0.0:
             return "not all targets are in reach there with all margins"
-        place = Place(self._stock_pose(point), self._bases(point), score, 0)
-        return place if self._share_free(models, place) == 1.0 else "bodies are too near to one another there"
+        place = self._place(point, score, 0)
+        free = any(self._share_free(models, place, few) == 1.0 for few in (self._coarse, self._many))
+        return place if free else "bodies are too near to one another there"
 
     def _places(self, models: Sequence[CellModel]) -> tuple[list[Place], Trace, set[int]]:
         """Places, the trace, and the quarters of a turn (see `_quarters`) that the best places face."""
@@ -252,7 +302,7 @@ class Search:
             faced |= set(_quarters(points[finalists]).tolist())
             fine = self._score(points[finalists], self._fine)
             places += [
-                (-s / worth, Place(self._stock_pose(points[k]), self._bases(points[k]), float(s), first + k))
+                (-s / worth, self._place(points[k], float(s), first + k))
                 for k, s in zip(finalists, fine.tolist(), strict=True)
                 if s > 0.0
             ]
@@ -271,6 +321,7 @@ class Search:
                 if len(ordered) == MOST_FREE_PLACES:
                     break
             trace = dataclasses.replace(trace, freest=_freest(shares))
+            self._looked += [(share, every[place.number]) for share, place in shares]
         return ordered, trace, faced
 
     def _rounded(self, points: FloatArray, scores: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
@@ -290,6 +341,11 @@ class Search:
             known.append(offered)
             points, scores = np.concatenate([points[best], children]), np.concatenate([scores[best], offered])
         return np.concatenate(seen), np.concatenate(known)
+
+    def _clamped(self, points: FloatArray) -> FloatArray:
+        """Points with round figures where people clamp a block by them."""
+        by_hand = not self._fixed and self._stock.held_by is None
+        return self._snapped(points, ROUND_TURN_RAD) if by_hand else points
 
     def _snapped(self, points: FloatArray, step: float) -> FloatArray:
         """Points whose block turns by multiples of ``step`` against the first arm's base, with a corner a
@@ -370,6 +426,9 @@ class Search:
             places[:, 2, 3] -= support.air(self._ground, self._stock, places)
         return places
 
+    def _place(self, point: FloatArray, score: float, number: int) -> Place:
+        return Place(self._stock_pose(point), self._bases(point), score, number)
+
     def _bases(self, point: FloatArray) -> dict[str, FloatArray]:
         """Bases of the movable arms: moved in the world, turned about their own vertical."""
         out = {}
@@ -419,20 +478,28 @@ class Search:
 
     def _distinct(self, points: FloatArray, scores: FloatArray) -> list[int]:
         """Indices of the best candidates that lie apart."""
+        order = np.argsort(-scores, kind="stable")
+        order = order[scores[order] > 0.0]
+        return [int(order[k]) for k in self._apart(points[order], MOST_CHECKED_PLACES)]
+
+    def _apart(self, points: FloatArray, most: int) -> list[int]:
+        """Indices of ``most`` points that lie apart, earlier ones first."""
         out: list[int] = []
         lean = [0.3] * (self._own - 4)
         weight = np.array([1.0, 1.0, 1.0, 0.3] + lean + [1.0, 1.0, 0.3] * len(self._movable))
-        for k in np.argsort(-scores, kind="stable"):
-            if len(out) == MOST_CHECKED_PLACES or scores[k] <= 0.0:
+        for k in range(len(points)):
+            if len(out) == most:
                 break
             if all(np.abs((points[k] - points[j]) * weight).max() > LEAST_APART_M for j in out):
-                out.append(int(k))
+                out.append(k)
         return out
 
-    def _share_free(self, models: Sequence[CellModel], place: Place) -> float:
-        """The least share over the jobs of a few targets that have a free posture; 0 where what stands
-        overlaps."""
-        jobs = list(zip(models, self._coarse, strict=True))
+    def _share_free(
+        self, models: Sequence[CellModel], place: Place, few: Sequence[Few] | None = None
+    ) -> float:
+        """The least share over the jobs of ``few`` targets, or those by which places are compared first, that
+        have a free posture; 0 where what stands overlaps."""
+        jobs = list(zip(models, few or self._coarse, strict=True))
         placed = {id(m): m.with_stock(place.stock).with_bases(place.bases) for m, _ in jobs}
         if any(clearance.overlaps(m) for m in placed.values()):
             return 0.0
@@ -443,127 +510,26 @@ class Search:
         return min(self._few_free(placed[id(model)], place, few) for model, few in jobs)
 
     def _few_free(self, model: CellModel, place: Place, few: Few) -> float:
+        """The share of a few targets with a free posture on the branches with most margin, or on any choice
+        of branches that reaches all of them."""
         scene = Scene.of(few.cell, few.targets.arms, place.stock, self._settings, model, place.bases)
         margins, q = margins_at(scene, few, place.stock[None, None], self._settings)
-        pair = best_branches(margins, few.index)[0]
-        choice = np.unravel_index(pair, [margins[arm].shape[-1] for arm in few.targets.arms])
-        least = np.min([margins[a][0, :, b] for a, b in zip(few.targets.arms, choice, strict=True)], axis=0)
-        good = np.flatnonzero(least > 0.0)
-        part = {a: q[a][0, good, b] for a, b in zip(few.targets.arms, choice, strict=True)}
-        free = scene.free(few.targets, part, few.index[good])
-        return len(np.unique(few.index[good][free])) / few.targets.count
+        scores = choice_scores(margins, few.index)[0]
+        choices = np.argsort(-scores, kind="stable")
+        choices = choices[scores[choices] > 0.0] if few.every_branch else choices[:1]
+        most = 0
+        for pair in choices:
+            choice = np.unravel_index(pair, [margins[arm].shape[-1] for arm in few.targets.arms])
+            least = np.min(
+                [margins[a][0, :, b] for a, b in zip(few.targets.arms, choice, strict=True)], axis=0
+            )
+            own = {a: q[a][0, :, b] for a, b in zip(few.targets.arms, choice, strict=True)}
+            most = max(most, count_free(scene, few, own, least))
+            if most == few.targets.count:
+                break
+        return most / few.targets.count
 
 
 def _quarters(points: FloatArray) -> IndexArray:
     """The quarter of a turn (K,), 0 to 3, that is next to the yaw of candidates (K, 4 or more)."""
     return np.round(points[:, 3] / QUARTER_TURN).astype(np.int64) % 4
-
-
-def margin(
-    few: Few,
-    stock: FloatArray,
-    bases: Mapping[str, FloatArray],
-    settings: Settings,
-) -> FloatArray:
-    """Least margin (K,) [rad] over all targets for K places (K, 1, 4, 4) of stock and bases, with the best
-    branches."""
-    scene = Scene.of(few.cell, few.targets.arms, stock, settings, None, bases)
-    margins = {}
-    for arm, pose, back in _poses_at(scene, few, stock):
-        margins[arm] = _margins(scene.chains[arm], pose, settings)[0][:, back]
-    return np.asarray(_combined(margins, few.index).max(axis=1))
-
-
-def margins_at(
-    scene: Scene,
-    few: Few,
-    stock: FloatArray,
-    settings: Settings,
-) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Margins {arm: (K, M, B)} beyond the hard ones, capped, and joints {arm: (K, M, B, 6)} of all B
-    branches, for M sampled states.
-
-    Out of reach the margin is -1 less the distance [m] by which the wrist's centre is out of reach.
-    """
-    out, joints = {}, {}
-    for arm, pose, back in _poses_at(scene, few, stock):
-        value, near, q = _margins(scene.chains[arm], pose, settings)
-        every = np.full((*value.shape, 6), np.nan)
-        every[near] = q
-        out[arm], joints[arm] = value[:, back], every[:, back]
-    return out, joints
-
-
-def _poses_at(scene: Scene, few: Few, stock: FloatArray) -> Iterator[tuple[str, FloatArray, IndexArray]]:
-    """Each arm with the different poses (K, D, 4, 4) of its TCP, and which of them each state (M,) has."""
-    placed = dataclasses.replace(scene, stock=stock)
-    poses = placed.world(few.targets, few.poses, few.index)
-    every = np.arange(len(few.index))
-    for arm in few.targets.arms:
-        rows, back = few.distinct_poses.get(arm, (every, every))
-        pose = poses[arm][..., rows, :, :]
-        shape = (*np.broadcast_shapes(pose.shape, (*stock.shape[:-2], 1, 1)),)
-        yield arm, np.broadcast_to(pose, shape), back
-
-
-def _margins(chain: Chain, pose: FloatArray, settings: Settings) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """Margins (K, D, B) of an arm at poses (K, D, 4, 4), which of these are not surely out of reach (K, D),
-    and the joints (P, B, 6) at those, which alone are worked out."""
-    gap, far = _gap(chain, pose)
-    near = ~far
-    value = np.repeat((-1.0 - gap)[..., None], chain.robot.form.branches, axis=-1)
-    base = np.broadcast_to(chain.base, pose.shape)[near] if chain.base.ndim > 2 else chain.base
-    q = dataclasses.replace(chain, base=base).inverse(pose[near])
-    limit = chain.best_limit_margin(q) - settings.joint_margin
-    single = chain.singularity_margin(q) - settings.singularity_margin
-    least = np.minimum(np.minimum(limit, single), ENOUGH_MARGIN_RAD)
-    value[near] = np.where(np.isfinite(least), least, value[near])
-    return value, near, q
-
-
-def reach_gap(chain: Chain, pose: FloatArray) -> FloatArray:
-    """How far (...,) [m] the wrist's centre of TCP poses (..., 4, 4) lies outside what the arm reaches."""
-    return _gap(chain, pose)[0]
-
-
-def _gap(chain: Chain, pose: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """What :func:`reach_gap` gives, and where (...,) poses are surely too far away for every branch."""
-    form = chain.robot.form
-    flange = form.inner(np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp))
-    if isinstance(form, ParallelParameters):
-        gap = three_parallel.reach_gap(form, flange)
-        return gap, np.zeros(gap.shape, dtype=np.bool_)
-    if isinstance(form, OffsetParameters):
-        gap = offset_wrist.reach_gap(form, flange)
-        return gap, np.asarray(gap > SURELY_OUT_M)
-    p = chain.robot.opw
-    centre = flange[..., :3, 3] - p.c4 * flange[..., :3, 2]
-    out, up = np.hypot(centre[..., 0], centre[..., 1]), centre[..., 2] - p.c1
-    distance = np.hypot(out - p.a1, up)
-    forearm = np.hypot(p.a2, p.c3)
-    gap = np.maximum(distance - (p.c2 + forearm), abs(p.c2 - forearm) - distance)
-    least = np.hypot(np.maximum(out - abs(p.a1) - abs(p.b), 0.0), up)  # from the shoulder's nearer side
-    return np.asarray(np.maximum(gap, 0.0)), np.asarray(least > p.c2 + forearm + SURELY_OUT_M)
-
-
-def best_branches(margins: Mapping[str, FloatArray], index: IndexArray) -> IndexArray:
-    """Flat index (K,) of the best choice of branches."""
-    return np.asarray(_combined(margins, index).argmax(axis=1))
-
-
-def _combined(margins: Mapping[str, FloatArray], index: IndexArray) -> FloatArray:
-    """Score (K, B ** arms) of each choice of branches: least over targets of the best sample, and a little of
-    the mean."""
-    total: FloatArray | None = None
-    for value in margins.values():
-        if total is None:
-            total = value
-        else:
-            total = np.minimum(total[..., :, None], value[..., None, :]).reshape(*value.shape[:-1], -1)
-    if total is None:
-        raise ValueError("targets without arms have no margin")
-    starts = np.flatnonzero(np.append(True, np.diff(index) > 0))
-    best = np.maximum.reduceat(total, starts, axis=1)
-    least = best.min(axis=1)
-    mean = best.mean(axis=1)
-    return np.asarray(least + 0.02 * np.where(least > 0.0, mean, np.minimum(mean, 0.0)))

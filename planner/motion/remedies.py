@@ -19,7 +19,7 @@ from planner.geometry.arrays import FloatArray, Shape, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Remedy, TandemError, aggregate
 from planner.motion import own_clearance, stations, ways
-from planner.motion.placement import margin
+from planner.motion.place_margin import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.path_search import find_path, turning

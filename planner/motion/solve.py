@@ -528,6 +528,10 @@ def _look(
     tried, reasons, paths = _tried(problem, stand, models, places, trace, at)
     if paths is not None:
         return tried[0], []
+    if len(tried) > 1:  # as the plan does: one that needs no fine samples, which take long
+        for place in tried:
+            if _has_coarse_path(problem, stand, models, place):
+                return place, []
     for place in tried:
         found = _no_path(problem, stand, models, place, at)
         if not found:
@@ -664,6 +668,22 @@ def _no_path(
             if paths is not None:
                 paths[index] = grid, found
     return out
+
+
+def _has_coarse_path(problem: Problem, stand: Stand, models: Sequence[CellModel], place: Place) -> bool:
+    """Whether all operations of a stand have free homes and paths at a place, without fine samples."""
+    for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
+        placed = model.with_stock(place.stock).with_bases(place.bases)
+        for job in jobs:
+            scene = Scene.of(setup.cell, job.arms, place.stock, problem.settings, placed, place.bases)
+            try:
+                ways.require_home(scene, job)
+            except TandemError:
+                return False
+            _, found = find_path(scene, job, fine=False)
+            if isinstance(found, Blocked) or found.loose:
+                return False
+    return True
 
 
 def _tried(

@@ -21,7 +21,7 @@ from planner.geometry.arrays import FloatArray, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.motion import diagnosis, following, own_clearance
-from planner.motion.placement import margin
+from planner.motion.place_margin import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.path_search import find_path, with_aims

@@ -54,6 +54,28 @@ def test_which_pairs_are_always_near_is_worked_out_once_for_a_cell() -> None:
     assert made[0] == made[1] != made[2]
 
 
+def test_which_pairs_are_always_near_hangs_on_the_arms_alone() -> None:
+    """Wherever the arms stand, on whatever stock and beside whatever obstacles: worked out once, and the same
+    as worked out there."""
+    cell, far = facing(), np.eye(4)
+    far[:3, 3] = 0.3, -0.2, 1.1
+    bare = dataclasses.replace(cell, obstacles=())
+    flat = dataclasses.replace(BLOCK, size=0.5 * BLOCK.size)
+    places = {"left": cell.arms[0].base @ far, "right": far}
+    asked = ((cell, BLOCK, np.eye(4), None), (bare, BLOCK, far, None), (cell, flat, far, places))
+    plant._known_near.clear()
+    known = [plant.build(*each) for each in asked]
+    assert len(plant._known_near) == 1
+    for each, model in zip(asked, known, strict=True):
+        plant._known_near.clear()
+        anew = plant.build(*each)
+        assert anew.pairs_filtered == model.pairs_filtered
+        assert anew.held_in_part == model.held_in_part
+        assert anew.bounds.pairs.tolist() == model.bounds.pairs.tolist()
+        assert anew.bounds.box_pairs.tolist() == model.bounds.box_pairs.tolist()
+    assert any(why == plant.NEAR for *_, why in known[0].pairs_filtered) or known[0].held_in_part
+
+
 def test_no_more_than_so_many_are_kept() -> None:
     some = plant.ModelCache[list[int]](2)
     made = [some.get(n, lambda n=n: [n]) for n in range(3)]

@@ -13,8 +13,10 @@ import pytest
 import yaml
 
 from planner import pipeline, processes
+from planner.cli.batch import Batch, run_batch
 from planner.cli.element import ElementRequest, run_element
 from planner.element import elastic, element_file, output
+from planner.element.jobs import panel_files
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, TandemError, given_wrong, has_errors
 from tests.element.walls import ROOT, element, wall
@@ -338,11 +340,46 @@ def test_the_facade_among_the_problems_divides(tmp_path: Path) -> None:
     assert max(panel["off_surface_mm"] for panel in data["panels"]) <= 1.0
 
 
+@pytest.mark.parametrize(
+    ("cells", "wire"),
+    [
+        ((0, 2, 3, 7), 1000.0),
+        pytest.param((2, 4, 12, 16), 1000.0, marks=pytest.mark.long),
+        ((10, 11, 13, 16), 900.0),
+    ],
+)
+def test_panels_of_the_facade_with_little_room_are_accepted_by_their_check(
+    cells: tuple[int, int, int, int], wire: float, tmp_path: Path
+) -> None:
+    """The wrists of the first have room only at places beside those with most margin; sections of the others
+    end early at corners, where the wire was moved along itself until one of its ends was in the block."""
+    facade = element_file.read(ROOT / "problems" / "wave_facade" / "element.yaml")
+    assert isinstance(facade, element_file.ElasticElement)
+    made = elastic.search(facade.surface, facade.cells, facade.rules)
+    way = 2 * [own.length_mm for own in facade.wires].index(wire) + 1  # along y
+    panel = elastic._panel(made, cells, way)
+    assert panel is not None
+    assert panel.held
+    for name, text in panel_files(facade, (panel,), ("A01",)).items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    found = pipeline.check(pipeline.load(tmp_path / "panels" / "A01.yaml"), advise=False)
+    assert not has_errors(found), found
+
+
 @pytest.mark.long
-def test_all_panels_of_the_facade_can_be_cut_as_they_are_written(tmp_path: Path) -> None:
-    told = run_element(ElementRequest(ROOT / "problems" / "wave_facade" / "element.yaml", tmp_path))
+def test_all_panels_of_the_facade_are_accepted_planned_and_proven_as_they_are_written(tmp_path: Path) -> None:
+    out, run = tmp_path / "facade", tmp_path / "run"
+    told = run_element(ElementRequest(ROOT / "problems" / "wave_facade" / "element.yaml", out))
     assert "element.held" not in {issue.code for issue in told}
-    data = json.loads((tmp_path / "element.json").read_text())
+    data = json.loads((out / "element.json").read_text())
     assert max(panel["off_surface_mm"] for panel in data["panels"]) <= 1.0
-    for panel in data["panels"]:
-        made(tmp_path / "panels" / f"{panel['id']}.yaml")
+    steps = np.concatenate([[joint["step_95_mm"], joint["step_largest_mm"]] for joint in data["joints"]])
+    assert steps.max() <= 0.5
+    files = tuple(out / "panels" / f"{panel['id']}.yaml" for panel in data["panels"])
+    for file in files:
+        assert not has_errors(pipeline.check(pipeline.load(file), advise=False)), file.stem
+    run_batch(Batch(files, run, workers=1, reports="failed"))
+    states = [row["state"] for row in csv.DictReader((run / "summary.csv").open())]
+    assert "unproven" not in states
+    assert states.count("verified") >= 0.95 * len(files)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from planner.catalogue.robots import OffsetParameters, robot
 from planner.cell.kinematics import flange_poses, forward
 from planner.geometry.arrays import interpolate, log_rotation
-from planner.motion import offset_wrist, placement
+from planner.motion import offset_wrist, place_margin
 from planner.motion.planning_scene import Chain, inverse_kinematics, wrap
 from planner.reading.opw import fit
 from planner.reading.urdf import read_chain
@@ -175,7 +175,7 @@ def test_a_pose_out_of_reach_has_no_solution_and_its_gap_is_told():
     pose[:, 0, 3] = [0.5, 1.2, 3.0]
     assert np.isfinite(chain.inverse(pose)[0]).any()
     assert np.isnan(chain.inverse(pose)[1:]).all()
-    told = placement.reach_gap(chain, pose)
+    told = place_margin.reach_gap(chain, pose)
     assert told[0] == 0.0 and told[2] == pytest.approx(
         np.hypot(3.0, 0.265 + 0.101) - 0.444 - np.hypot(0.11, 0.47) - 0.08, abs=1e-9
     )

@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 
 from planner.catalogue.robots import robot, robot_names
+from planner.cell.plant import CellModel
 from planner.geometry.arrays import exp_twist, from_parts
 from planner.issues import Issue, TandemError
-from planner.motion import diagnosis, operation, placement, ways
+from planner.motion import diagnosis, operation, place_margin, placement, ways
 from planner.motion import solve as solve_module
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search
 from planner.motion.planning_scene import Chain, Scene
-from planner.motion.search.ladder_search import Found, search
+from planner.motion.search.ladder_search import Blocked, Found, search
+from planner.motion.search.path_search import find_path
 from planner.motion.search.reach import sample
+from planner.motion.search.subsampling import Few
 from planner.motion.solve import _require_home, check, setup_groups, solve
 from planner.motion.trajectory import timing
 from planner.motion.trajectory.joint_path import dense
@@ -74,7 +77,7 @@ def test_a_place_is_judged_without_joints_of_what_is_surely_out_of_reach(name: s
     rng = np.random.default_rng(1)
     pose = exp_twist(rng.normal(size=(20, 100, 6)) * 2.0)
     pose[..., :3, 3] = rng.uniform(-1.3, 1.3, (20, 100, 3)) * data.reach
-    value, near, q = placement._margins(chain, pose, Settings())
+    value, near, q = place_margin._margins(chain, pose, Settings())
     every = chain.inverse(pose)
     assert 0.1 < near.mean() < 0.9
     np.testing.assert_allclose(q, every[near], atol=1e-12)
@@ -167,7 +170,7 @@ def test_places_that_face_another_way_are_searched_where_the_best_collide(
 
     shut: set[int] = set()
 
-    def share(self: Search, models: object, place: Place) -> float:
+    def share(self: Search, models: object, place: Place, few: object = None) -> float:
         if not self._barred:
             shut.add(facing(place))
         return 1.0 if self._barred else 0.5
@@ -189,10 +192,34 @@ def test_places_that_face_another_way_are_searched_where_the_best_collide(
 def test_a_place_that_few_postures_do_not_show_free_is_tried(
     monkeypatch: pytest.MonkeyPatch, targets: Targets
 ) -> None:
-    monkeypatch.setattr(Search, "_share_free", lambda self, models, place: 0.9)
+    monkeypatch.setattr(Search, "_share_free", lambda self, models, place, few=None: 0.9)
     job = problem(two_arms(1.8), targets, None)
     assert not check(job, [targets])
     assert solve(job, [targets]).operations[0].metrics["clearance_mm"] >= 10.0
+
+
+def test_where_no_place_is_free_others_about_the_freest_are_looked_at_closely(
+    monkeypatch: pytest.MonkeyPatch, targets: Targets
+) -> None:
+    share = Search._share_free
+
+    def few_collide(
+        self: Search, models: list[CellModel], place: Place, few: list[Few] | None = None
+    ) -> float:
+        return 0.9 if few is None else share(self, models, place, few)
+
+    monkeypatch.setattr(Search, "_share_free", few_collide)
+    cell = two_arms(1.8)
+    (stand,) = setup_groups(problem(cell, targets, None), [targets])
+    places, trace = Search(cell, block(SIZE, None), [targets], Settings()).run(stand.models())
+    assert 1 <= len(places) <= placement.ROOM_PLACES
+    assert [place.score for place in places] == sorted((place.score for place in places), reverse=True)
+    for place in places:
+        assert np.array_equal(trace.positions[place.number], place.stock[:3, 3])
+        assert trace.score[place.number] == place.score > 0.0
+    (model,) = stand.models()
+    scene = Scene.of(cell, targets.arms, places[0].stock, Settings(), model.with_stock(places[0].stock))
+    assert not isinstance(find_path(scene, targets)[1], Blocked)
 
 
 @pytest.mark.parametrize(("coarse", "planned"), [(False, [0, 2]), (True, [0, 1])])

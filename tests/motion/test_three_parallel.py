@@ -11,7 +11,7 @@ import pytest
 from bench.motion_jobs import s_curve
 from planner.cell.kinematics import flange_poses, jacobian
 from planner.geometry.arrays import exp_rotation, from_parts
-from planner.motion import placement, three_parallel
+from planner.motion import place_margin, three_parallel
 from planner.motion.planning_scene import FULL_TURN, Chain, Scene, inverse_kinematics, wrap
 from planner.motion.search import ladder_search, reach
 from planner.problem import Settings
@@ -106,13 +106,13 @@ def test_singular_postures_are_where_the_jacobian_is():
 
 def test_what_is_out_of_reach_is_told_by_how_far(solved):
     _, flange, _ = solved
-    assert placement.reach_gap(chain(), flange).max() < 1e-12
+    assert place_margin.reach_gap(chain(), flange).max() < 1e-12
     far, beside = np.eye(4), np.eye(4)
     far[:3, 3], beside[:3, 3] = (2.0, 0.0, RISE + LAST), (0.05, 0.0, 0.5)
     assert np.isnan(inverse_kinematics(FORM, np.stack([far, beside]))).all()
     longest = FORM.c2 + FORM.c3 + FORM.c4
-    assert placement.reach_gap(chain(), far) == pytest.approx(np.sqrt(4.0 - OUT**2) - longest)
-    assert placement.reach_gap(chain(), beside) == pytest.approx(OUT - 0.05)
+    assert place_margin.reach_gap(chain(), far) == pytest.approx(np.sqrt(4.0 - OUT**2) - longest)
+    assert place_margin.reach_gap(chain(), beside) == pytest.approx(OUT - 0.05)
 
 
 def test_each_joint_has_the_turn_that_leaves_it_most_room():

@@ -160,6 +160,10 @@ ELSEWHERE: Final = {
         "element/test_assembly",
         "test_panels_without_a_way_in_are_named_and_what_is_advised_opens_one",
     ),
+    "element.dowels": (
+        "element/test_dowels",
+        "test_shorter_dowels_find_room_where_long_ones_have_none",
+    ),
     "element.count": (
         "element/test_quads",
         "test_a_count_that_rows_cannot_make_is_told_and_narrower_panels_make_it",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import subprocess
 import sys
@@ -40,17 +41,28 @@ def is_module(name: str) -> bool:
     return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
 
 
-def imported(path: Path) -> set[str]:
-    """Modules of Tandem outside of the proof that a file imports anywhere, also inside of functions."""
-    found = set()
+@functools.cache
+def read(path: Path) -> tuple[set[str], set[str], set[str]]:
+    """What a file imports anywhere, also inside of functions; names and attributes in it."""
+    found, names, attributes = set[str](), set[str](), set[str]()
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        if isinstance(node, ast.Import):
+        if isinstance(node, ast.Name):
+            names.add(node.id)
+        elif isinstance(node, ast.Attribute):
+            attributes.add(node.attr)
+        elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name}: a relative import"
             whole = {f"{node.module}.{alias.name}" for alias in node.names}
             inside = {name for name in whole if is_module(name)}
             found |= inside | ({str(node.module)} if inside != whole else set())
+    return found, names, attributes
+
+
+def imported(path: Path) -> set[str]:
+    """Modules of Tandem outside of the proof that a file imports."""
+    found, _, _ = read(path)
     return {name for name in found if name.split(".")[0] == "planner" and name.split(".")[1:2] != ["verify"]}
 
 
@@ -77,9 +89,7 @@ def test_no_kinematics_and_no_solver_of_the_planner() -> None:
 @pytest.mark.parametrize("name", ["importlib", "__import__", "exec", "eval"])
 def test_no_import_goes_round_the_table(name: str) -> None:
     for path in VERIFY.rglob("*.py"):
-        names = {
-            node.id for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Name)
-        }
+        _, names, _ = read(path)
         assert name not in names, path.name
 
 
@@ -87,8 +97,8 @@ def test_the_planners_dimensions_are_only_compared() -> None:
     """``RobotData.form`` is what the planner solves with."""
     users = set()
     for path in VERIFY.rglob("*.py"):
-        nodes = ast.walk(ast.parse(path.read_text("utf-8")))
-        if any(isinstance(node, ast.Attribute) and node.attr in ("form", "opw") for node in nodes):
+        _, _, attributes = read(path)
+        if attributes & {"form", "opw"}:
             users.add(path.name)
     assert users == {"arm_model.py"}
 

@@ -141,8 +141,9 @@ _SECOND_DIFFERENCE_WEIGHT = np.array([1e-4, 1e-4, 1e-4, 3e-5, 1e-5, 1e-5])
 """Weight of second differences along the sweep, for each of the six parameters of a wire."""
 _FIRST_DIFFERENCE_WEIGHT = np.array([0.0, 0.0, 3e-3, 1e-3, 3e-4, 3e-4])
 """Weight of first differences along it where no section leads the wire."""
-_CENTRE_WEIGHT = 1e-4
-"""Weight of the wire's middle being off its section's middle."""
+_CENTRE_WEIGHT = 1e-2
+"""Weight of the wire's middle being off the block's middle: a wire that slides along itself meets a section
+as well, so this costs no shape, and keeps both ends as far outside of the block where sections end early."""
 _TAIL = 0.3 * TAIL_WEIGHT  # less straight ends hold better against end errors
 
 

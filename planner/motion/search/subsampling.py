@@ -64,6 +64,12 @@ def pick(freedom: Freedom, rows: IndexArray) -> Freedom:
 
 FEW_SPIN_STEP: Final = np.deg2rad(30.0)
 """Step [rad] of samples of freedoms that turn, where a few targets are judged."""
+MANY_SPIN_STEP: Final = np.deg2rad(15.0)
+"""Step [rad] of such samples where they are to be many,"""
+MANY_SLIDES: Final = 3
+"""with so many of a slide,"""
+MOST_MANY: Final = 120
+"""as long as each target has no more than this."""
 LONG_SHIFT_M: Final = 0.2
 """[m] range of a slide from which on the way that it shifts something counts in the search,"""
 
@@ -76,12 +82,14 @@ FEW_RING_SAMPLES: Final = 6
 
 @dataclasses.dataclass(frozen=True)
 class Few:
-    """Some targets with samples of their freedoms, one after the other, and the cell with their tools."""
+    """Some targets with samples of their freedoms, one after the other, and the cell with their tools;
+    ``every_branch``: whether they are to be looked at on every choice of branches."""
 
     cell: Cell
     targets: Targets
     index: IndexArray
     poses: dict[str, FloatArray]
+    every_branch: bool = False
 
     @functools.cached_property
     def distinct_poses(self) -> dict[str, tuple[IndexArray, IndexArray]]:
@@ -98,11 +106,22 @@ class Few:
 
 def few_of(cell: Cell, targets: Targets, count: int, shifted: bool) -> Few:
     """About ``count`` targets of a job, with samples of long shifts as well where ``shifted``."""
-    rows = spread_rows(targets.count, count)
-    few = subset(targets, rows)
+    few = subset(targets, spread_rows(targets.count, count))
     values = few_samples(few)
     if shifted:
         values = _shifted(few, values)
+    return _sampled(cell, few, values)
+
+
+def many_of(cell: Cell, targets: Targets, count: int) -> Few:
+    """About ``count`` targets of a job with more samples, to be looked at on every branch."""
+    few = subset(targets, spread_rows(targets.count, count))
+    values = sample(few, MANY_SPIN_STEP, MANY_SLIDES).values
+    values = values if values.shape[1] <= MOST_MANY else few_samples(few)
+    return dataclasses.replace(_sampled(cell, few, values), every_branch=True)
+
+
+def _sampled(cell: Cell, few: Targets, values: FloatArray) -> Few:
     index = np.repeat(np.arange(few.count), values.shape[1])
     return Few(cell, few, index, few.poses(values.reshape(len(index), -1), index))
 

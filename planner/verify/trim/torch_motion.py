@@ -269,12 +269,16 @@ def _off_sheet(work: TrimWork, rows: IntArray, own: RoundBody) -> tuple[float, i
         a, b, c, d = (np.array([x, y, work.sheet.rise]) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)))
         flat += [np.array([a, b, c]), np.array([a, c, d])]
     every = np.concatenate([corners, np.array(flat)])
-    places, _, count = places_near(every, tip, axis, own, SIGHT, FACE_SPACING, MOST_FACE_PLACES)
+    # no place of a face is looked at that is farther off than the nearest corner
+    corner, where = least_distances(work.sheet.vertices, tip, axis, own, SIGHT, -np.inf)
+    k = int(np.argmin(corner))
+    near = max(float(corner[k]), 0.0) + PLACE_ERROR
+    places, _, count = places_near(every, tip, axis, own, near, FACE_SPACING, MOST_FACE_PLACES)
     if count > MOST_FACE_PLACES:
         raise UnreadError(
             f"the sheet would have to be looked at in {count} places; {MOST_FACE_PLACES} may be"
         )
-    places = np.concatenate([places, work.sheet.vertices])
-    off, where = least_distances(places, tip, axis, own, SIGHT)
-    k = int(np.argmin(off))
-    return float(off[k]), int(rows[where[k]])
+    off, at = least_distances(places, tip, axis, own, near, -np.inf)
+    if len(off) and float(off.min()) < float(corner[k]):
+        corner, where, k = off, at, int(np.argmin(off))
+    return float(corner[k]), int(rows[where[k]])

@@ -12,7 +12,11 @@ from playwright.sync_api import Browser, ConsoleMessage, Page, expect, sync_play
 from tests.service.support import Process
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+GRAPHICS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+"""WebGL in software;"""
+PLAIN = ["--disable-gpu-rasterization", "--disable-gpu-compositing"]
+"""all else is drawn without it, which takes a third of the time."""
+ARGUMENTS = ["--no-sandbox", *GRAPHICS, *PLAIN]
 expect.set_options(timeout=90_000)  # readings of uploads wait for processors, where two suites run at once
 
 
