@@ -137,6 +137,9 @@ def _resample(lines: list[FloatArray]) -> tuple[float, FloatArray]:
 
 _FIT_ROUNDS = 25
 """Steps of the fit of a family at most."""
+_LEADS = 0.1
+"""Sections that are longer than this share of the median lead the wire; beyond the last of them it goes on as
+it came, so the corners of a face that stand beyond are met as the surface goes on straight."""
 _SECOND_DIFFERENCE_WEIGHT = np.array([1e-4, 1e-4, 1e-4, 3e-5, 1e-5, 1e-5])
 """Weight of second differences along the sweep, for each of the six parameters of a wire."""
 _FIRST_DIFFERENCE_WEIGHT = np.array([0.0, 0.0, 3e-3, 1e-3, 3e-4, 3e-4])
@@ -244,7 +247,7 @@ def fit_family(
         _steadiness(knots, float(sections.p[covered[0]]), float(sections.p[covered[-1]])),
     )
     coefficient, residual, foot = _gauss_newton(job, coefficient)
-    full = sections.p[sections.length > 0.3 * long]
+    full = sections.p[sections.length > _LEADS * long]
     spline = BSpline(knots, coefficient, 3, extrapolate=True)
     family = Family(spline, length, float(full[0]), float(full[-1]))
     held = sections.p != np.clip(sections.p, family.lower, family.upper)

@@ -72,6 +72,23 @@ def test_the_wire_passes_half_a_kerf_outside_the_wanted_face(
     assert np.quantile(np.abs(distance - 0.0012), 0.95) < 5e-5
 
 
+def test_the_wire_meets_corners_of_a_face_whose_ends_are_slanted() -> None:
+    """Sections that end early, as those of a panel in a block that leans to it, are led by the face to the
+    last tenth of them."""
+    y = np.linspace(-90.0, 90.0, 7)
+    sections = [
+        {"at": float(a), "bezier_mm": [[x, v + 0.25 * x, z + 20.0 * (v / 90.0) ** 2] for x, z in panels.ARCH]}
+        for a, v in zip(np.linspace(0.0, 1.0, 7), y.tolist(), strict=True)
+    ]
+    block = panels.stock(size=(0.16, 0.26, 0.12))
+    part = panels.part({"loft": {"sections": sections, "flip": True, "chord_mm": 0.01}}, block=block)
+    targets = job.ElasticJob(panels.operation(), panels.setup(block), part).targets()
+    for claim in (c for c in targets.claims if isinstance(c, CutsSurface)):
+        middle = claim.vertices[claim.faces].mean(axis=1)[::3]
+        _, distance, _ = trimesh.proximity.closest_point(swept(targets, str(claim.segment)), middle)
+        assert np.abs(distance - 0.0012).max() < 2e-4
+
+
 def test_end_frames_follow_the_convention_and_the_wire_has_its_length(arch: Targets) -> None:
     points = arch.edge.points
     for arm, tip, inner in (("left", 0, 1), ("right", -1, -2)):
